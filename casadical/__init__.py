@@ -1,0 +1,25 @@
+"""casadical: robot calibration with known uncertainty.
+
+Names are loaded when they are first used, so that ``import casadical`` costs next to nothing and a stand-alone part
+(``casadical.compensator``, ``casadical.export``) never loads the kinematics.
+"""
+
+from importlib import import_module
+from typing import Any
+
+__version__ = "0.1.0"
+
+# Public name -> module that defines it.
+_HOME: dict[str, str] = {}
+
+__all__ = ["__version__", *_HOME]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'casadical' has no attribute {name!r}")
+    return getattr(import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
