@@ -1,0 +1,290 @@
+"""Identify a robot's parameters from measurements: bounded least squares, and what the result is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+
+from .accuracy import Accuracy, errors, predicted, summarise
+from .checks import check_against
+from .errors import InputError
+from .identifiability import Identifiability
+from .least_squares import SIGMA_ANGLE_GUESS, SIGMA_GUESS, LeastSquares, settle, spread, variance
+from .measurements import Measurements
+from .placement import place
+from .residuals import LOSSES, Loss, make_block
+from .robot import Robot
+from .solver import Progress, Solution
+from .statistics import student_t
+from .transforms import Array
+
+Method = Literal["KM", "SKCM"]
+METHODS: dict[str, tuple[str, ...]] = {"KM": ("kinematic",), "SKCM": ("kinematic", "compliance")}
+
+OUTLIER_SIGMAS = 5.0
+SIGMA_ROUNDS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """What was identified, from what, and how sure it is.
+
+    given : the robot as handed in; start : with its frames placed; robot : calibrated
+    measurements : what was used; method, loss : how
+    identifiability : which parameters are independent, which are not and why
+    problem, solution : the least squares and where it ended
+    variance : of a residual, in units of the sigmas used; degrees_of_freedom : residuals less variables
+    outliers : (set, pose) indices of poses that a robust loss left out
+    """
+
+    given: Robot
+    start: Robot
+    robot: Robot
+    measurements: tuple[Measurements, ...]
+    method: str
+    loss: Loss
+    identifiability: Identifiability
+    problem: LeastSquares
+    solution: Solution
+    variance: float
+    degrees_of_freedom: int
+    outliers: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Identified parameters."""
+        return self.problem.names
+
+    @cached_property
+    def estimate(self) -> Array:
+        """Of `names`, shape (p,) [SI]."""
+        return np.array(list(self.problem.values(self.solution.v).values()))
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Of `estimate`, shape (p, p) [SI]; NaN for parameters at a bound."""
+        return self.problem.covariance(self.solution.v, self.variance)
+
+    @cached_property
+    def standard_errors(self) -> Array:
+        """Of `estimate`, shape (p,) [SI]; NaN for parameters at a bound."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def at_bounds(self) -> tuple[str, ...]:
+        """Identified parameters that stopped at a bound."""
+        mask = self.problem.at_bounds(self.solution.v)[: len(self.names)]
+        return tuple(n for n, stopped in zip(self.names, mask, strict=True) if stopped)
+
+    @property
+    def sigmas(self) -> tuple[tuple[float, float], ...]:
+        """Standard deviation of one coordinate [m] and of one angle [rad] that the residuals show, for each set."""
+        scale = float(np.sqrt(self.variance))
+        return tuple((s * scale, a * scale) for s, a in self.problem.sigmas)
+
+    @cached_property
+    def parameters(self) -> pd.DataFrame:
+        """A row per parameter: name, group, nominal, value, std_error, low, high (95 %), unit, status, reason."""
+        quantile = student_t(0.975, self.degrees_of_freedom)
+        reasons = {u.name: u.reason for u in self.identifiability.held}
+        place_of = {name: k for k, name in enumerate(self.names)}
+        rows = []
+        for p in self.start.parameters:
+            nominal = p.readable(p.value)
+            value, error, status, reason = nominal, np.nan, "held", "not asked for"
+            if p.name in place_of:
+                k = place_of[p.name]
+                value, error = p.readable(self.estimate[k]), p.readable(self.standard_errors[k])
+                status, reason = ("at bound", "its bound stops it") if p.name in self.at_bounds else ("identified", "")
+            elif p.name in reasons:
+                status, reason = "not identifiable", reasons[p.name]
+            low, high = value - quantile * error, value + quantile * error
+            rows.append((p.name, p.group, nominal, value, error, low, high, p.readable_unit, status, reason))
+        columns = ["name", "group", "nominal", "value", "std_error", "low", "high", "unit", "status", "reason"]
+        return pd.DataFrame(rows, columns=columns)
+
+    def correlations(self, above: float = 0.95) -> pd.DataFrame:
+        """Pairs of identified parameters whose estimates are correlated by more than `above`, the strongest first."""
+        C = self.covariance / np.outer(self.standard_errors, self.standard_errors)
+        i, j = np.nonzero(np.tril(np.abs(C) > above, -1))
+        pairs = pd.DataFrame(
+            {"parameter": np.array(self.names)[i], "with": np.array(self.names)[j], "correlation": C[i, j]}
+        )
+        return pairs.sort_values("correlation", key=np.abs, ascending=False, ignore_index=True)
+
+    def predict(self, q: Array, conditions: Mapping[str, Array] | None = None) -> tuple[Array, Array]:
+        """Positions of the calibrated robot, shape (n, 3) [m], and their covariances, shape (n, 3, 3) [m^2].
+
+        q : joint readings, shape (n, joints) [rad or m]; conditions : logged columns by name, each of shape (n,).
+        The covariance is that of the model's position; a new measurement adds its own noise.
+        """
+        q = np.atleast_2d(q)
+        m = Measurements(q=q, kind="position", position=np.zeros((len(q), 3)), conditions=dict(conditions or {}))
+        p, _ = predicted(self.robot, m)
+        x, _ = self.problem.separate(self.solution.v)
+        block = make_block(self.start, m, self.names, "linear", 1.0, 1.0, np.zeros((0, 3)), np.zeros(len(q), int))
+        J = block.evaluate(x, np.zeros((0, 3)))[1] / self.problem.scale
+        return p, J @ np.nan_to_num(self.covariance) @ J.transpose(0, 2, 1)
+
+    def accuracy(self, m: Measurements) -> dict[str, Accuracy]:
+        """Errors on any measurements: "nominal", "placed" (base and tool fitted) and "calibrated"."""
+        return {
+            "nominal": summarise(errors(self.given, m)),
+            "placed": summarise(errors(self.placed, m)),
+            "calibrated": summarise(errors(self.robot, m)),
+        }
+
+    @cached_property
+    def placed(self) -> Robot:
+        """The given robot with only base and tool frames fitted: what "before calibration" can mean at all."""
+        groups = [g for g in ("base", "tool") if g in self.given.parameters.groups]
+        return identify(self.given, self.measurements, groups, loss=self.loss).robot if groups else self.start
+
+    def is_optimal(self, tolerance: float = 1e-4) -> bool:
+        """Whether no step inside the bounds lowers the cost; recomputed from the data, not the solver's word.
+
+        tolerance : what one more Gauss-Newton step may gain in chi-squared; 1e-4 is about 1 % of a standard error
+        """
+        round_off = 1e-12 * self.solution.history[0]
+        return self.problem.decrement(self.solution.v) < tolerance * self.variance + round_off
+
+    @property
+    def verdict(self) -> str:
+        """The result in one sentence."""
+        used = sum(len(m) for m in self.measurements)
+        text = (
+            f"{self.method}: {len(self.names)} parameters identified from {used} poses, "
+            f"{len(self.identifiability.held)} not identifiable"
+        )
+        if self.at_bounds:
+            text += f"; AT BOUNDS: {', '.join(self.at_bounds)} - widen the bounds or doubt the model"
+        if self.outliers:
+            text += f"; {len(self.outliers)} poses left out as outliers"
+        return f"{text}. {self.solution.message}"
+
+
+def identify(
+    robot: Robot,
+    measurements: Measurements | Sequence[Measurements],
+    free: Iterable[str] = ("kinematic", "compliance"),
+    *,
+    method: Method | None = None,
+    loss: Loss = "linear",
+    priors: bool = False,
+    progress: Progress | None = None,
+) -> Identification:
+    """Identify parameters of a robot from measurements.
+
+    robot : nominal model; measurements : one set, or several of different kinds, each with its own sigma
+    free : parameters by group (base, geometry, loop, tool, compliance), union (kinematic, placement), name or pattern
+    method : the paper's KM (kinematics only, joints rigid) or SKCM (with compliance), instead of `free`
+    loss : linear, huber or soft_l1; the robust ones leave poses beyond five sigma out of a last solve
+    priors : whether departures from nominal are held back by the robot's prior widths
+    progress : called with iteration number and cost
+
+    Raises InputError where the measurements do not fit the robot, ConvergenceError where Ipopt finds no optimum.
+    Source: paper, section 3; Hollerbach, Khalil and Gautier, Springer Handbook of Robotics (2016), chapter 8.
+    """
+    sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
+    if method is not None:
+        robot, free = _by_method(robot, method)
+    if loss not in LOSSES:
+        raise InputError(f"loss {loss!r} is not known; allowed: {', '.join(LOSSES)}")
+    for m in sets:
+        check_against(robot, m)
+    start = place(robot, next((m for m in sets if m.position is not None), sets[0]))
+    names = start.parameters.select(free)
+    sigmas = tuple((m.sigma or SIGMA_GUESS, m.sigma_angle or SIGMA_ANGLE_GUESS) for m in sets)
+    problem = LeastSquares(start, sets, names, loss, priors, sigmas)
+    _refuse_too_few(problem)
+    settled = _with_sigmas(problem, progress)
+    outliers: tuple[tuple[int, int], ...] = ()
+    if loss != "linear":
+        outliers = _outliers(settled[0], settled[1])
+        if outliers:
+            settled = _with_sigmas(replace(settled[0], sets=_without(sets, outliers), names=names), progress)
+    reduced, solution, found = settled
+    return Identification(
+        given=robot,
+        start=start,
+        robot=start.with_values(reduced.values(solution.v)),
+        measurements=sets,
+        method=method or "identify",
+        loss=loss,
+        identifiability=found,
+        problem=reduced,
+        solution=solution,
+        variance=variance(reduced, solution.v),
+        degrees_of_freedom=reduced.residual_count - reduced.size,
+        outliers=outliers,
+    )
+
+
+def _by_method(robot: Robot, method: str) -> tuple[Robot, tuple[str, ...]]:
+    if method not in METHODS:
+        raise InputError(f"method {method!r} is not known; allowed: {', '.join(METHODS)}")
+    if method == "KM":
+        robot = robot.with_values({n: 0.0 for n in robot.parameters.select(["compliance"])})
+    return robot, METHODS[method]
+
+
+def _refuse_too_few(problem: LeastSquares) -> None:
+    free = [n for n in problem.names if not problem.robot.parameters[n].held]
+    needed = len(free) + 3 * len(problem.labels)
+    if not problem.priors and problem.residual_count < 0.75 * needed:
+        raise InputError(
+            f"{problem.sets[0].source}: {problem.residual_count} numbers were measured, but {needed} are unknown; "
+            "measure more poses, free fewer parameters (free=['placement', ...]), or use priors"
+        )
+
+
+def _with_sigmas(
+    problem: LeastSquares, progress: Progress | None
+) -> tuple[LeastSquares, Solution, Identifiability]:
+    """Solve; where a sigma matters and was not given, estimate it from the residuals and solve again."""
+    matters = problem.loss != "linear" or problem.priors or len(problem.sets) > 1 or problem.sets[0].kind == "pose"
+    for _ in range(SIGMA_ROUNDS):
+        settled = settle(problem, progress)
+        if not matters:
+            break
+        sigmas = _estimated_sigmas(*settled[:2])
+        change = np.abs(np.log(np.array(sigmas) / np.array(problem.sigmas))).max()
+        problem = replace(problem, sigmas=sigmas)
+        if change < 0.03:
+            break
+    return settled
+
+
+def _estimated_sigmas(problem: LeastSquares, solution: Solution) -> tuple[tuple[float, float], ...]:
+    residuals, _ = problem.evaluate(solution.v)
+    inflate = np.sqrt(problem.residual_count / max(1, problem.residual_count - problem.size))
+    found = []
+    for m, (sigma, angle), r in zip(problem.sets, problem.sigmas, residuals, strict=False):
+        measure = spread if problem.loss != "linear" else lambda part: float(np.sqrt(np.mean(part**2)))
+        sigma = m.sigma or max(sigma * inflate * measure(r[:, :3]), 1e-9)
+        if m.kind == "pose":
+            angle = m.sigma_angle or max(angle * inflate * measure(r[:, 3:]), 1e-9)
+        found.append((sigma, angle))
+    return tuple(found)
+
+
+def _outliers(problem: LeastSquares, solution: Solution) -> tuple[tuple[int, int], ...]:
+    """Poses whose residual is beyond five sigma, by the spread that the residuals themselves show."""
+    residuals, _ = problem.evaluate(solution.v)
+    found = []
+    for k, (_, r) in enumerate(zip(problem.sets, residuals, strict=False)):
+        size = np.linalg.norm(r, axis=1) / np.sqrt(r.shape[1])
+        found += [(k, int(i)) for i in np.flatnonzero(size > OUTLIER_SIGMAS * spread(r))]
+    return tuple(found)
+
+
+def _without(sets: tuple[Measurements, ...], outliers: tuple[tuple[int, int], ...]) -> tuple[Measurements, ...]:
+    return tuple(
+        m[np.array([i for i in range(len(m)) if (k, i) not in set(outliers)], dtype=np.int64)]
+        for k, m in enumerate(sets)
+    )

@@ -1,0 +1,261 @@
+"""The identification problem: sets of measurements, chosen parameters, unknown points; its solve and its statistics.
+
+Variables are v = (x, u): departures of the chosen parameters from nominal in units of their scale, then three
+coordinates [mm] per unknown point. The cost is half the sum of squared residuals in units of sigma (through the robust
+loss), of known separations between points, and of priors where they are asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from .accuracy import contact_means, predicted, trilaterated
+from .identifiability import Identifiability, Unidentifiable, analyse, poorly_determined
+from .measurements import Measurements
+from .residuals import POINT_SCALE, Block, Loss, has_point, make_block
+from .robot import Robot
+from .solver import Progress, Solution, minimise
+from .transforms import Array
+
+# To be used where no sigma is given, until the residuals tell.
+SIGMA_GUESS, SIGMA_ANGLE_GUESS = 1e-4, 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class LeastSquares:
+    """One identification problem; see the module's text.
+
+    names : parameters that are variables; sigmas : of one coordinate [m] and angle [rad], for each set
+    """
+
+    robot: Robot
+    sets: tuple[Measurements, ...]
+    names: tuple[str, ...]
+    loss: Loss
+    priors: bool
+    sigmas: tuple[tuple[float, float], ...]
+
+    @cached_property
+    def labels(self) -> tuple[str, ...]:
+        """Names of all unknown points."""
+        return tuple(dict.fromkeys(name for k in range(len(self.sets)) for name in self._pose_labels(k)))
+
+    def _pose_labels(self, k: int) -> list[str]:
+        m = self.sets[k]
+        if not has_point(m):
+            return []
+        return [f"{k}/far end"] * len(m) if m.label is None else [f"{k}/{name}" for name in m.label]
+
+    @cached_property
+    def points(self) -> Array:
+        """Start of every unknown point, shape (K, 3) [m]."""
+        start: dict[str, Array] = {}
+        for k, m in enumerate(self.sets):
+            if has_point(m):
+                p, _ = predicted(self.robot, m)
+                where = contact_means(p, m) if m.kind == "contact" else np.tile(trilaterated(p, m), (len(m), 1))
+                start |= dict(zip(self._pose_labels(k), where, strict=True))
+        return np.array([start[name] for name in self.labels]).reshape(-1, 3)
+
+    @cached_property
+    def blocks(self) -> tuple[Block, ...]:
+        index = {name: k for k, name in enumerate(self.labels)}
+        made = []
+        for k, (m, (sigma, sigma_angle)) in enumerate(zip(self.sets, self.sigmas, strict=True)):
+            group = np.array([index[name] for name in self._pose_labels(k)] or [0] * len(m), dtype=np.int64)
+            made.append(make_block(self.robot, m, self.names, self.loss, sigma, sigma_angle, self.points, group))
+        return tuple(made)
+
+    @property
+    def size(self) -> int:
+        return len(self.names) + 3 * len(self.labels)
+
+    @cached_property
+    def residual_count(self) -> int:
+        return sum(m.residuals for m in self.sets)
+
+    def _parameter(self, what: str) -> Array:
+        """Values of an attribute of the chosen parameters, in solver units where it is a length or angle."""
+        return np.array([getattr(self.robot.parameters[n], what) for n in self.names])
+
+    @cached_property
+    def scale(self) -> Array:
+        return self._parameter("scale")
+
+    @cached_property
+    def bounds(self) -> tuple[Array, Array]:
+        """Of v, in solver units."""
+        free = np.full(3 * len(self.labels), np.inf)
+        value = self._parameter("value")
+        lower = (self._parameter("lower") - value) / self.scale
+        upper = (self._parameter("upper") - value) / self.scale
+        return np.concatenate([lower, -free]), np.concatenate([upper, free])
+
+    @cached_property
+    def prior_weights(self) -> Array:
+        """One over the prior's variance, of each variable; zero without priors."""
+        weights = np.zeros(self.size)
+        if self.priors:
+            weights[: len(self.names)] = (self.scale / self._parameter("prior")) ** 2
+        return weights
+
+    def separate(self, v: Array) -> tuple[Array, Array]:
+        """x, shape (p,), and u, shape (K, 3)."""
+        p = len(self.names)
+        return v[:p], v[p:].reshape(-1, 3)
+
+    def values(self, v: Array) -> dict[str, float]:
+        """Parameters by name [SI]."""
+        x, _ = self.separate(v)
+        return dict(zip(self.names, self._parameter("value") + self.scale * x, strict=True))
+
+    def solve(self, progress: Progress | None = None) -> Solution:
+        """The bounded optimum. Raises ConvergenceError."""
+        v = ca.MX.sym("v", self.size)
+        x, u = v[: len(self.names)], ca.reshape(v[len(self.names) :], 3, len(self.labels))
+        cost, gradient, hessian = ca.MX(0), ca.MX.zeros(self.size), ca.MX(self.size, self.size)
+        for block in self.blocks:
+            cost += block.cost(x, u)
+            gradient += block.gradient(x, u)
+            hessian += block.hessian(x, u)
+        r = self._separations(u)
+        if r.numel():
+            J = ca.jacobian(r, v)
+            cost, gradient, hessian = cost + ca.sumsqr(r) / 2, gradient + J.T @ r, hessian + ca.triu(J.T @ J)
+        if self.priors:
+            weights = ca.DM(self.prior_weights)
+            cost, gradient = cost + ca.dot(weights, v**2) / 2, gradient + weights * v
+            hessian += ca.diag(weights)
+        lower, upper = self.bounds
+        return minimise(v, cost, gradient, hessian, lower, upper, scale=0.5 * self.residual_count, progress=progress)
+
+    def _separations(self, u: ca.MX) -> ca.MX:
+        """Residuals of known distances between touched points."""
+        rows = []
+        for k, m in enumerate(self.sets):
+            for first, second, length in m.separations:
+                i, j = self.labels.index(f"{k}/{first}"), self.labels.index(f"{k}/{second}")
+                apart = ca.DM(self.points[i] - self.points[j]) + POINT_SCALE * (u[:, i] - u[:, j])
+                rows.append((ca.norm_2(apart) - length) / m.separation_sigma)
+        return ca.vertcat(*rows) if rows else ca.MX.zeros(0)
+
+    def evaluate(self, v: Array) -> tuple[list[Array], Array]:
+        """Residuals of every set, shape (n, m), and the whole Jacobian, shape (residuals, size), without the loss."""
+        x, u = self.separate(v)
+        residuals, rows = [], []
+        for block in self.blocks:
+            r, J = block.evaluate(x, u)
+            whole = np.zeros((*r.shape, v.size))
+            whole[:, :, : x.size] = J[:, :, : x.size]
+            if block.kernel.point:
+                for j in range(3):
+                    whole[np.arange(len(r)), :, x.size + 3 * block.group + j] = J[:, :, x.size + j]
+            residuals.append(r)
+            rows.append(whole.reshape(-1, v.size))
+        w = ca.MX.sym("v", self.size)
+        r_s = self._separations(ca.reshape(w[x.size :], 3, len(self.labels)))
+        if r_s.numel():
+            both = ca.Function("separations", [w], [r_s, ca.densify(ca.jacobian(r_s, w))])(v)
+            residuals.append(both[0].full())
+            rows.append(both[1].full())
+        return residuals, np.concatenate(rows)
+
+    def gradient(self, v: Array) -> tuple[Array, Array]:
+        """Gradient and Gauss-Newton Hessian of the cost at v, by a way of its own: from residuals, not from the solver."""
+        residuals, J = self.evaluate(v)
+        slopes = np.concatenate([np.repeat(self._slopes(r), r.shape[1]) for r in residuals])
+        r = np.concatenate([part.ravel() for part in residuals])
+        weighted = J * slopes[:, None]
+        return weighted.T @ r + self.prior_weights * v, weighted.T @ J + np.diag(self.prior_weights)
+
+    def _slopes(self, r: Array) -> Array:
+        from .residuals import loss_slope
+
+        return loss_slope(self.loss, r)
+
+    def at_bounds(self, v: Array) -> Array:
+        """Mask of the variables that stopped at a bound."""
+        lower, upper = self.bounds
+        near = 1e-5 * np.maximum(1.0, np.minimum(upper - lower, 1e3))
+        return np.asarray((v - lower < near) | (upper - v < near))
+
+    def decrement(self, v: Array) -> float:
+        """What one more Gauss-Newton step inside the bounds would gain, in units of chi-squared: g' H^-1 g / 2."""
+        g, H = self.gradient(v)
+        free = ~self.at_bounds(v)
+        return float(0.5 * g[free] @ np.linalg.solve(H[np.ix_(free, free)], g[free]))
+
+    def identifiability(self, v: Array) -> Identifiability:
+        """Which of the names the data can tell apart, on the Jacobian at v."""
+        _, J = self.evaluate(v)
+        p = len(self.names)
+        held = {n: self.robot.parameters[n].held for n in self.names if self.robot.parameters[n].held}
+        return analyse(np.concatenate([J[:, p:], J[:, :p]], axis=1), self.names, 3 * len(self.labels), held)
+
+    def covariance(self, v: Array, variance: float) -> Array:
+        """Of the parameters, shape (p, p) [SI], points marginalised; NaN for those at a bound.
+
+        variance : of a residual in units of sigma, one if the sigmas are right
+        """
+        _, H = self.gradient(v)
+        free = np.flatnonzero(~self.at_bounds(v))
+        root = np.sqrt(np.diag(H)[free])
+        inverse = np.linalg.inv(H[np.ix_(free, free)] / np.outer(root, root)) / np.outer(root, root)
+        whole = np.full((self.size, self.size), np.nan)
+        whole[np.ix_(free, free)] = variance * inverse
+        p = len(self.names)
+        return np.asarray(whole[:p, :p] * np.outer(self.scale, self.scale))
+
+    def with_names(self, names: Sequence[str]) -> LeastSquares:
+        return replace(self, names=tuple(names))
+
+
+def settle(problem: LeastSquares, progress: Progress | None) -> tuple[LeastSquares, Solution, Identifiability]:
+    """Choose the independent parameters, solve, and let go of those of which the data say less than the prior does.
+
+    Independence is decided at the start, where exact dependences are exact.
+    """
+    found = problem.identifiability(np.zeros(problem.size))
+    reduced = problem.with_names(found.independent)
+    poor: list[Unidentifiable] = []
+    while True:
+        solution = reduced.solve(progress)
+        if problem.priors:
+            break
+        scale = variance(reduced, solution.v)
+        errors = np.sqrt(np.diag(reduced.covariance(solution.v, scale)))
+        priors = np.array([reduced.robot.parameters[n].prior for n in reduced.names])
+        worst = poorly_determined(np.nan_to_num(errors), priors)
+        if worst is None:
+            break
+        parameter = reduced.robot.parameters[reduced.names[worst]]
+        unit = parameter.readable_unit
+        poor.append(
+            Unidentifiable(
+                parameter.name,
+                f"these poses tell it to {parameter.readable(errors[worst]):.3g} {unit} only, "
+                f"less than is known before (prior {parameter.readable(parameter.prior):.3g} {unit})",
+            )
+        )
+        reduced = reduced.with_names([n for n in reduced.names if n != parameter.name])
+    return reduced, solution, replace(found, independent=reduced.names, held=(*found.held, *poor))
+
+
+def variance(problem: LeastSquares, v: Array) -> float:
+    """Of a residual, in units of sigma: the sum of squares over the degrees of freedom; robust where the loss is."""
+    residuals, _ = problem.evaluate(v)
+    if problem.loss != "linear":
+        return float(np.median([spread(r) ** 2 for r in residuals]))
+    chi2 = sum(float((r**2).sum()) for r in residuals) + float(problem.prior_weights @ v**2)
+    count = problem.residual_count + int(np.count_nonzero(problem.prior_weights))
+    return chi2 / max(1, count - problem.size)
+
+
+def spread(r: Array) -> float:
+    """Standard deviation of residuals from their median absolute value, deaf to outliers."""
+    return float(1.4826 * np.median(np.abs(r)))

@@ -1,0 +1,74 @@
+"""Elementary homogeneous transforms; each takes and returns numbers, DM or SX alike (4 x 4, metres and radians)."""
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+Symbolic = Any  # ca.SX, ca.MX, ca.DM or float: casadi's operators accept them all
+Array = NDArray[np.float64]
+
+
+def rot_x(angle: Symbolic) -> Symbolic:
+    c, s = ca.cos(angle), ca.sin(angle)
+    return ca.blockcat([[1, 0, 0, 0], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1]])
+
+
+def rot_y(angle: Symbolic) -> Symbolic:
+    c, s = ca.cos(angle), ca.sin(angle)
+    return ca.blockcat([[c, 0, s, 0], [0, 1, 0, 0], [-s, 0, c, 0], [0, 0, 0, 1]])
+
+
+def rot_z(angle: Symbolic) -> Symbolic:
+    c, s = ca.cos(angle), ca.sin(angle)
+    return ca.blockcat([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+
+
+def translate(x: Symbolic, y: Symbolic, z: Symbolic) -> Symbolic:
+    return ca.blockcat([[1, 0, 0, x], [0, 1, 0, y], [0, 0, 1, z], [0, 0, 0, 1]])
+
+
+def small_frame(x: Symbolic, y: Symbolic, z: Symbolic, rx: Symbolic, ry: Symbolic, rz: Symbolic) -> Symbolic:
+    """Translation, then rotations about x, y, z in this order (intrinsic)."""
+    return translate(x, y, z) @ rot_x(rx) @ rot_y(ry) @ rot_z(rz)
+
+
+def apply(T: Symbolic, point: Symbolic) -> Symbolic:
+    """A point, shape (3,), moved by the transform T."""
+    return T[:3, :3] @ point + T[:3, 3]
+
+
+def inverse(T: Symbolic) -> Symbolic:
+    R = T[:3, :3].T
+    return ca.blockcat([[R, -R @ T[:3, 3]], [ca.DM([[0, 0, 0]]), 1]])
+
+
+def from_rpy(rpy: Array) -> Array:
+    """Rotation, shape (3, 3), from fixed-axis roll, pitch, yaw [rad]: Rz(yaw) Ry(pitch) Rx(roll), as URDF has it."""
+    roll, pitch, yaw = (float(v) for v in rpy)
+    return np.array(rot_z(yaw) @ rot_y(pitch) @ rot_x(roll))[:3, :3]
+
+
+def to_rpy(R: Array) -> Array:
+    """Roll, pitch, yaw [rad] of a rotation, shape (3, 3); at pitch +-90 deg the roll is taken as zero."""
+    pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
+    if np.hypot(R[0, 0], R[1, 0]) < 1e-9:
+        return np.array([0.0, pitch, np.arctan2(-R[0, 1], R[1, 1])])
+    return np.array([np.arctan2(R[2, 1], R[2, 2]), pitch, np.arctan2(R[1, 0], R[0, 0])])
+
+
+def frame(R: Array, p: Array) -> Array:
+    """Transform, shape (4, 4), from a rotation (3, 3) and a translation (3,) [m]."""
+    T = np.eye(4)
+    T[:3, :3] = R
+    T[:3, 3] = p
+    return T
+
+
+def nearest_rotation(M: Array) -> Array:
+    """The rotation closest to a 3 x 3 matrix in the Frobenius norm (Kabsch)."""
+    U, _, Vt = np.linalg.svd(M)
+    turn = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
+    rotation: Array = U @ turn @ Vt
+    return rotation
