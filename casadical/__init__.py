@@ -10,7 +10,21 @@ from typing import Any
 __version__ = "0.1.0"
 
 # Public name -> module that defines it.
-_HOME: dict[str, str] = {}
+_HOME = {
+    "Body": "casadical.robot",
+    "CasadicalError": "casadical.errors",
+    "ConvergenceError": "casadical.errors",
+    "FourBar": "casadical.robot",
+    "Identification": "casadical.identification",
+    "InputError": "casadical.errors",
+    "Joint": "casadical.robot",
+    "Measurements": "casadical.measurements",
+    "Placement": "casadical.robot",
+    "Robot": "casadical.robot",
+    "from_table": "casadical.measurements",
+    "identify": "casadical.identification",
+    "read_measurements": "casadical.measurements",
+}
 
 __all__ = ["__version__", *_HOME]
 

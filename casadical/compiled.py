@@ -17,7 +17,9 @@ FLAGS = ("-O2", "-ffp-contract=off", "-fPIC", "-shared")
 
 def compiler() -> str | None:
     """Path of the C compiler that is used: $CC, gcc, clang or cc; None where there is none."""
-    return next((path for name in (os.environ.get("CC"), "gcc", "clang", "cc") if name and (path := shutil.which(name))), None)
+    return next(
+        (path for name in (os.environ.get("CC"), "gcc", "clang", "cc") if name and (path := shutil.which(name))), None
+    )
 
 
 def compiled(function: ca.Function) -> ca.Function:

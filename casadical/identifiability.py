@@ -48,7 +48,7 @@ def analyse(J: Array, names: Sequence[str], always: int, held: dict[str, str]) -
     names : of the further columns, the preferred ones first
     held : name -> reason, for those that are not to be identified whatever the data
     """
-    R = np.linalg.qr(J, mode="r")
+    R: Array = np.asarray(np.linalg.qr(J, mode="r"))
     length = np.linalg.norm(R, axis=0)
     unit = R / np.where(length > 0, length, 1.0)
     basis = np.linalg.qr(unit[:, :always])[0] if always else np.zeros((R.shape[0], 0))

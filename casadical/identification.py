@@ -229,7 +229,7 @@ def _by_method(robot: Robot, method: str) -> tuple[Robot, tuple[str, ...]]:
     if method not in METHODS:
         raise InputError(f"method {method!r} is not known; allowed: {', '.join(METHODS)}")
     if method == "KM":
-        robot = robot.with_values({n: 0.0 for n in robot.parameters.select(["compliance"])})
+        robot = robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0))
     return robot, METHODS[method]
 
 
@@ -243,9 +243,7 @@ def _refuse_too_few(problem: LeastSquares) -> None:
         )
 
 
-def _with_sigmas(
-    problem: LeastSquares, progress: Progress | None
-) -> tuple[LeastSquares, Solution, Identifiability]:
+def _with_sigmas(problem: LeastSquares, progress: Progress | None) -> tuple[LeastSquares, Solution, Identifiability]:
     """Solve; where a sigma matters and was not given, estimate it from the residuals and solve again."""
     matters = problem.loss != "linear" or problem.priors or len(problem.sets) > 1 or problem.sets[0].kind == "pose"
     for _ in range(SIGMA_ROUNDS):

@@ -35,7 +35,7 @@ def loop_bars(robot: Robot, number: int, values: Values) -> tuple[Symbolic, Symb
     """Crank L5, coupler L4, rocker L3 and ground bar of loop `number` (1-based) [m]."""
     loop = robot.loops[number - 1]
     suffix = "" if number == 1 else f"_{number}"
-    return (*(values[f"{bar}{suffix}"] for bar in ("L5", "L4", "L3")), values[f"a{loop.driven - 1}"])  # type: ignore[return-value]
+    return (*(values[f"{bar}{suffix}"] for bar in ("L5", "L4", "L3")), values[f"a{loop.driven - 1}"])
 
 
 def loop_angles(loop: FourBar, actuated: Sequence[Symbolic], values: Values) -> tuple[Symbolic, Symbolic]:

@@ -308,7 +308,9 @@ class _Reader:
     def conditions(self) -> dict[str, Array]:
         """Every other numeric column, by its own name."""
         taken = ("q", "x_", "y_", "z_", "to_", "rx_", "ry_", "rz_", "R0", "R1", "R2", "distance_")
-        names = [str(c) for c in self.table if not str(c).startswith(taken) and str(c) not in ("weight", "point", "set")]
+        names = [
+            str(c) for c in self.table if not str(c).startswith(taken) and str(c) not in ("weight", "point", "set")
+        ]
         numeric = [n for n in names if pd.api.types.is_numeric_dtype(self.table[n])]
         return {n: self.column(n) for n in numeric}
 

@@ -117,4 +117,3 @@ def _tool(robot: Robot, values: Values) -> Symbolic:
         if f"tool_{c}" in values:
             T = T @ make(values[f"tool_{c}"])
     return T
-

@@ -29,9 +29,7 @@ def place(robot: Robot, m: Measurements) -> Robot:
     turn = robot.tool.T[:3, :3]
     if robot.tool.unknown == "pose" and m.orientation is not None:
         turn = nearest_rotation(np.einsum("nji,kj,nkl->il", R, T_M0[:3, :3], m.orientation))
-    return replace(
-        robot, base=replace(robot.base, T=T_M0), tool=replace(robot.tool, T=frame(turn, t))
-    )
+    return replace(robot, base=replace(robot.base, T=T_M0), tool=replace(robot.tool, T=frame(turn, t)))
 
 
 def _solve(p: Array, R: Array, y: Array, known_tool: Array | None) -> tuple[Array, Array]:

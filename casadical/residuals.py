@@ -277,6 +277,5 @@ def _sum_over_poses(f: ca.Function, data: Array, x: ca.MX) -> ca.MX:
 
 def loss_slope(loss: Loss, r: Array) -> Array:
     """Weight that the loss gives each pose, shape (n,), for residuals r, shape (n, m), in units of sigma."""
-    s = ca.DM((r**2).sum(axis=1))
-    _, slope = _LOSS[loss](s, _KNEE.get(r.shape[1], 1.0))
-    return np.asarray(np.broadcast_to(np.asarray(ca.DM(slope).full()).ravel(), (len(r),)))
+    _, slope = _LOSS[loss](ca.SX((r**2).sum(axis=1)), _KNEE.get(r.shape[1], 1.0))
+    return np.broadcast_to(ca.DM(slope).full().ravel(), (len(r),))

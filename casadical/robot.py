@@ -163,7 +163,9 @@ class Robot:
     @cached_property
     def reach(self) -> float:
         """Sum of all link lengths and the tool [m]; no point can lie farther from the base."""
-        links = sum(abs(j.a) + abs(j.d) + max(map(abs, (j.lower, j.upper))) * (j.kind == "prismatic") for j in self.joints)
+        links = sum(
+            abs(j.a) + abs(j.d) + max(map(abs, (j.lower, j.upper))) * (j.kind == "prismatic") for j in self.joints
+        )
         return float(links + np.linalg.norm(self.tool.T[:3, 3]))
 
     @cached_property
@@ -201,9 +203,7 @@ class Robot:
         return replace(
             self,
             joints=tuple(_joint_with(j, i, v) for i, j in enumerate(self.joints, 1)),
-            loops=tuple(
-                replace(loop, **{bar: v[n] for bar, n in _bar_names(k).items()}) for k, loop in enumerate(self.loops, 1)
-            ),
+            loops=tuple(_loop_with(loop, k, v) for k, loop in enumerate(self.loops, 1)),
             base=replace(self.base, T=self.base.T @ np.array(small_frame(*(v.get(n, 0.0) for n in _SIX["base"])))),
             tool=replace(self.tool, T=_tool_with(self.tool.T, v)),
             effect_values={n: v[n] for n in effect_names},
@@ -229,6 +229,11 @@ def _joint_with(joint: Joint, i: int, v: Mapping[str, float]) -> Joint:
         d=v[f"d{i}"],
         compliance=v.get(f"c{i}"),
     )
+
+
+def _loop_with(loop: FourBar, k: int, v: Mapping[str, float]) -> FourBar:
+    names = _bar_names(k)
+    return replace(loop, crank=v[names["crank"]], coupler=v[names["coupler"]], rocker=v[names["rocker"]])
 
 
 def _tool_with(T: Array, v: Mapping[str, float]) -> Array:

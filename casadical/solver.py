@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -48,7 +49,7 @@ class Solution:
     history: tuple[float, ...]
 
 
-class _Watch(ca.Callback):  # type: ignore[misc]
+class _Watch(ca.Callback):
     """Ipopt's iteration callback: keeps the cost and reports it."""
 
     def __init__(self, size: int, scale: float, progress: Progress | None) -> None:
@@ -67,11 +68,11 @@ class _Watch(ca.Callback):  # type: ignore[misc]
         shapes = {"x": self.size, "f": 1, "lam_x": self.size}
         return ca.Sparsity.dense(shapes.get(ca.nlpsol_out(i), 0))
 
-    def eval(self, arg: list[ca.DM]) -> list[int]:
+    def eval(self, arg: Sequence[ca.DM]) -> list[ca.DM]:
         self.history.append(float(arg[1]) * self.scale)
         if self.progress:
             self.progress(len(self.history) - 1, self.history[-1])
-        return [0]
+        return [ca.DM(0)]
 
 
 def minimise(
@@ -93,9 +94,7 @@ def minimise(
     Raises ConvergenceError with a sentence and a remedy if Ipopt does not stop at an optimum.
     """
     p, lam_f, lam_g = ca.MX.sym("p", 0), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
-    grad = ca.Function(
-        "nlp_grad_f", [v, p], [cost / scale, gradient / scale], ["x", "p"], ["f", "grad_f_x"]
-    )
+    grad = ca.Function("nlp_grad_f", [v, p], [cost / scale, gradient / scale], ["x", "p"], ["f", "grad_f_x"])
     hess = ca.Function(
         "nlp_hess_l",
         [v, p, lam_f, lam_g],
@@ -104,7 +103,7 @@ def minimise(
         ["hess_gamma_x_x"],
     )
     watch = _Watch(v.numel(), scale, progress)
-    options = {
+    options: dict[str, Any] = {
         "grad_f": grad,
         "hess_lag": hess,
         "calc_lam_p": False,
@@ -118,11 +117,12 @@ def minimise(
             "print_level": 0,
             "sb": "yes",
             "nlp_scaling_method": "none",
-            "mu_init": 1e-4,
+            "mu_init": 1e-7,
             "bound_relax_factor": 0.0,
         },
     }
-    solver = ca.nlpsol("identify", "ipopt", {"x": v, "f": cost / scale}, options)
+    problem: dict[str, Any] = {"x": v, "f": cost / scale}
+    solver = ca.nlpsol("identify", "ipopt", problem, options)
     found = solver(x0=np.zeros(v.numel()), lbx=lower, ubx=upper)
     status = str(solver.stats()["return_status"])
     message = _SENTENCES.get(status, f"Ipopt stopped with {status}; see its documentation for this status.")

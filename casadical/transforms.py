@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Symbolic = Any  # ca.SX, ca.MX, ca.DM or float: casadi's operators accept them all
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 
 def rot_x(angle: Symbolic) -> Symbolic:
