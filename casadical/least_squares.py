@@ -166,7 +166,7 @@ class LeastSquares:
         return residuals, np.concatenate(rows)
 
     def gradient(self, v: Array) -> tuple[Array, Array]:
-        """Gradient and Gauss-Newton Hessian of the cost at v, by a way of its own: from residuals, not from the solver."""
+        """Gradient and Gauss-Newton Hessian of the cost at v, from the residuals: a way of its own."""
         residuals, J = self.evaluate(v)
         slopes = np.concatenate([np.repeat(self._slopes(r), r.shape[1]) for r in residuals])
         r = np.concatenate([part.ravel() for part in residuals])

@@ -256,7 +256,7 @@ def _with_hayati(joints: tuple[Joint, ...]) -> tuple[Joint, ...]:
 
 
 def _parameters(robot: Robot) -> Iterable[Parameter]:
-    """All parameters in the order in which identifiability prefers them: placement, rows, loops, compliance, effects."""
+    """All parameters, those first that identifiability prefers: placement, rows, loops, compliance, effects."""
     for which, placement in (("base", robot.base), ("tool", robot.tool)):
         yield from _placement(robot, which, placement)
     for i, joint in enumerate(robot.joints, 1):
@@ -324,7 +324,7 @@ def _compliance(robot: Robot, i: int, value: float) -> Parameter:
 
 
 def _greatest_load(robot: Robot, i: int) -> float:
-    """A rough upper bound of the torque [N m] (or force [N]) at joint i: all weight beyond it at half the reach beyond."""
+    """Roughly the greatest torque [N m] (or force [N]) at joint i: all weight beyond it at half the reach beyond."""
     beyond = robot.joints[i - 1 :]
     mass = sum(j.body.mass for j in beyond if j.body) + (robot.payload.mass if robot.payload else 0.0)
     reach = sum(abs(j.a) + abs(j.d) for j in beyond) + float(np.linalg.norm(robot.tool.T[:3, 3]))
