@@ -264,9 +264,9 @@ def _estimated_sigmas(problem: LeastSquares, solution: Solution) -> tuple[tuple[
     found = []
     for m, (sigma, angle), r in zip(problem.sets, problem.sigmas, residuals, strict=False):
         measure = spread if problem.loss != "linear" else lambda part: float(np.sqrt(np.mean(part**2)))
-        sigma = m.sigma or max(sigma * inflate * measure(r[:, :3]), 1e-9)
+        sigma = m.sigma or max(float(sigma * inflate * measure(r[:, :3])), 1e-9)
         if m.kind == "pose":
-            angle = m.sigma_angle or max(angle * inflate * measure(r[:, 3:]), 1e-9)
+            angle = m.sigma_angle or max(float(angle * inflate * measure(r[:, 3:])), 1e-9)
         found.append((sigma, angle))
     return tuple(found)
 

@@ -25,6 +25,9 @@ from .transforms import Array
 # To be used where no sigma is given, until the residuals tell.
 SIGMA_GUESS, SIGMA_ANGLE_GUESS = 1e-4, 1e-4
 
+# They move the robot as a whole.
+_WHOLE_ROBOT = ("alpha0", "a0", "beta0", "b0", "d1", "theta1", *(f"base_{c}" for c in ("x", "y", "z", "rx", "ry", "rz")))
+
 
 @dataclass(frozen=True, eq=False)
 class LeastSquares:
@@ -195,6 +198,8 @@ class LeastSquares:
         _, J = self.evaluate(v)
         p = len(self.names)
         held = {n: self.robot.parameters[n].held for n in self.names if self.robot.parameters[n].held}
+        if all(m.position is None and m.target is None for m in self.sets):
+            held |= dict.fromkeys(_WHOLE_ROBOT, "nothing at rest was measured: moving the whole robot changes nothing")
         return analyse(np.concatenate([J[:, p:], J[:, :p]], axis=1), self.names, 3 * len(self.labels), held)
 
     def covariance(self, v: Array, variance: float) -> Array:
@@ -222,28 +227,38 @@ def settle(problem: LeastSquares, progress: Progress | None) -> tuple[LeastSquar
     """
     found = problem.identifiability(np.zeros(problem.size))
     reduced = problem.with_names(found.independent)
+    solution = reduced.solve(progress)
+    poor = [] if problem.priors else _poor(reduced, solution.v)
+    if poor:
+        gone = {u.name for u in poor}
+        reduced = reduced.with_names([n for n in reduced.names if n not in gone])
+        solution = reduced.solve(progress)
+    return reduced, solution, replace(found, independent=reduced.names, held=(*found.held, *poor))
+
+
+def _poor(problem: LeastSquares, v: Array) -> list[Unidentifiable]:
+    """Parameters that the data tell worse than their priors, let go one by one, the worst first."""
+    _, H = problem.gradient(v)
+    scale = variance(problem, v)
+    prior = np.array([problem.robot.parameters[n].prior for n in problem.names]) / problem.scale
+    left = list(range(problem.size))
     poor: list[Unidentifiable] = []
     while True:
-        solution = reduced.solve(progress)
-        if problem.priors:
-            break
-        scale = variance(reduced, solution.v)
-        errors = np.sqrt(np.diag(reduced.covariance(solution.v, scale)))
-        priors = np.array([reduced.robot.parameters[n].prior for n in reduced.names])
-        worst = poorly_determined(np.nan_to_num(errors), priors)
+        named = [k for k in left if k < len(problem.names)]
+        root = np.sqrt(np.diag(H)[left])
+        inverse = np.linalg.inv(H[np.ix_(left, left)] / np.outer(root, root))
+        errors = np.sqrt(scale * np.diag(inverse))[: len(named)] / root[: len(named)]
+        worst = poorly_determined(errors, prior[named])
         if worst is None:
-            break
-        parameter = reduced.robot.parameters[reduced.names[worst]]
-        unit = parameter.readable_unit
-        poor.append(
-            Unidentifiable(
-                parameter.name,
-                f"these poses tell it to {parameter.readable(errors[worst]):.3g} {unit} only, "
-                f"less than is known before (prior {parameter.readable(parameter.prior):.3g} {unit})",
-            )
+            return poor
+        p = problem.robot.parameters[problem.names[named[worst]]]
+        told = p.readable(errors[worst] * p.scale)
+        reason = (
+            f"these poses tell it to {told:.3g} {p.readable_unit} only, "
+            f"less than is known before (prior {p.readable(p.prior):.3g} {p.readable_unit})"
         )
-        reduced = reduced.with_names([n for n in reduced.names if n != parameter.name])
-    return reduced, solution, replace(found, independent=reduced.names, held=(*found.held, *poor))
+        poor.append(Unidentifiable(p.name, reason))
+        left.remove(named[worst])
 
 
 def variance(problem: LeastSquares, v: Array) -> float:
