@@ -26,7 +26,15 @@ from .transforms import Array
 SIGMA_GUESS, SIGMA_ANGLE_GUESS = 1e-4, 1e-4
 
 # They move the robot as a whole.
-_WHOLE_ROBOT = ("alpha0", "a0", "beta0", "b0", "d1", "theta1", *(f"base_{c}" for c in ("x", "y", "z", "rx", "ry", "rz")))
+_WHOLE_ROBOT = (
+    "alpha0",
+    "a0",
+    "beta0",
+    "b0",
+    "d1",
+    "theta1",
+    *(f"base_{c}" for c in ("x", "y", "z", "rx", "ry", "rz")),
+)
 
 
 @dataclass(frozen=True, eq=False)

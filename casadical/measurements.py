@@ -401,5 +401,5 @@ def _refuse_repeats(found: Measurements) -> None:
         k = int(copies[0])
         raise InputError(
             f"{found.source}: row {found.row[k]} repeats row {found.row[origin[k]]} to the last digit, readings "
-            f"and observation alike ({copies.size} such rows); a repeated measurement differs by its noise: delete copies"
+            f"and observation alike ({copies.size} such rows); a true repeat differs by its noise: delete copies"
         )

@@ -173,7 +173,8 @@ def _joint(row: _Joint) -> Joint:
 def _from_standard(rows: list[Joint]) -> tuple[list[Joint], Array]:
     """Modified rows for standard ones, and the transform that the last a and alpha leave behind the last joint.
 
-    Mass centres of bodies, given in the standard frames, are moved along. Standard: Rot_z(theta) Trans_z(d) Trans_x(a) Rot_x(alpha); a row's a and alpha are the next modified row's.
+    Mass centres of bodies, given in the standard frames, are moved along.
+    Standard: Rot_z(theta) Trans_z(d) Trans_x(a) Rot_x(alpha); a row's a and alpha are the next modified row's.
     """
     shifted = [Joint(), *rows[:-1]]
     tails = [frame(from_rpy(np.array([row.alpha, 0.0, 0.0])), np.array([row.a, 0.0, 0.0])) for row in rows]
