@@ -169,6 +169,16 @@ class Robot:
         return float(links + np.linalg.norm(self.tool.T[:3, 3]))
 
     @cached_property
+    def torque_scale(self) -> Array:
+        """Great gravity torques on each joint, shape (n,) [N m or N]: 95 % quantile over its range, full payload."""
+        bare = replace(self, effects=(), effect_values={})
+        lower, upper = np.array([(j.lower, j.upper) for j in self.joints]).T
+        q = np.random.default_rng(0).uniform(lower, upper, (512, self.n))
+        tau = np.abs(bare.torque.map(512)(q.T, bare.parameters.values).full())
+        great = np.nanquantile(tau, 0.95, axis=1)
+        return np.asarray(np.maximum(great, 1e-3 * max(1.0, float(np.nanmax(great)))))
+
+    @cached_property
     def model(self) -> Model:
         """The symbolic model and its CasADi functions."""
         from .model import build

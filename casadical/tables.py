@@ -45,6 +45,7 @@ def error_table(results: Mapping[str, SetAccuracies]) -> Table:
     table = _table("Position error [mm]")
     for column in ("poses", "model"):
         table.add_column(column, no_wrap=True)
+    table.padding = (0, 1, 0, 0)
     for column in ("n", "mean", "max", "std", "rms", "95 %"):
         table.add_column(column, justify="right", no_wrap=True)
     first = next(iter(results.values()))
