@@ -219,6 +219,14 @@ class Robot:
             effect_values={n: v[n] for n in effect_names},
         )
 
+    def values_of(self, other: Robot) -> Array:
+        """Parameters of this robot, shape (P,) [SI], that make it the other one, whose base may stand elsewhere."""
+        values = dict(zip(other.parameters.names, other.parameters.values, strict=True))
+        moved = np.linalg.solve(self.base.T, other.base.T)
+        turn = (np.arctan2(-moved[1, 2], moved[2, 2]), np.arcsin(moved[0, 2]), np.arctan2(-moved[0, 1], moved[0, 0]))
+        values |= {n: v for n, v in zip(_SIX["base"], (*moved[:3, 3], *turn), strict=True) if n in values}
+        return np.array([values[n] for n in self.parameters.names])
+
 
 _SIX = {w: tuple(f"{w}_{c}" for c in ("x", "y", "z", "rx", "ry", "rz")) for w in ("base", "tool")}
 
