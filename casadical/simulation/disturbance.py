@@ -1,5 +1,7 @@
 """The base of all disturbances: the places in the machine where one may act. Each does nothing unless it is given."""
 
+# ruff: noqa: ARG002 - every disturbance is called with the same arguments, whether it needs them or not
+
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -37,7 +39,7 @@ class Disturbance:
         return 0.0
 
     def outboard(self, link: int, rest: "Rest") -> Array | None:
-        """Motion (n, 4, 4) of everything beyond ``link`` (0 pedestal, 6 flange), seen from that link at zero readings."""
+        """Motion (n, 4, 4) of all beyond ``link`` (0 pedestal, 6 flange), as seen from that link at zero readings."""
         return None
 
     def reflector(self, stops: Stops) -> Array | float:

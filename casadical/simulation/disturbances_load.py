@@ -28,7 +28,7 @@ class Backlash(Disturbance):
 
 @dataclass(frozen=True)
 class FrictionWindup(Disturbance):
-    """Coulomb friction keeps the joint wound up by ``size`` [rad] behind its last motion, the more the greater its load.
+    """Coulomb friction keeps the joint wound up by ``size`` [rad] behind its last motion, the more the higher its load.
 
     ``load_share`` is what the rated torque adds to the friction of the idle joint.
     """

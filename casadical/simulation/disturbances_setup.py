@@ -1,5 +1,7 @@
 """Disturbances of the measurement: frame, reflector, beam, wrong points."""
 
+# ruff: noqa: ARG002 - every instrument error is called with the same arguments, whether it needs them or not
+
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,7 +57,8 @@ class BeamRefraction(Disturbance):
         beam = xyz - np.array(self.station_m)
         sag = np.zeros_like(xyz)
         sag[:, 2] = 0.5e-6 * self.gradient_K_per_m * np.sum(beam[:, :2] ** 2, -1)
-        return xyz + self.size * beam + sag
+        bent: Array = xyz + self.size * beam + sag
+        return bent
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,15 @@ from casadical.simulation.rigid import Array, back, motion, move, slide
 
 @dataclass(frozen=True)
 class AxisWobble(Disturbance):
-    """The joint's axis tilts by ``size`` [rad] and shifts by ``shift_m`` on an ellipse, ``cycles`` times a turn."""
+    """The joint's axis tilts by ``size`` [rad] and shifts by ``shift_m`` on an ellipse, ``cycles`` times a turn.
+
+    A large slewing ring on an uneven plate also runs out along its axis, by ``lift_m``.
+    """
 
     joint: int
     size: float = 25e-6
     shift_m: float = 10e-6
+    lift_m: float = 0.0
     cycles: int = 1
     phase: float = 0.8
     flatness: float = 0.3
@@ -29,7 +33,8 @@ class AxisWobble(Disturbance):
         wide, narrow = np.cos(turn), self.flatness * np.sin(turn)
         tilt = self.size * (np.outer(wide, home[:3, 0]) + np.outer(narrow, home[:3, 1]))
         shift = self.shift_m * (np.outer(narrow, home[:3, 0]) - np.outer(wide, home[:3, 1]))
-        return motion(tilt, shift, home[:3, 3])
+        lift = self.lift_m * np.outer(np.sin(turn), home[:3, 2])
+        return motion(tilt, shift + lift, home[:3, 3])
 
 
 @dataclass(frozen=True)
@@ -98,7 +103,7 @@ class BearingSag(Disturbance):
 
 @dataclass(frozen=True)
 class ThermalGrowth(Disturbance):
-    """Every link grows by ``size`` [1/K] along its length; heavy links follow the surface later, the tool stays cool."""
+    """Every link grows by ``size`` [1/K] along its length; heavy links follow the surface later, the tool is cool."""
 
     size: float = 11.5e-6
     lag_minutes: float = 6.0

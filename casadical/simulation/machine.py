@@ -1,8 +1,9 @@
 """Where the bodies come to rest: motions about the true axes, moments of the weights, and their equilibrium.
 
 The bodies are followed as motions from their places at zero readings (products of turns about the axes as they lie
-then), not as products of link transforms. Joint torques are moments of weights about the axes where they really are; the
-loop passes them on through the force in its coupler. Equilibrium is a fixed point: the torque at the pose that it makes.
+then), not as products of link transforms. Joint torques are moments of weights about the axes where they really are;
+the loop passes them on through the force in its coupler. Equilibrium is a fixed point: the torque at the pose that it
+makes.
 """
 
 from collections.abc import Sequence
@@ -47,7 +48,7 @@ class Rest:
         return point(G, self.plant.axes[joint - 1]), move(G, self.plant.centres[joint - 1])
 
     def weights(self) -> tuple[Array, Array]:
-        """Masses (7, n) [kg] of the links and of the payload, and their centres (7, n, 3) [m] in the measuring frame."""
+        """Masses (7, n) [kg] of the links and of the payload, and their centres (7, n, 3) [m] as measured."""
         plant, payload = self.plant, self.stops.payload_kg * self.plant.payload_factor
         mass = np.vstack([np.repeat(plant.mass[:, None], len(self.stops), 1), payload])
         homes = [plant.at_home(i + 1, plant.com[i]) for i in range(6)] + [plant.at_home(6, plant.payload_com)]
@@ -102,11 +103,12 @@ def settle(plant: Plant, stops: Stops, disturbances: Sequence[Disturbance] = (),
 
 
 def rated_torque(plant: Plant) -> Array:
-    """The largest torque of the weights on each joint over 300 fixed poses, (6,) [N m]; at least 5 % of the greatest."""
+    """The largest torque of the weights on each joint in 300 fixed poses, (6,) [N m]; at least 5 % of the greatest."""
     q = draw_poses(plant, 300, np.random.default_rng(0), plant.ranges, unfolded(plant))
     still = Stops(q, np.arange(300.0), np.zeros(300), np.full(300, plant.payload_kg), np.ones_like(q))
     largest: Array = np.abs(moments(placed(plant, still, q))).max(0)
-    return np.maximum(largest, 0.05 * largest.max())
+    floored: Array = np.maximum(largest, 0.05 * largest.max())
+    return floored
 
 
 def _bodies(rest: Rest, angles: Array, disturbances: Sequence[Disturbance]) -> Array:

@@ -102,7 +102,7 @@ class Plant:
 
     @property
     def stations(self) -> Array:
-        """Base origin, the six joint centres and the reflector at zero readings, shape (8, 3) [m]: ends of the links."""
+        """Base origin, the six joint centres and the reflector at zero readings, shape (8, 3) [m]: the links' ends."""
         return np.vstack([np.zeros(3), self.centres, self.at_home(6, self.reflector)])
 
 

@@ -1,4 +1,4 @@
-"""The circumstances of n measured poses: readings, time, warmth, payload, approach - and how the simulator draws them."""
+"""The circumstances of n measured poses: readings, time, warmth, payload, approach; and how they are drawn."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
