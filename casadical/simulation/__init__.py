@@ -8,6 +8,7 @@ than the errors, so that a diagnosis checked against it is not checked against i
 from casadical.simulation import disturbances
 from casadical.simulation.campaigns import campaign
 from casadical.simulation.disturbance import Disturbance
+from casadical.simulation.draw import draw_disturbance
 from casadical.simulation.perturb import perturb
 from casadical.simulation.plant import FourBar, Plant
 from casadical.simulation.stops import Warmup
@@ -21,6 +22,7 @@ __all__ = [
     "Warmup",
     "campaign",
     "disturbances",
+    "draw_disturbance",
     "hh800_true",
     "hh800_twin",
     "perturb",

@@ -55,10 +55,7 @@ def campaign(
 
     Raises InputError when an argument is not usable or no pose keeps the loop's limits.
     """
-    if n < 1:
-        raise InputError(f"n is {n}; a campaign needs at least one pose")
-    if min(noise_mm, repeatability_urad) < 0:
-        raise InputError(f"noise_mm is {noise_mm} and repeatability_urad {repeatability_urad}; neither may be negative")
+    _check(n, noise_mm, repeatability_urad, ranges_deg, payload_states)
     poses, *times, thermometer, joints, noise, instrument = np.random.SeedSequence(seed).spawn(7)
     warmup = warmup or Warmup()
     ranges = plant.ranges if ranges_deg is None else np.deg2rad(np.asarray(ranges_deg, float))
@@ -83,6 +80,23 @@ def campaign(
         true_mm = np.round(1e3 * tool_point(settle(plant, stops, disturbances), disturbances), 4)
         table[["x_true_mm", "y_true_mm", "z_true_mm"]] = true_mm
     return table
+
+
+def _check(
+    n: int,
+    noise_mm: float,
+    repeatability_urad: float,
+    ranges_deg: Array | None,
+    payload_states: Sequence[float] | None,
+) -> None:
+    if n < 1:
+        raise InputError(f"n is {n}; a campaign needs at least one pose")
+    if min(noise_mm, repeatability_urad) < 0:
+        raise InputError(f"noise_mm is {noise_mm} and repeatability_urad {repeatability_urad}; neither may be negative")
+    if ranges_deg is not None and np.shape(ranges_deg) != (6, 2):
+        raise InputError(f"ranges_deg has shape {np.shape(ranges_deg)}; it must be (6, 2): lowest and highest readings")
+    if payload_states is not None and len(payload_states) == 0:
+        raise InputError("payload_states is empty; give at least one declared payload [kg], 0 for none")
 
 
 def _table(stops: Stops, q_deg: Array, xyz_mm: Array, temperature: Array) -> pd.DataFrame:
