@@ -1,4 +1,4 @@
-"""A disturbance drawn by chance: the effect is named, its size, phase, place in time and direction follow from a seed."""
+"""A disturbance drawn by chance: the effect is named; size, phase, time and direction follow from a seed."""
 
 from dataclasses import fields
 from typing import Any
@@ -51,11 +51,10 @@ def _drawn(effect: str, name: str, usual: Any, size: float, rng: np.random.Gener
         return tuple((length * direction / np.linalg.norm(direction)).tolist())
     if name in _SIZES:
         return usual * size
-    chances = {
-        "phase": lambda: float(rng.uniform(0, 2 * np.pi)),
-        "oval_phase": lambda: float(rng.uniform(0, 2 * np.pi)),
-        "at": lambda: float(rng.uniform(0.3, 0.7)),
-        "link": lambda: int(rng.choice([2, 3])),
-        "cycles": lambda: int(rng.choice(_CYCLES[effect])),
-    }
-    return chances[name]() if name in chances else usual
+    if name in ("phase", "oval_phase"):
+        return float(rng.uniform(0, 2 * np.pi))
+    if name == "at":
+        return float(rng.uniform(0.3, 0.7))
+    if name == "link":
+        return int(rng.choice([2, 3]))
+    return int(rng.choice(_CYCLES[effect])) if name == "cycles" else usual
