@@ -27,6 +27,7 @@ from casadical.simulation.stops import Warmup, draw_poses, spread_poses
 
 SETS = {"identify": 40, "train": 50, "choose": 50, "report": 50}
 SEED, ROBOT_SEED = 145, 102
+WARMUP = Warmup(start_degC=24.0, rise_K=2.0)
 
 HH800: dict[str, Any] = {
     "name": "hh800",
@@ -49,8 +50,8 @@ HH800: dict[str, Any] = {
 
 TRUE_STIFFNESS = np.array([80e6, 61.6e6, 48e6, 13e6, 9.6e6, 9.6e6])
 
-# The first four and the springs and beams are functions of the joints alone: a network has something to learn.
-# Friction (by the approach) and growth (by the time) are not, nor is what does not repeat.
+# Most are functions of the joints alone, joint 1 before all: a network has something to learn. Friction (by the
+# approach), growth (by the time) and some of the backlash are not.
 UNMODELLED: tuple[Disturbance, ...] = (
     AxisWobble(1, size=63e-6, shift_m=315e-6, lift_m=630e-6, cycles=2, phase=0.8, flatness=0.6),
     GearEccentricity(1, size=74e-6, phase=0.6, oval=53e-6, oval_phase=1.1),
@@ -114,7 +115,7 @@ def hh800_twin(
         repeatability_urad=repeatability_urad,
         disturbances=disturbances,
         payload_states=[plant.payload_kg],
-        warmup=Warmup(start_degC=24.0, rise_K=2.0),
+        warmup=WARMUP,
         q_deg=np.rad2deg(q),
         truth=truth,
     )

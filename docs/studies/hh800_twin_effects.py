@@ -1,13 +1,13 @@
 """python docs/studies/hh800_twin_effects.py > docs/studies/hh800_twin_effects.txt
 
-What the HH800 twin is made of: how far each unmodelled effect alone moves the reflector (nothing is fitted, so most of it
-would vanish in an identification), and how much of all of them does not repeat at the same joint readings.
+What the HH800 twin is made of: how far each unmodelled effect alone moves the reflector (nothing is fitted, so most would
+vanish in an identification), and how much of all of them does not repeat at the same joint readings.
 """
 
 import numpy as np
 
 from casadical.simulation import campaign, hh800_true, hh800_twin
-from casadical.simulation.twin import UNMODELLED
+from casadical.simulation.twin import UNMODELLED, WARMUP
 
 Q = [f"q{j}_deg" for j in range(1, 7)]
 TRUE = ["x_true_mm", "y_true_mm", "z_true_mm"]
@@ -28,7 +28,7 @@ def main() -> None:
     q_deg = clean[Q].to_numpy()
     for label, effects in (("noise and repeatability only", ()), ("all effects", UNMODELLED)):
         again = [
-            campaign(hh800_true(), 190, seed, q_deg=q_deg, payload_states=[300.0], disturbances=effects)
+            campaign(hh800_true(), 190, seed, q_deg=q_deg, payload_states=[300.0], warmup=WARMUP, disturbances=effects)
             for seed in range(20)
         ]
         spread = np.var([t[["x_mm", "y_mm", "z_mm"]].to_numpy() for t in again], axis=0, ddof=1).sum(1)
