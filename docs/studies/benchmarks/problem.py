@@ -1,9 +1,9 @@
 """The robot, the measurements and the common start that every contender of the benchmark gets.
 
 The arm has the proportions of a UR10, so axes 2, 3 and 4 are nominally parallel. The true arm differs from the nominal
-one by a small rigid motion at each joint, drawn in all six directions: no axis stays parallel to its neighbour, so a model
-in modified Denavit-Hartenberg rows needs Hayati's beta there. The base frame (robot to tracker) and the tool point are
-unknown. Written in plain numpy from 4 x 4 matrices, sharing no formula with any contender.
+one by a small rigid motion at each joint, drawn in all six directions: no axis stays parallel to its neighbour, so a
+model in modified Denavit-Hartenberg rows needs Hayati's beta there. The base frame (robot to tracker) and the tool point
+are unknown. The truth is a plain product of 4 x 4 matrices and knows nothing of anybody's parameters.
 """
 
 from dataclasses import dataclass, field
@@ -93,8 +93,8 @@ def make(n: int, seed: int) -> tuple[Data, np.ndarray]:
 def frames_start(data: Data, rounds: int = 2) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Base rotation (3, 3), base translation (3,) and tool point (3,) [m] from the nominal arm, in closed form.
 
-    p_i = R_b (o_i + R_i t) + t_b: a rotation fit for R_b and a linear fit for (t, t_b), in turns. For contenders that have no start
-    of their own; its time counts as theirs.
+    p_i = R_b (o_i + R_i t) + t_b: a rotation fit for R_b and a linear fit for (t, t_b), in turns. For contenders that
+    have no start of their own; its time counts as theirs.
     """
     T = flange_poses(placements(data.dh), data.q)
     R, o, tool = T[:, :3, :3], T[:, :3, 3], np.zeros(3)

@@ -68,15 +68,17 @@ def run(path: Path, variant: str, data: Data, write, repeats: int, budget: float
     if missing:
         write({"status": "not installed: pip install " + " ".join(missing)})
         return
-    started = time.perf_counter()
+    started = cpu_seconds()
     contender = load(path)
-    report = {"status": "ok", "import_s": time.perf_counter() - started, "baseline_mb": peak_mb(), "runs": []}
+    report = {"status": "ok", "import_s": cpu_seconds() - started, "baseline_mb": peak_mb(), "runs": []}
     started = time.perf_counter()
     while len(report["runs"]) <= repeats:
         clock = Clock()
         predicted = np.asarray(contender.contend(data, clock, **settings["VARIANTS"][variant]))
-        report["peak_mb"] = report.get("peak_mb", peak_mb())  # of the first run
-        report["runs"].append({"wall": clock.wall, "cpu": clock.cpu, "predicted": predicted.tolist()})
+        report.setdefault("peak_mb", peak_mb())  # of the first run
+        report.setdefault("predicted", predicted.tolist())
+        spread = float(np.abs(predicted - report["predicted"]).max())
+        report["runs"].append({"wall": clock.wall, "cpu": clock.cpu, "spread_m": spread})
         report["notes"] = clock.notes
         write(report)
         if time.perf_counter() - started > budget:

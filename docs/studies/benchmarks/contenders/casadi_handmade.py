@@ -1,9 +1,9 @@
 """Hand-made CasADi + Ipopt, from what somebody writes in an afternoon to what one writes after reading the profile.
 
 All four free the 27 parameters written down by hand for this arm. "sx": one SX graph that grows with the poses, exact
-Hessian. "map-exact": one position function, `map` over the poses, what `nlpsol` does by default. "map-naive": the same with
-J'J of `jacobian(residual)` as Hessian. "map-tuned": cost, gradient and J'J differentiated for one pose and summed by `map`,
-variables in millimetres and milliradians; the others are in metres and radians.
+Hessian. "map-exact": one position function, `map` over the poses, what `nlpsol` does by default. "map-naive": the same
+with J'J of `jacobian(residual)` as Hessian. "map-tuned": cost, gradient and J'J differentiated for one pose and summed by
+`map`, variables in millimetres and milliradians; the others are in metres and radians.
 """
 
 import casadi as ca
@@ -48,8 +48,16 @@ def position_function(dh, scale):
         beta = next(free) if i in PARALLEL_ROWS else 0.0
         theta = theta + next(free) if i < 5 else theta
         d = d + next(free) if i < 5 and i not in PARALLEL_ROWS else d
-        T = T @ _transform(_rotation("x", alpha), ca.DM([0, 0, 0])) @ _transform(_rotation("y", beta), ca.vertcat(a, 0, 0))
-        T = T @ _transform(_rotation("z", theta + q[i]), ca.DM([0, 0, 0])) @ _transform(ca.DM.eye(3), ca.vertcat(0, 0, d))
+        T = (
+            T
+            @ _transform(_rotation("x", alpha), ca.DM([0, 0, 0]))
+            @ _transform(_rotation("y", beta), ca.vertcat(a, 0, 0))
+        )
+        T = (
+            T
+            @ _transform(_rotation("z", theta + q[i]), ca.DM([0, 0, 0]))
+            @ _transform(ca.DM.eye(3), ca.vertcat(0, 0, d))
+        )
     tool = start[12:15] + ca.vertcat(*(next(free) for _ in range(3)))
     p = (T @ ca.vertcat(tool, 1))[:3]
     return ca.Function("position", [q, phi, start], [p], ["q", "phi", "start"], ["p"])
@@ -69,7 +77,9 @@ def _whole(position, n, style):
     options = {}
     if style == "map-naive":
         J, weight, no_constraint = ca.jacobian(residual, phi), symbol.sym("weight"), symbol.sym("none", 0)
-        options["hess_lag"] = ca.Function("hess_lag", [phi, parameter, weight, no_constraint], [ca.triu(weight * J.T @ J)])
+        options["hess_lag"] = ca.Function(
+            "hess_lag", [phi, parameter, weight, no_constraint], [ca.triu(weight * J.T @ J)]
+        )
     return {"x": phi, "p": parameter, "f": ca.sumsqr(residual) / 2}, options
 
 
@@ -108,5 +118,6 @@ def contend(data: Data, clock, style):
         phi = solver(x0=0, p=parameter)["x"]
     if not solver.stats()["success"]:
         raise RuntimeError("Ipopt: " + solver.stats()["return_status"])
+    clock.note("parameters", phi.numel())
     clock.note("iterations", solver.stats()["iter_count"])
     return position(data.q_held_out.T, phi, start).full().T

@@ -1,16 +1,16 @@
 """pybotics the way its calibration notebook does it: `optimize_accuracy` under scipy's `least_squares`, millimetres.
 
-The notebook frees the joint offsets of a robot that differs in nothing else. Here more is wrong and more is free: "pybotics" every
-Denavit-Hartenberg number, "pybotics-subset" those 25 of the 27 identifiable ones that pybotics has (it knows no Hayati beta), and in
-both base frame and tool point. pybotics has no start of its own for these two, so it gets the harness's.
+The notebook frees the joint offsets of a robot that differs in nothing else. Here more is wrong and more is free:
+"pybotics" every Denavit-Hartenberg number, "pybotics-subset" those of the 27 identifiable ones that pybotics has (it knows
+no Hayati beta), and in both base frame and tool point. It has no start of its own for these two and gets the harness's.
 """
 
 import numpy as np
+from problem import PARALLEL_ROWS, Data, frames_start
 from pybotics.geometry import matrix_2_vector, vector_2_matrix
 from pybotics.optimization import OptimizationHandler, optimize_accuracy
 from pybotics.robot import Robot
 from pybotics.tool import Tool
-from problem import PARALLEL_ROWS, Data, frames_start
 from scipy.optimize import least_squares
 
 NEEDS = {"pybotics": "pybotics"}

@@ -1,7 +1,8 @@
 """robotkinecal: product of exponentials, four parameters an axis and the measured point, its own Gauss-Newton.
 
-It estimates the axes in the frame of the measurements and needs a nominal robot near the truth, so the harness's start puts the
-measurements into the robot's frame and the tool point onto the nominal robot. 4 x 6 + 3 = 27 parameters: all of them.
+It estimates the axes in the frame of the measurements and needs a nominal robot near the truth, so the harness's start
+puts the measurements into the robot's frame and the tool point onto the nominal robot. Position measurements leave
+4 x 6 + 3 = 27 parameters: all of them. Version 0.1.0 runs on a robot made of links as below without a patch.
 """
 
 import numpy as np
@@ -36,6 +37,7 @@ def contend(data: Data, clock):
         result = calibration.solve()
     if not result.has_converged:
         raise RuntimeError(f"no convergence in {result.nb_iterations_executed} iterations")
+    clock.note("parameters", calibration.N_PARAMS)
     clock.note("iterations", result.nb_iterations_executed)
     positions = [calibration.forward_kinematics(len(calibration.joints) + 1, q).t for q in data.q_held_out]
     return np.array(positions) @ R_base.T + t_base
