@@ -1,8 +1,8 @@
 """Identification benchmark, made with: python docs/studies/benchmarks.py --python figaroh=VENV/bin/python --python ...
 
-Every contender (a file in benchmarks/contenders) identifies the same arm from the same measurements, each in a process of
-its own with a time and a memory limit, and predicts poses whose truth only this script knows. What is compared and how
-fair that is: benchmarks.md.
+Every contender (a file in benchmarks/contenders) identifies the same arm from the same measurements, each in a
+process of its own with a time and a memory limit, and predicts poses whose truth only this script knows. What is
+compared and how fair that is: benchmarks.md.
 """
 
 import argparse
@@ -77,10 +77,15 @@ def measure(variant: str, path: Path, python: str, data_file: Path, options: arg
                 worker.wait(options.limit)
                 ending = f"died with code {worker.returncode}"
             except subprocess.TimeoutExpired:
-                os.killpg(worker.pid, signal.SIGKILL)
-                worker.wait()
                 ending = f"stopped after {options.limit:.0f} s"
-        return json.loads(result.read_text()) if result.exists() else {"status": ending}
+            finally:
+                if worker.poll() is None:
+                    os.killpg(worker.pid, signal.SIGKILL)
+                    worker.wait()
+        if result.exists():
+            return json.loads(result.read_text())
+        last_words = (Path(folder) / "log").read_text(errors="replace").strip().splitlines()
+        return {"status": ": ".join([ending, *last_words[-1:]])}
 
 
 def summarise(report: dict, truth: np.ndarray) -> dict:
@@ -101,18 +106,21 @@ def summarise(report: dict, truth: np.ndarray) -> dict:
         "spread_mm": 1e3 * max(run["spread_m"] for run in report["runs"]),
         "wall_over_cpu": wall / cpu,
         "notes": report["notes"],
+        "versions": report["versions"],
     }
 
 
-def line(variant: str, row: dict, reference: float) -> str:
+def line(variant: str, row: dict, reference: dict) -> str:
     """A line of the table."""
     if row["status"] != "ok":
         return f"{variant:20} {row['status']}"
     notes = [f"{value} {name}" if value.isdigit() else f"{name} {value}" for name, value in row["notes"].items()]
+    excess = row["held_out_mm"] / reference["held_out_mm"]
+    notes += [f"ERROR {excess:.0f} x numpy's"] if excess > 1.2 else []
     notes += ["one run only"] if row["runs"] == 1 else []
     notes += [f"runs differ by {row['spread_mm']:.1g} mm"] if row["spread_mm"] > 1e-6 else []
     times = f"{row['build']:9.4f} {row['solve']:10.4f}"
-    ratios = f"{row['solve'] / reference:8.1f} {(row['build'] + row['solve']) / reference:13.1f}"
+    ratios = f"{row['solve'] / reference['solve']:8.1f} {(row['build'] + row['solve']) / reference['solve']:13.1f}"
     result = f"{row['import_s']:11.3f} {row['first']:10.4f} {row['held_out_mm']:14.5f} {row['peak_mb']:10.1f}"
     return f"{variant:20} {times} {ratios} {result}  {', '.join(notes)}"
 
@@ -134,7 +142,7 @@ def compare(n: int, options: argparse.Namespace, folder: Path) -> dict[str, dict
             sys.exit(f"{REFERENCE}: {row['status']}")
         name = f"{variant} again" if variant in rows else variant
         rows[name] = row
-        print(line(name, row, rows[REFERENCE]["solve"]), flush=True)
+        print(line(name, row, rows[REFERENCE]), flush=True)
     return rows
 
 
@@ -145,10 +153,13 @@ def main() -> None:
     print(f"'x numpy' is solve over the solve of {REFERENCE}; 'peak' is above what the imports took.")
     with tempfile.TemporaryDirectory() as folder:
         results = {n: compare(n, options, Path(folder)) for n in options.poses}
+    good = {name: row for rows in results.values() for name, row in rows.items() if row["status"] == "ok"}
+    versions = {f"{package} {version}" for row in good.values() for package, version in row["versions"].items()}
+    print("\nVersions: " + ", ".join(sorted(versions)))
     busy = statistics.median(
         row["wall_over_cpu"] for rows in results.values() for row in rows.values() if row["status"] == "ok"
     )
-    print(f"\nWall over CPU time, median: {busy:.2f} (1 on an idle machine).")
+    print(f"Wall over CPU time, median: {busy:.2f} (1 on an idle machine).")
     if options.json:
         options.json.write_text(json.dumps(results, indent=1) + "\n")
 

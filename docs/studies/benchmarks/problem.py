@@ -1,9 +1,10 @@
 """The robot, the measurements and the common start that every contender of the benchmark gets.
 
-The arm has the proportions of a UR10, so axes 2, 3 and 4 are nominally parallel. The true arm differs from the nominal
-one by a small rigid motion at each joint, drawn in all six directions: no axis stays parallel to its neighbour, so a
-model in modified Denavit-Hartenberg rows needs Hayati's beta there. The base frame (robot to tracker) and the tool point
-are unknown. The truth is a plain product of 4 x 4 matrices and knows nothing of anybody's parameters.
+The arm has the proportions of a UR10, so axes 2, 3 and 4 are nominally parallel. The true arm differs from the
+nominal one by a small rigid motion at each joint, drawn in all six directions: no axis stays parallel to its
+neighbour, so a model in modified Denavit-Hartenberg rows needs Hayati's beta there. The base frame (robot to tracker)
+and the tool point are unknown. The truth is a plain product of 4 x 4 matrices and knows nothing of anybody's
+parameters.
 """
 
 from dataclasses import dataclass, field

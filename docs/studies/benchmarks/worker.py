@@ -1,5 +1,6 @@
 """Runs one contender on one data set in a process of its own: worker.py CONTENDER_FILE VARIANT DATA.npz RESULT.json."""
 
+import importlib.metadata
 import importlib.util
 import json
 import os
@@ -70,7 +71,15 @@ def run(path: Path, variant: str, data: Data, write, repeats: int, budget: float
         return
     started = cpu_seconds()
     contender = load(path)
-    report = {"status": "ok", "import_s": cpu_seconds() - started, "baseline_mb": peak_mb(), "runs": []}
+    import_s = cpu_seconds() - started
+    versions = {pip: importlib.metadata.version(pip) for pip in ["numpy", *settings["NEEDS"].values()]}
+    report = {
+        "status": "ok",
+        "versions": versions,
+        "import_s": import_s,
+        "baseline_mb": peak_mb(),
+        "runs": [],
+    }
     started = time.perf_counter()
     while len(report["runs"]) <= repeats:
         clock = Clock()

@@ -1,9 +1,9 @@
 """Hand-made CasADi + Ipopt, from what somebody writes in an afternoon to what one writes after reading the profile.
 
 All four free the 27 parameters written down by hand for this arm. "sx": one SX graph that grows with the poses, exact
-Hessian. "map-exact": one position function, `map` over the poses, what `nlpsol` does by default. "map-naive": the same
-with J'J of `jacobian(residual)` as Hessian. "map-tuned": cost, gradient and J'J differentiated for one pose and summed by
-`map`, variables in millimetres and milliradians; the others are in metres and radians.
+Hessian. "map-exact": one position function, `map` over the poses, what `nlpsol` does by default. "map-naive": the
+same with J'J of `jacobian(residual)` as Hessian. "map-tuned": cost, gradient and J'J differentiated for one pose and
+summed by `map`, variables in millimetres and milliradians; the others are in metres and radians.
 """
 
 import casadi as ca

@@ -1,10 +1,10 @@
 """figaroh the documented way: a URDF, a configuration file, a CSV file, a subclass with the example's cost function.
 
-"figaroh": `structural` selection, its default. "figaroh-map": `estimation.method: map` with its default priors. Base frame
-and marker are unknown (`known_baseframe`, `known_tipframe` false, as in its examples) and start from figaroh's own closed
-form. The URDF has a tool frame some centimetres off: the structural selection looks at that frame, and with one on the
-last axis it was seen to drop two or three parameters too many at every size tried. "solve" is `initialize()`, which picks
-the parameters on the measured data, and `solve()`.
+"figaroh": `structural` selection, its default. "figaroh-map": `estimation.method: map` with its default priors. Base
+frame and marker are unknown (`known_baseframe`, `known_tipframe` false, as in its examples) and start from figaroh's
+own closed form. The URDF has a tool frame some centimetres off: the structural selection looks at that frame, and
+with one on the last axis it was seen to drop two or three parameters too many at every size tried. "solve" is
+`initialize()`, which picks the parameters on the measured data, and `solve()`.
 """
 
 import contextlib

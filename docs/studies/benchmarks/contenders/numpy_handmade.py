@@ -1,8 +1,8 @@
 """Hand-made Gauss-Newton in numpy: the practical limit without compiled code of one's own.
 
 Batched forward kinematics with the poses along the last axis of every array, the analytic Jacobian from axes and
-points (rotation: axis x lever; translation: axis), normal equations. It does one thing only: no bounds, no weights, no
-statistics, no choice of parameters - the 27 are written down by hand for this arm.
+points (rotation: axis x lever; translation: axis), normal equations. It does one thing only: no bounds, no weights,
+no statistics, no choice of parameters - the 27 are written down by hand for this arm.
 """
 
 import numpy as np

@@ -1,8 +1,9 @@
 """pybotics the way its calibration notebook does it: `optimize_accuracy` under scipy's `least_squares`, millimetres.
 
 The notebook frees the joint offsets of a robot that differs in nothing else. Here more is wrong and more is free:
-"pybotics" every Denavit-Hartenberg number, "pybotics-subset" those of the 27 identifiable ones that pybotics has (it knows
-no Hayati beta), and in both base frame and tool point. It has no start of its own for these two and gets the harness's.
+"pybotics" every Denavit-Hartenberg number, "pybotics-subset" those of the 27 identifiable ones that pybotics has (it
+knows no Hayati beta), and in both base frame and tool point. It has no start of its own for these two and gets the
+harness's.
 """
 
 import numpy as np

@@ -1,8 +1,8 @@
 """robotkinecal: product of exponentials, four parameters an axis and the measured point, its own Gauss-Newton.
 
-It estimates the axes in the frame of the measurements and needs a nominal robot near the truth, so the harness's start
-puts the measurements into the robot's frame and the tool point onto the nominal robot. Position measurements leave
-4 x 6 + 3 = 27 parameters: all of them. Version 0.1.0 runs on a robot made of links as below without a patch.
+It estimates the axes in the frame of the measurements and needs a nominal robot near the truth, so the harness's
+start puts the measurements into the robot's frame and the tool point onto the nominal robot. Position measurements
+leave 4 x 6 + 3 = 27 parameters: all of them. Version 0.1.0 runs on a robot made of links as below without a patch.
 """
 
 import numpy as np
