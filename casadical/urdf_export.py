@@ -158,8 +158,8 @@ def _add_link(document: minidom.Document, parent: str, name: str, T: Array) -> N
 def _comment(document: minidom.Document, robot: Robot, chain: UrdfChain, base: str) -> None:
     foot = "the robot's foot" if base == "robot" else "the measuring frame"
     text = (
-        f" Calibrated by casadical: the joint origins from {chain.base_link} to the measured point carry the identified "
-        f"geometry; {chain.base_link} is {foot}. "
+        f" Calibrated by casadical: the joint origins from {chain.base_link} to the measured point carry the "
+        f"identified geometry; {chain.base_link} is {foot}. "
     )
     soft = [f"c{i} = {j.compliance:.6g}" for i, j in enumerate(robot.joints, 1) if j.compliance]
     if soft:
