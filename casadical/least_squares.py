@@ -17,7 +17,7 @@ import numpy as np
 from .accuracy import contact_means, predicted, trilaterated
 from .identifiability import Identifiability, Unidentifiable, analyse, poorly_determined
 from .measurements import Measurements
-from .residuals import POINT_SCALE, Block, Loss, has_point, make_block
+from .residuals import POINT_SCALE, Block, Loss, has_point, loss_slope, make_block
 from .robot import Robot
 from .solver import Progress, Solution, minimise
 from .transforms import Array
@@ -168,15 +168,14 @@ class LeastSquares:
     def gradient(self, v: Array) -> tuple[Array, Array]:
         """Gradient and Gauss-Newton Hessian of the cost at v, by a way of its own: from residuals, not from the solver."""
         residuals, J = self.evaluate(v)
-        slopes = np.concatenate([np.repeat(self._slopes(r), r.shape[1]) for r in residuals])
         r = np.concatenate([part.ravel() for part in residuals])
-        weighted = J * slopes[:, None]
+        weighted = J * self.slopes(residuals)[:, None]
         return weighted.T @ r + self.prior_weights * v, weighted.T @ J + np.diag(self.prior_weights)
 
-    def _slopes(self, r: Array) -> Array:
-        from .residuals import loss_slope
-
-        return loss_slope(self.loss, r)
+    def slopes(self, residuals: Sequence[Array]) -> Array:
+        """Weight that the loss gives each row of the Jacobian; known separations pass through no loss."""
+        rows = [np.repeat(loss_slope(self.loss, r), r.shape[1]) for r in residuals[: len(self.sets)]]
+        return np.concatenate([*rows, *(np.ones(r.size) for r in residuals[len(self.sets) :])])
 
     def at_bounds(self, v: Array) -> Array:
         """Mask of the variables that stopped at a bound."""
@@ -187,7 +186,10 @@ class LeastSquares:
     def decrement(self, v: Array) -> float:
         """What one more Gauss-Newton step inside the bounds would gain, in units of chi-squared: g' H^-1 g / 2."""
         g, H = self.gradient(v)
-        free = ~self.at_bounds(v)
+        lower, upper = self.bounds
+        # A bound that the cost pushes away from holds nothing back.
+        inward = np.where(v - lower < upper - v, g < 0, g > 0)
+        free = ~self.at_bounds(v) | inward
         return float(0.5 * g[free] @ np.linalg.solve(H[np.ix_(free, free)], g[free]))
 
     def identifiability(self, v: Array) -> Identifiability:
