@@ -75,7 +75,7 @@ def contact_means(p: Array, m: Measurements) -> Array:
 
 
 def trilaterated(p: Array, m: Measurements) -> Array:
-    """The unknown far end of distances from positions p, shape (3,) [m]: |p|^2 - L^2 = 2 p.P - |P|^2 by least squares."""
+    """The unknown far end of distances from p, shape (3,) [m]: |p|^2 - L^2 = 2 p.P - |P|^2 by least squares."""
     assert m.distance is not None
     centre = p.mean(axis=0)
     local = p - centre

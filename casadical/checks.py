@@ -45,8 +45,8 @@ def _refuse_open_loop(robot: Robot, m: Measurements) -> None:
     if smallest[k] < LEAST_MARGIN:
         raise InputError(
             f"{m.source}: row {m.row[k]}: the four-bar cannot close there, or nearly not (margin {smallest[k]:.3f}; "
-            f"at least {LEAST_MARGIN} is needed, {int((smallest < LEAST_MARGIN).sum())} such poses); check "
-            "the signs and zeros of its joints, or leave these poses out"
+            f"at least {LEAST_MARGIN} is needed, {int((smallest < LEAST_MARGIN).sum())} such poses); "
+            "check the signs and zeros of its joints, or leave these poses out"
         )
 
 

@@ -18,6 +18,7 @@ from .accuracy import contact_means, predicted, trilaterated
 from .errors import InputError
 from .identifiability import Identifiability, Unidentifiable, analyse, correlated, poorly_determined
 from .measurements import Measurements
+from .parameters import Parameter
 from .residuals import POINT_SCALE, Block, Loss, has_point, loss_slope, make_block
 from .robot import Robot
 from .solver import Progress, Solution, minimise
@@ -25,6 +26,17 @@ from .transforms import Array
 
 # To be used where no sigma is given, until the residuals tell.
 SIGMA_GUESS, SIGMA_ANGLE_GUESS = 1e-4, 1e-4
+
+# They move the robot as a whole.
+_WHOLE_ROBOT = (
+    "alpha0",
+    "a0",
+    "beta0",
+    "b0",
+    "d1",
+    "theta1",
+    *(f"base_{c}" for c in ("x", "y", "z", "rx", "ry", "rz")),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,6 +213,8 @@ class LeastSquares:
         residuals, J = self.evaluate(v)
         p = len(self.names)
         held = {n: self.robot.parameters[n].held for n in self.names if self.robot.parameters[n].held}
+        if all(m.position is None and m.target is None for m in self.sets):
+            held |= dict.fromkeys(_WHOLE_ROBOT, "nothing at rest was measured: moving the whole robot changes nothing")
         J_ordered = np.concatenate([J[:, p:], J[:, :p]], axis=1)
         found = analyse(J_ordered, self.names, 3 * len(self.labels), held)
         if any(m.kind != "contact" or m.separations for m in self.sets) or not self._scale_is_free(residuals, J):
@@ -226,16 +240,15 @@ class LeastSquares:
         robot_alone = np.linalg.norm(J[:, : lengths.size] @ lengths)
         return bool(robot_alone > 0 and np.linalg.norm(J @ growth - r) < 0.01 * robot_alone)
 
-    def covariance(self, v: Array, variance: float, *, bounded: bool = True) -> Array:
+    def covariance(self, v: Array, variance: float) -> Array:
         """Of the parameters, shape (p, p) [SI], points marginalised; NaN for those at a bound.
 
         variance : of a residual in units of sigma, one if the sigmas are right
-        bounded : whether bounds hold those that stopped there; else all count as free
 
         With a robust loss it is the sandwich H^-1 (J' W^2 J) H^-1 of M-estimators (Huber and Ronchetti 2009, ch. 7).
         """
         _, J, slope = self._weighted(v)
-        free = np.flatnonzero(~self.at_bounds(v)) if bounded else np.arange(self.size)
+        free = np.flatnonzero(~self.at_bounds(v))
         H, middle = (
             (J.T @ ((slope**power)[:, None] * J) + np.diag(self.prior_weights))[np.ix_(free, free)] for power in (1, 2)
         )
@@ -279,34 +292,50 @@ def settle(problem: LeastSquares, progress: Progress | None) -> tuple[LeastSquar
     poor: list[Unidentifiable] = []
     while reduced.names:
         solution = reduced.solve(progress)
-        worst = None if problem.priors else _worst(reduced, solution.v)
-        if worst is None:
+        worse = [] if problem.priors else _poor(reduced, solution.v)
+        if not worse:
             return reduced, solution, replace(found, independent=reduced.names, held=(*found.held, *poor))
-        poor.append(worst)
-        reduced = reduced.with_names([n for n in reduced.names if n != worst.name])
+        poor += worse
+        gone = {u.name for u in worse}
+        reduced = reduced.with_names([n for n in reduced.names if n not in gone])
     reasons = "; ".join(f"{u.name}: {u.reason}" for u in (*found.held, *poor))
     raise InputError(
         f"{problem.sets[0].source}: these measurements tell nothing of what is to be identified. {reasons}"
     )
 
 
-def _worst(problem: LeastSquares, v: Array) -> Unidentifiable | None:
-    """The parameter that the data tell least of, if that is less than its prior does."""
-    covariance = problem.covariance(v, variance(problem, v), bounded=False)
-    errors = np.sqrt(np.diag(covariance))
-    worst = poorly_determined(errors, np.array([problem.robot.parameters[n].prior for n in problem.names]))
-    if worst is None:
-        return None
-    parameter = problem.robot.parameters[problem.names[worst]]
-    unit = parameter.readable_unit
-    partners = correlated(covariance, worst, problem.names)
-    return Unidentifiable(
-        parameter.name,
-        f"these poses tell it to {parameter.readable(errors[worst]):.3g} {unit} only, less than is known before "
-        f"(prior {parameter.readable(parameter.prior):.3g} {unit})"
-        + (f"; {', '.join(partners)} together move the measured points nearly as it does" if partners else ""),
-        partners,
+def _poor(problem: LeastSquares, v: Array) -> list[Unidentifiable]:
+    """Parameters that the data tell worse than their priors, let go one by one, the worst first.
+
+    Bounds hold nothing here: a parameter may sit at one just because the data tell nothing of it.
+    """
+    _, H = problem.gradient(v)
+    scale = variance(problem, v)
+    prior = np.array([problem.robot.parameters[n].prior for n in problem.names]) / problem.scale
+    left = list(range(problem.size))
+    poor: list[Unidentifiable] = []
+    while True:
+        named = [k for k in left if k < len(problem.names)]
+        covariance = scale * _inverse(H[np.ix_(left, left)])[: len(named), : len(named)]
+        errors = np.sqrt(np.diag(covariance))
+        worst = poorly_determined(errors, prior[named])
+        if worst is None:
+            return poor
+        names = [problem.names[k] for k in named]
+        poor.append(_told(problem.robot.parameters[names[worst]], errors[worst], correlated(covariance, worst, names)))
+        left.remove(named[worst])
+
+
+def _told(p: Parameter, error: float, partners: tuple[str, ...]) -> Unidentifiable:
+    """In words; error : standard error in units of the parameter's scale."""
+    unit = p.readable_unit
+    reason = (
+        f"these poses tell it to {p.readable(error * p.scale):.3g} {unit} only, less than is known before "
+        f"(prior {p.readable(p.prior):.3g} {unit})"
     )
+    if partners:
+        reason += f"; it moves the measured points nearly as {', '.join(partners)} together"
+    return Unidentifiable(p.name, reason, partners)
 
 
 def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float:

@@ -400,6 +400,6 @@ def _refuse_repeats(found: Measurements) -> None:
     if copies.size:
         k = int(copies[0])
         raise InputError(
-            f"{found.source}: row {found.row[k]} repeats row {found.row[origin[k]]} to the last digit, readings and "
-            f"observation alike ({copies.size} such rows); a repeated measurement differs by its noise - delete the copies"
+            f"{found.source}: row {found.row[k]} repeats row {found.row[origin[k]]} to the last digit, readings "
+            f"and observation alike ({copies.size} such rows); a true repeat differs by its noise: delete copies"
         )

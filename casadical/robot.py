@@ -169,6 +169,16 @@ class Robot:
         return float(links + np.linalg.norm(self.tool.T[:3, 3]))
 
     @cached_property
+    def torque_scale(self) -> Array:
+        """Great gravity torques on each joint, shape (n,) [N m or N]: 95 % quantile over its range, full payload."""
+        bare = replace(self, effects=(), effect_values={})
+        lower, upper = np.array([(j.lower, j.upper) for j in self.joints]).T
+        q = np.random.default_rng(0).uniform(lower, upper, (512, self.n))
+        tau = np.abs(bare.torque.map(512)(q.T, bare.parameters.values).full())
+        great = np.nanquantile(tau, 0.95, axis=1)
+        return np.asarray(np.maximum(great, 1e-3 * max(1.0, float(np.nanmax(great)))))
+
+    @cached_property
     def model(self) -> Model:
         """The symbolic model and its CasADi functions."""
         from .model import build
@@ -256,7 +266,7 @@ def _with_hayati(joints: tuple[Joint, ...]) -> tuple[Joint, ...]:
 
 
 def _parameters(robot: Robot) -> Iterable[Parameter]:
-    """All parameters in the order in which identifiability prefers them: placement, rows, loops, compliance, effects."""
+    """All parameters, those first that identifiability prefers: placement, rows, loops, compliance, effects."""
     for which, placement in (("base", robot.base), ("tool", robot.tool)):
         yield from _placement(robot, which, placement)
     for i, joint in enumerate(robot.joints, 1):
@@ -324,7 +334,7 @@ def _compliance(robot: Robot, i: int, value: float) -> Parameter:
 
 
 def _greatest_load(robot: Robot, i: int) -> float:
-    """A rough upper bound of the torque [N m] (or force [N]) at joint i: all weight beyond it at half the reach beyond."""
+    """Roughly the greatest torque [N m] (or force [N]) at joint i: all weight beyond it at half the reach beyond."""
     beyond = robot.joints[i - 1 :]
     mass = sum(j.body.mass for j in beyond if j.body) + (robot.payload.mass if robot.payload else 0.0)
     reach = sum(abs(j.a) + abs(j.d) for j in beyond) + float(np.linalg.norm(robot.tool.T[:3, 3]))

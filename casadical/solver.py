@@ -31,7 +31,7 @@ _SENTENCES = {
         "or leave out poses near its folded positions."
     ),
     "Restoration_Failed": "Ipopt could not make progress; check units and outliers, or use loss='soft_l1'.",
-    "Search_Direction_Becomes_Too_Small": "Ipopt stalled at round-off; the data may be free of noise. Check is_optimal().",
+    "Search_Direction_Becomes_Too_Small": "Ipopt stalled at round-off; the data may be noise-free: see is_optimal().",
 }
 
 

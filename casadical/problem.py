@@ -1,0 +1,161 @@
+"""A problem: a folder with a robot, measurements and how they are split, checked before anything is solved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+from pydantic import BaseModel, ConfigDict, Field
+
+from .errors import InputError
+from .measurements import Kind, Measurements, from_table
+from .residuals import Loss
+from .robot import Robot
+from .robot_file import check, load_toml, read_robot
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class _Separation(_Strict):
+    between: list[str] = Field(min_length=2, max_length=2)
+    distance_mm: float = Field(gt=0)
+
+
+class _Data(_Strict):
+    file: str
+    kind: Kind | None = None
+    columns: dict[str, str] = {}
+    point_from: list[str] = []
+    separation: list[_Separation] = []
+    sigma_mm: float | None = Field(default=None, gt=0)
+    sigma_deg: float | None = Field(default=None, gt=0)
+
+
+class _Sets(_Strict):
+    seed: int = 0
+    column: str | None = None
+    identify: float | None = Field(default=None, gt=0)
+    train: float | None = Field(default=None, gt=0)
+    choose: float | None = Field(default=None, gt=0)
+    report: float | None = Field(default=None, gt=0)
+
+    def sizes(self) -> dict[str, float]:
+        given = self.model_dump(include={"identify", "train", "choose", "report"}, exclude_none=True)
+        return given or {"identify": 0.7, "report": 0.3}
+
+
+class _ProblemFile(_Strict):
+    casadical: Literal[1]
+    title: str
+    data: Literal["real", "synthetic"]
+    robot: str = "robot.toml"
+    methods: list[Literal["KM", "SKCM"]] = ["KM", "SKCM"]
+    loss: Loss = "linear"
+    measurements: list[_Data] = Field(min_length=1)
+    sets: _Sets = _Sets()
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A robot and its measurements, split into named sets (identify, train, choose, report).
+
+    data : whether the measurements are real or synthetic
+    sets : by name, one `Measurements` for each kind; no pose is in two sets
+    methods, loss : what `casadical calibrate` does by default
+    """
+
+    folder: Path
+    title: str
+    data: Literal["real", "synthetic"]
+    robot: Robot
+    sets: Mapping[str, tuple[Measurements, ...]]
+    methods: tuple[Literal["KM", "SKCM"], ...]
+    loss: Loss
+
+
+def read_problem(folder: str | Path, seed: int | None = None) -> Problem:
+    """Read a problem folder; `seed` replaces the one that its file gives for the split.
+
+    Raises InputError that names the file and what is wrong in it.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such problem folder; it must hold problem.toml and a robot file")
+    path = folder / "problem.toml"
+    file = check(_ProblemFile, load_toml(path), str(path))
+    robot = _read_robot(folder / file.robot)
+    sets = file.sets if seed is None else file.sets.model_copy(update={"seed": seed})
+    split: dict[str, list[Measurements]] = {}
+    for data in file.measurements:
+        for name, part in _read(folder, data, robot, sets).items():
+            split.setdefault(name, []).append(part)
+    if "identify" not in split:
+        raise InputError(f"{path}: sets: no poses are named 'identify'; there are {', '.join(split)}")
+    return Problem(
+        folder=folder,
+        title=file.title,
+        data=file.data,
+        robot=robot,
+        sets={name: tuple(parts) for name, parts in split.items()},
+        methods=tuple(file.methods),
+        loss=file.loss,
+    )
+
+
+def _read_robot(path: Path) -> Robot:
+    if path.suffix == ".urdf":
+        from .urdf import read_urdf
+
+        return read_urdf(path)
+    return read_robot(path)
+
+
+def _read(folder: Path, data: _Data, robot: Robot, sets: _Sets) -> dict[str, Measurements]:
+    path = folder / data.file
+    try:
+        table = pd.read_csv(path)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; it is named in {folder / 'problem.toml'}") from None
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not a readable CSV table: {str(error).strip()}") from None
+    missing = [c for c in data.point_from if c not in table]
+    if missing:
+        raise InputError(f"{path}: column {missing[0]!r}, named in point_from, is missing; there are {list(table)}")
+    if data.point_from:
+        table = table.assign(point=table[data.point_from].astype(str).agg("/".join, axis=1))
+    found = from_table(
+        table,
+        [j.kind for j in robot.joints],
+        data.kind,
+        columns=data.columns,
+        sigma_mm=data.sigma_mm,
+        sigma_deg=data.sigma_deg,
+        source=path.name,
+    )
+    separations = tuple((s.between[0], s.between[1], s.distance_mm * 1e-3) for s in data.separation)
+    if found.label is not None:
+        unknown = {name for s in separations for name in s[:2]} - set(found.label)
+        if unknown:
+            raise InputError(
+                f"{path.name}: separation: no point {min(unknown)!r}; there are {sorted(set(found.label))}"
+            )
+    found = replace(found, separations=separations)
+    return found.split(sets.sizes(), sets.seed) if sets.column is None else _by_column(found, table, sets.column)
+
+
+def _by_column(found: Measurements, table: pd.DataFrame, column: str) -> dict[str, Measurements]:
+    if column not in table:
+        raise InputError(f"{found.source}: column {column!r}, named in sets, is missing; there are {list(table)}")
+    names = table[column].astype(str)
+    unknown = set(names) - {"identify", "train", "choose", "report"}
+    if unknown:
+        raise InputError(
+            f"{found.source}: column {column!r} holds {min(unknown)!r}; allowed: identify, train, choose, report"
+        )
+    return {str(name): found[np.flatnonzero(names == name)] for name in names.unique()}
