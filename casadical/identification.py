@@ -195,7 +195,7 @@ def identify(
     Raises InputError where the measurements do not fit the robot, ConvergenceError where Ipopt finds no optimum.
     Source: paper, section 3; Hollerbach, Khalil and Gautier, Springer Handbook of Robotics (2016), chapter 8.
     """
-    sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
+    sets = _as_sets(measurements)
     if method is not None:
         robot, free = _by_method(robot, method)
     if loss not in LOSSES:
@@ -231,6 +231,17 @@ def identify(
         degrees_of_freedom=reduced.residual_count - reduced.size,
         outliers=outliers,
     )
+
+
+def _as_sets(measurements: Measurements | Sequence[Measurements]) -> tuple[Measurements, ...]:
+    sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
+    wrong = [type(m).__name__ for m in sets if not isinstance(m, Measurements)]
+    if wrong or not sets:
+        raise InputError(
+            f"measurements are {wrong[0] if wrong else 'an empty list'}; "
+            "allowed: one or several Measurements (see from_table, read_measurements)"
+        )
+    return sets
 
 
 def _by_method(robot: Robot, method: str) -> tuple[Robot, tuple[str, ...]]:
