@@ -226,8 +226,8 @@ def _refuse_unbuildable(robot: Robot, number: int, loop: FourBar) -> None:
     joint = robot.joints[loop.driven - 1]
     if not _parallel(robot.joints, loop.carrier - 1) or not joint.a:
         raise InputError(
-            f"{where}: their axes must be parallel and apart; row {loop.driven} has alpha {np.rad2deg(joint.alpha):.6g} "
-            f"deg and a {1e3 * joint.a:.6g} mm"
+            f"{where}: their axes must be parallel and apart; row {loop.driven} has "
+            f"alpha_deg = {np.rad2deg(joint.alpha):.6g}, a_mm = {1e3 * joint.a:.6g}"
         )
     if {robot.joints[loop.carrier - 1].kind, joint.kind} != {"revolute"}:
         raise InputError(f"{where}: both must be revolute joints")
