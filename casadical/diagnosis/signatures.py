@@ -21,7 +21,7 @@ from ..measurements import Measurements
 from ..model import base_frame, gravity_in_base
 from ..robot import Robot
 from ..statics import gravity_energy, gravity_torques
-from ..transforms import Array, small_frame
+from ..transforms import Array, Symbolic, small_frame
 
 _TWIST = ("x", "y", "z", "rx", "ry", "rz")
 
@@ -46,22 +46,22 @@ class _Probe(Effect):
     def sizes(self) -> dict[str, tuple[float, str]]:
         return dict.fromkeys(self.names, (1.0, ""))  # type: ignore[attr-defined]
 
-    def joint_angle(self, context: Context) -> ca.SX:
+    def joint_angle(self, context: Context) -> Symbolic:
         return ca.vertcat(*(self.value(context, f"q{i}") for i in range(1, context.robot.n + 1)))
 
-    def _frame(self, context: Context, seam: str) -> ca.SX:
+    def _frame(self, context: Context, seam: str) -> Symbolic:
         return small_frame(*(self.value(context, f"{seam}_{c}") for c in _TWIST))
 
-    def link(self, number: int, context: Context) -> ca.SX:
+    def link(self, number: int, context: Context) -> Symbolic:
         return self._frame(context, f"link{number}")
 
-    def base(self, context: Context) -> ca.SX:
+    def base(self, context: Context) -> Symbolic:
         return self._frame(context, "base")
 
-    def tool(self, context: Context) -> ca.SX:
+    def tool(self, context: Context) -> Symbolic:
         return self._frame(context, "tool")
 
-    def measurement(self, point: ca.SX, context: Context) -> ca.SX:
+    def measurement(self, point: Symbolic, context: Context) -> Symbolic:
         return point + ca.vertcat(*(self.value(context, f"point_{c}") for c in "xyz"))
 
 
@@ -140,4 +140,4 @@ def signatures(robot: Robot, effects: Sequence[Effect], m: Measurements, values:
     declared = np.array([robot.payload.mass if c == "payload_kg" and robot.payload else 0.0 for c in conditions])
     w = m.condition_matrix(conditions, declared)
     parts = function.map(len(m))(m.q.T, w.T, values)
-    return tuple(part.full().reshape(3, len(m), -1).transpose(1, 0, 2) for part in parts)  # type: ignore[return-value]
+    return tuple(part.full().reshape(3, len(m), -1).transpose(1, 0, 2) for part in parts)
