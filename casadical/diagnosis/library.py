@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -141,8 +141,3 @@ def _flexure(robot: Robot) -> Candidate:
 
 def _smooth(robot: Robot) -> list[Candidate]:
     return [Candidate(e.label, "unknown", None, ((e,),), listed=False) for e in unknowns(robot)]
-
-
-def sizes(effects: Sequence[Effect]) -> Mapping[Effect, np.ndarray]:
-    """One sigma of each effect's parameters."""
-    return {e: np.array([size for size, _ in e.sizes().values()]) for e in effects}

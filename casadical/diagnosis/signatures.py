@@ -108,19 +108,24 @@ def _seam_derivative(effect: Effect, context: Context, point: ca.SX) -> ca.SX:
     theta = ca.SX.sym("theta", len(parameters))
     own = dict(zip((p.name for p in parameters), ca.vertsplit(theta), strict=True))
     context = replace(context, values={**context.values, **own})
-    angle = effect.joint_angle(context)
+    angle = ca.SX(effect.joint_angle(context))
     energy = ca.SX(effect.energy(replace(context, torque=None)))
     if ca.depends_on(energy, theta):
         torque = gravity_torques(energy, context.q)
         n = context.robot.n
         angle += ca.vertcat(*(context.values.get(f"c{i}", 0.0) * torque[i - 1] for i in range(1, n + 1)))
-    seams = [angle]
-    for i in range(1, context.robot.n + 1):
-        seams.append(_twist(effect.link(i, context)))
-    seams += [_twist(effect.base(context)), _twist(effect.tool(context))]
-    seams.append(effect.measurement(point, context) - point)
+    seams, n = [angle], context.robot.n
+    seams += [_twist(effect.link(i, context)) for i in range(1, n + 1)] if _acts(effect, "link") else [ca.SX(6 * n, 1)]
+    seams += [_twist(effect.base(context)) if _acts(effect, "base") else ca.SX(6, 1)]
+    seams += [_twist(effect.tool(context)) if _acts(effect, "tool") else ca.SX(6, 1)]
+    seams += [effect.measurement(point, context) - point if _acts(effect, "measurement") else ca.SX(3, 1)]
     derivative = ca.jacobian(ca.vertcat(*seams), theta)
     return ca.substitute(derivative, theta, ca.SX.zeros(theta.numel()))
+
+
+def _acts(effect: Effect, seam: str) -> bool:
+    """Whether the effect overrides a seam."""
+    return getattr(type(effect), seam) is not getattr(Effect, seam)
 
 
 def _twist(T: ca.SX) -> ca.SX:

@@ -1,4 +1,4 @@
-"""Make data/hh800_twin/hh800_twin.csv, the synthetic twin of the paper's experiment: python docs/studies/hh800_data.py"""
+"""Make data/hh800_twin/hh800_twin.csv, the twin of the paper's experiment: python docs/studies/hh800_data.py"""
 
 from pathlib import Path
 
