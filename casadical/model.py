@@ -58,16 +58,15 @@ def build(robot: Robot) -> Model:
     values: dict[str, Symbolic] = dict(zip(robot.parameters.names, ca.vertsplit(phi), strict=True))
     conditions = dict(zip(robot.conditions, ca.vertsplit(w) if robot.conditions else [], strict=True))
 
-    T_M0 = _base(robot, values)
-    gravity = ca.DM(robot.gravity)
-    if robot.gravity_frame == "measuring":
-        gravity = T_M0[:3, :3].T @ gravity
+    T_M0 = base_frame(robot, values)
+    gravity = gravity_in_base(robot, T_M0)
     readings = ca.vertsplit(q)
     rigid = link_frames(robot, readings, values)
-    unloaded = Context(q, conditions, values, rigid, gravity)
+    unloaded = Context(robot, q, conditions, values, rigid, gravity)
     energy = gravity_energy(robot, rigid, gravity, conditions.get("payload_kg", 0.0))
     energy = energy + sum(e.energy(unloaded) for e in robot.effects)
     tau = gravity_torques(ca.SX(energy), q)
+    tau = ca.substitute(tau, q, q + deflections(robot, tau, values))
     loaded = replace(unloaded, torque=tau)
     T_ME = _tool_frame(robot, T_M0, loaded)
     point = T_ME[:3, 3]
@@ -77,7 +76,14 @@ def build(robot: Robot) -> Model:
     return Model(robot, q, w, phi, ca.SX(point), ca.SX(T_ME[:3, :3]), ca.SX(tau), ca.SX(margin))
 
 
-def _base(robot: Robot, values: Values) -> Symbolic:
+def gravity_in_base(robot: Robot, T_M0: Symbolic) -> Symbolic:
+    """Gravity in the robot's base frame, shape (3,) [m/s^2]."""
+    gravity = ca.DM(robot.gravity)
+    return T_M0[:3, :3].T @ gravity if robot.gravity_frame == "measuring" else gravity
+
+
+def base_frame(robot: Robot, values: Values) -> Symbolic:
+    """T_M0, the robot's base in the measuring frame, shape (4, 4)."""
     T = ca.DM(robot.base.T)
     if robot.base.unknown == "none":
         return T

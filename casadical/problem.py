@@ -9,17 +9,18 @@ from typing import Literal
 
 import numpy as np
 import pandas as pd
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from .errors import InputError
-from .measurements import Kind, Measurements, from_table
+from .measurements import SETS, Kind, Measurements, from_table
 from .residuals import Loss
 from .robot import Robot
-from .robot_file import check, load_toml, read_robot
+from .robot_file import read_robot
+from .schema import check, load_toml
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
 
 
 class _Separation(_Strict):
@@ -45,8 +46,18 @@ class _Sets(_Strict):
     choose: float | None = Field(default=None, gt=0)
     report: float | None = Field(default=None, gt=0)
 
+    @model_validator(mode="after")
+    def _clear(self) -> _Sets:
+        given = self.model_dump(include={*SETS}, exclude_none=True)
+        if self.column is not None and given:
+            raise ValueError(f"the sets are named by column {self.column!r}; leave out {', '.join(given)}")
+        for name, size in given.items():
+            if size > 1 and size != int(size):
+                raise ValueError(f"{name} = {size}: allowed: a share below 1, or a whole number of poses")
+        return self
+
     def sizes(self) -> dict[str, float]:
-        given = self.model_dump(include={"identify", "train", "choose", "report"}, exclude_none=True)
+        given = self.model_dump(include={*SETS}, exclude_none=True)
         return given or {"identify": 0.7, "report": 0.3}
 
 
@@ -120,8 +131,8 @@ def _read(folder: Path, data: _Data, robot: Robot, sets: _Sets) -> dict[str, Mea
     path = folder / data.file
     try:
         table = pd.read_csv(path)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; it is named in {folder / 'problem.toml'}") from None
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; it is named in {folder / 'problem.toml'}") from None
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not a readable CSV table: {str(error).strip()}") from None
     missing = [c for c in data.point_from if c not in table]
@@ -153,9 +164,7 @@ def _by_column(found: Measurements, table: pd.DataFrame, column: str) -> dict[st
     if column not in table:
         raise InputError(f"{found.source}: column {column!r}, named in sets, is missing; there are {list(table)}")
     names = table[column].astype(str)
-    unknown = set(names) - {"identify", "train", "choose", "report"}
+    unknown = set(names) - set(SETS)
     if unknown:
-        raise InputError(
-            f"{found.source}: column {column!r} holds {min(unknown)!r}; allowed: identify, train, choose, report"
-        )
+        raise InputError(f"{found.source}: column {column!r} holds {min(unknown)!r}; allowed: {', '.join(SETS)}")
     return {str(name): found[np.flatnonzero(names == name)] for name in names.unique()}

@@ -1,0 +1,37 @@
+"""A joint's axis tilts and shifts as it turns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import casadi as ca
+
+from ..transforms import Symbolic, small_frame
+from .base import Context, Effect
+
+
+@dataclass(frozen=True)
+class AxisWobble(Effect):
+    """cycles : 1 or 2 a turn."""
+
+    cycles: int = 1
+
+    name: ClassVar[str] = "axis_wobble"
+    physics: ClassVar[str] = "Bearing run-out: the axis of rotation tilts and translates periodically (ISO 230-7)."
+    confused_with: ClassVar[str] = "base_compliance for joint 1; gear_eccentricity of neighbours"
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        parts = [f"{c}_{f}" for c in ("rx", "ry", "x", "y") for f in ("sin", "cos")]
+        return {p: (25e-6, "rad") if p[0] == "r" else (20e-6, "m") for p in parts}
+
+    def link(self, number: int, context: Context) -> Symbolic:
+        if number != self.joint:
+            return ca.SX.eye(4)
+        q = self.cycles * context.q[number - 1]
+        rx, ry, x, y = (
+            self.value(context, f"{c}_sin") * ca.sin(q) + self.value(context, f"{c}_cos") * ca.cos(q)
+            for c in ("rx", "ry", "x", "y")
+        )
+        return small_frame(x, y, 0, rx, ry, 0)

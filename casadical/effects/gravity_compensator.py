@@ -1,0 +1,43 @@
+"""An unmodelled balancing spring on joint 2."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import casadi as ca
+
+from ..transforms import Symbolic
+from .base import Context, Effect
+
+
+@dataclass(frozen=True)
+class GravityCompensator(Effect):
+    """anchor : distance of the spring's fixed end from the joint, as a multiple of its lever on the arm."""
+
+    anchor: float = 2.0
+
+    name: ClassVar[str] = "gravity_compensator"
+    physics: ClassVar[str] = (
+        "A spring between base and arm pulls joint 2 by k a b sin(g) (1 - l0/l(g)): without preload a sine, with "
+        "preload the sine over the spring's length (Klimchik et al. 2013)."
+    )
+    confused_with: ClassVar[str] = "gear_eccentricity of joint 2, wholly, unless payload or spring pressure change"
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        # Shares of the joint's great torque.
+        return {"sin": (0.3, ""), "cos": (0.3, ""), "preload_sin": (0.15, ""), "preload_cos": (0.15, "")}
+
+    def angle(self, context: Context, q: Symbolic) -> Symbolic:
+        assert self.joint is not None
+        i = self.joint - 1
+        turn = q + context.values[f"theta{self.joint}"]
+        s, c = ca.sin(turn), ca.cos(turn)
+        free = self.value(context, "sin") * s + self.value(context, "cos") * c
+        length = [ca.sqrt(1 + self.anchor**2 + 2 * self.anchor * side) for side in (c, s)]
+        preload = (
+            self.value(context, "preload_sin") * s / length[0] + self.value(context, "preload_cos") * c / length[1]
+        )
+        deflection = context.values.get(f"c{self.joint}", 0.0) * context.robot.torque_scale[i]
+        return deflection * (free + self.anchor * preload)

@@ -1,0 +1,34 @@
+"""The reflector moves once in its nest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import casadi as ca
+
+from ..transforms import Symbolic
+from .base import Context, Effect
+
+
+@dataclass(frozen=True)
+class TargetShift(Effect):
+    """at : when, as a share of the campaign."""
+
+    at: float = 0.5
+
+    name: ClassVar[str] = "target_shift"
+    needs: ClassVar[tuple[str, ...]] = ("progress",)
+    physics: ClassVar[str] = (
+        "A reflector that is reseated or knocked sits elsewhere by tens of micrometres (ISO 10360-10)."
+    )
+    confused_with: ClassVar[str] = "joint_zero_step of the last joints at the same time"
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        return dict.fromkeys("xyz", (6e-05, "m"))
+
+    def tool(self, context: Context) -> Symbolic:
+        T = ca.SX.eye(4)
+        T[:3, 3] = ca.vertcat(*(self.value(context, c) for c in "xyz")) * (context.conditions["progress"] > self.at)
+        return T

@@ -1,0 +1,41 @@
+"""Links lengthen with temperature, which follows the sensor with a lag."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import casadi as ca
+
+from ..transforms import Symbolic
+from .base import Context, Effect
+
+
+@dataclass(frozen=True)
+class ThermalGrowth(Effect):
+    """lag : time constant with which the links follow the sensor [s]."""
+
+    lag: float = 600.0
+
+    name: ClassVar[str] = "thermal_growth"
+    needs: ClassVar[tuple[str, ...]] = ("temperature_degC",)
+    physics: ClassVar[str] = "Every link length grows by alpha dT: steel 11.5e-6, aluminium 23e-6 per K (ISO 230-3)."
+    confused_with: ClassVar[str] = "thermal_zero_drift; frame_drift while the temperature only rises"
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        return (f"warmth_{self.lag:.0f}s",)
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        return {"alpha": (15e-6, "1/K")}
+
+    def link(self, number: int, context: Context) -> Symbolic:
+        growth = self.value(context, "alpha") * context.conditions[self.conditions[0]]
+        before = context.frames[number - 2] if number > 1 else ca.SX.eye(4)
+        here = context.frames[number - 1]
+        # The link's own length, seen in its frame: what lies between its origin and the one before.
+        along = here[:3, :3].T @ (here[:3, 3] - before[:3, 3])
+        moved = ca.SX.eye(4)
+        moved[:3, 3] = growth * along
+        return moved
