@@ -84,7 +84,7 @@ def _alike(unit: Array, k: int, kept: list[int], names: Sequence[str], always: i
     if not kept:
         return ()
     share = np.abs(np.linalg.lstsq(unit[:, columns], unit[:, k], rcond=None)[0][always:])
-    strong = [j for j in np.argsort(-share) if share[j] > 0.05 * share.max()]
+    strong = [j for j in np.argsort(-share) if share[j] > max(0.05 * share.max(), 1e-6)]
     return tuple(names[kept[j] - always] for j in strong[:6])
 
 
