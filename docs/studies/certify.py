@@ -42,7 +42,9 @@ def figures(run: Run) -> dict[str, Any]:
 def certified(run: Run) -> str:
     """The text of a problem's certified.toml."""
     document = tomlkit.document()
-    document.add(tomlkit.comment("Position errors after calibration; made by docs/studies/certify.py, held by the tests."))
+    document.add(
+        tomlkit.comment("Position errors after calibration; made by docs/studies/certify.py, held by the tests.")
+    )
     document.add("tolerance_mm", tomlkit.item(TOLERANCE_MM))
     for method, content in figures(run).items():
         document.add(method, tomlkit.item(content))
