@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from .accuracy import predicted
@@ -34,13 +36,16 @@ def check_against(robot: Robot, m: Measurements) -> None:
         _refuse_open_loop(robot, m)
     if m.position is not None:
         _refuse_wrong_length_unit(robot, m)
+    if m.distance is not None:
+        _refuse_wrong_distance_unit(robot, m)
 
 
 def _refuse_open_loop(robot: Robot, m: Measurements) -> None:
     margin = robot.model.function("loop", ("margin",)).map(len(m))(
         m.q.T, m.condition_matrix(robot.conditions, robot.declared).T, robot.parameters.values
     )
-    smallest = margin.full().min(axis=0)
+    # Not a number where the crank's end lies on the driven joint: the rocker's direction is then open.
+    smallest = np.nan_to_num(margin.full().min(axis=0), nan=0.0)
     k = int(np.argmin(smallest))
     if smallest[k] < LEAST_MARGIN:
         raise InputError(
@@ -64,4 +69,23 @@ def _refuse_wrong_length_unit(robot: Robot, m: Measurements) -> None:
         raise InputError(
             f"{m.source}: positions spread over {1e3 * spread:.4g} mm only, the model over {1e3 * moved:.4g} mm; "
             "are they metres? name the columns x_m, y_m, z_m"
+        )
+
+
+def _refuse_wrong_distance_unit(robot: Robot, m: Measurements) -> None:
+    """By the model's own distances; to an unknown point, by how far apart two ends of distances to it can be."""
+    assert m.distance is not None
+    nominal, _ = predicted(robot, m)
+    if m.kind == "distance" and m.target is None:
+        moved = float(np.linalg.norm(np.ptp(nominal, axis=0)))
+        too_long, too_short = np.ptp(m.distance) > 20 * robot.reach, m.distance.max() < 0.02 * moved
+    else:
+        far = m.target if m.other is None else predicted(robot, replace(m, q=m.other))[0]
+        ratio = np.median(m.distance) / max(float(np.median(np.linalg.norm(nominal - far, axis=1))), 1e-3)
+        too_long, too_short = ratio > 100, ratio < 0.01
+    if len(m) > 3 and (too_long or too_short):
+        used, other = ("metres", "mm") if too_long else ("millimetres", "m")
+        raise InputError(
+            f"{m.source}: distances up to {m.distance.max():.4g} m do not fit {robot.name}, which reaches "
+            f"{robot.reach:.3g} m; they are taken as {used}: should the column be named distance_{other}?"
         )

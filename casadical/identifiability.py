@@ -94,3 +94,11 @@ def poorly_determined(standard_errors: Array, priors: Array) -> int | None:
     ratio = standard_errors / priors
     worst = int(np.argmax(ratio)) if ratio.size else 0
     return worst if ratio.size and ratio[worst] > 1 else None
+
+
+def correlated(covariance: Array, k: int, names: Sequence[str], above: float = 0.9) -> tuple[str, ...]:
+    """Up to six parameters whose estimates are correlated with parameter k, the strongest first."""
+    errors = np.sqrt(np.diag(covariance))
+    share = np.abs(covariance[k] / (errors[k] * errors))
+    strongest = [j for j in np.argsort(-share) if j != k and share[j] > above]
+    return tuple(names[j] for j in strongest[:6])

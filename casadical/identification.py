@@ -28,6 +28,8 @@ METHODS: dict[str, tuple[str, ...]] = {"KM": ("kinematic",), "SKCM": ("kinematic
 
 OUTLIER_SIGMAS = 5.0
 SIGMA_ROUNDS = 6
+# Where the data are free of noise, so that nothing is divided by zero.
+LEAST_SIGMA = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +145,10 @@ class Identification:
     def placed(self) -> Robot:
         """The given robot with only base and tool frames fitted: what "before calibration" can mean at all."""
         groups = [g for g in ("base", "tool") if g in self.given.parameters.groups]
-        return identify(self.given, self.measurements, groups, loss=self.loss).robot if groups else self.start
+        try:
+            return identify(self.given, self.measurements, groups, loss=self.loss).robot if groups else self.start
+        except InputError:  # relative measurements that tell nothing of the frames
+            return self.start
 
     def is_optimal(self, tolerance: float = 1e-4) -> bool:
         """Whether no step inside the bounds lowers the cost; recomputed from the data, not the solver's word.
@@ -190,7 +195,7 @@ def identify(
     Raises InputError where the measurements do not fit the robot, ConvergenceError where Ipopt finds no optimum.
     Source: paper, section 3; Hollerbach, Khalil and Gautier, Springer Handbook of Robotics (2016), chapter 8.
     """
-    sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
+    sets = _as_sets(measurements)
     if method is not None:
         robot, free = _by_method(robot, method)
     if loss not in LOSSES:
@@ -199,9 +204,12 @@ def identify(
         check_against(robot, m)
     start = place(robot, next((m for m in sets if m.position is not None), sets[0]))
     names = start.parameters.select(free)
+    if not names:
+        raise InputError(
+            f"free={list(free)} chooses no parameter of {robot.name}; groups: {', '.join(start.parameters.groups)}"
+        )
     sigmas = tuple((m.sigma or SIGMA_GUESS, m.sigma_angle or SIGMA_ANGLE_GUESS) for m in sets)
     problem = LeastSquares(start, sets, names, loss, priors, sigmas)
-    _refuse_too_few(problem)
     settled = _with_sigmas(problem, progress)
     outliers: tuple[tuple[int, int], ...] = ()
     if loss != "linear":
@@ -219,10 +227,21 @@ def identify(
         identifiability=found,
         problem=reduced,
         solution=solution,
-        variance=variance(reduced, solution.v),
+        variance=variance(reduced, solution.v, trimmed=True),
         degrees_of_freedom=reduced.residual_count - reduced.size,
         outliers=outliers,
     )
+
+
+def _as_sets(measurements: Measurements | Sequence[Measurements]) -> tuple[Measurements, ...]:
+    sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
+    wrong = [type(m).__name__ for m in sets if not isinstance(m, Measurements)]
+    if wrong or not sets:
+        raise InputError(
+            f"measurements are {wrong[0] if wrong else 'an empty list'}; "
+            "allowed: one or several Measurements (see from_table, read_measurements)"
+        )
+    return sets
 
 
 def _by_method(robot: Robot, method: str) -> tuple[Robot, tuple[str, ...]]:
@@ -233,19 +252,11 @@ def _by_method(robot: Robot, method: str) -> tuple[Robot, tuple[str, ...]]:
     return robot, METHODS[method]
 
 
-def _refuse_too_few(problem: LeastSquares) -> None:
-    free = [n for n in problem.names if not problem.robot.parameters[n].held]
-    needed = len(free) + 3 * len(problem.labels)
-    if not problem.priors and problem.residual_count < 0.75 * needed:
-        raise InputError(
-            f"{problem.sets[0].source}: {problem.residual_count} numbers were measured, but {needed} are unknown; "
-            "measure more poses, free fewer parameters (free=['placement', ...]), or use priors"
-        )
-
-
 def _with_sigmas(problem: LeastSquares, progress: Progress | None) -> tuple[LeastSquares, Solution, Identifiability]:
     """Solve; where a sigma matters and was not given, estimate it from the residuals and solve again."""
-    matters = problem.loss != "linear" or problem.priors or len(problem.sets) > 1 or problem.sets[0].kind == "pose"
+    first = problem.sets[0]
+    several = len(problem.sets) > 1 or first.kind == "pose" or bool(first.separations)
+    matters = problem.loss != "linear" or problem.priors or several
     for _ in range(SIGMA_ROUNDS):
         settled = settle(problem, progress)
         if not matters:
@@ -259,16 +270,24 @@ def _with_sigmas(problem: LeastSquares, progress: Progress | None) -> tuple[Leas
 
 
 def _estimated_sigmas(problem: LeastSquares, solution: Solution) -> tuple[tuple[float, float], ...]:
+    """Of each set, from its residuals and their share in the degrees of freedom (Foerstner 1979)."""
     residuals, _ = problem.evaluate(solution.v)
-    inflate = np.sqrt(problem.residual_count / max(1, problem.residual_count - problem.size))
+    edges = np.cumsum([0, *(r.size for r in residuals)])
+    share = problem.redundancies(solution.v)
     found = []
-    for m, (sigma, angle), r in zip(problem.sets, problem.sigmas, residuals, strict=False):
-        measure = spread if problem.loss != "linear" else lambda part: float(np.sqrt(np.mean(part**2)))
-        sigma = m.sigma or max(float(sigma * inflate * measure(r[:, :3])), 1e-9)
+    for k, (m, (sigma, angle)) in enumerate(zip(problem.sets, problem.sigmas, strict=True)):
+        r, freedom = residuals[k], share[edges[k] : edges[k + 1]].reshape(residuals[k].shape)
+        sigma = m.sigma or sigma * _deviation(problem, r[:, :3], freedom[:, :3])
         if m.kind == "pose":
-            angle = m.sigma_angle or max(float(angle * inflate * measure(r[:, 3:])), 1e-9)
-        found.append((sigma, angle))
+            angle = m.sigma_angle or angle * _deviation(problem, r[:, 3:], freedom[:, 3:])
+        found.append((max(sigma, LEAST_SIGMA), max(angle, LEAST_SIGMA)))
     return tuple(found)
+
+
+def _deviation(problem: LeastSquares, r: Array, freedom: Array) -> float:
+    """Standard deviation of residuals that have this many degrees of freedom each."""
+    square = spread(r) ** 2 if problem.loss != "linear" else float(np.mean(r**2))
+    return float(np.sqrt(square / max(float(np.mean(freedom)), 1 / r.size)))
 
 
 def _outliers(problem: LeastSquares, solution: Solution) -> tuple[tuple[int, int], ...]:

@@ -15,9 +15,11 @@ import casadi as ca
 import numpy as np
 
 from .accuracy import contact_means, predicted, trilaterated
-from .identifiability import Identifiability, Unidentifiable, analyse, poorly_determined
+from .errors import InputError
+from .identifiability import Identifiability, Unidentifiable, analyse, correlated, poorly_determined
 from .measurements import Measurements
-from .residuals import POINT_SCALE, Block, Loss, has_point, make_block
+from .parameters import Parameter
+from .residuals import POINT_SCALE, Block, Loss, has_point, loss_slope, make_block
 from .robot import Robot
 from .solver import Progress, Solution, minimise
 from .transforms import Array
@@ -177,17 +179,19 @@ class LeastSquares:
         return residuals, np.concatenate(rows)
 
     def gradient(self, v: Array) -> tuple[Array, Array]:
-        """Gradient and Gauss-Newton Hessian of the cost at v, from the residuals: a way of its own."""
+        """Gradient and Gauss-Newton Hessian of the cost at v, from residuals: a way apart from the solver's."""
+        r, J, slope = self._weighted(v)
+        return J.T @ (slope * r) + self.prior_weights * v, J.T @ (slope[:, None] * J) + np.diag(self.prior_weights)
+
+    def _weighted(self, v: Array) -> tuple[Array, Array, Array]:
+        """All residuals, shape (residuals,), the whole Jacobian, and the weight that the loss gives each row."""
         residuals, J = self.evaluate(v)
-        slopes = np.concatenate([np.repeat(self._slopes(r), r.shape[1]) for r in residuals])
-        r = np.concatenate([part.ravel() for part in residuals])
-        weighted = J * slopes[:, None]
-        return weighted.T @ r + self.prior_weights * v, weighted.T @ J + np.diag(self.prior_weights)
+        return np.concatenate([part.ravel() for part in residuals]), J, self.slopes(residuals)
 
-    def _slopes(self, r: Array) -> Array:
-        from .residuals import loss_slope
-
-        return loss_slope(self.loss, r)
+    def slopes(self, residuals: Sequence[Array]) -> Array:
+        """Weight that the loss gives each row of the Jacobian; known separations pass through no loss."""
+        rows = [np.repeat(loss_slope(self.loss, r), r.shape[1]) for r in residuals[: len(self.sets)]]
+        return np.concatenate([*rows, *(np.ones(r.size) for r in residuals[len(self.sets) :])])
 
     def at_bounds(self, v: Array) -> Array:
         """Mask of the variables that stopped at a bound."""
@@ -196,56 +200,115 @@ class LeastSquares:
         return np.asarray((v - lower < near) | (upper - v < near))
 
     def decrement(self, v: Array) -> float:
-        """What one more Gauss-Newton step inside the bounds would gain, in units of chi-squared: g' H^-1 g / 2."""
+        """What one more Gauss-Newton step inside the bounds would gain in cost, half of chi-squared: g' H^-1 g / 2."""
         g, H = self.gradient(v)
-        free = ~self.at_bounds(v)
+        lower, upper = self.bounds
+        # A bound that the cost pushes away from holds nothing back.
+        inward = np.where(v - lower < upper - v, g < 0, g > 0)
+        free = ~self.at_bounds(v) | inward
         return float(0.5 * g[free] @ np.linalg.solve(H[np.ix_(free, free)], g[free]))
 
     def identifiability(self, v: Array) -> Identifiability:
         """Which of the names the data can tell apart, on the Jacobian at v."""
-        _, J = self.evaluate(v)
+        residuals, J = self.evaluate(v)
         p = len(self.names)
         held = {n: self.robot.parameters[n].held for n in self.names if self.robot.parameters[n].held}
         if all(m.position is None and m.target is None for m in self.sets):
             held |= dict.fromkeys(_WHOLE_ROBOT, "nothing at rest was measured: moving the whole robot changes nothing")
-        return analyse(np.concatenate([J[:, p:], J[:, :p]], axis=1), self.names, 3 * len(self.labels), held)
+        J_ordered = np.concatenate([J[:, p:], J[:, :p]], axis=1)
+        found = analyse(J_ordered, self.names, 3 * len(self.labels), held)
+        if any(m.kind != "contact" or m.separations for m in self.sets) or not self._scale_is_free(residuals, J):
+            return found
+        longest = max(found.independent, key=lambda n: abs(self._length(n)))
+        held[longest] = "contact without known separations tells no scale; this length is taken as the measure"
+        return analyse(J_ordered, self.names, 3 * len(self.labels), held)
+
+    def _length(self, name: str) -> float:
+        """Nominal value of a parameter that is a length [m]; zero for others."""
+        parameter = self.robot.parameters[name]
+        return parameter.value if parameter.unit == "m" else 0.0
+
+    def _scale_is_free(self, residuals: Sequence[Array], J: Array) -> bool:
+        """Whether all lengths grow together unseen.
+
+        Contact residuals p - u are then homogeneous in lengths and points, and Euler's theorem says J (lengths, points)
+        = residuals. Compliance breaks this by its share in the position, which is no measure: hence one per cent.
+        """
+        lengths = np.array([self._length(n) for n in self.names]) / self.scale
+        growth = np.concatenate([lengths, (self.points - self.robot.base.T[:3, 3]).ravel() / POINT_SCALE])
+        r = np.concatenate([part.ravel() for part in residuals])
+        robot_alone = np.linalg.norm(J[:, : lengths.size] @ lengths)
+        return bool(robot_alone > 0 and np.linalg.norm(J @ growth - r) < 0.01 * robot_alone)
 
     def covariance(self, v: Array, variance: float) -> Array:
         """Of the parameters, shape (p, p) [SI], points marginalised; NaN for those at a bound.
 
         variance : of a residual in units of sigma, one if the sigmas are right
+
+        With a robust loss it is the sandwich H^-1 (J' W^2 J) H^-1 of M-estimators (Huber and Ronchetti 2009, ch. 7).
         """
-        _, H = self.gradient(v)
+        _, J, slope = self._weighted(v)
         free = np.flatnonzero(~self.at_bounds(v))
-        root = np.sqrt(np.diag(H)[free])
-        inverse = np.linalg.inv(H[np.ix_(free, free)] / np.outer(root, root)) / np.outer(root, root)
+        H, middle = (
+            (J.T @ ((slope**power)[:, None] * J) + np.diag(self.prior_weights))[np.ix_(free, free)] for power in (1, 2)
+        )
+        inverse = _inverse(H)
         whole = np.full((self.size, self.size), np.nan)
-        whole[np.ix_(free, free)] = variance * inverse
+        whole[np.ix_(free, free)] = variance * (inverse @ middle @ inverse if self.loss != "linear" else inverse)
         p = len(self.names)
         return np.asarray(whole[:p, :p] * np.outer(self.scale, self.scale))
+
+    def redundancies(self, v: Array) -> Array:
+        """Degrees of freedom of each observed number, one less its leverage; they sum to those of the fit."""
+        _, J, slope = self._weighted(v)
+        H = J.T @ (slope[:, None] * J) + np.diag(self.prior_weights)
+        return np.asarray(1 - slope * np.einsum("ij,ij->i", J @ _inverse(H), J))
 
     def with_names(self, names: Sequence[str]) -> LeastSquares:
         return replace(self, names=tuple(names))
 
 
+def _inverse(H: Array) -> Array:
+    """Inverse of a positive semidefinite matrix, scaled first; directions at round-off come out as very uncertain."""
+    root = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    eigenvalues, V = np.linalg.eigh(H / np.outer(root, root))
+    return np.asarray((V / np.maximum(eigenvalues, 1e-15)) @ V.T / np.outer(root, root))
+
+
 def settle(problem: LeastSquares, progress: Progress | None) -> tuple[LeastSquares, Solution, Identifiability]:
     """Choose the independent parameters, solve, and let go of those of which the data say less than the prior does.
 
-    Independence is decided at the start, where exact dependences are exact.
+    Independence is decided at the start, where exact dependences are exact. Raises InputError where the data tell no
+    parameter at all, or are no more numbers than there are unknowns.
     """
     found = problem.identifiability(np.zeros(problem.size))
     reduced = problem.with_names(found.independent)
-    solution = reduced.solve(progress)
-    poor = [] if problem.priors else _poor(reduced, solution.v)
-    if poor:
-        gone = {u.name for u in poor}
-        reduced = reduced.with_names([n for n in reduced.names if n not in gone])
+    if not problem.priors and reduced.residual_count <= reduced.size:
+        raise InputError(
+            f"{problem.sets[0].source}: {problem.residual_count} numbers were measured, but at least "
+            f"{reduced.size} are unknown; measure more poses, free fewer parameters "
+            "(free=['placement', ...]), or use priors"
+        )
+    poor: list[Unidentifiable] = []
+    while reduced.names:
         solution = reduced.solve(progress)
-    return reduced, solution, replace(found, independent=reduced.names, held=(*found.held, *poor))
+        worse = [] if problem.priors else _poor(reduced, solution.v)
+        if not worse:
+            return reduced, solution, replace(found, independent=reduced.names, held=(*found.held, *poor))
+        poor += worse
+        gone = {u.name for u in worse}
+        reduced = reduced.with_names([n for n in reduced.names if n not in gone])
+    reasons = "; ".join(f"{u.name}: {u.reason}" for u in (*found.held, *poor))
+    raise InputError(
+        f"{problem.sets[0].source}: these measurements tell nothing of what is to be identified. {reasons}"
+    )
 
 
 def _poor(problem: LeastSquares, v: Array) -> list[Unidentifiable]:
-    """Parameters that the data tell worse than their priors, let go one by one, the worst first."""
+    """Parameters that the data tell worse than their priors, let go one by one, the worst first.
+
+    Bounds hold nothing here: a parameter may sit at one just because the data tell nothing of it.
+    """
     _, H = problem.gradient(v)
     scale = variance(problem, v)
     prior = np.array([problem.robot.parameters[n].prior for n in problem.names]) / problem.scale
@@ -253,30 +316,40 @@ def _poor(problem: LeastSquares, v: Array) -> list[Unidentifiable]:
     poor: list[Unidentifiable] = []
     while True:
         named = [k for k in left if k < len(problem.names)]
-        root = np.sqrt(np.diag(H)[left])
-        inverse = np.linalg.inv(H[np.ix_(left, left)] / np.outer(root, root))
-        errors = np.sqrt(scale * np.diag(inverse))[: len(named)] / root[: len(named)]
+        covariance = scale * _inverse(H[np.ix_(left, left)])[: len(named), : len(named)]
+        errors = np.sqrt(np.diag(covariance))
         worst = poorly_determined(errors, prior[named])
         if worst is None:
             return poor
-        p = problem.robot.parameters[problem.names[named[worst]]]
-        told = p.readable(errors[worst] * p.scale)
-        reason = (
-            f"these poses tell it to {told:.3g} {p.readable_unit} only, "
-            f"less than is known before (prior {p.readable(p.prior):.3g} {p.readable_unit})"
-        )
-        poor.append(Unidentifiable(p.name, reason))
+        names = [problem.names[k] for k in named]
+        poor.append(_told(problem.robot.parameters[names[worst]], errors[worst], correlated(covariance, worst, names)))
         left.remove(named[worst])
 
 
-def variance(problem: LeastSquares, v: Array) -> float:
-    """Of a residual, in units of sigma: the sum of squares over the degrees of freedom; robust where the loss is."""
+def _told(p: Parameter, error: float, partners: tuple[str, ...]) -> Unidentifiable:
+    """In words; error : standard error in units of the parameter's scale."""
+    unit = p.readable_unit
+    reason = (
+        f"these poses tell it to {p.readable(error * p.scale):.3g} {unit} only, less than is known before "
+        f"(prior {p.readable(p.prior):.3g} {unit})"
+    )
+    if partners:
+        reason += f"; it moves the measured points nearly as {', '.join(partners)} together"
+    return Unidentifiable(p.name, reason, partners)
+
+
+def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float:
+    """Of a residual, in units of sigma: the sum of squares over the degrees of freedom.
+
+    With a robust loss, and unless outliers were trimmed, from the median absolute residuals instead.
+    """
     residuals, _ = problem.evaluate(v)
-    if problem.loss != "linear":
-        return float(np.median([spread(r) ** 2 for r in residuals]))
+    freedom = problem.residual_count - problem.size + int(np.count_nonzero(problem.prior_weights))
+    if problem.loss != "linear" and not trimmed:
+        typical = float(np.median([spread(r) ** 2 for r in residuals]))
+        return typical * problem.residual_count / max(1, freedom)
     chi2 = sum(float((r**2).sum()) for r in residuals) + float(problem.prior_weights @ v**2)
-    count = problem.residual_count + int(np.count_nonzero(problem.prior_weights))
-    return chi2 / max(1, count - problem.size)
+    return chi2 / max(1, freedom)
 
 
 def spread(r: Array) -> float:

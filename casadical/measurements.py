@@ -15,7 +15,8 @@ Everything else that the model needs (`payload_kg`, `temperature_degC`, `approac
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -25,11 +26,15 @@ import pandas as pd
 
 from .errors import InputError
 from .transforms import Array, from_rpy
+from .wellformed import refuse_malformed
 
 Kind = Literal["position", "pose", "distance", "pair_distance", "contact"]
 
 KINDS: tuple[Kind, ...] = ("position", "pose", "distance", "pair_distance", "contact")
 SETS = ("identify", "train", "choose", "report")
+
+# Decimals of a reading [rad or m] up to which poses count as the same.
+SAME_READING = 6
 
 _TO_SI = {"_mm": 1e-3, "_m": 1.0, "_deg": np.pi / 180, "_rad": 1.0}
 
@@ -80,10 +85,7 @@ class Measurements:
             object.__setattr__(self, "weight", np.ones(n))
         if not len(self.row):
             object.__setattr__(self, "row", np.arange(n))
-        for name in ("position", "orientation", "distance", "target", "other", "label", "weight", "row"):
-            value = getattr(self, name)
-            if value is not None and len(value) != n:
-                raise InputError(f"{self.source}: {name} has {len(value)} entries for {n} poses")
+        refuse_malformed(self)
 
     def __len__(self) -> int:
         return len(self.q)
@@ -95,7 +97,7 @@ class Measurements:
 
     def __getitem__(self, which: Array | slice | Sequence[int]) -> Measurements:
         """The poses chosen by mask, slice or indices."""
-        index = np.arange(len(self))[which]
+        index = np.atleast_1d(np.arange(len(self))[which])
         arrays = {
             name: None if getattr(self, name) is None else getattr(self, name)[index]
             for name in ("q", "position", "orientation", "distance", "target", "other", "label", "weight", "row")
@@ -113,29 +115,34 @@ class Measurements:
         return np.stack(columns, axis=1) if columns else np.zeros((len(self), 0))
 
     def split(self, sizes: Mapping[str, float], seed: int = 0) -> dict[str, Measurements]:
-        """Disjoint, seeded, named sets; a size below 1 is a share, above it a number of poses.
+        """Disjoint, seeded, named sets; a size below 1 is a share, from 1 on a number of poses.
 
-        Poses at the same joint readings (replicates) stay together, so that no pose is ever in two sets; poses of
-        one contact point do not.
+        Poses at the same joint readings (replicates) stay together, so that no pose is ever in two sets; a set may hold
+        some more or less than its size for that. A pair distance whose ends fall in two sets is left out; poses of one
+        contact point may fall in two.
         """
-        _, group = np.unique(self.q, axis=0, return_inverse=True)
-        order = np.random.default_rng(seed).permutation(int(group.max()) + 1)
-        ranked = np.argsort(np.argsort(order)[group.ravel()], kind="stable")
-        counts = {k: int(s) if s >= 1 else round(s * len(self)) for k, s in sizes.items()}
-        if sum(counts.values()) > len(self) or min(counts.values()) < 1:
+        ends = np.concatenate([self.q] if self.other is None else [self.q, self.other])
+        _, reading = np.unique(ends.round(SAME_READING), axis=0, return_inverse=True)
+        reading = reading.ravel()
+        near, far = reading[: len(self)], reading[-len(self) :]
+        counts = np.array([s * len(self) if s < 1 else s for s in sizes.values()])
+        edges = np.cumsum([0.0, *counts]).round().astype(int)
+        if not counts.size or counts.min() <= 0 or edges[-1] > len(self):
             raise InputError(
-                f"{self.source}: sets of {counts} poses cannot be taken from {len(self)}; "
-                "give sizes that add up to no more than the poses there are"
+                f"{self.source}: sets of {dict(sizes)} cannot be taken from {len(self)} poses; give positive sizes "
+                "(shares below 1, or numbers) that add up to no more than the poses there are"
             )
-        edges = np.cumsum([0, *counts.values()])
-        sets = {}
-        taken: set[int] = set()
-        for name, first, last in zip(counts, edges[:-1], edges[1:], strict=True):
-            index = np.sort(ranked[first:last])
-            index = index[[int(group.ravel()[i]) not in taken for i in index]]
-            taken |= {int(group.ravel()[i]) for i in index}
-            sets[name] = self[index]
-        return sets
+        copies = np.bincount(near, minlength=int(reading.max()) + 1)
+        order = np.random.default_rng(seed).permutation(len(copies))
+        # The place of each reading's first pose in the shuffled row decides on its set.
+        first = np.empty(len(copies), dtype=int)
+        first[order] = np.cumsum(copies[order]) - copies[order]
+        home = np.searchsorted(edges, first, side="right") - 1
+        return {name: self[(home[near] == k) & (home[far] == k)] for k, name in enumerate(sizes)}
+
+    def with_separations(self, known: Iterable[tuple[str, str, float]], sigma: float = 2e-5) -> Measurements:
+        """Contact poses with known distances (label, label, distance [m]) between touched points, sigma [m] each."""
+        return replace(self, separations=tuple(known), separation_sigma=sigma)
 
 
 def read_measurements(
@@ -160,8 +167,10 @@ def read_measurements(
         table = pd.read_csv(path)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
+    except (OSError, pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not a readable CSV table: {str(error).strip()}") from None
+    if table.shape[1] == 1 and (";" in str(table.columns[0]) or "\t" in str(table.columns[0])):
+        raise InputError(f"{path}: its columns are parted by ';' or tabs; allowed: commas, with decimal points")
     return from_table(table, joints, kind, columns=columns, sigma_mm=sigma_mm, sigma_deg=sigma_deg, source=path.name)
 
 
@@ -176,8 +185,10 @@ def from_table(
     source: str = "table",
 ) -> Measurements:
     """Measurements from a pandas table; arguments as of `read_measurements`."""
-    reader = _Reader(_renamed(table, columns or {}, source), source)
+    reader = _Reader(_renamed(_tidy(table, source), columns or {}, source), source)
     kinds = ["revolute"] * joints if isinstance(joints, int) else list(joints)
+    if not kinds or set(kinds) - {"revolute", "prismatic"}:
+        raise InputError(f"{source}: joints {joints!r}; allowed: their number, or 'revolute' or 'prismatic' for each")
     kind = kind or reader.guess_kind()
     if kind not in KINDS:
         raise InputError(f"{source}: kind {kind!r} is not known; allowed: {', '.join(KINDS)}")
@@ -198,6 +209,19 @@ def from_table(
     return found
 
 
+def _tidy(table: pd.DataFrame, source: str) -> pd.DataFrame:
+    """Headers without blanks around them, wholly empty columns left out. Raises InputError: no rows, names twice."""
+    table = table.rename(columns=lambda name: str(name).strip())
+    twice = sorted(set(table.columns[table.columns.duplicated()]))
+    # pandas reads a second x_mm as x_mm.1
+    twice += [c[:-2] for c in table.columns if c.endswith(".1") and c[:-2] in table]
+    if twice:
+        raise InputError(f"{source}: column {twice[0]!r} is there twice; keep one")
+    if not len(table):
+        raise InputError(f"{source}: a header but no rows; at least one pose is needed")
+    return table.dropna(axis="columns", how="all")
+
+
 def _renamed(table: pd.DataFrame, columns: Mapping[str, str], source: str) -> pd.DataFrame:
     for ours, theirs in columns.items():
         if theirs not in table:
@@ -205,6 +229,12 @@ def _renamed(table: pd.DataFrame, columns: Mapping[str, str], source: str) -> pd
     # A header that keeps its own name elsewhere in the map is copied, not moved.
     copies = {ours: table[theirs] for ours, theirs in columns.items()}
     return table.drop(columns=[c for c in columns if c in table and columns[c] != c]).assign(**copies)
+
+
+# Columns that are readings or observations; every other one is a condition.
+_OWN = re.compile(
+    r"q\d+_(deg|rad|mm|m)|q[wxyz]|(to_)?[xyz]_mm?|r[xyz]_(deg|rad)|R[012]{2}|distance_mm?|weight|point|set"
+)
 
 
 class _Reader:
@@ -273,10 +303,12 @@ class _Reader:
         if largest > 8 * np.pi:
             i = turning[int(np.argmax(np.abs(q[:, turning]).max(axis=0)))]
             row = int(np.argmax(np.abs(q[:, i])))
-            raise InputError(
-                f"{self.source}: row {row + 2}, q{i + 1}: {q[row, i]:.6g} rad is {largest / (2 * np.pi):.1f} turns; "
-                f"are the columns in degrees? name them q{i + 1}_deg"
-            )
+            turns = f"{self.source}: row {row + 2}, column "
+            if f"q{i + 1}_rad" in self.table:
+                turns += f"'q{i + 1}_rad': {q[row, i]:.6g} rad is {largest / (2 * np.pi):.1f} turns; "
+                raise InputError(turns + f"are the columns in degrees? name them q{i + 1}_deg")
+            turns += f"'q{i + 1}_deg': {np.rad2deg(q[row, i]):.6g} deg is {largest / (2 * np.pi):.1f} turns; "
+            raise InputError(turns + "at most 4 are allowed: correct the reading")
         degrees = all(f"{n}_deg" in self.table for n in names)
         if degrees and len(q) >= 10 and np.ptp(q[:, turning], axis=0).max() < np.deg2rad(6.3):
             raise InputError(
@@ -292,27 +324,37 @@ class _Reader:
         if "R00" in has:
             R = np.stack([self.column(f"R{i}{j}") for i in range(3) for j in range(3)], axis=1).reshape(-1, 3, 3)
         elif "qw" in has:
-            R = _from_quaternion(np.stack([self.column(c) for c in ("qw", "qx", "qy", "qz")], axis=1))
+            quaternion = np.stack([self.column(c) for c in ("qw", "qx", "qy", "qz")], axis=1)
+            length = np.linalg.norm(quaternion, axis=1)
+            if np.abs(length - 1).max() > 1e-2:
+                row = int(np.abs(length - 1).argmax())
+                raise InputError(
+                    f"{self.source}: row {row + 2}, columns 'qw' to 'qz': length {length[row]:.4g}; "
+                    "allowed: unit quaternions (w first), within 1 %"
+                )
+            R = _from_quaternion(quaternion)
         else:
             angles = self.vector("r", ("_deg", "_rad"))
             R = np.stack([from_rpy(np.array([a, 0, 0])) @ _from_yz(b, c) for a, b, c in angles])
-        off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+        off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0)
         if off.max() > 1e-3:
             row = int(off.argmax())
             raise InputError(
-                f"{self.source}: row {row + 2}: R is no rotation (R R' differs from one by {off[row]:.3g}); "
-                "allowed: orthonormal matrices or unit quaternions"
+                f"{self.source}: row {row + 2}, columns 'R00' to 'R22': no rotation (R R' differs from one by "
+                f"{off[row]:.3g}, mirrored ones by more than one); allowed: orthonormal matrices, right-handed"
             )
         return R
 
     def conditions(self) -> dict[str, Array]:
-        """Every other numeric column, by its own name."""
-        taken = ("q", "x_", "y_", "z_", "to_", "rx_", "ry_", "rz_", "R0", "R1", "R2", "distance_")
-        names = [
-            str(c) for c in self.table if not str(c).startswith(taken) and str(c) not in ("weight", "point", "set")
-        ]
-        numeric = [n for n in names if pd.api.types.is_numeric_dtype(self.table[n])]
-        return {n: self.column(n) for n in numeric}
+        """Every other numeric column, by its own name; a column of words (remarks, operators) is left out."""
+        found = {}
+        for name in map(str, self.table):
+            if _OWN.fullmatch(name):
+                continue
+            numeric = pd.to_numeric(self.table[name], errors="coerce").notna()
+            if numeric.mean() >= 0.5:  # some words among numbers are mistakes: `column` says where
+                found[name] = self.column(name)
+        return found
 
 
 def _from_yz(b: float, c: float) -> Array:
@@ -345,14 +387,23 @@ def _distance(reader: _Reader, _q: Array) -> dict[str, Array | None]:
 
 def _pair_distance(reader: _Reader, q: Array) -> dict[str, Array | None]:
     pose, other = reader.column("pose"), reader.column("other_pose")
-    where = {int(p): k for k, p in enumerate(pose)}
-    missing = [k for k, o in enumerate(other) if int(o) not in where]
+    where = {float(p): k for k, p in enumerate(pose)}
+    if len(where) < len(pose):
+        row = next(k for k, p in enumerate(pose) if where[float(p)] != k)
+        raise InputError(
+            f"{reader.source}: row {row + 2}, column 'pose': {pose[row]:g} occurs again in row "
+            f"{where[float(pose[row])] + 2}; allowed: each pose's own number"
+        )
+    if (pose == other).any():
+        row = int(np.argmax(pose == other))
+        raise InputError(f"{reader.source}: row {row + 2}, column 'other_pose': {other[row]:g} is that pose itself")
+    missing = [k for k, o in enumerate(other) if float(o) not in where]
     if missing:
         raise InputError(
-            f"{reader.source}: row {missing[0] + 2}, column 'other_pose': {other[missing[0]]:.0f} is no pose of this "
+            f"{reader.source}: row {missing[0] + 2}, column 'other_pose': {other[missing[0]]:g} is no pose of this "
             "table; allowed: the numbers in column 'pose'"
         )
-    return {"distance": _positive_distance(reader), "other": q[[where[int(o)] for o in other]]}
+    return {"distance": _positive_distance(reader), "other": q[[where[float(o)] for o in other]]}
 
 
 def _positive_distance(reader: _Reader) -> Array:
@@ -369,10 +420,16 @@ def _positive_distance(reader: _Reader) -> Array:
 def _contact(reader: _Reader, _q: Array) -> dict[str, Array | None]:
     if "point" not in reader.table:
         raise InputError(f"{reader.source}: column 'point' is missing; it says which point each pose touches")
+    empty = reader.table["point"].isna().to_numpy()
+    if empty.any():
+        raise InputError(f"{reader.source}: row {int(np.argmax(empty)) + 2}, column 'point' is empty; name the point")
     label = reader.table["point"].astype(str).to_numpy(dtype=object)
     names, counts = np.unique(label.astype(str), return_counts=True)
     if counts.max() < 2:
-        raise InputError(f"{reader.source}: column 'point': no point is touched twice ({len(names)} labels)")
+        raise InputError(
+            f"{reader.source}: column 'point': no point is touched twice ({len(names)} labels); "
+            "poses at one point must have one label"
+        )
     return {"label": label}
 
 

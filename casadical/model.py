@@ -66,6 +66,7 @@ def build(robot: Robot) -> Model:
     energy = gravity_energy(robot, rigid, gravity, conditions.get("payload_kg", 0.0))
     energy = energy + sum(e.energy(unloaded) for e in robot.effects)
     tau = gravity_torques(ca.SX(energy), q)
+    tau = ca.substitute(tau, q, q + deflections(robot, tau, values))
     loaded = replace(unloaded, torque=tau)
     T_ME = _tool_frame(robot, T_M0, loaded)
     point = T_ME[:3, 3]

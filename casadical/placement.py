@@ -22,10 +22,16 @@ def place(robot: Robot, m: Measurements) -> Robot:
     """
     if robot.base.unknown != "pose" or m.position is None or len(m) < 6:
         return robot
-    bare = replace(robot, base=Placement(np.eye(4)), tool=Placement(np.eye(4)))
-    p, R = predicted(bare, m)
     known = None if robot.tool.unknown != "none" else robot.tool.T[:3, 3]
-    T_M0, t = _solve(p, R, m.position, known)
+    compliant = robot.gravity_frame == "measuring" and any(j.compliance for j in robot.joints)
+    T_M0 = np.eye(4)
+    for _ in range(3 if compliant else 1):  # a compliant arm hangs by where gravity points in its base
+        gravity = T_M0[:3, :3].T @ robot.gravity if robot.gravity_frame == "measuring" else robot.gravity
+        bare = replace(
+            robot, base=Placement(np.eye(4)), tool=Placement(np.eye(4)), gravity=gravity, gravity_frame="base"
+        )
+        p, R = predicted(bare, m)
+        T_M0, t = _solve(p, R, m.position, known)
     turn = robot.tool.T[:3, :3]
     if robot.tool.unknown == "pose" and m.orientation is not None:
         turn = nearest_rotation(np.einsum("nji,kj,nkl->il", R, T_M0[:3, :3], m.orientation))

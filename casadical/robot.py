@@ -59,6 +59,23 @@ class Joint:
     body: Body | None = None
 
 
+def _refuse_joint(robot: str, i: int, joint: Joint) -> None:
+    if joint.kind not in ("revolute", "prismatic"):
+        raise InputError(f"robot {robot!r}, joint {i}: kind {joint.kind!r}; allowed: revolute, prismatic")
+    for name in ("alpha", "a", "theta", "d", "beta", "b", "lower", "upper", "compliance"):
+        value = getattr(joint, name)
+        if value is not None and not np.isfinite(value):
+            raise InputError(f"robot {robot!r}, joint {i}: {name} is {value}; it must be a finite number")
+    if joint.lower >= joint.upper:
+        raise InputError(
+            f"robot {robot!r}, joint {i}: range [{joint.lower:.6g}, {joint.upper:.6g}]; lower must be below upper"
+        )
+    if joint.compliance is not None and joint.compliance < 0:
+        raise InputError(f"robot {robot!r}, joint {i}: compliance {joint.compliance:.6g}; it must be zero or more")
+    if joint.body is not None and not joint.body.mass >= 0:
+        raise InputError(f"robot {robot!r}, joint {i}: mass {joint.body.mass:.6g} kg; it must be zero or more")
+
+
 @dataclass(frozen=True)
 class FourBar:
     """A closed loop: the reading of joint `driven` is the crank's angle in the plane of joint `carrier` (1-based).
@@ -131,6 +148,8 @@ class Robot:
     def __post_init__(self) -> None:
         if not self.joints:
             raise InputError(f"robot {self.name!r} has no joints; at least one row is needed")
+        for i, joint in enumerate(self.joints, 1):
+            _refuse_joint(self.name, i, joint)
         object.__setattr__(self, "joints", _with_hayati(self.joints))
         for k, loop in enumerate(self.loops, 1):
             _refuse_unbuildable(self, k, loop)
@@ -214,6 +233,14 @@ class Robot:
             tool=replace(self.tool, T=_tool_with(self.tool.T, v)),
             effect_values={n: v[n] for n in effect_names},
         )
+
+    def values_of(self, other: Robot) -> Array:
+        """Parameters of this robot, shape (P,) [SI], that make it the other one, whose base may stand elsewhere."""
+        values = dict(zip(other.parameters.names, other.parameters.values, strict=True))
+        moved = np.linalg.solve(self.base.T, other.base.T)
+        turn = (np.arctan2(-moved[1, 2], moved[2, 2]), np.arcsin(moved[0, 2]), np.arctan2(-moved[0, 1], moved[0, 0]))
+        values |= {n: v for n, v in zip(_SIX["base"], (*moved[:3, 3], *turn), strict=True) if n in values}
+        return np.array([values[n] for n in self.parameters.names])
 
 
 def _refuse_unbuildable(robot: Robot, number: int, loop: FourBar) -> None:
@@ -319,11 +346,18 @@ def _row(robot: Robot, i: int, joint: Joint) -> Iterable[Parameter]:
         yield _number(robot, f"beta{i - 1}", group, "rad", joint.beta)
     if joint.b is not None:
         yield _number(robot, f"b{i - 1}", group, "m", joint.b)
-    neighbours = robot.joints[i - 1 : i + 1]
-    shared = _parallel(robot.joints, i - 1) and all(j.kind == "revolute" for j in neighbours)
-    held = f"axes {i} and {i + 1} are nearly parallel: d{i} moves the tool as d{i + 1} does" if shared else ""
+    held = ""
+    if _slides_together(robot, i):
+        held = f"axes {i} and {i + 1} are nearly parallel: d{i} moves the tool as d{i + 1} does"
+    elif i > 1 and robot.base.unknown != "none" and all(_slides_together(robot, k) for k in range(1, i)):
+        held = f"axes 1 to {i} are nearly parallel: d{i} moves the tool as the base does"
     yield _number(robot, f"d{i}", group, "m", joint.d, held)
     yield _number(robot, f"theta{i}", group, "rad", joint.theta)
+
+
+def _slides_together(robot: Robot, i: int) -> bool:
+    """Whether joints i and i+1 (1-based) turn about nearly parallel axes, so that their d are one."""
+    return _parallel(robot.joints, i - 1) and all(j.kind == "revolute" for j in robot.joints[i - 1 : i + 1])
 
 
 def _loop(robot: Robot, k: int, loop: FourBar) -> Iterable[Parameter]:

@@ -130,14 +130,14 @@ def _twist(T: ca.SX) -> ca.SX:
     return ca.vertcat(T[:3, 3], turn)
 
 
-def signatures(robot: Robot, effects: Sequence[Effect], m: Measurements) -> tuple[Array, Array, Array]:
+def signatures(robot: Robot, effects: Sequence[Effect], m: Measurements, values: Array) -> tuple[Array, Array, Array]:
     """Columns of the effects, of the base model's parameters and of the joint variables at the measured poses.
 
-    Shapes (n, 3, all effects' parameters), (n, 3, P), (n, 3, joints), at the robot's nominal values.
+    Shapes (n, 3, all effects' parameters), (n, 3, P), (n, 3, joints), at the parameter values given, shape (P,) [SI].
     m : with every condition that the effects need (see `casadical.conditions.derive`)
     """
     function, conditions = signature_function(robot, tuple(effects))
     declared = np.array([robot.payload.mass if c == "payload_kg" and robot.payload else 0.0 for c in conditions])
     w = m.condition_matrix(conditions, declared)
-    parts = function.map(len(m))(m.q.T, w.T, robot.parameters.values)
+    parts = function.map(len(m))(m.q.T, w.T, values)
     return tuple(part.full().reshape(3, len(m), -1).transpose(1, 0, 2) for part in parts)  # type: ignore[return-value]

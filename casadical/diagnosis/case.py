@@ -1,0 +1,103 @@
+"""A case: a campaign, the base model calibrated on it, and what every candidate would do to its residual."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..accuracy import predicted
+from ..conditions import derive
+from ..effects import Effect
+from ..errors import InputError
+from ..identification import Identification
+from ..measurements import Measurements
+from ..robot import Robot
+from ..transforms import Array
+from .evidence import Evidence
+from .library import Candidate, choose
+from .signatures import signatures
+
+# Compliances are known from data sheets to about half of themselves.
+COMPLIANCE_SHARE = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """Everything that the diagnosis computes with.
+
+    robot : calibrated base model, as departures from the robot that was given; m : poses without outliers
+    candidates : that the logged columns allow; missing : label -> columns that were not logged
+    outliers : indices of poses left out, among all poses
+    """
+
+    robot: Robot
+    m: Measurements
+    candidates: tuple[Candidate, ...]
+    missing: dict[str, tuple[str, ...]]
+    outliers: tuple[int, ...]
+    evidence: Evidence
+    columns: dict[Effect, Array]
+
+    @cached_property
+    def variants(self) -> tuple[tuple[int, int], ...]:
+        """(candidate, variant) of every group of columns."""
+        return tuple((c, v) for c, k in enumerate(self.candidates) for v in range(len(k.variants)))
+
+    @cached_property
+    def groups(self) -> tuple[Array, ...]:
+        return tuple(self.group(self.candidates[c].variants[v]) for c, v in self.variants)
+
+    def group(self, effects: Sequence[Effect]) -> Array:
+        """Columns of effects that act together."""
+        return np.concatenate([self.columns[e] for e in effects])
+
+
+def make_case(identification: Identification, candidates: Sequence[Candidate]) -> Case:
+    """Residuals and signatures of an identification on its own measurements (kind position).
+
+    Raises InputError for other kinds of measurement.
+    """
+    measured = [m for m in identification.measurements if m.kind in ("position", "pose")]
+    if len(measured) != 1 or len(identification.measurements) != 1:
+        raise InputError(
+            "a diagnosis needs one set of measured positions; distances and contacts do not say where it lies"
+        )
+    m = measured[0]
+    outliers = tuple(sorted(i for _, i in identification.outliers))
+    m = m[np.setdiff1d(np.arange(len(m)), outliers)]
+    possible, missing = choose(candidates, m)
+    effects = tuple(dict.fromkeys(e for c in possible for v in c.variants for e in v))
+    m, _ = derive(m, [c for e in effects for c in e.conditions])
+    robot = identification.given
+    values = robot.values_of(identification.robot)
+    E, J, Jq = signatures(robot, effects, m, values)
+    p, _ = predicted(identification.robot, m)
+    assert m.position is not None
+    widths = np.array([e_size for e in effects for e_size, _ in e.sizes().values()])
+    edges = np.cumsum([0, *(len(e.sizes()) for e in effects)])
+    columns = {e: np.arange(a, b) for e, a, b in zip(effects, edges[:-1], edges[1:], strict=True)}
+    delta0 = _prior_mean(identification) - values
+    delta0[[n.startswith("base_") for n in robot.parameters.names]] = 0.0
+    evidence = Evidence(m.position - p, J, Jq, delta0, _prior(robot), E * widths)
+    return Case(identification.robot, m, possible, missing, outliers, evidence, columns)
+
+
+def _prior_mean(identification: Identification) -> Array:
+    return identification.given.parameters.values
+
+
+def _prior(robot: Robot) -> Array:
+    return np.array(
+        [COMPLIANCE_SHARE * p.value if p.group == "compliance" and p.value > 0 else p.prior for p in robot.parameters]
+    )
+
+
+def without(case: Case, keep: Array) -> Case:
+    """The same case on some of its poses."""
+    e = case.evidence
+    return replace(
+        case, m=case.m[keep], evidence=Evidence(e.r[keep], e.J[keep], e.Jq[keep], e.delta0, e.prior, e.E[keep])
+    )

@@ -1,0 +1,216 @@
+"""Planted truths are found again, from every kind of measurement and from mixtures."""
+
+from dataclasses import replace
+
+import arms
+import numpy as np
+import pytest
+
+from casadical import identify
+from casadical.transforms import frame, from_rpy
+
+# Frames known, so that the planted parameters can be compared one by one.
+FIXED = arms.six_axis(base=arms.Placement(arms.TRACKER), tool=arms.Placement(arms.six_axis().tool.T))
+POINT = np.array([2.4, -2.9, 0.2])
+FREE = ("alpha*", "a*", "beta*", "theta*", "d*")
+
+
+def compare(result, built):
+    """Estimates agree with the truth within their standard errors, all together and one by one."""
+    assert result.is_optimal()
+    assert 0.3 < arms.chi2_per_parameter(result, built) < 2.2
+    truth = np.array([built.parameters[n].value for n in result.names])
+    assert np.abs((result.estimate - truth) / result.standard_errors).max() < 4.5
+
+
+def identified_by(make, seed):
+    """Truth planted in those parameters that this kind of data can tell, found by a first run on the nominal robot."""
+    names = identify(FIXED, make(FIXED), FREE).names
+    built = arms.planted_in(FIXED, names, seed)
+    return identify(FIXED, make(built), FREE), built
+
+
+@pytest.mark.parametrize("kind", ["position", "pose", "known point", "unknown point", "pair"])
+def test_each_kind_recovers_the_planted_parameters(kind):
+    q, other = arms.readings(FIXED, 120, 1), arms.readings(FIXED, 120, 2)
+    make = {
+        "position": lambda robot: arms.positions(robot, q, 3),
+        "pose": lambda robot: arms.poses(robot, q, 3),
+        "known point": lambda robot: arms.distances(robot, q, POINT, 3, known=True),
+        "unknown point": lambda robot: arms.distances(robot, q, POINT, 3),
+        "pair": lambda robot: arms.pair_distances(robot, q, other, 3),
+    }[kind]
+    result, built = identified_by(make, 4)
+    # All 24 rows' numbers; one turn about the known point is not seen; else no motion of the whole robot is.
+    expected = {"position": 24, "pose": 24, "known point": 23, "unknown point": 20, "pair": 20}[kind]
+    assert len(result.names) == expected
+    compare(result, built)
+    assert result.sigmas[0][0] == pytest.approx(arms.NOISE, rel=0.25)
+    if kind == "pose":
+        assert result.sigmas[0][1] == pytest.approx(1e-4, rel=0.15)
+
+
+def test_frames_and_geometry_together_reach_the_noise_floor():
+    robot = arms.six_axis()
+    built = arms.planted(robot, 7, arms.TRACKER)
+    result = identify(robot, arms.positions(built, arms.readings(built, 60, 8), 9), ["kinematic"])
+    assert len(result.names) == 27
+    floor = np.sqrt(np.trace(result.predict(arms.readings(built, 300, 99))[1], axis1=1, axis2=2).mean())
+    assert arms.model_error(result.robot, built) < 1.8 * floor
+    assert floor < 2 * arms.NOISE
+    assert result.accuracy(arms.positions(built, arms.readings(built, 40, 10), 11))["placed"].mean > 1e-3
+
+
+def test_mixed_kinds_with_unknown_sigmas():
+    q, far = arms.readings(FIXED, 80, 1), arms.readings(FIXED, 200, 2)
+
+    def make(robot):
+        return (arms.positions(robot, q, 3, sigma=1e-4), arms.distances(robot, far, POINT, 4, sigma=1e-5))
+
+    names = identify(FIXED, make(FIXED), FREE).names
+    built = arms.planted_in(FIXED, names, 5)
+    result = identify(FIXED, make(built), FREE)
+    compare(result, built)
+    coordinate, length = (s[0] for s in result.sigmas)
+    assert coordinate == pytest.approx(1e-4, rel=0.15)
+    assert length == pytest.approx(1e-5, rel=0.15)
+    # The accurate distances count: far more is known than from the positions alone.
+    alone = identify(FIXED, make(built)[0], FREE)
+    shared = [n for n in result.names if n in alone.names]
+    gain = [alone.standard_errors[alone.names.index(n)] / result.standard_errors[result.names.index(n)] for n in shared]
+    assert np.median(gain) > 2
+
+
+def test_a_small_set_does_not_collapse_the_sigma_of_its_kind():
+    """Few positions beside many distances: their sigma comes from their own degrees of freedom."""
+    far = arms.readings(FIXED, 250, 2)
+    found = []
+    for seed in range(12):
+        q = arms.readings(FIXED, 8, 50 + seed)
+        sets = (arms.positions(FIXED, q, seed, sigma=5e-5), arms.distances(FIXED, far, POINT, 100 + seed))
+        found.append(identify(FIXED, sets, FREE).sigmas[0][0])
+    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(5e-5, rel=0.25)
+
+
+def test_contact_takes_its_scale_from_the_separations_alone():
+    robot = arms.six_axis()
+    built = robot.with_values({p.name: 1.004 * p.value for p in robot.parameters if p.unit == "m"})  # 4 mm in a metre
+    corners = np.array([[0.5, 0.2, 0.3], [0.3, 0.55, 0.4], [-0.4, 0.4, 0.35], [0.35, -0.5, 0.5]])
+    touched = arms.contacts(built, dict(zip("ABCD", corners, strict=True)), 30, 1)
+    apart = [("A", "B"), ("A", "C"), ("C", "D")]
+    place = dict(zip("ABCD", corners, strict=True))
+    known = touched.with_separations((i, j, float(np.linalg.norm(place[i] - place[j]))) for i, j in apart)
+
+    with_scale = identify(robot, known, ["kinematic"])
+    a2 = with_scale.names.index("a2")
+    assert with_scale.estimate[a2] == pytest.approx(1.004 * 0.5, abs=4 * with_scale.standard_errors[a2])
+    assert with_scale.standard_errors[a2] < 1e-4
+
+    without = identify(robot, touched, ["kinematic"])
+    reasons = {u.name: u.reason for u in without.identifiability.held}
+    assert "scale" in reasons["a2"]  # the longest link
+    assert len(without.names) == len(with_scale.names) - 1
+    lengths = {n: v for n, v in zip(without.names, without.estimate, strict=True) if n in ("d4", "a3", "tool_z")}
+    for name, value in lengths.items():
+        assert value == pytest.approx(robot.parameters[name].value, abs=3e-4)  # in units of a2: the true ratios
+    assert not any(n.startswith("base") for n in without.names)
+    assert "whole robot" in reasons["base_rx"]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_prismatic_joint(seed):
+    robot = arms.with_rail(arms.six_axis())
+    built = arms.planted(robot, seed, arms.TRACKER)
+    q = arms.readings(built, 150, 20 + seed)
+    result = identify(robot, arms.positions(built, q, seed), ["kinematic"])
+    # 4 numbers a turning joint, 2 for the rail's direction, 6 for the base, less 3 of the tool's orientation
+    assert len(result.names) == 4 * 6 + 2 + 6 - 3
+    assert result.is_optimal()
+    assert arms.model_error(result.robot, built) < 1.2 * arms.NOISE
+
+
+def test_calibrated_robot_is_identified_to_itself():
+    robot = arms.six_axis()
+    built = arms.planted(robot, 3, arms.TRACKER)
+    m = arms.positions(built, arms.readings(built, 80, 4), 5)
+    once = identify(robot, m, ["kinematic"])
+    twice = identify(once.robot, m, ["kinematic"])
+    assert twice.names == once.names
+    assert arms.model_error(twice.robot, once.robot) < 1e-7
+    for name in once.names:
+        if not name.startswith("base"):  # the base's numbers count from its new place
+            assert twice.robot.parameters[name].value == pytest.approx(once.robot.parameters[name].value, abs=1e-7)
+
+
+def test_skewed_parallel_axes_give_the_same_set_again():
+    """Axes 1 to 3 nearly parallel, off by milliradians: no d is told from one ten-thousandth of a lever."""
+    rows = [
+        (0.0, 0.0, 0.3),
+        (0.0, 0.35, 0.0),
+        (0.0, 0.3, 0.1),
+        (arms.RIGHT, 0.1, 0.2),
+        (-arms.RIGHT, 0, 0),
+        (arms.RIGHT, 0, 0.1),
+    ]
+    joints = tuple(arms.Joint(alpha=alpha, a=a, d=d, lower=-2.6, upper=2.6) for alpha, a, d in rows)
+    robot = arms.six_axis(joints=joints)
+    built = arms.planted(robot, 11, arms.TRACKER)
+    m = arms.positions(built, arms.readings(built, 80, 12), 13)
+    once = identify(robot, m, ["kinematic"])
+    assert len(once.names) == 27
+    assert not {"d1", "d2", "d3"} & set(once.names)
+    assert identify(once.robot, m, ["kinematic"]).names == once.names
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_place_is_exact_without_noise_in_any_tracker_frame(seed):
+    from casadical.placement import place
+
+    rng = np.random.default_rng(seed)
+    T = frame(from_rpy(rng.uniform(-np.pi, np.pi, 3)), rng.uniform(-50, 50, 3))
+    robot = arms.six_axis()
+    built = replace(
+        robot, base=replace(robot.base, T=T), tool=replace(robot.tool, T=frame(np.eye(3), rng.normal(0, 0.2, 3)))
+    )
+    placed = place(robot, arms.positions(built, arms.readings(built, 20, seed), 0, sigma=0))
+    assert np.allclose(placed.base.T, T, rtol=0, atol=1e-10)
+    assert np.allclose(placed.tool.T, built.tool.T, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("quarter", ["x", "y", "z", "half turn"])
+def test_place_at_right_angles_and_half_turns(quarter):
+    from casadical.placement import place
+
+    angles = {"x": (np.pi / 2, 0, 0), "y": (0, np.pi / 2, 0), "z": (0, 0, -np.pi / 2), "half turn": (np.pi, 0, np.pi)}[
+        quarter
+    ]
+    robot = arms.six_axis()
+    built = replace(robot, base=replace(robot.base, T=frame(from_rpy(np.array(angles)), np.array([0, 0, -3.0]))))
+    placed = place(robot, arms.positions(built, arms.readings(built, 12, 1), 0, sigma=0))
+    assert np.allclose(placed.base.T, built.base.T, rtol=0, atol=1e-10)
+
+
+def test_place_with_full_poses_finds_the_tool_s_orientation():
+    from casadical.placement import place
+
+    robot = arms.six_axis(tool=replace(arms.six_axis().tool, unknown="pose"))
+    tool = frame(from_rpy(np.array([0.3, -1.2, 2.0])), np.array([0.02, 0.1, 0.15]))
+    built = replace(robot, base=replace(robot.base, T=arms.TRACKER), tool=replace(robot.tool, T=tool))
+    m = arms.poses(built, arms.readings(built, 20, 1), 0, sigma=0, sigma_angle=0)
+    placed = place(robot, m)
+    assert np.allclose(placed.tool.T, tool, rtol=0, atol=1e-10)
+    result = identify(robot, arms.poses(built, m.q, 2), ["placement"])
+    assert set(result.names) == {f"{w}_{c}" for w in ("base", "tool") for c in ("x", "y", "z", "rx", "ry", "rz")}
+
+
+def test_place_with_compliance_and_a_tilted_frame():
+    """Gravity known in the measuring frame: the start is turned with it."""
+    from casadical.placement import place
+
+    body = arms.Body(15.0, np.array([0.2, 0.02, 0.01]))
+    joints = tuple(replace(j, compliance=3e-5, body=body) for j in arms.six_axis().joints)
+    robot = arms.six_axis(joints=joints, gravity=np.array([9.8, 0, 0]))
+    T = frame(from_rpy(np.array([0, np.pi / 2, 0])) @ from_rpy(np.array([0, 0, np.pi])), np.array([1.0, 2.0, 3.0]))
+    built = replace(robot, base=replace(robot.base, T=T))
+    placed = place(robot, arms.positions(built, arms.readings(built, 30, 1), 0, sigma=0))
+    assert np.allclose(placed.base.T, T, rtol=0, atol=1e-6)
