@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from casadical import Body, FourBar, Joint, Placement, Robot
+from casadical import Body, FourBar, InputError, Joint, Placement, Robot
 from casadical.robot import WIDTHS, Width
 from casadical.robot_file import read_robot, robot_from, to_toml, write_robot
 
@@ -181,19 +183,39 @@ def test_a_prismatic_reading_moves_along_its_axis() -> None:
 
 
 def test_two_loops_each_turn_their_own_link() -> None:
-    """Parallelograms: each driven link keeps its crank's direction whatever the link before it does."""
-    bars = {"coupler_mm": 500, "crank_mm": 100, "rocker_mm": 100}
-    data = {
-        "casadical": 1,
-        "name": "two parallelograms",
-        "joint": [{}, {"a_mm": 500}, {"a_mm": 500}],
-        "four_bar": [{"driven": 2, "carrier": 1} | bars, {"driven": 3, "carrier": 2} | bars],
-        "tool": {"xyz_mm": [200, 0, 0]},
-    }
+    """The second loop stands on the link that the first one drives; both against bars laid out with complex numbers."""
+    loops = [
+        {"driven": 2, "carrier": 1, "crank_mm": 110, "coupler_mm": 480, "rocker_mm": 100},
+        {"driven": 3, "carrier": 2, "crank_mm": 90, "coupler_mm": 405, "rocker_mm": 100, "offset_deg": -20},
+    ]
+    limits = [[-30, 30], [40, 110], [80, 160]]
+    rows = [{"limits_deg": limits[0]}, {"a_mm": 500, "limits_deg": limits[1]}, {"a_mm": 400, "limits_deg": limits[2]}]
+    data = {"casadical": 1, "name": "two", "joint": rows, "four_bar": loops, "tool": {"xyz_mm": [200, 0, 0]}}
     robot = robot_from(data, "two")
     assert {"L5", "L4", "L3", "L5_2", "L4_2", "L3_2"} <= set(robot.parameters.names)
-    q1, q2, q3 = 0.2, 1.1, 1.9
-    # Link 2 points along crank 2; crank 3 turns in the plane of joint 2, from its own reading.
-    position = robot.position([q1, q2, q3], robot.parameters.values).full().ravel()
-    ends = [0.5 * np.exp(1j * q1), 0.5 * np.exp(1j * q2), 0.2 * np.exp(1j * (q2 + q3 - q2))]
-    assert position[0] + 1j * position[1] == pytest.approx(sum(ends), abs=1e-12)
+    for q in np.random.default_rng(0).uniform(*np.deg2rad(limits).T, (20, 3)):
+        first = rocker_angle(q[1], q[0], 500, loops[0]) - q[0]
+        second = rocker_angle(q[2], first, 400, loops[1]) - first + np.deg2rad(-20)
+        turns = np.cumsum([q[0], first, second])
+        expected = sum(length * np.exp(1j * turn) for length, turn in zip([0.5, 0.4, 0.2], turns, strict=True))
+        p = robot.position(q, robot.parameters.values).full().ravel()
+        assert p[0] + 1j * p[1] == pytest.approx(expected, abs=1e-9)
+
+
+def rocker_angle(crank: float, ground: float, length: float, bars: dict) -> float:
+    """The rocker's direction, nearest to the crank's, at which the ends of both are a coupler apart."""
+    crank_end, pivot = bars["crank_mm"] * np.exp(1j * crank), length * np.exp(1j * ground)
+
+    def gap(angle: float) -> float:
+        return abs(pivot + bars["rocker_mm"] * np.exp(1j * angle) - crank_end) - bars["coupler_mm"]
+
+    grid = crank + np.linspace(-np.pi, np.pi, 721)
+    roots = [brentq(gap, a, b, xtol=1e-13) for a, b in pairwise(grid) if gap(a) * gap(b) < 0]
+    return min(roots, key=lambda angle: abs(angle - crank))
+
+
+def test_a_loop_that_cannot_be_assembled_is_said_so() -> None:
+    loop = {"driven": 2, "carrier": 1, "crank_mm": 100, "coupler_mm": 500, "rocker_mm": 100}
+    robot = robot_from({"casadical": 1, "name": "flat", "joint": [{}, {"a_mm": 500}], "four_bar": [loop]}, "flat")
+    with pytest.raises(InputError, match=r"four_bar\[1\] cannot be assembled .* limits_deg of joints 1 and 2"):
+        _ = robot.position
