@@ -8,10 +8,9 @@ import numpy as np
 
 from .accuracy import predicted
 from .errors import InputError
+from .kinematics import LEAST_MARGIN
 from .measurements import Measurements
 from .robot import Robot
-
-LEAST_MARGIN = 0.02
 
 
 def check_against(robot: Robot, m: Measurements) -> None:

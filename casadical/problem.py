@@ -16,7 +16,7 @@ from .measurements import SETS, Kind, Measurements, from_table
 from .residuals import Loss
 from .robot import Robot
 from .robot_file import read_robot
-from .schema import check, load_toml
+from .schema import FaultError, check, load_toml
 
 
 class _Strict(BaseModel):
@@ -50,10 +50,10 @@ class _Sets(_Strict):
     def _clear(self) -> _Sets:
         given = self.model_dump(include={*SETS}, exclude_none=True)
         if self.column is not None and given:
-            raise ValueError(f"the sets are named by column {self.column!r}; leave out {', '.join(given)}")
+            raise FaultError("column", f"it names every pose's set; leave out {', '.join(given)}")
         for name, size in given.items():
             if size > 1 and size != int(size):
-                raise ValueError(f"{name} = {size}: allowed: a share below 1, or a whole number of poses")
+                raise FaultError(name, "allowed: a share below 1, or a whole number of poses")
         return self
 
     def sizes(self) -> dict[str, float]:

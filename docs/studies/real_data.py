@@ -1,10 +1,10 @@
-"""Held-out errors on the real robots: `python docs/studies/real_data.py > docs/studies/real_data.txt` (about 6 minutes).
+"""Held-out errors on the real robots: `python docs/studies/real_data.py > docs/studies/real_data.txt` (minutes).
 
 Ten seeded 70/30 splits of every real problem; the figures are means over the splits of each split's mean, maximum and
 standard deviation. The baseline is a plain least squares on geometric parameters with the redundant ones removed, ten
 seeded 70/30 splits too (not the same ones), measured by others than us on the same files; its standard deviation is
-not known. The last column says on how many of ten bootstrap draws of our splits the mean maximum is no larger than
-the baseline's: maxima of single splits scatter by a quarter.
+not known. A maximum hangs on a few poses and scatters between splits by a fifth: the standard error of its mean is
+printed beside it.
 """
 
 from __future__ import annotations
