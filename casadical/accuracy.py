@@ -38,8 +38,8 @@ def summarise(errors: Array) -> Accuracy:
 def predicted(robot: Robot, m: Measurements) -> tuple[Array, Array]:
     """Positions, shape (n, 3) [m], and orientations, shape (n, 3, 3), that the robot's nominal values give."""
     w = m.condition_matrix(robot.conditions, robot.declared)
-    p, R = robot.model.function("pose", ("p", "R")).map(len(m))(m.q.T, w.T, robot.parameters.values)
-    return p.full().T, R.full().reshape(3, len(m), 3).transpose(1, 0, 2)
+    p, R = robot.model.evaluate(("p", "R"), m.q, w)
+    return p.T, R.reshape(3, len(m), 3).transpose(1, 0, 2)
 
 
 def errors(robot: Robot, m: Measurements) -> Array:
