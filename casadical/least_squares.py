@@ -44,7 +44,7 @@ class LeastSquares:
     """One identification problem; see the module's text.
 
     names : parameters that are variables; sigmas : of one coordinate [m] and angle [rad], for each set
-    fixed_loads : whether gravity torques are those of the nominal geometry (see `model.build`)
+    fixed_loads : whether gravity torques are those of the nominal geometry (see `Model`)
     """
 
     robot: Robot

@@ -27,6 +27,7 @@ class Model:
     q : joint readings (n,) [rad or m]; w : conditions (k,); phi : parameters (P,) [SI]
     p, R : position (3,) [m] and orientation (3, 3) of the tool frame in the measuring frame
     tau : gravity torques (n,) [N m or N]; margin : of each loop
+    whole : (q, w, phi, bearing)->(p, R, tau, margin), with parameters of their own for where the weights are
     """
 
     robot: Robot
@@ -37,6 +38,16 @@ class Model:
     R: ca.SX
     tau: ca.SX
     margin: ca.SX
+    whole: ca.Function
+
+    def with_fixed_loads(self) -> Model:
+        """The same, the weights where the nominal geometry has them; identifiability is judged on it.
+
+        Strictly, a longer last link also carries its load farther out; but masses are not known well enough to tell the
+        link from the tool by that.
+        """
+        p, R, tau, margin = self.whole(self.q, self.w, self.phi, self.robot.parameters.values)
+        return replace(self, p=p, R=R, tau=tau, margin=margin)
 
     def function(self, name: str, outputs: tuple[str, ...]) -> ca.Function:
         """name:(q, w, phi)->outputs, out of p, R, tau, margin."""
@@ -50,22 +61,17 @@ class Model:
         return ca.Function(name, [self.q, self.phi], results, ["q", "phi"], list(outputs))
 
 
-def build(robot: Robot, *, fixed_loads: bool = False) -> Model:
-    """Compose the model of a robot from its parts.
-
-    fixed_loads : whether gravity torques are those of the nominal geometry. Strictly, a longer last link also carries
-        its load farther out; the masses are not known well enough to tell the link from the tool by that.
-    """
+def build(robot: Robot) -> Model:
+    """Compose the model of a robot from its parts."""
     q = ca.SX.sym("q", robot.n)
     w = ca.SX.sym("w", len(robot.conditions))
-    phi = ca.SX.sym("phi", len(robot.parameters))
-    values: dict[str, Symbolic] = dict(zip(robot.parameters.names, ca.vertsplit(phi), strict=True))
+    phi, bearing = (ca.SX.sym(name, len(robot.parameters)) for name in ("phi", "bearing"))
+    values, at = (dict(zip(robot.parameters.names, ca.vertsplit(s), strict=True)) for s in (phi, bearing))
     conditions = dict(zip(robot.conditions, ca.vertsplit(w) if robot.conditions else [], strict=True))
 
     T_M0 = base_frame(robot, values)
-    readings = ca.vertsplit(q)
-    at = dict(zip(robot.parameters.names, robot.parameters.values, strict=True)) if fixed_loads else values
     gravity = gravity_in_base(robot, base_frame(robot, at))
+    readings = ca.vertsplit(q)
     rigid = link_frames(robot, readings, at)
     unloaded = Context(robot, q, conditions, values, rigid, gravity)
     energy = gravity_energy(robot, rigid, gravity, conditions.get("payload_kg", 0.0))
@@ -77,7 +83,9 @@ def build(robot: Robot, *, fixed_loads: bool = False) -> Model:
     for effect in robot.effects:
         point = effect.measurement(point, loaded)
     margin = ca.vertcat(*loop_margins(robot, readings, values)) if robot.loops else ca.SX.zeros(0)
-    return Model(robot, q, w, phi, ca.SX(point), ca.SX(T_ME[:3, :3]), ca.SX(tau), ca.SX(margin))
+    whole = ca.Function("whole", [q, w, phi, bearing], [ca.SX(point), ca.SX(T_ME[:3, :3]), ca.SX(tau), ca.SX(margin)])
+    p, R, tau, margin = whole(q, w, phi, phi)
+    return Model(robot, q, w, phi, p, R, tau, margin, whole)
 
 
 def gravity_in_base(robot: Robot, T_M0: Symbolic) -> Symbolic:

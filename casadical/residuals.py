@@ -37,7 +37,7 @@ class _Pose:
     """What a residual may use: the model at this pose, its unknown point, and its column of data, taken in order."""
 
     def __init__(self, robot: Robot, phi: ca.SX, u: ca.SX, fixed_loads: bool) -> None:
-        model = robot.model_of_fixed_loads if fixed_loads else robot.model
+        model = robot.model.with_fixed_loads() if fixed_loads else robot.model
         self._model = model.function("pose", ("p", "R"))
         self._phi = phi
         self.columns: list[ca.SX] = []
@@ -119,7 +119,7 @@ class Kernel:
     residual : (z, data)->(r[m], J[m, z]), in units of sigma, without the loss
     cost, gradient, hessian : (z, data)->f, g[z], h, with the loss; h holds the columns of the upper triangle
     point : whether z ends with an unknown point
-    fixed_loads : whether gravity torques are those of the nominal geometry (see `model.build`)
+    fixed_loads : whether gravity torques are those of the nominal geometry (see `Model`)
     """
 
     def __init__(

@@ -58,6 +58,11 @@ def to_rpy(R: Array) -> Array:
     return np.array([np.arctan2(R[2, 1], R[2, 2]), pitch, np.arctan2(R[1, 0], R[0, 0])])
 
 
+def to_xyz(R: Array) -> Array:
+    """Angles [rad] of rotations about x, y, z in this order (intrinsic), as `small_frame` takes them."""
+    return -to_rpy(R.T)
+
+
 def frame(R: Array, p: Array) -> Array:
     """Transform, shape (4, 4), from a rotation (3, 3) and a translation (3,) [m]."""
     T = np.eye(4)
