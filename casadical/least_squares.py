@@ -360,5 +360,6 @@ def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float
 
 
 def spread(r: Array) -> float:
-    """Standard deviation of residuals from their median absolute value, deaf to outliers."""
-    return float(1.4826 * np.median(np.abs(r)))
+    """Standard deviation of residuals from their median absolute value, deaf to outliers; zeros are of weight zero."""
+    counted = np.abs(r[r != 0])
+    return float(1.4826 * np.median(counted)) if counted.size else 0.0

@@ -20,6 +20,7 @@ def place(robot: Robot, m: Measurements) -> Robot:
     turns. Only positions and full poses carry this information; other kinds, and robots whose base is known or is
     row 1 of the table, are left as they are.
     """
+    m = m[m.weight > 0]
     if robot.base.unknown != "pose" or m.position is None or len(m) < 6:
         return robot
     known = None if robot.tool.unknown != "none" else robot.tool.T[:3, 3]
