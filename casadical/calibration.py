@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import cast
 
 from .errors import InputError
-from .files import write_whole
 from .identification import METHODS, Identification, Method, identify
 from .problem import Problem, read_problem
 from .residuals import LOSSES
@@ -56,20 +55,28 @@ def calibrate_problem(
     return problem, results, errors
 
 
-def write_results(
+def result_files(
     folder: Path, problem: Problem, results: dict[str, Identification], errors: dict[str, SetAccuracies]
-) -> list[Path]:
-    """Write the calibrated robot of each method, its parameters and all figures; returns the files.
-
-    Everything is made before the first file is written.
-    """
-    texts: dict[str, str] = {"result.json": json.dumps(as_json(problem, results, errors), indent=1) + "\n"}
+) -> dict[Path, str]:
+    """What is kept of a run: the calibrated robot of each method, its parameters and all figures, by file."""
+    texts = {folder / "result.json": json.dumps(as_json(problem, results, errors), indent=1, allow_nan=False) + "\n"}
     for name, result in results.items():
         comment = (
             f"Calibrated by casadical, method {name}, from {problem.title} ({problem.data} data).\n{result.verdict}"
         )
-        texts[f"{name}.robot.toml"] = to_toml(result.robot, comment)
-        texts[f"{name}.parameters.csv"] = result.parameters.to_csv(index=False)
-    for file, text in texts.items():
-        write_whole(folder / file, text)
-    return [folder / file for file in texts]
+        texts[folder / f"{name}.robot.toml"] = to_toml(result.robot, comment)
+        if problem.urdf:
+            texts[folder / f"{name}.robot.urdf"] = _urdf(problem, result)
+        texts[folder / f"{name}.parameters.csv"] = result.parameters.to_csv(index=False)
+    return texts
+
+
+def _urdf(problem: Problem, result: Identification) -> str:
+    """The problem's URDF with the calibrated geometry, the measured point as a link of its own."""
+    from .urdf_export import calibrated_urdf_text
+
+    assert problem.urdf is not None
+    path, base_link, tip_link = problem.urdf
+    return calibrated_urdf_text(
+        problem.robot, result.robot, path, base_link, tip_link, measured_link="casadical_measured_point"
+    )

@@ -8,10 +8,9 @@ import numpy as np
 
 from .accuracy import predicted
 from .errors import InputError
+from .kinematics import LEAST_MARGIN
 from .measurements import Measurements
 from .robot import Robot
-
-LEAST_MARGIN = 0.02
 
 
 def check_against(robot: Robot, m: Measurements) -> None:
@@ -44,7 +43,8 @@ def _refuse_open_loop(robot: Robot, m: Measurements) -> None:
     margin = robot.model.function("loop", ("margin",)).map(len(m))(
         m.q.T, m.condition_matrix(robot.conditions, robot.declared).T, robot.parameters.values
     )
-    smallest = margin.full().min(axis=0)
+    # Not a number where the crank's end lies on the driven joint: the rocker's direction is then open.
+    smallest = np.nan_to_num(margin.full().min(axis=0), nan=0.0)
     k = int(np.argmin(smallest))
     if smallest[k] < LEAST_MARGIN:
         raise InputError(

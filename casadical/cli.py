@@ -13,7 +13,7 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
 from . import __version__
 from .errors import ConvergenceError, InputError
@@ -53,41 +53,121 @@ def _root(
 def calibrate(
     problems: Annotated[list[Path], typer.Argument(metavar="PROBLEM_DIR...", help="One or more problem folders.")],
     out: Annotated[
-        Path | None, typer.Option(help="Folder for the calibrated robot (TOML, and URDF for a URDF robot) and tables.")
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Keep the calibrated robots (METHOD.robot.toml), parameters (METHOD.parameters.csv) and result.json "
+            "here; with several problems, in a folder for each.",
+        ),
     ] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="File for all figures as JSON.")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Keep all figures as JSON.")] = None,
     method: Annotated[
-        str | None, typer.Option(help="KM (kinematics only) or SKCM (with joint compliance); default: the problem's.")
+        str | None,
+        typer.Option(
+            metavar="KM|SKCM", help="KM (kinematics only) or SKCM (with joint compliance); default: the problem's."
+        ),
     ] = None,
-    loss: Annotated[str | None, typer.Option(help="linear, huber or soft_l1; default: the problem's.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Of the split into sets; default: the problem's.")] = None,
+    loss: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LOSS",
+            help="linear, or with outliers huber or soft_l1, which leave them out; default: the problem's.",
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="Of the random split into sets; default: the problem's. No effect where a column names the sets.",
+        ),
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
 ) -> None:
-    """Identify a robot's parameters and say what they are worth on poses that were held out."""
-    from .calibration import calibrate_problem, write_results
+    """Identify a robot's parameters and say what they are worth on poses that were held out.
+
+    Prints, for each problem, the position errors before and after, every parameter with its standard error, and what
+    could not be identified and why. Results are written when all problems are done: all of them or none.
+
+    Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug of ours.
+    """
+    from .calibration import calibrate_problem, result_files
+    from .files import write_together
     from .tables import as_json, report
 
     console = Console(quiet=quiet, soft_wrap=False)
-    found = {}
-    for folder in problems:
+    found: dict[str, object] = {}
+    texts: dict[Path, str] = {}
+    for name, folder in _by_name(problems).items():
         with _progress(quiet) as bar:
-            task = bar.add_task(f"{folder.name}: reading", total=None)
+            task = bar.add_task(f"{name}: reading", total=None)
 
-            def show(text: str, folder: Path = folder, bar: Progress = bar, task: object = task) -> None:
-                bar.update(task, description=f"{folder.name}: {text}")  # type: ignore[arg-type]
+            def show(text: str, name: str = name, bar: Progress = bar, task: TaskID = task) -> None:
+                bar.update(task, description=f"{name}: {text}")
 
             run = calibrate_problem(folder, method=method, loss=loss, seed=seed, show=show)
-        found[folder.name] = as_json(*run)
+        found[name] = as_json(*run)
         console.print(report(*run))
         console.print()
         if out:
-            target = out if len(problems) == 1 else out / folder.name
-            for path in write_results(target, *run):
-                console.print(f"wrote {path}")
+            texts |= result_files(out if len(problems) == 1 else out / name, *run)
     if json_file:
-        from .files import write_whole
-
         whole = found if len(found) > 1 else next(iter(found.values()))
+        texts[json_file] = json.dumps(whole, indent=1, allow_nan=False) + "\n"
+    write_together(texts)
+    for path in texts:
+        console.print(f"wrote {path}", soft_wrap=True)
+
+
+def _by_name(folders: list[Path]) -> dict[str, Path]:
+    """Problem folders by the names that their results get. Raises InputError."""
+    found: dict[str, Path] = {}
+    for folder in folders:
+        name = folder.resolve().name
+        if name in found:
+            raise InputError(f"{folder}: a second problem of the name {name!r}; calibrate them one after the other")
+        found[name] = folder
+    return found
+
+
+@app.command()
+def diagnose(
+    problem: Annotated[Path, typer.Argument(metavar="PROBLEM_DIR", help="Folder with the robot.")],
+    campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.csv...", help="Measured positions.")],
+    json_file: Annotated[
+        Path | None,
+        typer.Option("--json", metavar="FILE", help="Keep the answer as JSON; with several campaigns, a list."),
+    ] = None,
+    effects: Annotated[
+        str | None,
+        typer.Option(metavar="NAMES", help="Only these effects: names (backlash) or labels (backlash@5), by commas."),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the partitions into folds.")] = 0,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Say why there is still a gap: where it lies, which effect causes it, how far it shrinks without it."""
+    from .diagnosis.answer import as_json, report
+    from .diagnosis.diagnosis import diagnose as run
+    from .files import write_whole
+    from .measurements import read_measurements
+    from .problem import read_campaign_robot
+
+    console = Console(quiet=quiet)
+    robot = read_campaign_robot(problem)
+    answers = []
+    for path in campaigns:
+        m = read_measurements(path, [j.kind for j in robot.joints])
+        with _progress(quiet) as bar:
+            task = bar.add_task(path.stem, total=None)
+
+            def show(text: str, bar: Progress = bar, task: TaskID = task, name: str = path.stem) -> None:
+                bar.update(task, description=f"{name}: {text}")
+
+            found = run(robot, m, effects.split(",") if effects else "standard", seed=seed, show=show)
+        answers.append(as_json(found, path.stem))
+        console.print(report(found, f"{path.stem} ({robot.name})"))
+        console.print()
+    if json_file:
+        whole = answers if len(answers) > 1 else answers[0]
         write_whole(json_file, json.dumps(whole, indent=1, allow_nan=False) + "\n")
         console.print(f"wrote {json_file}")
 

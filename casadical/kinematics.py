@@ -6,14 +6,19 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import casadi as ca
+import numpy as np
 
 from . import fourbar
+from .errors import InputError
 from .transforms import Symbolic, rot_x, rot_y, rot_z, translate
 
 if TYPE_CHECKING:
     from .robot import FourBar, Robot
 
 Values = Mapping[str, Symbolic]
+
+# Below this margin a loop counts as folded.
+LEAST_MARGIN = 0.02
 
 
 def row_transform(robot: Robot, i: int, variable: Symbolic, values: Values) -> Symbolic:
@@ -38,17 +43,20 @@ def loop_bars(robot: Robot, number: int, values: Values) -> tuple[Symbolic, Symb
     return (*(values[f"{bar}{suffix}"] for bar in ("L5", "L4", "L3")), values[f"a{loop.driven - 1}"])
 
 
-def loop_angles(loop: FourBar, actuated: Sequence[Symbolic], values: Values) -> tuple[Symbolic, Symbolic]:
-    """Angles of crank and ground bar [rad] in the plane of the loop."""
+def loop_angles(
+    loop: FourBar, actuated: Sequence[Symbolic], own: Sequence[Symbolic], values: Values
+) -> tuple[Symbolic, Symbolic]:
+    """Angles of crank and ground bar [rad] in the plane of the loop; own : the rows' variables up to the carrier's."""
     crank = actuated[loop.driven - 1] + values[f"theta{loop.driven}"]
-    ground = actuated[loop.carrier - 1] + values[f"theta{loop.carrier}"]
+    ground = own[loop.carrier - 1] + values[f"theta{loop.carrier}"]
     return crank, ground
 
 
 def loop_margins(robot: Robot, actuated: Sequence[Symbolic], values: Values) -> list[Symbolic]:
     """Feasibility margin of every loop (see `fourbar.margin`)."""
+    own = _own_variables(robot, actuated, values)
     return [
-        fourbar.margin(*loop_angles(loop, actuated, values), loop_bars(robot, k, values))
+        fourbar.margin(*loop_angles(loop, actuated, own, values), loop_bars(robot, k, values))
         for k, loop in enumerate(robot.loops, 1)
     ]
 
@@ -75,19 +83,40 @@ def link_frames(
 def _own_variables(robot: Robot, actuated: Sequence[Symbolic], values: Values) -> list[Symbolic]:
     """The variable of each row: the actuated one, or what its loop makes of it (paper, eq. 3)."""
     own = list(actuated)
-    for k, loop in enumerate(robot.loops, 1):
-        crank, ground = loop_angles(loop, actuated, values)
-        bars = loop_bars(robot, k, values)
-        rocker = fourbar.rocker_angle(crank, ground, bars, _side(robot, k))
-        # theta of the driven row turns the crank, not the link: row_transform adds it, so it is taken off here.
-        own[loop.driven - 1] = rocker - ground + loop.offset - values[f"theta{loop.driven}"]
+    sides = _sides(robot)
+    for k in _from_base(robot):
+        angles = loop_angles(robot.loops[k - 1], actuated, own, values)
+        own[robot.loops[k - 1].driven - 1] = _driven(robot, k, angles, sides[k], values)
     return own
 
 
-def _side(robot: Robot, number: int) -> int:
-    """Assembly of the uncrossed loop, at mid range of its joints' limits."""
-    loop = robot.loops[number - 1]
+def _from_base(robot: Robot) -> list[int]:
+    """Numbers of the loops (1-based), nearer ones first: a loop may stand on a link that another drives."""
+    return sorted(range(1, len(robot.loops) + 1), key=lambda k: robot.loops[k - 1].driven)
+
+
+def _driven(robot: Robot, k: int, angles: tuple[Symbolic, Symbolic], side: int, values: Values) -> Symbolic:
+    """The variable of the row that loop k drives, for its angles of crank and ground bar."""
+    loop = robot.loops[k - 1]
+    rocker = fourbar.rocker_angle(*angles, loop_bars(robot, k, values), side)
+    # theta of the driven row turns the crank, not the link: row_transform adds it, so it is taken off here.
+    return rocker - angles[1] + loop.offset - values[f"theta{loop.driven}"]
+
+
+def _sides(robot: Robot) -> dict[int, int]:
+    """Assembly of every uncrossed loop, at mid range of its joints' limits. Raises InputError where it cannot close."""
     middle = [0.5 * (j.lower + j.upper) for j in robot.joints]
     nominal = {p.name: p.value for p in robot.parameters}
-    crank, ground = loop_angles(loop, middle, nominal)
-    return fourbar.assembly_side(float(crank), float(ground), loop_bars(robot, number, nominal))
+    own, sides = list(middle), {}
+    for k in _from_base(robot):
+        loop, bars = robot.loops[k - 1], loop_bars(robot, k, nominal)
+        crank, ground = angles = loop_angles(loop, middle, own, nominal)
+        if not float(fourbar.margin(ca.DM(crank), ca.DM(ground), bars)) > LEAST_MARGIN:
+            raise InputError(
+                f"{robot.name}: four_bar[{k}] cannot be assembled at the middle of its joints' ranges, crank at "
+                f"{np.rad2deg(crank):.1f} deg and ground bar at {np.rad2deg(ground):.1f} deg; give limits_deg of "
+                f"joints {loop.carrier} and {loop.driven} in whose middle it stands open, or correct the bars"
+            )
+        sides[k] = fourbar.assembly_side(float(crank), float(ground), bars)
+        own[loop.driven - 1] = float(_driven(robot, k, angles, sides[k], nominal))
+    return sides

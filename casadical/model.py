@@ -1,7 +1,8 @@
 """The symbolic model: chain, loops, gravity torques, compliance and effects composed into CasADi functions.
 
 The deflection is added to the joint variables inside the kinematics, not through the linearised J dtheta of the
-paper's eq. 5. Torques are those of the undeflected robot: deflections of 1 mrad change them by about 0.1 %.
+paper's eq. 5. Torques are those of the robot that has sunk once under its own: what is left to equilibrium falls with
+the cube of the compliance.
 """
 
 from __future__ import annotations
@@ -77,6 +78,7 @@ def build(robot: Robot) -> Model:
     energy = gravity_energy(robot, rigid, gravity, conditions.get("payload_kg", 0.0))
     energy = energy + sum(e.energy(unloaded) for e in robot.effects)
     tau = gravity_torques(ca.SX(energy), q)
+    tau = ca.substitute(tau, q, q + deflections(robot, tau, values))
     loaded = replace(unloaded, torque=tau)
     T_ME = _tool_frame(robot, T_M0, loaded)
     point = T_ME[:3, 3]

@@ -9,17 +9,18 @@ from typing import Literal
 
 import numpy as np
 import pandas as pd
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from .errors import InputError
-from .measurements import Kind, Measurements, from_table
+from .measurements import SETS, Kind, Measurements, from_table
 from .residuals import Loss
 from .robot import Robot
-from .robot_file import check, load_toml, read_robot
+from .robot_file import read_robot
+from .schema import FaultError, check, load_toml
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
 
 
 class _Separation(_Strict):
@@ -45,9 +46,27 @@ class _Sets(_Strict):
     choose: float | None = Field(default=None, gt=0)
     report: float | None = Field(default=None, gt=0)
 
+    @model_validator(mode="after")
+    def _clear(self) -> _Sets:
+        given = self.model_dump(include={*SETS}, exclude_none=True)
+        if self.column is not None and given:
+            raise FaultError("column", f"it names every pose's set; leave out {', '.join(given)}")
+        for name, size in given.items():
+            if size > 1 and size != int(size):
+                raise FaultError(name, "allowed: a share below 1, or a whole number of poses")
+        return self
+
     def sizes(self) -> dict[str, float]:
-        given = self.model_dump(include={"identify", "train", "choose", "report"}, exclude_none=True)
+        given = self.model_dump(include={*SETS}, exclude_none=True)
         return given or {"identify": 0.7, "report": 0.3}
+
+
+class _Urdf(_Strict):
+    """Which part of a URDF is the robot; written again when it is calibrated."""
+
+    base_link: str | None = None
+    tip_link: str | None = None
+    compliant: list[int] = []
 
 
 class _ProblemFile(_Strict):
@@ -55,6 +74,8 @@ class _ProblemFile(_Strict):
     title: str
     data: Literal["real", "synthetic"]
     robot: str = "robot.toml"
+    campaign_robot: str | None = None
+    urdf: _Urdf | None = None
     methods: list[Literal["KM", "SKCM"]] = ["KM", "SKCM"]
     loss: Loss = "linear"
     measurements: list[_Data] = Field(min_length=1)
@@ -68,6 +89,7 @@ class Problem:
     data : whether the measurements are real or synthetic
     sets : by name, one `Measurements` for each kind; no pose is in two sets
     methods, loss : what `casadical calibrate` does by default
+    urdf : file, base link and tip link where the robot came from a URDF
     """
 
     folder: Path
@@ -77,6 +99,7 @@ class Problem:
     sets: Mapping[str, tuple[Measurements, ...]]
     methods: tuple[Literal["KM", "SKCM"], ...]
     loss: Loss
+    urdf: tuple[Path, str | None, str | None] | None = None
 
 
 def read_problem(folder: str | Path, seed: int | None = None) -> Problem:
@@ -89,7 +112,7 @@ def read_problem(folder: str | Path, seed: int | None = None) -> Problem:
         raise InputError(f"{folder}: no such problem folder; it must hold problem.toml and a robot file")
     path = folder / "problem.toml"
     file = check(_ProblemFile, load_toml(path), str(path))
-    robot = _read_robot(folder / file.robot)
+    robot = _read_robot(folder / file.robot, file.urdf or _Urdf())
     sets = file.sets if seed is None else file.sets.model_copy(update={"seed": seed})
     split: dict[str, list[Measurements]] = {}
     for data in file.measurements:
@@ -105,14 +128,32 @@ def read_problem(folder: str | Path, seed: int | None = None) -> Problem:
         sets={name: tuple(parts) for name, parts in split.items()},
         methods=tuple(file.methods),
         loss=file.loss,
+        urdf=_urdf_source(folder / file.robot, file.urdf or _Urdf()),
     )
 
 
-def _read_robot(path: Path) -> Robot:
+def read_campaign_robot(folder: str | Path) -> Robot:
+    """The robot of a problem folder as a diagnosis takes it: its `campaign_robot`, else its robot.
+
+    Raises InputError.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such problem folder; it must hold problem.toml and a robot file")
+    path = folder / "problem.toml"
+    file = check(_ProblemFile, load_toml(path), str(path))
+    return _read_robot(folder / (file.campaign_robot or file.robot), file.urdf or _Urdf())
+
+
+def _urdf_source(path: Path, urdf: _Urdf) -> tuple[Path, str | None, str | None] | None:
+    return (path, urdf.base_link, urdf.tip_link) if path.suffix == ".urdf" else None
+
+
+def _read_robot(path: Path, urdf: _Urdf) -> Robot:
     if path.suffix == ".urdf":
         from .urdf import read_urdf
 
-        return read_urdf(path)
+        return read_urdf(path, urdf.base_link, urdf.tip_link, compliant=urdf.compliant)
     return read_robot(path)
 
 
@@ -120,8 +161,8 @@ def _read(folder: Path, data: _Data, robot: Robot, sets: _Sets) -> dict[str, Mea
     path = folder / data.file
     try:
         table = pd.read_csv(path)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; it is named in {folder / 'problem.toml'}") from None
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; it is named in {folder / 'problem.toml'}") from None
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not a readable CSV table: {str(error).strip()}") from None
     missing = [c for c in data.point_from if c not in table]
@@ -153,9 +194,7 @@ def _by_column(found: Measurements, table: pd.DataFrame, column: str) -> dict[st
     if column not in table:
         raise InputError(f"{found.source}: column {column!r}, named in sets, is missing; there are {list(table)}")
     names = table[column].astype(str)
-    unknown = set(names) - {"identify", "train", "choose", "report"}
+    unknown = set(names) - set(SETS)
     if unknown:
-        raise InputError(
-            f"{found.source}: column {column!r} holds {min(unknown)!r}; allowed: identify, train, choose, report"
-        )
+        raise InputError(f"{found.source}: column {column!r} holds {min(unknown)!r}; allowed: {', '.join(SETS)}")
     return {str(name): found[np.flatnonzero(names == name)] for name in names.unique()}

@@ -151,12 +151,8 @@ class Robot:
         for i, joint in enumerate(self.joints, 1):
             _refuse_joint(self.name, i, joint)
         object.__setattr__(self, "joints", _with_hayati(self.joints))
-        for loop in self.loops:
-            if not 1 <= loop.carrier < loop.driven <= len(self.joints):
-                raise InputError(
-                    f"four-bar: carrier {loop.carrier} and driven {loop.driven} must be joints of this robot, "
-                    f"the carrier before the driven one (1..{len(self.joints)})"
-                )
+        for k, loop in enumerate(self.loops, 1):
+            _refuse_unbuildable(self, k, loop)
 
     @property
     def n(self) -> int:
@@ -237,6 +233,33 @@ class Robot:
             tool=replace(self.tool, T=_tool_with(self.tool.T, v)),
             effect_values={n: v[n] for n in effect_names},
         )
+
+    def values_of(self, other: Robot) -> Array:
+        """Parameters of this robot, shape (P,) [SI], that make it the other one, whose base may stand elsewhere."""
+        values = dict(zip(other.parameters.names, other.parameters.values, strict=True))
+        moved = np.linalg.solve(self.base.T, other.base.T)
+        turn = (np.arctan2(-moved[1, 2], moved[2, 2]), np.arcsin(moved[0, 2]), np.arctan2(-moved[0, 1], moved[0, 0]))
+        values |= {n: v for n, v in zip(_SIX["base"], (*moved[:3, 3], *turn), strict=True) if n in values}
+        return np.array([values[n] for n in self.parameters.names])
+
+
+def _refuse_unbuildable(robot: Robot, number: int, loop: FourBar) -> None:
+    """A four-bar drives one joint from the one before it, both turning about parallel axes a ground bar apart."""
+    where = f"four_bar[{number}]: carrier = {loop.carrier}, driven = {loop.driven}"
+    if not 1 <= loop.carrier < loop.driven <= robot.n or loop.driven - loop.carrier != 1:
+        raise InputError(
+            f"{where}: must be two neighbouring joints of this robot, the carrier before the driven one (1..{robot.n})"
+        )
+    joint = robot.joints[loop.driven - 1]
+    if not _parallel(robot.joints, loop.carrier - 1) or not joint.a:
+        raise InputError(
+            f"{where}: their axes must be parallel and apart; row {loop.driven} has "
+            f"alpha_deg = {np.rad2deg(joint.alpha):.6g}, a_mm = {1e3 * joint.a:.6g}"
+        )
+    if {robot.joints[loop.carrier - 1].kind, joint.kind} != {"revolute"}:
+        raise InputError(f"{where}: both must be revolute joints")
+    if [other.driven for other in robot.loops].count(loop.driven) > 1:
+        raise InputError(f"{where}: joint {loop.driven} is driven by two loops; keep one")
 
 
 _SIX = {w: tuple(f"{w}_{c}" for c in ("x", "y", "z", "rx", "ry", "rz")) for w in ("base", "tool")}

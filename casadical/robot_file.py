@@ -6,114 +6,116 @@ or radians are taken by name. See docs/robot-file.md for every key.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tomlkit
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from .errors import InputError
 from .files import write_whole
 from .robot import STANDARD_GRAVITY, WIDTHS, Body, FourBar, Joint, Placement, Robot, Width
+from .schema import ANGLE, LENGTH, READING, Angle, FaultError, Length, Pair, Table, Triple, check, load_toml
 from .transforms import Array, frame, from_rpy, to_rpy
 
-_UNITS = {"_mm": 1e-3, "_m": 1.0, "_deg": np.pi / 180, "_rad": 1.0, "_mrad": 1e-3}
-
-Schema = TypeVar("Schema", bound=BaseModel)
-Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
-Range = Annotated[list[float], Field(min_length=2, max_length=2)]
+Bar = Annotated[float, LENGTH, Field(gt=0)]
+HalfLength = Annotated[float | None, LENGTH, Field(gt=0)]
+HalfAngle = Annotated[float | None, ANGLE, Field(gt=0)]
 
 
-def _to_si(value: Any, factor: float) -> Any:
-    if isinstance(value, list):
-        return [_to_si(v, factor) for v in value]
-    return value * factor if isinstance(value, int | float) and not isinstance(value, bool) else value
-
-
-class _Table(BaseModel):
-    """A TOML table whose keys carry units; its fields are SI."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _units(cls, data: Any) -> Any:
-        if not isinstance(data, dict):
-            return data
-        found: dict[str, Any] = {}
-        for key, value in data.items():
-            stem, _, unit = key.rpartition("_")
-            named = stem in cls.model_fields and f"_{unit}" in _UNITS
-            name = stem if named else key
-            if name in found:
-                raise ValueError(f"{name!r} is given twice, with different units; keep one")
-            found[name] = _to_si(value, _UNITS[f"_{unit}"]) if named else value
-        return found
-
-
-class _Body(_Table):
+class _Body(Table):
     mass_kg: float = Field(ge=0)
-    com: Vector = [0.0, 0.0, 0.0]
+    com: Annotated[Triple, LENGTH] = Field(default=[0.0, 0.0, 0.0])
 
     def body(self) -> Body:
         return Body(self.mass_kg, np.array(self.com))
 
 
-class _Joint(_Table):
-    alpha: float = 0.0
-    a: float = 0.0
-    theta: float = 0.0
-    d: float = 0.0
-    beta: float | None = None
-    b: float | None = None
+class _Joint(Table):
+    alpha: Angle = 0.0
+    a: Length = 0.0
+    theta: Angle = 0.0
+    d: Length = 0.0
+    beta: Annotated[float | None, ANGLE] = None
+    b: Annotated[float | None, LENGTH] = None
     type: Literal["revolute", "prismatic"] = "revolute"
-    limits: Range | None = None
+    limits: Annotated[Pair | None, READING] = None
     compliant: bool = False
     stiffness_Nm_per_rad: float | None = Field(default=None, gt=0)
+    stiffness_N_per_m: float | None = Field(default=None, gt=0)
     body: _Body | None = None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _own_units(cls, data: Any) -> Any:
+        """A revolute joint's range and stiffness are angular, a prismatic one's are not."""
+        if not isinstance(data, dict):
+            return data
+        kind, foreign = data.get("type", "revolute"), [f"limits{u}" for u in LENGTH.factors]
+        foreign, own = [*foreign, "stiffness_N_per_m"], "limits_deg, stiffness_Nm_per_rad"
+        if kind == "prismatic":
+            foreign, own = (
+                [*(f"limits{u}" for u in ANGLE.factors), "stiffness_Nm_per_rad"],
+                "limits_mm, stiffness_N_per_m",
+            )
+        wrong = [key for key in foreign if key in data]
+        if wrong:
+            raise FaultError(wrong[0], f"not for a {kind} joint; allowed: {own}")
+        return data
+
     @model_validator(mode="after")
-    def _ordered(self) -> _Joint:
+    def _consistent(self) -> _Joint:
         if self.limits and self.limits[0] >= self.limits[1]:
-            raise ValueError(f"limits: the lower one must come first, got {self.limits} (SI)")
+            raise FaultError("limits", "the lower one must come first")
+        if self.b is not None and self.beta is None:
+            raise FaultError("b", "stands in row 1 beside beta only, where six numbers are the base frame; give both")
         return self
 
+    def joint(self) -> Joint:
+        default = (-2 * np.pi, 2 * np.pi) if self.type == "revolute" else (-10.0, 10.0)
+        lower, upper = self.limits or default
+        stiffness = self.stiffness_Nm_per_rad or self.stiffness_N_per_m
+        compliance = 1 / stiffness if stiffness else 0.0 if self.compliant else None
+        return Joint(
+            self.alpha, self.a, self.theta, self.d, self.beta, self.b, self.type, lower, upper, compliance,
+            self.body.body() if self.body else None,
+        )  # fmt: skip
 
-class _Frame(_Table):
-    xyz: Vector = [0.0, 0.0, 0.0]
-    rpy: Vector = [0.0, 0.0, 0.0]
+
+class _Frame(Table):
+    xyz: Annotated[Triple, LENGTH] = Field(default=[0.0, 0.0, 0.0])
+    rpy: Annotated[Triple, ANGLE] = Field(default=[0.0, 0.0, 0.0])
     unknown: Literal["none", "position", "pose"] = "none"
 
     def placement(self) -> Placement:
         return Placement(frame(from_rpy(np.array(self.rpy)), np.array(self.xyz)), self.unknown)
 
 
-class _FourBar(_Table):
+class _FourBar(Table):
     driven: int
     carrier: int
-    crank: float = Field(gt=0)
-    coupler: float = Field(gt=0)
-    rocker: float = Field(gt=0)
-    offset: float = 0.0
+    crank: Bar
+    coupler: Bar
+    rocker: Bar
+    offset: Angle = 0.0
 
 
-class _Gravity(_Table):
+class _Gravity(Table):
     frame: Literal["measuring", "base"] = "measuring"
-    vector_m_per_s2: Vector = [0.0, 0.0, -STANDARD_GRAVITY]
+    vector_m_per_s2: Triple = Field(default=[0.0, 0.0, -STANDARD_GRAVITY])
 
 
-class _Width(_Table):
-    length_bound: float | None = Field(default=None, gt=0)
-    angle_bound: float | None = Field(default=None, gt=0)
-    length_prior: float | None = Field(default=None, gt=0)
-    angle_prior: float | None = Field(default=None, gt=0)
+class _Width(Table):
+    length_bound: HalfLength = None
+    angle_bound: HalfAngle = None
+    length_prior: HalfLength = None
+    angle_prior: HalfAngle = None
 
 
-class _Widths(_Table):
+class _Widths(Table):
     base: _Width = _Width()
     geometry: _Width = _Width()
     loop: _Width = _Width()
@@ -125,21 +127,32 @@ class _Widths(_Table):
         return {group: replace(default, **given[group]) for group, default in WIDTHS.items()}
 
 
-class _RobotFile(_Table):
+class _RobotFile(Table):
     casadical: Literal[1]
     name: str = Field(min_length=1)
     convention: Literal["modified", "standard"] = "modified"
-    notes: list[str] = []
+    notes: list[str] = Field(default=[])
     base: _Frame = _Frame()
     tool: _Frame = _Frame()
     gravity: _Gravity = _Gravity()
     payload: _Body | None = None
     joint: list[_Joint] = Field(min_length=1)
-    four_bar: list[_FourBar] = []
+    four_bar: list[_FourBar] = Field(default=[])
     width: _Widths = _Widths()
 
+    @model_validator(mode="after")
+    def _rows(self) -> _RobotFile:
+        for i, row in enumerate(self.joint):
+            if row.beta is not None and self.convention == "standard":
+                raise FaultError(
+                    ("joint", i, "beta"), "belongs to modified rows; into standard ones it is put by itself"
+                )
+            if row.b is not None and i > 0:
+                raise FaultError(("joint", i, "b"), "stands in row 1 only, where six numbers are the base frame")
+        return self
+
     def robot(self) -> Robot:
-        joints = [_joint(row) for row in self.joint]
+        joints = [row.joint() for row in self.joint]
         tool = self.tool.placement()
         payload = self.payload.body() if self.payload else None
         if self.convention == "standard":
@@ -158,16 +171,6 @@ class _RobotFile(_Table):
             widths=self.width.widths(),
             notes=tuple(self.notes),
         )
-
-
-def _joint(row: _Joint) -> Joint:
-    default = (-2 * np.pi, 2 * np.pi) if row.type == "revolute" else (-10.0, 10.0)
-    lower, upper = row.limits or default
-    compliance = 1 / row.stiffness_Nm_per_rad if row.stiffness_Nm_per_rad else 0.0 if row.compliant else None
-    return Joint(
-        row.alpha, row.a, row.theta, row.d, row.beta, row.b, row.type, lower, upper, compliance,
-        row.body.body() if row.body else None,
-    )  # fmt: skip
 
 
 def _from_standard(rows: list[Joint]) -> tuple[list[Joint], Array]:
@@ -200,54 +203,11 @@ def read_robot(path: str | Path) -> Robot:
 
 def robot_from(data: Mapping[str, Any], source: str) -> Robot:
     """A robot from the tables of a TOML file; `source` names it in messages."""
-    return check(_RobotFile, data, source).robot()
-
-
-def load_toml(path: Path) -> dict[str, Any]:
-    """Tables of a TOML file. Raises InputError."""
+    file = check(_RobotFile, data, source)
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from None
-
-
-def check(schema: type[Schema], data: Mapping[str, Any], source: str) -> Schema:
-    """Data checked against a schema, with an InputError that lists every fault by key."""
-    try:
-        return schema.model_validate(data)
-    except ValidationError as error:
-        faults = [f"  {_key(e['loc'])}: {_fault(schema, e)}" for e in error.errors()]
-        raise InputError(f"{source}: {len(faults)} fault(s)\n" + "\n".join(faults)) from None
-
-
-def _key(location: tuple[int | str, ...]) -> str:
-    text = "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in location)
-    return text.lstrip(".") or "file"
-
-
-def _fault(schema: type[BaseModel], error: Any) -> str:
-    given = error["input"]
-    shown = "" if isinstance(given, dict) else f" (given: {given!r})"
-    if error["type"] == "extra_forbidden":
-        table = schema if len(error["loc"]) == 1 else _table(schema, error["loc"][:-1])
-        return (
-            f"not a known key; allowed: {', '.join(table.model_fields)} (lengths with _mm or _m, angles _deg or _rad)"
-        )
-    if error["type"] == "missing":
-        return "is missing"
-    return f"{error['msg']}{shown}"
-
-
-def _table(schema: type[BaseModel], location: tuple[int | str, ...]) -> type[BaseModel]:
-    """The schema of the table at a location."""
-    for part in location:
-        if isinstance(part, str) and part in schema.model_fields:
-            inner = schema.model_fields[part].annotation
-            candidates = [inner, *getattr(inner, "__args__", ())]
-            schema = next((c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)), schema)
-    return schema
+        return file.robot()
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from None
 
 
 def write_robot(robot: Robot, path: str | Path, comment: str = "") -> None:
@@ -323,7 +283,8 @@ def _joint_table(joint: Joint) -> dict[str, Any]:
     if joint.compliance is not None:
         table["compliant"] = True
         if joint.compliance > 0:
-            table["stiffness_Nm_per_rad"] = float(1 / joint.compliance)
+            unit = "Nm_per_rad" if joint.kind == "revolute" else "N_per_m"
+            table[f"stiffness_{unit}"] = float(1 / joint.compliance)
     if joint.body:
         table["body"] = _body_table(joint.body)
     return table

@@ -18,13 +18,7 @@ from .robot import modified_dh
 
 SetAccuracies = Mapping[str, Mapping[str, Accuracy]]
 
-_WORDS = {
-    "identify": "identify",
-    "train": "train, held out",
-    "choose": "choose, held out",
-    "report": "report, held out",
-}
-_STATES = {"nominal": "before, as given", "placed": "before, base+tool fitted"}
+_STATES = {"nominal": "as given", "placed": "base and tool fitted"}
 
 
 def accuracies(result: Identification, sets: Mapping[str, tuple[Measurements, ...]]) -> dict[str, dict[str, Accuracy]]:
@@ -43,38 +37,38 @@ def _table(title: str) -> Table:
 def error_table(results: Mapping[str, SetAccuracies]) -> Table:
     """Errors in mm before and after, for every method and set."""
     table = _table("Position error [mm]")
-    for column in ("poses", "model"):
-        table.add_column(column, no_wrap=True)
-    table.padding = (0, 1, 0, 0)
+    table.add_column("poses, model", no_wrap=True)
     for column in ("n", "mean", "max", "std", "rms", "95 %"):
         table.add_column(column, justify="right", no_wrap=True)
     first = next(iter(results.values()))
     for name in first:
+        held_out = not name.startswith("identify")
         table.add_row()
-        word = _WORDS.get(name.split("/")[0], name) + ("" if "/" not in name else f", {name.split('/')[1]}")
-        for state in ("nominal", "placed"):
-            table.add_row(word, _STATES[state], *_figures(first[name][state]))
-            word = ""
+        table.add_row(name + (" (held out)" if held_out else " (used)"), str(first[name]["nominal"].n))
+        for state, words in _STATES.items():
+            table.add_row(f"  before, {words}", "", *_figures(first[name][state]))
         for method, by_set in results.items():
-            style = "bold" if "held out" in _WORDS.get(name, "") else ""
-            table.add_row("", f"after {method}", *_figures(by_set[name]["calibrated"]), style=style)
+            figures = _figures(by_set[name]["calibrated"])
+            table.add_row(f"  after {method}", "", *figures, style="bold" if held_out else "")
     return table
 
 
 def _figures(a: Accuracy) -> tuple[str, ...]:
-    return (
-        str(a.n),
-        *(f"{1e3 * v:.4g}" if v > 10e-3 else f"{1e3 * v:.3f}" for v in (a.mean, a.max, a.std, a.rms, a.p95)),
-    )
+    return tuple(_mm(v) for v in (a.mean, a.max, a.std, a.rms, a.p95))
+
+
+def _mm(metres: float) -> str:
+    value = 1e3 * metres
+    return f"{value:.{3 if value < 10 else 2 if value < 100 else 1}f}"
 
 
 def parameter_table(result: Identification) -> Table:
     """Identified parameters: nominal, value, standard error, 95 % interval."""
     table = _table(f"Parameters identified by {result.method}")
-    table.add_column("parameter")
+    table.add_column("parameter", no_wrap=True)
     for column in ("nominal", "value", "std error", "95 % low", "high"):
         table.add_column(column, justify="right", no_wrap=True)
-    table.add_column("unit", no_wrap=True)
+    table.add_column("unit")
     for row in _rows(result, "identified", "at bound"):
         sure = not math.isnan(row["std_error"])
         interval = (f"{row['std_error']:.2g}", f"{row['low']:.4f}", f"{row['high']:.4f}") if sure else ("-", "-", "-")
@@ -101,7 +95,7 @@ def held_table(result: Identification) -> Table | Text:
     if not rows:
         return Text("Every parameter was identified.")
     table = _table("Not identifiable: held at nominal")
-    table.add_column("parameter")
+    table.add_column("parameter", no_wrap=True)
     table.add_column("why")
     for row in rows:
         table.add_row(row["name"], row["reason"])

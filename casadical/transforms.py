@@ -51,11 +51,13 @@ def from_rpy(rpy: Array) -> Array:
 
 
 def to_rpy(R: Array) -> Array:
-    """Roll, pitch, yaw [rad] of a rotation, shape (3, 3); at pitch +-90 deg the roll is taken as zero."""
-    pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
-    if np.hypot(R[0, 0], R[1, 0]) < 1e-9:
-        return np.array([0.0, pitch, np.arctan2(-R[0, 1], R[1, 1])])
-    return np.array([np.arctan2(R[2, 1], R[2, 2]), pitch, np.arctan2(R[1, 0], R[0, 0])])
+    """Roll, pitch, yaw [rad] of a rotation, shape (3, 3); at pitch +-90 deg the yaw is taken as zero."""
+    horizontal = np.hypot(R[0, 0], R[1, 0])
+    yaw = np.arctan2(R[1, 0], R[0, 0]) if horizontal > 1e-15 else 0.0
+    # The roll is read after the yaw is turned back: near pitch +-90 deg their errors then cancel.
+    c, s = np.cos(yaw), np.sin(yaw)
+    roll = np.arctan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
+    return np.array([roll, np.arctan2(-R[2, 0], horizontal), yaw])
 
 
 def to_xyz(R: Array) -> Array:

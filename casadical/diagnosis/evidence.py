@@ -19,6 +19,8 @@ from ..transforms import Array
 SIGMAS = np.geomspace(3e-6, 300e-6, 33)
 # Joint repeatability over the instrument's sigma [rad/m].
 RHOS = np.array([0.0, 0.1, 0.2, 0.4, 0.8, 1.6])
+# One sigma, in sizes, of a cause once it is in the model: wide, since the data have spoken for it.
+CHOSEN = 8.0
 KAPPAS = np.array([0.35, 0.7, 1.4, 2.8, 5.6])
 KAPPA_WEIGHTS = np.array([0.15, 0.25, 0.3, 0.2, 0.1])
 
@@ -81,7 +83,7 @@ class Evidence:
     def log_grids(self, groups: Sequence[Array], also: Array | None = None) -> Array:
         """Log likelihood of each group of columns as a cause, shape (groups, rhos, sigmas, kappas).
 
-        also : columns of causes that are in the model already; they are treated like the base model, at kappa 1
+        also : columns of causes that are in the model already; they are treated like the base model
         """
         problem = self if also is None or not len(also) else self.with_base(also)
         base = problem.log_base()
@@ -92,7 +94,7 @@ class Evidence:
             b = w.E.T @ w.y
             for width in np.unique(widths):
                 which = np.flatnonzero(widths == width)
-                columns = np.stack([groups[g] for g in which])
+                columns = np.stack([groups[int(g)] for g in which])
                 E = w.E[:, columns]
                 G = np.einsum("rgi,rgj->gij", E, E)
                 value, vector = np.linalg.eigh(G)
@@ -104,9 +106,9 @@ class Evidence:
         return out
 
     def with_base(self, columns: Array) -> Evidence:
-        """The problem with these columns moved into the base model, their prior one size."""
+        """The problem with these columns moved into the base model, their prior wide."""
         J = np.concatenate([self.J, self.E[:, :, columns]], axis=2)
-        zero, one = np.zeros(len(columns)), np.full(len(columns), 2.0)
+        zero, one = np.zeros(len(columns)), np.full(len(columns), CHOSEN)
         return Evidence(
             self.r, J, self.Jq, np.concatenate([self.delta0, zero]), np.concatenate([self.prior, one]), self.E
         )

@@ -14,9 +14,13 @@ from .base import Context, Effect
 
 @dataclass(frozen=True)
 class Backlash(Effect):
-    """friction : torque below which the approach decides, as a share of the joint's great torques."""
+    """The flank changes where gravity overcomes friction.
 
-    friction: float = 0.1
+    friction : torque below which the approach decides; width : of the change; shares of the joint's great torques
+    """
+
+    friction: float = 0.05
+    width: float = 0.03
 
     name: ClassVar[str] = "backlash"
     physics: ClassVar[str] = (
@@ -34,6 +38,6 @@ class Backlash(Effect):
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:  # noqa: ARG002 - a function of torque and approach
         assert self.joint is not None
-        # The motor leads the link, so the link lies behind its last motion.
+        # The link lies behind its last motion.
         push = context.load(self.joint) - self.friction * context.conditions[f"approach{self.joint}"]
-        return self.value(context, "half") * ca.tanh(push / (0.3 * self.friction))
+        return self.value(context, "half") * ca.tanh(push / self.width)

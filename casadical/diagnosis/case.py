@@ -1,0 +1,125 @@
+"""A case: a campaign, the base model calibrated on it, and what every candidate would do to its residual."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..accuracy import predicted
+from ..conditions import derive
+from ..effects import Effect
+from ..errors import InputError
+from ..identification import Identification
+from ..measurements import Measurements
+from ..robot import Robot
+from ..transforms import Array
+from .evidence import Evidence
+from .library import Candidate, choose
+from .signatures import signatures
+
+# Compliances are known from data sheets to about half of themselves.
+COMPLIANCE_SHARE = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """Everything that the diagnosis computes with.
+
+    robot : calibrated base model; m : all poses
+    given, values : the robot that was given, and its parameters that make it the calibrated one
+    candidates : that the logged columns allow; missing : label -> columns that were not logged
+    whole : residuals and columns of all poses; kept : mask of those that are no outliers, shape (n,)
+    """
+
+    robot: Robot
+    given: Robot
+    values: Array
+    m: Measurements
+    candidates: tuple[Candidate, ...]
+    missing: dict[str, tuple[str, ...]]
+    whole: Evidence
+    kept: Array
+    columns: dict[Effect, Array]
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """Residuals and columns of the poses that are no outliers."""
+        e, k = self.whole, self.kept
+        return replace(e, r=e.r[k], J=e.J[k], Jq=e.Jq[k], E=e.E[k])
+
+    @cached_property
+    def variants(self) -> tuple[tuple[int, int], ...]:
+        """(candidate, variant) of every group of columns."""
+        return tuple((c, v) for c, k in enumerate(self.candidates) for v in range(len(k.variants)))
+
+    @cached_property
+    def groups(self) -> tuple[Array, ...]:
+        return tuple(self.group(self.candidates[c].variants[v]) for c, v in self.variants)
+
+    def group(self, effects: Sequence[Effect]) -> Array:
+        """Columns of effects that act together."""
+        return np.concatenate([self.columns[e] for e in effects])
+
+    def with_variants(self, label: str, variants: Sequence[tuple[Effect, ...]]) -> Case:
+        """The case with further settings of one candidate."""
+        candidates = tuple(
+            replace(c, variants=(*c.variants, *variants)) if c.label == label else c for c in self.candidates
+        )
+        effects = tuple(dict.fromkeys(e for v in variants for e in v if e not in self.columns))
+        m, _ = derive(self.m, [c for e in effects for c in e.conditions])
+        E, _, _ = signatures(self.given, effects, m, self.values)
+        first = self.whole.E.shape[2]
+        columns = {**self.columns, **_column_numbers(effects, first)}
+        whole = replace(self.whole, E=np.concatenate([self.whole.E, E * _widths(effects)], axis=2))
+        return replace(self, m=m, candidates=candidates, columns=columns, whole=whole)
+
+
+def make_case(identification: Identification, candidates: Sequence[Candidate]) -> Case:
+    """Residuals and signatures of an identification on its own measurements (kind position).
+
+    Raises InputError for other kinds of measurement.
+    """
+    measured = [m for m in identification.measurements if m.kind in ("position", "pose")]
+    if len(measured) != 1 or len(identification.measurements) != 1:
+        raise InputError(
+            "a diagnosis needs one set of measured positions; distances and contacts do not say where it lies"
+        )
+    m = measured[0]
+    kept = np.ones(len(m), dtype=bool)
+    kept[[i for _, i in identification.outliers]] = False
+    possible, missing = choose(candidates, m)
+    effects = tuple(dict.fromkeys(e for c in possible for v in c.variants for e in v))
+    m, _ = derive(m, [c for e in effects for c in e.conditions])
+    robot = identification.given
+    values = robot.values_of(identification.robot)
+    E, J, Jq = signatures(robot, effects, m, values)
+    p, _ = predicted(identification.robot, m)
+    assert m.position is not None
+    delta0 = _prior_mean(identification) - values
+    delta0[[n.startswith("base_") for n in robot.parameters.names]] = 0.0
+    whole = Evidence(m.position - p, J, Jq, delta0, _prior(robot), E * _widths(effects))
+    columns = _column_numbers(effects, 0)
+    return Case(identification.robot, robot, values, m, possible, missing, whole, kept, columns)
+
+
+def _widths(effects: Sequence[Effect]) -> Array:
+    """One sigma of every parameter of the effects."""
+    return np.array([size for e in effects for size, _ in e.sizes().values()])
+
+
+def _column_numbers(effects: Sequence[Effect], first: int) -> dict[Effect, Array]:
+    edges = first + np.cumsum([0, *(len(e.sizes()) for e in effects)])
+    return {e: np.arange(a, b) for e, a, b in zip(effects, edges[:-1], edges[1:], strict=True)}
+
+
+def _prior_mean(identification: Identification) -> Array:
+    return identification.given.parameters.values
+
+
+def _prior(robot: Robot) -> Array:
+    return np.array(
+        [COMPLIANCE_SHARE * p.value if p.group == "compliance" and p.value > 0 else p.prior for p in robot.parameters]
+    )

@@ -1,0 +1,85 @@
+"""Which cause: posteriors over none, every listed cause and the unknown, step by step while the gap shrinks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..transforms import Array
+from .case import Case
+from .evidence import KAPPA_WEIGHTS, log_sum
+from .gap import Noise, likely_noise
+
+# Before any data: nothing, one of the listed effects, something on no list; and the same once causes were found.
+PRIOR_FIRST = {"none": 0.25, "listed": 0.60, "unknown": 0.15}
+PRIOR_FURTHER = {"none": 0.75, "listed": 0.20, "unknown": 0.05}
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """What the data say about the next cause, given those already chosen.
+
+    none : probability that there is no further one; probability : of each candidate, by label, summing to one with it
+    log_factor : log Bayes factor of each candidate against none, by label
+    variant : its most likely settings, by label (index of the variant)
+    noise : most likely noise, without a further cause (key "") and with each candidate
+    """
+
+    none: float
+    probability: Mapping[str, float]
+    log_factor: Mapping[str, float]
+    variant: Mapping[str, int]
+    noise: Mapping[str, Noise]
+
+    @property
+    def order(self) -> tuple[str, ...]:
+        """Labels, the most probable first."""
+        return tuple(sorted(self.probability, key=lambda label: -self.probability[label]))
+
+
+# A further cause at a joint that has one already is more likely a flaw of the first one's equation.
+SAME_JOINT = 0.05
+
+
+def rank(case: Case, chosen: Array, skip: frozenset[str] = frozenset()) -> Ranking:
+    """Posterior over the next cause.
+
+    chosen : columns of causes that are in the model already; skip : their labels, no longer candidates
+    """
+    grids = case.evidence.log_grids(case.groups, also=chosen) + np.log(KAPPA_WEIGHTS)
+    problem = case.evidence.with_base(chosen) if len(chosen) else case.evidence
+    base_grid = problem.log_base()
+    base = float(log_sum(base_grid))
+    log_variant = log_sum(grids.reshape(len(grids), -1), axis=1) - base
+    owner = np.array([c for c, _ in case.variants])
+    prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
+    weights = _prior_weights(case, prior, skip)
+    factor, variant, noise = {}, {}, {"": likely_noise(base_grid)}
+    for c, candidate in enumerate(case.candidates):
+        if candidate.label in weights:
+            own = np.flatnonzero(owner == c)
+            factor[candidate.label] = float(log_sum(log_variant[own])) - float(np.log(len(own)))
+            best = int(own[np.argmax(log_variant[own])])
+            variant[candidate.label] = case.variants[best][1]
+            noise[candidate.label] = likely_noise(grids[best])
+    logs = np.array([np.log(prior["none"]), *(np.log(weights[k]) + f for k, f in factor.items())])
+    share = np.exp(logs - log_sum(logs))
+    return Ranking(float(share[0]), dict(zip(factor, share[1:].tolist(), strict=True)), factor, variant, noise)
+
+
+def _prior_weights(case: Case, prior: Mapping[str, float], skip: frozenset[str]) -> dict[str, float]:
+    """Listed effects share alike, then each its joints; forms of the unknown share alike."""
+    open_ = [c for c in case.candidates if c.label not in skip]
+    names = {c.name for c in open_ if c.listed}
+    smooth = [c for c in open_ if not c.listed]
+    weights = {}
+    taken = {c.joint for c in case.candidates if c.label in skip and c.joint is not None}
+    for c in open_:
+        if c.listed:
+            share = prior["listed"] / len(names) / sum(1 for o in open_ if o.name == c.name)
+            weights[c.label] = share * (SAME_JOINT if c.joint in taken else 1.0)
+        else:
+            weights[c.label] = prior["unknown"] / len(smooth)
+    return weights

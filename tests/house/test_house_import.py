@@ -1,0 +1,61 @@
+"""What an import loads, seen in a fresh process; a stopwatch would only measure the machine."""
+
+import importlib.util
+import json
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = {"casadi", "numpy", "pandas", "pydantic", "typer", "rich", "scipy", "matplotlib"}
+KINEMATICS = {f"casadical.{m}" for m in ("robot", "model", "kinematics", "statics", "identification", "residuals")}
+
+
+def loaded_by(statement: str) -> set[str]:
+    lines = (
+        "import json, sys",
+        "before = set(sys.modules)",
+        statement,
+        "print(json.dumps([*set(sys.modules) - before]))",
+    )
+    program = "\n".join(lines)
+    out = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True).stdout
+    return set(json.loads(out.splitlines()[-1]))
+
+
+def test_import_of_casadical_loads_nothing_heavy() -> None:
+    loaded = loaded_by("import casadical")
+    assert "casadical" in loaded
+    assert loaded & HEAVY == set()
+    assert not any(name.startswith("casadical.") for name in loaded)
+    assert len(loaded) < 20  # the few modules of the standard library that importlib and typing bring
+
+
+def test_the_package_lists_and_finds_its_names() -> None:
+    import casadical
+
+    for name in casadical.__all__:
+        assert getattr(casadical, name) is not None
+    with pytest.raises(AttributeError, match="nothing_of_this_name"):
+        _ = casadical.nothing_of_this_name
+
+
+def test_the_help_loads_no_solver() -> None:
+    statement = "from casadical.cli import app\ntry:\n    app(['calibrate', '--help'])\nexcept SystemExit:\n    pass"
+    assert loaded_by(statement) & {"casadi", "numpy", "pandas"} == set()
+
+
+@pytest.mark.parametrize(
+    ("package", "foreign"),
+    [
+        ("casadical.compensator", KINEMATICS | {"casadi", "casadical.export"}),
+        ("casadical.export", KINEMATICS | {"casadical.compensator"}),
+        ("casadical.simulation", KINEMATICS | {"casadi", "casadical.export", "casadical.compensator"}),
+    ],
+)
+def test_a_part_that_stands_alone_loads_no_kinematics(package: str, foreign: set[str]) -> None:
+    if importlib.util.find_spec(package) is None:
+        pytest.skip(f"{package} is not part of this version")
+    loaded = loaded_by(f"import {package}")
+    assert package in loaded
+    assert loaded & foreign == set()

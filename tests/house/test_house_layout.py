@@ -1,0 +1,37 @@
+"""What lies at the top, what no file may name, and what every module says of itself."""
+
+import ast
+import re
+
+import pytest
+from repository import ROOT, tracked
+
+TOP = {"pyproject.toml", "casadical", "problems", "tests", "data", "docs", "README.md", "LICENSE", "CHANGELOG.md"}
+
+# In pieces, so that this file does not hold what it looks for.
+HOSTS = [
+    "pypi" + ".org", "python" + "hosted.org", "registry" + ".npmjs", "deb" + ".debian.org", "crates" + ".io",
+    "proxy" + ".golang", "repo" + ".maven", "index" + "-url",
+]  # fmt: skip
+MACHINE_PATH = re.compile(r"(?<![\w.])/(?:" + "|".join(["wor" + "k", "ro" + "ot", "ho" + "me", "User" + "s"]) + r")/\w")
+
+
+def test_the_top_level_is_as_agreed() -> None:
+    names = {path.parts[0] for path in tracked()}
+    assert {name for name in names if not name.startswith(".")} == TOP
+
+
+@pytest.mark.parametrize("path", [p for p in tracked() if p.suffix not in (".csv", ".png")], ids=str)
+def test_no_file_names_a_machine_or_a_registry(path) -> None:
+    text = (ROOT / path).read_text(encoding="utf-8")
+    assert [host for host in HOSTS if host in text] == []
+    assert MACHINE_PATH.search(text) is None
+
+
+@pytest.mark.parametrize("path", [p for p in tracked() if p.parts[0] == "casadical" and p.suffix == ".py"], ids=str)
+def test_every_module_says_what_it_is(path) -> None:
+    assert ast.get_docstring(ast.parse((ROOT / path).read_text(encoding="utf-8")))
+
+
+def test_the_wheel_carries_the_types_marker() -> None:
+    assert (ROOT / "casadical" / "py.typed").exists()
