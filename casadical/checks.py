@@ -40,7 +40,8 @@ def check_against(robot: Robot, m: Measurements) -> None:
 
 
 def _refuse_open_loop(robot: Robot, m: Measurements) -> None:
-    (margin,) = robot.model.evaluate(("margin",), m.q, m.condition_matrix(robot.conditions, robot.declared))
+    w = m.condition_matrix(robot.conditions, robot.declared)
+    (margin,) = robot.model.evaluate(("margin",), m.q, w, robot.parameters.values)
     # Not a number where the crank's end lies on the driven joint: the rocker's direction is then open.
     smallest = np.nan_to_num(margin.min(axis=0), nan=0.0)
     k = int(np.argmin(smallest))

@@ -45,7 +45,7 @@ class LeastSquares:
     """One identification problem; see the module's text.
 
     names : parameters that are variables; sigmas : of one coordinate [m] and angle [rad], for each set
-    fixed_loads : whether gravity torques are those of the nominal geometry (see `model.build`)
+    fixed_loads : whether gravity torques are those of the nominal geometry (see `Model`)
     """
 
     robot: Robot
@@ -377,5 +377,6 @@ def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float
 
 
 def spread(r: Array) -> float:
-    """Standard deviation of residuals from their median absolute value, deaf to outliers."""
-    return float(1.4826 * np.median(np.abs(r)))
+    """Standard deviation of residuals from their median absolute value, deaf to outliers; zeros are of weight zero."""
+    counted = np.abs(r[r != 0])
+    return float(1.4826 * np.median(counted)) if counted.size else 0.0

@@ -91,9 +91,8 @@ class Model:
         results = self.function(name, outputs).call([self.q, ca.DM(self.robot.declared), self.phi])
         return ca.Function(name, [self.q, self.phi], results, ["q", "phi"], list(outputs))
 
-    def evaluate(self, outputs: tuple[str, ...], q: Array, w: Array) -> list[Array]:
-        """Outputs at many poses, one array each, poses side by side; q : (n, joints), w : (n, k), nominal values."""
-        phi = self.robot.parameters.values
+    def evaluate(self, outputs: tuple[str, ...], q: Array, w: Array, phi: Array) -> list[Array]:
+        """Outputs at many poses, one array each, poses side by side; q : (n, joints), w : (n, k), phi : (P,) [SI]."""
         mapped = self.shared.function(*outputs).map(len(q))
         return [o.full() for o in mapped.call([q.T, w.T, phi, frame_numbers(self.robot), phi])]
 

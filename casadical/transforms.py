@@ -76,6 +76,11 @@ def to_rpy(R: Array) -> Array:
     return np.array([roll, np.arctan2(-R[2, 0], horizontal), yaw])
 
 
+def to_xyz(R: Array) -> Array:
+    """Angles [rad] of rotations about x, y, z in this order (intrinsic), as `small_frame` takes them."""
+    return -to_rpy(R.T)
+
+
 def frame(R: Array, p: Array) -> Array:
     """Transform, shape (4, 4), from a rotation (3, 3) and a translation (3,) [m]."""
     T = np.eye(4)
