@@ -129,6 +129,49 @@ def _by_name(folders: list[Path]) -> dict[str, Path]:
     return found
 
 
+@app.command()
+def diagnose(
+    problem: Annotated[Path, typer.Argument(metavar="PROBLEM_DIR", help="Folder with the robot.")],
+    campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.csv...", help="Measured positions.")],
+    json_file: Annotated[
+        Path | None,
+        typer.Option("--json", metavar="FILE", help="Keep the answer as JSON; with several campaigns, a list."),
+    ] = None,
+    effects: Annotated[
+        str | None,
+        typer.Option(metavar="NAMES", help="Only these effects: names (backlash) or labels (backlash@5), by commas."),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the partitions into folds.")] = 0,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Say why there is still a gap: where it lies, which effect causes it, how far it shrinks without it."""
+    from .diagnosis.answer import as_json, report
+    from .diagnosis.diagnosis import diagnose as run
+    from .files import write_whole
+    from .measurements import read_measurements
+    from .problem import read_campaign_robot
+
+    console = Console(quiet=quiet)
+    robot = read_campaign_robot(problem)
+    answers = []
+    for path in campaigns:
+        m = read_measurements(path, [j.kind for j in robot.joints])
+        with _progress(quiet) as bar:
+            task = bar.add_task(path.stem, total=None)
+
+            def show(text: str, bar: Progress = bar, task: TaskID = task, name: str = path.stem) -> None:
+                bar.update(task, description=f"{name}: {text}")
+
+            found = run(robot, m, effects.split(",") if effects else "standard", seed=seed, show=show)
+        answers.append(as_json(found, path.stem))
+        console.print(report(found, f"{path.stem} ({robot.name})"))
+        console.print()
+    if json_file:
+        whole = answers if len(answers) > 1 else answers[0]
+        write_whole(json_file, json.dumps(whole, indent=1, allow_nan=False) + "\n")
+        console.print(f"wrote {json_file}")
+
+
 def _progress(quiet: bool) -> Progress:
     """Live progress on a terminal's standard error; silent elsewhere."""
     console = Console(stderr=True)

@@ -38,7 +38,7 @@ def derive(m: Measurements, names: Iterable[str]) -> tuple[Measurements, tuple[s
 def _derived(m: Measurements, name: str) -> Array | None:
     if name == "progress":
         rank = np.argsort(np.argsort(_order(m), kind="stable"))
-        return rank / max(1, len(m) - 1)
+        return np.asarray(rank / max(1, len(m) - 1))
     if found := _WARMTH.fullmatch(name):
         return _warmth(m, float(found[1]))
     if found := _APPROACH.fullmatch(name):
@@ -59,7 +59,7 @@ def _warmth(m: Measurements, lag: float) -> Array | None:
         return None
     sensor = m.conditions["temperature_degC"]
     if not lag:
-        return sensor - sensor.mean()
+        return np.asarray(sensor - sensor.mean())
     order = np.argsort(m.conditions["time_s"], kind="stable")
     time, felt = m.conditions["time_s"][order], sensor[order]
     behind = np.empty(len(m))
@@ -72,7 +72,7 @@ def _warmth(m: Measurements, lag: float) -> Array | None:
         behind[k] = felt[k] - slope * (1 - decay) + (behind[k - 1] - felt[k - 1]) * decay
     warmth = np.empty(len(m))
     warmth[order] = behind
-    return warmth - warmth.mean()
+    return np.asarray(warmth - warmth.mean())
 
 
 def _approach(m: Measurements, joint: int) -> Array:

@@ -8,7 +8,7 @@ parameters far above, so one tolerance serves where the columns are scaled (comp
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -61,13 +61,19 @@ def analyse(J: Array, names: Sequence[str], always: int, held: dict[str, str]) -
         rest = unit[:, k] - basis @ (basis.T @ unit[:, k])
         rest -= basis @ (basis.T @ rest)
         if name in held:
-            dropped.append(Unidentifiable(name, held[name], _alike(unit, k, kept, names, always)))
+            dropped.append(Unidentifiable(name, held[name]))
         elif np.linalg.norm(rest) <= DEPENDENT:
             alike = _alike(unit, k, kept, names, always)
             dropped.append(Unidentifiable(name, _in_words(alike), alike))
         else:
             basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
             kept.append(k)
+    dropped = [
+        replace(u, confounded_with=_alike(unit, always + names.index(u.name), kept, names, always))
+        if u.name in held and not u.confounded_with
+        else u
+        for u in dropped
+    ]
     condition = float(np.linalg.cond(unit[:, [*range(always), *kept]])) if kept else 1.0
     return Identifiability(tuple(names[k - always] for k in kept), tuple(dropped), condition)
 
@@ -78,7 +84,7 @@ def _alike(unit: Array, k: int, kept: list[int], names: Sequence[str], always: i
     if not kept:
         return ()
     share = np.abs(np.linalg.lstsq(unit[:, columns], unit[:, k], rcond=None)[0][always:])
-    strong = [j for j in np.argsort(-share) if share[j] > 0.05 * share.max()]
+    strong = [j for j in np.argsort(-share) if share[j] > max(0.05 * share.max(), 1e-6)]
     return tuple(names[kept[j] - always] for j in strong[:6])
 
 

@@ -28,6 +28,8 @@ METHODS: dict[str, tuple[str, ...]] = {"KM": ("kinematic",), "SKCM": ("kinematic
 
 OUTLIER_SIGMAS = 5.0
 SIGMA_ROUNDS = 6
+# Residuals of this share of the reach are no measuring error.
+POOR_FIT = 0.005
 # Where the data are free of noise, so that nothing is divided by zero.
 LEAST_SIGMA = 1e-9
 
@@ -170,6 +172,9 @@ class Identification:
             text += f"; AT BOUNDS: {', '.join(self.at_bounds)} - widen the bounds or doubt the model"
         if self.outliers:
             text += f"; {len(self.outliers)} poses left out as outliers"
+        left = max(sigma for sigma, _ in self.sigmas)
+        if left > POOR_FIT * self.robot.reach:
+            text += f"; THE MODEL DOES NOT FIT: {1e3 * left:.3g} mm are left - check joint signs, zeros and units"
         return f"{text}. {self.solution.message}"
 
 

@@ -44,6 +44,7 @@ class LeastSquares:
     """One identification problem; see the module's text.
 
     names : parameters that are variables; sigmas : of one coordinate [m] and angle [rad], for each set
+    fixed_loads : whether gravity torques are those of the nominal geometry (see `model.build`)
     """
 
     robot: Robot
@@ -52,6 +53,7 @@ class LeastSquares:
     loss: Loss
     priors: bool
     sigmas: tuple[tuple[float, float], ...]
+    fixed_loads: bool = False
 
     @cached_property
     def labels(self) -> tuple[str, ...]:
@@ -81,7 +83,8 @@ class LeastSquares:
         made = []
         for k, (m, (sigma, sigma_angle)) in enumerate(zip(self.sets, self.sigmas, strict=True)):
             group = np.array([index[name] for name in self._pose_labels(k)] or [0] * len(m), dtype=np.int64)
-            made.append(make_block(self.robot, m, self.names, self.loss, sigma, sigma_angle, self.points, group))
+            of_set = (self.robot, m, self.names, self.loss, sigma, sigma_angle, self.points, group)
+            made.append(make_block(*of_set, fixed_loads=self.fixed_loads))
         return tuple(made)
 
     @property
@@ -209,15 +212,18 @@ class LeastSquares:
         return float(0.5 * g[free] @ np.linalg.solve(H[np.ix_(free, free)], g[free]))
 
     def identifiability(self, v: Array) -> Identifiability:
-        """Which of the names the data can tell apart, on the Jacobian at v."""
-        residuals, J = self.evaluate(v)
+        """Which of the names the data can tell apart, on the Jacobian at v, loads fixed where joints give way."""
+        loaded = any(j.compliance is not None for j in self.robot.joints) or bool(self.robot.effects)
+        _, J = replace(self, fixed_loads=loaded).evaluate(v)
         p = len(self.names)
         held = {n: self.robot.parameters[n].held for n in self.names if self.robot.parameters[n].held}
         if all(m.position is None and m.target is None for m in self.sets):
             held |= dict.fromkeys(_WHOLE_ROBOT, "nothing at rest was measured: moving the whole robot changes nothing")
+        if self.priors and self.residual_count <= self.size:
+            J = np.concatenate([J, np.diag(np.sqrt(self.prior_weights))])  # too few numbers to say what is confounded
         J_ordered = np.concatenate([J[:, p:], J[:, :p]], axis=1)
         found = analyse(J_ordered, self.names, 3 * len(self.labels), held)
-        if any(m.kind != "contact" or m.separations for m in self.sets) or not self._scale_is_free(residuals, J):
+        if any(m.kind != "contact" or m.separations for m in self.sets) or not self._scale_is_free():
             return found
         longest = max(found.independent, key=lambda n: abs(self._length(n)))
         held[longest] = "contact without known separations tells no scale; this length is taken as the measure"
@@ -228,12 +234,13 @@ class LeastSquares:
         parameter = self.robot.parameters[name]
         return parameter.value if parameter.unit == "m" else 0.0
 
-    def _scale_is_free(self, residuals: Sequence[Array], J: Array) -> bool:
+    def _scale_is_free(self) -> bool:
         """Whether all lengths grow together unseen.
 
         Contact residuals p - u are then homogeneous in lengths and points, and Euler's theorem says J (lengths, points)
         = residuals. Compliance breaks this by its share in the position, which is no measure: hence one per cent.
         """
+        residuals, J = self.evaluate(np.zeros(self.size))
         lengths = np.array([self._length(n) for n in self.names]) / self.scale
         growth = np.concatenate([lengths, (self.points - self.robot.base.T[:3, 3]).ravel() / POINT_SCALE])
         r = np.concatenate([part.ravel() for part in residuals])

@@ -33,8 +33,8 @@ Kind = Literal["position", "pose", "distance", "pair_distance", "contact"]
 KINDS: tuple[Kind, ...] = ("position", "pose", "distance", "pair_distance", "contact")
 SETS = ("identify", "train", "choose", "report")
 
-# Decimals of a reading [rad or m] up to which poses count as the same.
-SAME_READING = 6
+# Readings closer than this [rad or m] in every joint count as the same pose.
+SAME_READING = 1e-6
 
 _TO_SI = {"_mm": 1e-3, "_m": 1.0, "_deg": np.pi / 180, "_rad": 1.0}
 
@@ -122,8 +122,7 @@ class Measurements:
         contact point may fall in two.
         """
         ends = np.concatenate([self.q] if self.other is None else [self.q, self.other])
-        _, reading = np.unique(ends.round(SAME_READING), axis=0, return_inverse=True)
-        reading = reading.ravel()
+        reading = _same(ends)
         near, far = reading[: len(self)], reading[-len(self) :]
         counts = np.array([s * len(self) if s < 1 else s for s in sizes.values()])
         edges = np.cumsum([0.0, *counts]).round().astype(int)
@@ -143,6 +142,15 @@ class Measurements:
     def with_separations(self, known: Iterable[tuple[str, str, float]], sigma: float = 2e-5) -> Measurements:
         """Contact poses with known distances (label, label, distance [m]) between touched points, sigma [m] each."""
         return replace(self, separations=tuple(known), separation_sigma=sigma)
+
+
+def _same(q: Array) -> Array:
+    """A number for each distinct reading, shape (n,): joint by joint, a new cell begins behind each gap."""
+    cells = np.empty(q.shape, dtype=int)
+    for j, column in enumerate(q.T):
+        order = np.argsort(column)
+        cells[order, j] = np.cumsum(np.diff(column[order], prepend=column[order[0]]) > SAME_READING)
+    return np.asarray(np.unique(cells, axis=0, return_inverse=True)[1].ravel())
 
 
 def read_measurements(

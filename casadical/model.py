@@ -1,7 +1,8 @@
 """The symbolic model: chain, loops, gravity torques, compliance and effects composed into CasADi functions.
 
 The deflection is added to the joint variables inside the kinematics, not through the linearised J dtheta of the
-paper's eq. 5. Torques are those of the undeflected robot: deflections of 1 mrad change them by about 0.1 %.
+paper's eq. 5. Torques are those of the robot that has sunk once under its own: what is left to equilibrium falls with
+the cube of the compliance.
 """
 
 from __future__ import annotations
@@ -50,8 +51,12 @@ class Model:
         return ca.Function(name, [self.q, self.phi], results, ["q", "phi"], list(outputs))
 
 
-def build(robot: Robot) -> Model:
-    """Compose the model of a robot from its parts."""
+def build(robot: Robot, *, fixed_loads: bool = False) -> Model:
+    """Compose the model of a robot from its parts.
+
+    fixed_loads : whether gravity torques are those of the nominal geometry. Strictly, a longer last link also carries
+        its load farther out; the masses are not known well enough to tell the link from the tool by that.
+    """
     q = ca.SX.sym("q", robot.n)
     w = ca.SX.sym("w", len(robot.conditions))
     phi = ca.SX.sym("phi", len(robot.parameters))
@@ -59,9 +64,10 @@ def build(robot: Robot) -> Model:
     conditions = dict(zip(robot.conditions, ca.vertsplit(w) if robot.conditions else [], strict=True))
 
     T_M0 = base_frame(robot, values)
-    gravity = gravity_in_base(robot, T_M0)
     readings = ca.vertsplit(q)
-    rigid = link_frames(robot, readings, values)
+    at = dict(zip(robot.parameters.names, robot.parameters.values, strict=True)) if fixed_loads else values
+    gravity = gravity_in_base(robot, base_frame(robot, at))
+    rigid = link_frames(robot, readings, at)
     unloaded = Context(robot, q, conditions, values, rigid, gravity)
     energy = gravity_energy(robot, rigid, gravity, conditions.get("payload_kg", 0.0))
     energy = energy + sum(e.energy(unloaded) for e in robot.effects)

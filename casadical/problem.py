@@ -66,6 +66,7 @@ class _ProblemFile(_Strict):
     title: str
     data: Literal["real", "synthetic"]
     robot: str = "robot.toml"
+    campaign_robot: str | None = None
     methods: list[Literal["KM", "SKCM"]] = ["KM", "SKCM"]
     loss: Loss = "linear"
     measurements: list[_Data] = Field(min_length=1)
@@ -117,6 +118,19 @@ def read_problem(folder: str | Path, seed: int | None = None) -> Problem:
         methods=tuple(file.methods),
         loss=file.loss,
     )
+
+
+def read_campaign_robot(folder: str | Path) -> Robot:
+    """The robot of a problem folder as a diagnosis takes it: its `campaign_robot`, else its robot.
+
+    Raises InputError.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such problem folder; it must hold problem.toml and a robot file")
+    path = folder / "problem.toml"
+    file = check(_ProblemFile, load_toml(path), str(path))
+    return _read_robot(folder / (file.campaign_robot or file.robot))
 
 
 def _read_robot(path: Path) -> Robot:

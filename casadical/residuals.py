@@ -36,8 +36,9 @@ _KNEE = {1: 3.84, 3: 7.81, 6: 12.59}
 class _Pose:
     """What a residual may use: the model at this pose, its unknown point, and its column of data, taken in order."""
 
-    def __init__(self, robot: Robot, phi: ca.SX, u: ca.SX) -> None:
-        self._model = robot.model.function("pose", ("p", "R"))
+    def __init__(self, robot: Robot, phi: ca.SX, u: ca.SX, fixed_loads: bool) -> None:
+        model = robot.model_of_fixed_loads if fixed_loads else robot.model
+        self._model = model.function("pose", ("p", "R"))
         self._phi = phi
         self.columns: list[ca.SX] = []
         self.n, self.u = robot.n, u
@@ -118,9 +119,12 @@ class Kernel:
     residual : (z, data)->(r[m], J[m, z]), in units of sigma, without the loss
     cost, gradient, hessian : (z, data)->f, g[z], h, with the loss; h holds the columns of the upper triangle
     point : whether z ends with an unknown point
+    fixed_loads : whether gravity torques are those of the nominal geometry (see `model.build`)
     """
 
-    def __init__(self, robot: Robot, kind: Kind, point: bool, names: tuple[str, ...], loss: Loss) -> None:
+    def __init__(
+        self, robot: Robot, kind: Kind, point: bool, names: tuple[str, ...], loss: Loss, fixed_loads: bool = False
+    ) -> None:
         self.point = point
         x = ca.SX.sym("x", len(names))
         u = ca.SX.sym("u", 3) if point else ca.SX.zeros(3)
@@ -128,7 +132,7 @@ class Kernel:
         for k, name in enumerate(names):
             index = robot.parameters.index_of(name)
             phi[index] += robot.parameters[index].scale * x[k]
-        pose = _Pose(robot, phi, u)
+        pose = _Pose(robot, phi, u, fixed_loads)
         r = _RESIDUAL[kind](pose)
         self._r = r * pose.take(1)
         self._z = ca.vertcat(x, u) if point else x
@@ -254,10 +258,12 @@ def make_block(
     sigma_angle: float,
     points: Array,
     group: Array,
+    *,
+    fixed_loads: bool = False,
 ) -> Block:
-    """Measurements as a block; points : shape (K, 3) [m], all unknown points' starts; group : see `Block`."""
+    """Measurements as a block; points : shape (K, 3) [m], all points' starts; group, fixed_loads : see above."""
     start = points[group] if len(points) else np.zeros((len(m), 3))
-    found = kernel(robot, m.kind, has_point(m), tuple(names), loss)
+    found = kernel(robot, m.kind, has_point(m), tuple(names), loss, fixed_loads)
     return Block(found, data_columns(robot, m, start, sigma, sigma_angle), group)
 
 

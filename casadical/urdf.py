@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -39,10 +40,14 @@ class UrdfChain:
     notes: tuple[str, ...]
 
 
-def read_urdf(path: str | Path, base_link: str | None = None, tip_link: str | None = None) -> Robot:
+def read_urdf(
+    path: str | Path, base_link: str | None = None, tip_link: str | None = None, *, compliant: Collection[int] = ()
+) -> Robot:
     """A robot from a URDF file.
 
     base_link, tip_link : ends of the chain; by default the root and the only end that moves
+    compliant : joints (1-based, counted from the base link) whose drives give under load; their compliance, of which a
+        URDF says nothing, starts at zero
     The measuring frame is nominally the base link (its true pose unknown), the tool is the tip link (its position
     unknown). Joints keep their zero, sign and range; a continuous one gets +-360 deg. Down is -z of the file's root
     link. Links on fixed joints, and side branches at zero reading, count as mass of the link that carries them.
@@ -50,8 +55,11 @@ def read_urdf(path: str | Path, base_link: str | None = None, tip_link: str | No
     joint that mimics another, floats, or has no axis or no range.
     """
     chain = read_chain(Path(path), base_link, tip_link)
+    if unknown := set(compliant) - set(range(1, len(chain.moving) + 1)):
+        raise InputError(f"{path}: compliant joint {min(unknown)} is not there; the chain has 1..{len(chain.moving)}")
     joints = tuple(
-        _joint(row, j, body, str(path)) for row, j, body in zip(chain.dh.rows, chain.moving, chain.bodies, strict=True)
+        replace(_joint(row, j, body, str(path)), compliance=0.0 if i in compliant else None)
+        for i, (row, j, body) in enumerate(zip(chain.dh.rows, chain.moving, chain.bodies, strict=True), 1)
     )
     return Robot(
         name=chain.name,

@@ -41,11 +41,26 @@ def calibrated_urdf(
         takes the identified tool
 
     From base link to measured point the new file's kinematics are those of the calibrated robot without compliance and
-    effects, for which a URDF has no place: a comment in the file says so. Meshes, inertias and limits stay as they
-    are; every link keeps its place against its own joint's axis.
+    effects, for which a URDF has no place: a comment in the file says so. Who uses the file without adding the
+    deflections does better with a robot identified as rigid (method KM), whose geometry takes up part of them. Meshes,
+    inertias and limits stay as they are; every link keeps its place against its own joint's axis.
     Raises InputError: another robot than that of the file, a closed loop, a tool that has moved where no fixed joint
     can take it, a taken name; and what `read_urdf` raises.
     """
+    text = calibrated_urdf_text(robot_before, robot_calibrated, path_in, base_link, tip_link, base, measured_link)
+    write_whole(Path(path_out), text)
+
+
+def calibrated_urdf_text(
+    robot_before: Robot,
+    robot_calibrated: Robot,
+    path_in: str | Path,
+    base_link: str | None = None,
+    tip_link: str | None = None,
+    base: Literal["robot", "measuring"] = "robot",
+    measured_link: str | None = None,
+) -> str:
+    """What `calibrated_urdf` writes."""
     path_in = Path(path_in)
     chain = read_chain(path_in, base_link, tip_link)
     _refuse_other_robot(chain, robot_before, robot_calibrated, str(path_in))
@@ -58,7 +73,7 @@ def calibrated_urdf(
     else:
         _move_tip(document, chain, robot_calibrated.tool.T, str(path_in))
     _comment(document, robot_calibrated, chain, base)
-    write_whole(Path(path_out), document.toxml() + "\n")
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + "\n".join(node.toxml() for node in document.childNodes) + "\n"
 
 
 def _refuse_other_robot(chain: UrdfChain, before: Robot, after: Robot, source: str) -> None:

@@ -28,12 +28,15 @@ COMPLIANCE_SHARE = 0.5
 class Case:
     """Everything that the diagnosis computes with.
 
-    robot : calibrated base model, as departures from the robot that was given; m : poses without outliers
+    robot : calibrated base model; m : poses without outliers
+    given, values : the robot that was given, and its parameters that make it the calibrated one
     candidates : that the logged columns allow; missing : label -> columns that were not logged
     outliers : indices of poses left out, among all poses
     """
 
     robot: Robot
+    given: Robot
+    values: Array
     m: Measurements
     candidates: tuple[Candidate, ...]
     missing: dict[str, tuple[str, ...]]
@@ -53,6 +56,19 @@ class Case:
     def group(self, effects: Sequence[Effect]) -> Array:
         """Columns of effects that act together."""
         return np.concatenate([self.columns[e] for e in effects])
+
+    def with_variants(self, label: str, variants: Sequence[tuple[Effect, ...]]) -> Case:
+        """The case with further settings of one candidate."""
+        candidates = tuple(
+            replace(c, variants=(*c.variants, *variants)) if c.label == label else c for c in self.candidates
+        )
+        effects = tuple(dict.fromkeys(e for v in variants for e in v if e not in self.columns))
+        m, _ = derive(self.m, [c for e in effects for c in e.conditions])
+        E, _, _ = signatures(self.given, effects, m, self.values)
+        first = self.evidence.E.shape[2]
+        columns = {**self.columns, **_column_numbers(effects, first)}
+        evidence = replace(self.evidence, E=np.concatenate([self.evidence.E, E * _widths(effects)], axis=2))
+        return replace(self, m=m, candidates=candidates, columns=columns, evidence=evidence)
 
 
 def make_case(identification: Identification, candidates: Sequence[Candidate]) -> Case:
@@ -76,13 +92,21 @@ def make_case(identification: Identification, candidates: Sequence[Candidate]) -
     E, J, Jq = signatures(robot, effects, m, values)
     p, _ = predicted(identification.robot, m)
     assert m.position is not None
-    widths = np.array([e_size for e in effects for e_size, _ in e.sizes().values()])
-    edges = np.cumsum([0, *(len(e.sizes()) for e in effects)])
-    columns = {e: np.arange(a, b) for e, a, b in zip(effects, edges[:-1], edges[1:], strict=True)}
     delta0 = _prior_mean(identification) - values
     delta0[[n.startswith("base_") for n in robot.parameters.names]] = 0.0
-    evidence = Evidence(m.position - p, J, Jq, delta0, _prior(robot), E * widths)
-    return Case(identification.robot, m, possible, missing, outliers, evidence, columns)
+    evidence = Evidence(m.position - p, J, Jq, delta0, _prior(robot), E * _widths(effects))
+    columns = _column_numbers(effects, 0)
+    return Case(identification.robot, robot, values, m, possible, missing, outliers, evidence, columns)
+
+
+def _widths(effects: Sequence[Effect]) -> Array:
+    """One sigma of every parameter of the effects."""
+    return np.array([size for e in effects for size, _ in e.sizes().values()])
+
+
+def _column_numbers(effects: Sequence[Effect], first: int) -> dict[Effect, Array]:
+    edges = first + np.cumsum([0, *(len(e.sizes()) for e in effects)])
+    return {e: np.arange(a, b) for e, a, b in zip(effects, edges[:-1], edges[1:], strict=True)}
 
 
 def _prior_mean(identification: Identification) -> Array:
@@ -92,12 +116,4 @@ def _prior_mean(identification: Identification) -> Array:
 def _prior(robot: Robot) -> Array:
     return np.array(
         [COMPLIANCE_SHARE * p.value if p.group == "compliance" and p.value > 0 else p.prior for p in robot.parameters]
-    )
-
-
-def without(case: Case, keep: Array) -> Case:
-    """The same case on some of its poses."""
-    e = case.evidence
-    return replace(
-        case, m=case.m[keep], evidence=Evidence(e.r[keep], e.J[keep], e.Jq[keep], e.delta0, e.prior, e.E[keep])
     )

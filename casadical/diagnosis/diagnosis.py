@@ -17,6 +17,7 @@ from ..transforms import Array
 from .case import Case, make_case
 from .gap import Noise, held_out_errors, random_folds, shrink_interval
 from .library import named, standard_candidates
+from .refine import refined
 from .which import Ranking, rank
 
 Verdict = Literal["none", "explained", "ambiguous", "unknown"]
@@ -141,6 +142,7 @@ class _Step:
 
     ranking: Ranking
     labels: tuple[str, ...]
+    effects: tuple[Effect, ...]
 
 
 class _Investigation:
@@ -154,11 +156,17 @@ class _Investigation:
         self.rankings: list[Ranking] = []
 
     def columns(self, steps: Sequence[_Step]) -> Array:
-        parts = [self.case.group(self.variant(s.ranking, s.labels[0])) for s in steps]
+        parts = [self.case.group(s.effects) for s in steps]
         return np.unique(np.concatenate(parts)) if parts else np.zeros(0, dtype=np.int64)
 
     def variant(self, ranking: Ranking, label: str) -> tuple[Effect, ...]:
         return self.by_label[label].variants[ranking.variant[label]]
+
+    def accept(self, ranking: Ranking, labels: Sequence[str]) -> None:
+        """Take a cause (the first of the labels) into the model, with its settings refined."""
+        chosen = self.columns(self.steps)
+        self.case, effects = refined(self.case, labels[0], self.variant(ranking, labels[0]), chosen)
+        self.steps.append(_Step(ranking, tuple(labels), effects))
 
     def errors(self, columns: Array, noise: Noise) -> Array:
         """Held-out error of each pose, averaged over partitions."""
@@ -188,7 +196,7 @@ class _Investigation:
         top = listed[0]
         certain = ranking.probability[top] / (1 - ranking.none)
         if certain >= CLAIM:
-            self.steps.append(_Step(ranking, (top,)))
+            self.accept(ranking, [top])
             return "claimed"
         total, labels = 0.0, []
         for label in listed:
@@ -197,7 +205,7 @@ class _Investigation:
             if total >= SET_SHARE * (1 - ranking.none) or len(labels) == SET_SIZE:
                 break
         if not self.steps:
-            self.steps.append(_Step(ranking, tuple(labels)))
+            self.accept(ranking, labels)
         return "ambiguous"
 
     def _result(self, end: str) -> Diagnosis:
@@ -247,8 +255,7 @@ class _Investigation:
     def _cause(self, step: _Step, before: Array) -> Cause:
         label = step.labels[0]
         candidate = self.by_label[label]
-        effects = self.variant(step.ranking, label)
-        columns = self.case.group(effects)
+        columns = self.case.group(step.effects)
         alone = self.errors(columns, step.ranking.noise[label])
         rivals = [k for k in step.ranking.order if k != label and self.by_label[k].listed]
         alike = tuple(k for k in rivals if step.ranking.probability[k] > 0.02)[: SET_SIZE - 1]
@@ -259,7 +266,7 @@ class _Investigation:
             shrink=float(1 - alone.mean() / before.mean()),
             shrink_interval=shrink_interval(before, alone, self.seed),
             indistinguishable=step.labels[1:] or alike,
-            effects=effects,
+            effects=step.effects,
         )
 
     def _with_outliers(self, before: Array, causes: list[Cause]) -> tuple[Array, list[Cause]]:

@@ -94,7 +94,7 @@ class Evidence:
             b = w.E.T @ w.y
             for width in np.unique(widths):
                 which = np.flatnonzero(widths == width)
-                columns = np.stack([groups[g] for g in which])
+                columns = np.stack([groups[int(g)] for g in which])
                 E = w.E[:, columns]
                 G = np.einsum("rgi,rgj->gij", E, E)
                 value, vector = np.linalg.eigh(G)

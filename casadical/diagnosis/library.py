@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +36,7 @@ from .unknown import unknowns
 
 LAGS = (0.0, 300.0, 600.0, 1200.0, 2400.0)
 TIMES = tuple(float(t) for t in np.linspace(0.03, 0.97, 32))
+PHASES = tuple(float(p) for p in np.deg2rad(np.arange(0, 360, 30)))
 FRICTIONS = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
 CYCLES = tuple(float(c) for c in np.arange(2, 32.01, 0.5))
 
@@ -122,7 +123,7 @@ def _listed(robot: Robot) -> list[Candidate]:
     effects += [ThermalGrowth(None, lag) for lag in LAGS]
     effects += [TargetShift(None, t) for t in TIMES]
     effects += [PayloadError()] if robot.payload else []
-    effects += [GravityCompensator(2, a) for a in (1.2, 2.0, 4.0)] if robot.n >= 2 else []
+    effects += [GravityCompensator(2, a, p) for a in (1.2, 2.0, 4.0) for p in PHASES] if robot.n >= 2 else []
     effects += [BaseCompliance(), *(FrameDrift(None, s) for s in (0.5, 1.0, 2.0))]
     return [*_grouped(effects), _flexure(robot)]
 
@@ -140,8 +141,3 @@ def _flexure(robot: Robot) -> Candidate:
 
 def _smooth(robot: Robot) -> list[Candidate]:
     return [Candidate(e.label, "unknown", None, ((e,),), listed=False) for e in unknowns(robot)]
-
-
-def sizes(effects: Sequence[Effect]) -> Mapping[Effect, np.ndarray]:
-    """One sigma of each effect's parameters."""
-    return {e: np.array([size for size, _ in e.sizes().values()]) for e in effects}

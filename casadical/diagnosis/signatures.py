@@ -21,7 +21,7 @@ from ..measurements import Measurements
 from ..model import base_frame, gravity_in_base
 from ..robot import Robot
 from ..statics import gravity_energy, gravity_torques
-from ..transforms import Array, small_frame
+from ..transforms import Array, Symbolic, small_frame
 
 _TWIST = ("x", "y", "z", "rx", "ry", "rz")
 
@@ -46,22 +46,22 @@ class _Probe(Effect):
     def sizes(self) -> dict[str, tuple[float, str]]:
         return dict.fromkeys(self.names, (1.0, ""))  # type: ignore[attr-defined]
 
-    def joint_angle(self, context: Context) -> ca.SX:
+    def joint_angle(self, context: Context) -> Symbolic:
         return ca.vertcat(*(self.value(context, f"q{i}") for i in range(1, context.robot.n + 1)))
 
-    def _frame(self, context: Context, seam: str) -> ca.SX:
+    def _frame(self, context: Context, seam: str) -> Symbolic:
         return small_frame(*(self.value(context, f"{seam}_{c}") for c in _TWIST))
 
-    def link(self, number: int, context: Context) -> ca.SX:
+    def link(self, number: int, context: Context) -> Symbolic:
         return self._frame(context, f"link{number}")
 
-    def base(self, context: Context) -> ca.SX:
+    def base(self, context: Context) -> Symbolic:
         return self._frame(context, "base")
 
-    def tool(self, context: Context) -> ca.SX:
+    def tool(self, context: Context) -> Symbolic:
         return self._frame(context, "tool")
 
-    def measurement(self, point: ca.SX, context: Context) -> ca.SX:
+    def measurement(self, point: Symbolic, context: Context) -> Symbolic:
         return point + ca.vertcat(*(self.value(context, f"point_{c}") for c in "xyz"))
 
 
@@ -108,19 +108,24 @@ def _seam_derivative(effect: Effect, context: Context, point: ca.SX) -> ca.SX:
     theta = ca.SX.sym("theta", len(parameters))
     own = dict(zip((p.name for p in parameters), ca.vertsplit(theta), strict=True))
     context = replace(context, values={**context.values, **own})
-    angle = effect.joint_angle(context)
+    angle = ca.SX(effect.joint_angle(context))
     energy = ca.SX(effect.energy(replace(context, torque=None)))
     if ca.depends_on(energy, theta):
         torque = gravity_torques(energy, context.q)
         n = context.robot.n
         angle += ca.vertcat(*(context.values.get(f"c{i}", 0.0) * torque[i - 1] for i in range(1, n + 1)))
-    seams = [angle]
-    for i in range(1, context.robot.n + 1):
-        seams.append(_twist(effect.link(i, context)))
-    seams += [_twist(effect.base(context)), _twist(effect.tool(context))]
-    seams.append(effect.measurement(point, context) - point)
+    seams, n = [angle], context.robot.n
+    seams += [_twist(effect.link(i, context)) for i in range(1, n + 1)] if _acts(effect, "link") else [ca.SX(6 * n, 1)]
+    seams += [_twist(effect.base(context)) if _acts(effect, "base") else ca.SX(6, 1)]
+    seams += [_twist(effect.tool(context)) if _acts(effect, "tool") else ca.SX(6, 1)]
+    seams += [effect.measurement(point, context) - point if _acts(effect, "measurement") else ca.SX(3, 1)]
     derivative = ca.jacobian(ca.vertcat(*seams), theta)
     return ca.substitute(derivative, theta, ca.SX.zeros(theta.numel()))
+
+
+def _acts(effect: Effect, seam: str) -> bool:
+    """Whether the effect overrides a seam."""
+    return getattr(type(effect), seam) is not getattr(Effect, seam)
 
 
 def _twist(T: ca.SX) -> ca.SX:
@@ -140,4 +145,4 @@ def signatures(robot: Robot, effects: Sequence[Effect], m: Measurements, values:
     declared = np.array([robot.payload.mass if c == "payload_kg" and robot.payload else 0.0 for c in conditions])
     w = m.condition_matrix(conditions, declared)
     parts = function.map(len(m))(m.q.T, w.T, values)
-    return tuple(part.full().reshape(3, len(m), -1).transpose(1, 0, 2) for part in parts)  # type: ignore[return-value]
+    return tuple(part.full().reshape(3, len(m), -1).transpose(1, 0, 2) for part in parts)

@@ -24,7 +24,7 @@ SIZE_LENGTH = 30e-6
 
 @dataclass(frozen=True)
 class _Series(Effect):
-    """Errors of all joint variables as a series of functions; `terms` gives the functions and their share of the size."""
+    """Errors of all joint variables as a series; `terms` gives its functions and their share of the size."""
 
     moved: int = 6
 

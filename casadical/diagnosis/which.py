@@ -39,10 +39,14 @@ class Ranking:
         return tuple(sorted(self.probability, key=lambda label: -self.probability[label]))
 
 
+# A further cause at a joint that has one already is more likely a flaw of the first one's equation.
+SAME_JOINT = 0.05
+
+
 def rank(case: Case, chosen: Array, skip: frozenset[str] = frozenset()) -> Ranking:
     """Posterior over the next cause.
 
-    chosen : columns of causes that are in the model already; skip : labels that are no longer candidates
+    chosen : columns of causes that are in the model already; skip : their labels, no longer candidates
     """
     grids = case.evidence.log_grids(case.groups, also=chosen) + np.log(KAPPA_WEIGHTS)
     problem = case.evidence.with_base(chosen) if len(chosen) else case.evidence
@@ -71,9 +75,11 @@ def _prior_weights(case: Case, prior: Mapping[str, float], skip: frozenset[str])
     names = {c.name for c in open_ if c.listed}
     smooth = [c for c in open_ if not c.listed]
     weights = {}
+    taken = {c.joint for c in case.candidates if c.label in skip and c.joint is not None}
     for c in open_:
         if c.listed:
-            weights[c.label] = prior["listed"] / len(names) / sum(1 for o in open_ if o.name == c.name)
+            share = prior["listed"] / len(names) / sum(1 for o in open_ if o.name == c.name)
+            weights[c.label] = share * (SAME_JOINT if c.joint in taken else 1.0)
         else:
             weights[c.label] = prior["unknown"] / len(smooth)
     return weights

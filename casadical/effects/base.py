@@ -46,7 +46,7 @@ class Context:
         return self.torque[joint - 1] / self.robot.torque_scale[joint - 1]
 
     def moment(self, link: int) -> Symbolic:
-        """Moment [N m] of all weight from link `link` (1-based) on, about that link's origin; base frame, shape (3,)."""
+        """Moment [N m] of all weight from a link (1-based) on, about its origin; in the base frame, shape (3,)."""
         origin = self.frames[link - 1][:3, 3]
         joints = self.robot.joints
         loads = [(j.body.mass, apply(T, ca.DM(j.body.com))) for j, T in zip(joints, self.frames, strict=True) if j.body]

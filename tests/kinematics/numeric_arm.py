@@ -79,6 +79,16 @@ def torques(robot, q, step=1e-4):
     return np.array(found)
 
 
+def compliances(robot):
+    """Shape (n,) [rad/(N m) or m/N]; rigid joints have zero."""
+    return np.array([j.compliance or 0.0 for j in robot.joints])
+
+
+def loaded_torques(robot, q):
+    """Torques of the robot that has sunk once under its own: the first step towards equilibrium."""
+    return torques(robot, q + compliances(robot) * torques(robot, q))
+
+
 def derivative(function, x, steps):
     """Jacobian of a vector function by central differences of fourth order, shape (m, n)."""
     columns = []
@@ -122,10 +132,10 @@ def _tool(x, y, z):
 def slider_arm():
     """A slide, a swinging link, a slide and a wrist: prismatic joints first and in the middle."""
     joints = (
-        Joint(a=0.1, d=0.2, theta=0.3, kind="prismatic", lower=0.0, upper=0.5, compliance=2e-6, body=_body(40, 0.1)),
-        Joint(a=0.25, theta=0.4, lower=-2.0, upper=2.0, compliance=3e-6, body=_body(12, 0.2)),
-        Joint(np.pi / 2, 0.05, 0.2, 0.3, kind="prismatic", lower=-0.1, upper=0.4, compliance=1e-6, body=_body(6, 0.1)),
-        Joint(-1.2, 0.15, -0.5, 0.1, lower=-3.0, upper=3.0, compliance=2e-5, body=_body(2, 0.05)),
+        Joint(a=0.1, d=0.2, theta=0.3, kind="prismatic", lower=0.0, upper=0.5, compliance=2e-7, body=_body(40, 0.1)),
+        Joint(a=0.25, theta=0.4, lower=-2.0, upper=2.0, compliance=3e-5, body=_body(12, 0.2)),
+        Joint(np.pi / 2, 0.05, 0.2, 0.3, kind="prismatic", lower=-0.1, upper=0.4, compliance=1e-7, body=_body(6, 0.1)),
+        Joint(-1.2, 0.15, -0.5, 0.1, lower=-3.0, upper=3.0, compliance=2e-4, body=_body(2, 0.05)),
     )
     base = Placement(turn("xyz", (0.5, -0.3, 0.2)))  # tilted: gravity loads every joint
     return Robot("slider", joints, base, tool=_tool(0.03, -0.05, 0.12))

@@ -34,7 +34,7 @@ def closes(crank, ground, bars):
 def test_closed_form_is_the_numeric_root_over_the_feasible_range(name):
     bars, compared = BARS[name], 0
     for ground in np.deg2rad(np.arange(30, 150, 8.0)):
-        for between in np.deg2rad(np.arange(4, 177, 3.0)):
+        for between in np.deg2rad(np.arange(4, 177, 4.0)):
             crank = ground + between
             if fourbar.margin(crank, ground, bars) < 1e-3:
                 continue
@@ -43,7 +43,7 @@ def test_closed_form_is_the_numeric_root_over_the_feasible_range(name):
             expected = rocker_angle(crank, ground, bars, found)
             assert expected == pytest.approx(found, abs=1e-11)
             compared += 1
-    assert compared > 500
+    assert compared > 400
 
 
 def test_parallelogram_turns_the_rocker_with_the_crank():

@@ -5,7 +5,20 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from numeric_arm import derivative, generic_arm, hh800, pose, readings, shift, slider_arm, torques, turn, vector
+from numeric_arm import (
+    compliances,
+    derivative,
+    generic_arm,
+    hh800,
+    loaded_torques,
+    pose,
+    readings,
+    shift,
+    slider_arm,
+    torques,
+    turn,
+    vector,
+)
 
 from casadical.robot import Joint, Placement, Robot
 
@@ -41,32 +54,57 @@ def test_pose_of_the_rigid_arm(arm):
 
 
 def test_torque_is_minus_the_gradient_of_the_energy(arm):
+    stiff = rigid(arm)
     for q in at_poses(arm):
-        found = vector(arm.torque, q, arm.parameters.values)
+        found = vector(stiff.torque, q, stiff.parameters.values)
         expected = torques(arm, q)
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
+def test_torque_of_a_compliant_arm_is_that_of_the_sunken_one(arm):
+    for q in at_poses(arm):
+        found = vector(arm.torque, q, arm.parameters.values)
+        np.testing.assert_allclose(found, loaded_torques(arm, q), rtol=0, atol=1e-9 * np.abs(found).max())
+
+
 def test_deflection_enters_the_kinematics_itself(arm):
     stiff = rigid(arm)
-    c = np.array([j.compliance or 0.0 for j in arm.joints])
     for q in at_poses(arm):
-        moved = q + c * torques(arm, q)
+        moved = q + compliances(arm) * loaded_torques(arm, q)
         np.testing.assert_allclose(
             vector(arm.position, q, arm.parameters.values), pose(stiff, moved)[:3, 3], rtol=0, atol=1e-11
         )
 
 
+def sinking(arm, q, deflection):
+    """The arm made so soft that its joints give by at most `deflection` [rad or m] at q, to first order."""
+    factor = deflection / np.abs(compliances(arm) * torques(arm, q)).max()
+    return arm.with_values({p.name: factor * p.value for p in arm.parameters if p.group == "compliance"})
+
+
+def test_model_stands_next_to_equilibrium(arm):
+    # theta = q + c tau(theta); the model goes two steps of this iteration, so its error falls with the cube of c.
+    q, left = at_poses(arm, 1)[0], []
+    for deflection in (0.01, 0.02):
+        soft, theta = sinking(arm, q, deflection), q
+        for _ in range(30):
+            theta = q + compliances(soft) * torques(soft, theta)
+        stood = pose(soft, theta)[:3, 3]
+        left.append(np.linalg.norm(vector(soft.position, q, soft.parameters.values) - stood))
+        sunk = np.linalg.norm(stood - pose(soft, q)[:3, 3])
+        assert left[-1] < 0.02 * sunk
+    assert left[0] > 1e-9
+    assert left[1] / left[0] == pytest.approx(8, rel=0.3)
+
+
 def test_deflection_is_not_linearised(arm):
     # The distance to the paper's p + J dtheta grows with the square of the compliance.
-    q, names = at_poses(arm, 1)[0], [p.name for p in arm.parameters if p.group == "compliance"]
-    left = []
-    for factor in (100, 200):
-        soft = arm.with_values({n: factor * arm.parameters[n].value for n in names})
-        stiff = rigid(arm)
-        J = derivative(lambda x, s=stiff: vector(s.position, x, s.parameters.values), q, np.full(arm.n, 1e-4))
-        c = np.array([j.compliance or 0.0 for j in soft.joints])
-        linear = vector(stiff.position, q, stiff.parameters.values) + J @ (c * torques(arm, q))
+    q, left, stiff = at_poses(arm, 1)[0], [], rigid(arm)
+    for deflection in (0.01, 0.02):
+        soft = sinking(arm, q, deflection)
+        J = derivative(lambda x: vector(stiff.position, x, stiff.parameters.values), q, np.full(arm.n, 1e-4))
+        tau = vector(soft.torque, q, soft.parameters.values)
+        linear = vector(stiff.position, q, stiff.parameters.values) + J @ (compliances(soft) * tau)
         left.append(np.linalg.norm(vector(soft.position, q, soft.parameters.values) - linear))
     assert left[0] > 1e-8
     assert left[1] / left[0] == pytest.approx(4, rel=0.2)
@@ -76,9 +114,9 @@ def test_deflection_is_not_linearised(arm):
 def test_jacobian_by_parameters(arm, output):
     function, phi = getattr(arm, output), arm.parameters.values
     J = jacobian(function, 1)
-    # c_i tau_i c_k is what is left of two compliances: their steps must be small against them, others against 1.
-    steps = np.array([1e-8 if p.group == "compliance" else 1e-3 for p in arm.parameters])
     for q in at_poses(arm, 2):
+        load = np.abs(vector(arm.torque, q, phi)).max()
+        steps = np.array([1e-4 / load if p.group == "compliance" else 1e-3 for p in arm.parameters])
         exact = J(q, phi).full()
         found = derivative(lambda x, q=q: vector(function, q, x), phi, steps)
         scale = np.maximum(np.abs(exact).max(axis=0), 1.0)
@@ -115,7 +153,7 @@ def test_gravity_in_the_base_frame_does_not_turn_with_the_base():
     tilted = {"base_rx": 0.2, "base_ry": -0.1}
     for robot, changes in ((arm, True), (fixed, False)):
         before, after = (vector(r.torque, q, r.parameters.values) for r in (robot, robot.with_values(tilted)))
-        np.testing.assert_allclose(after, torques(robot.with_values(tilted), q), rtol=0, atol=1e-8)
+        np.testing.assert_allclose(after, loaded_torques(robot.with_values(tilted), q), rtol=0, atol=1e-8)
         assert (np.abs(after - before).max() > 1) == changes
 
 

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from casadical.axes import Axis, rows_from_axes
 from casadical.robot import Joint, Placement, Robot
 
-SAMPLING = settings(deadline=None, max_examples=60, derandomize=True)
+SAMPLING = settings(deadline=None, max_examples=30, derandomize=True)
 # Degrees between an axis and the one before: 1e-6..5, off 0 or off 180.
 off_parallel = st.tuples(st.floats(-6, np.log10(5)).map(lambda e: 10**e), st.sampled_from([0.0, 180.0])).map(
     lambda pair: np.deg2rad(pair[1] + pair[0])

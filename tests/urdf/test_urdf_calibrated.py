@@ -34,7 +34,7 @@ def canonical(tree):
     return ElementTree.canonicalize(ElementTree.tostring(tree.getroot()), strip_text=True)
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(16))
 @pytest.mark.parametrize("base", ["robot", "measuring"])
 def test_random_arm(tmp_path, seed, base):
     path, out = written(tmp_path, random_arm(seed, n=1 + seed % 7))
@@ -64,7 +64,9 @@ def test_compliance_is_left_out_and_named(tmp_path):
     text = out.read_text()
     assert "compliance has no place in a URDF and is NOT in this file" in text
     assert "(c2 = 2e-05, c3 = 4e-05," in text
-    assert "the file's own header" in text
+    assert text.startswith(
+        '<?xml version="1.0" encoding="utf-8"?>\n<!-- the file\'s own header -->\n<robot name="ur10">'
+    )
 
 
 def test_unchanged_robot_keeps_every_origin_and_inertia(tmp_path):

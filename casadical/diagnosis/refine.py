@@ -1,0 +1,53 @@
+"""Settings in which a cause is not linear (knee, lag, cycles, time of a step), between the grid's points."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from ..effects import Effect
+from ..transforms import Array
+from .case import Case
+from .evidence import KAPPA_WEIGHTS, log_sum
+from .library import CYCLES, PHASES, TIMES
+
+ROUNDS = 2
+
+# Spacing of the grid for settings that are places on a line; other settings are sizes and are scaled.
+_SPACING = {"at": TIMES[1] - TIMES[0], "cycles": CYCLES[1] - CYCLES[0], "phase": PHASES[1] - PHASES[0], "shape": 0.5}
+
+
+def neighbours(effect: Effect, fineness: float) -> list[Effect]:
+    """The effect with one setting moved by a fraction of the grid's spacing, each in turn."""
+    found = []
+    for f in fields(effect):
+        value = getattr(effect, f.name)
+        if not isinstance(value, float):
+            continue
+        if f.name in _SPACING:
+            moved = [value + step * fineness * _SPACING[f.name] for step in (-0.67, -0.33, 0.33, 0.67)]
+        else:
+            moved = [value * float(np.exp(step * fineness)) for step in (-0.5, -0.25, 0.25, 0.5)]
+        settings: list[dict[str, Any]] = [{f.name: v} for v in moved if v > 0 or f.name == "phase"]
+        found += [replace(effect, **s) for s in settings]
+    return found
+
+
+def refined(case: Case, label: str, variant: tuple[Effect, ...], chosen: Array) -> tuple[Case, tuple[Effect, ...]]:
+    """The case with the best settings found near a variant, and these settings.
+
+    chosen : columns of causes that are in the model already
+    """
+    if len(variant) != 1:
+        return case, variant
+    for k in range(ROUNDS):
+        near = [(e,) for e in neighbours(variant[0], 0.5**k)]
+        if not near:
+            break
+        case = case.with_variants(label, near)
+        trial = [variant, *near]
+        grids = case.evidence.log_grids([case.group(v) for v in trial], also=chosen) + np.log(KAPPA_WEIGHTS)
+        variant = trial[int(np.argmax(log_sum(grids.reshape(len(trial), -1), axis=1)))]
+    return case, variant

@@ -1,0 +1,124 @@
+"""Which parameters come out as identifiable, and the words for those that do not."""
+
+from dataclasses import replace
+
+import arms
+import numpy as np
+import pytest
+
+from casadical import InputError, identify
+from casadical.identifiability import analyse
+
+ARM = arms.six_axis()
+
+
+def held(result):
+    return {u.name: u for u in result.identifiability.held}
+
+
+def test_hh800_as_in_the_paper():
+    """Table 3: 29 kinematic parameters and the compliances of joints 2 to 5; d2, d6, theta6, L3 crossed out."""
+    robot = arms.hh800()
+    built = arms.planted(robot, 1)
+    result = identify(robot, arms.positions(built, arms.readings(robot, 60, 2), 3))
+    assert result.is_optimal()
+    kinematic = [n for n in result.names if robot.parameters[n].group != "compliance"]
+    assert len(kinematic) == 29
+    assert [n for n in result.names if n not in kinematic] == ["c2", "c3", "c4", "c5"]
+    why = held(result)
+    assert set(why) == {"d2", "d6", "theta6", "L3", "c1"}
+    assert "axes 2 and 3 are nearly parallel: d2 moves the tool as d3 does" in why["d2"].reason
+    assert why["d2"].confounded_with == ("d3",)
+    assert why["d6"].confounded_with == ("tool_z",)
+    assert set(why["theta6"].confounded_with) == {"tool_x", "tool_y"}
+    assert "L5 - L3" in why["L3"].reason
+    table = result.parameters.set_index("name")
+    assert table.loc["d6", "status"] == "not identifiable"
+    assert table.loc["d6", "reason"] == "it moves the measured points exactly as tool_z does"
+
+
+def test_no_gravity_torque_about_a_vertical_axis():
+    robot = arms.hh800()
+    result = identify(robot, arms.positions(robot, arms.readings(robot, 40, 2), 3))
+    assert held(result)["c1"].reason == "it has no effect on what was measured"
+    with pytest.raises(InputError, match=r"tell nothing.*c1: it has no effect"):
+        identify(robot, arms.positions(robot, arms.readings(robot, 40, 2), 3), ["c1"])
+
+
+def test_a_joint_that_never_moved():
+    """Rows about a fixed joint melt into one; what is named stands in for what is not."""
+    built = arms.planted(ARM, 4, arms.TRACKER)
+    q = arms.readings(built, 80, 5)
+    q[:, 3] = 0.3
+    stiff = identify(ARM, arms.positions(built, q, 6), ["kinematic"])
+    free = identify(ARM, arms.positions(built, arms.readings(built, 80, 5), 6), ["kinematic"])
+    assert len(stiff.names) == len(free.names) - 4  # a turning axis is four numbers
+    new = set(held(stiff)) - set(held(free))
+    assert len(new) == 4
+    for name in new:
+        assert "exactly as" in held(stiff)[name].reason
+        assert set(held(stiff)[name].confounded_with) <= set(stiff.names)
+    # Predictions are as good as ever where that joint stays.
+    probe = arms.readings(built, 100, 7)
+    probe[:, 3] = 0.3
+    assert np.linalg.norm(stiff.predict(probe)[0] - arms.points(built, probe), axis=1).mean() < arms.NOISE
+
+
+def test_poorly_told_is_told_in_words_with_partners():
+    """Readings within a hundredth of a radian: much is seen, little is told."""
+    built = arms.planted(ARM, 4, arms.TRACKER)
+    near = 0.02 * arms.readings(built, 60, 5) + np.array([0.1, 0.4, -0.6, 0.3, 0.8, 0.2])
+    result = identify(ARM, arms.positions(built, near, 6), ["kinematic"])
+    poor = [u for u in result.identifiability.held if "less than is known before" in u.reason]
+    assert poor
+    assert any(u.confounded_with for u in poor)
+    widths = np.array([result.start.parameters[n].prior for n in result.names])
+    assert (result.standard_errors <= 1.05 * widths).all()
+    wanted = 2.0 * arms.NOISE
+    assert np.linalg.norm(result.predict(near)[0] - arms.points(built, near), axis=1).mean() < wanted
+
+
+def test_nearly_parallel_axes_take_beta_and_a_d_is_held():
+    tilted = list(ARM.joints)
+    tilted[2] = replace(tilted[2], alpha=np.deg2rad(1.5), beta=None)
+    robot = arms.six_axis(joints=tuple(tilted))
+    built = arms.planted(robot, 8, arms.TRACKER)
+    result = identify(robot, arms.positions(built, arms.readings(built, 60, 9), 10), ["kinematic"])
+    assert "beta2" in result.names
+    assert "d2" not in result.names
+    assert len(result.names) == 27
+
+
+def test_free_by_name_group_and_pattern():
+    built = arms.planted(ARM, 4, arms.TRACKER)
+    m = arms.positions(built, arms.readings(built, 40, 5), 6)
+    assert set(identify(ARM, m, ["placement"]).names) == {*(f"base_{c}" for c in ("x", "y", "z", "rx", "ry", "rz")),
+                                                         "tool_x", "tool_y", "tool_z"}  # fmt: skip
+    some = identify(ARM, m, ["placement", "theta3", "a*"])
+    assert {"theta3", "a1", "alpha5"} <= set(some.names)
+    assert not any(n.startswith("d") for n in some.names)
+    asked = some.parameters.set_index("name")
+    assert asked.loc["d4", "reason"] == "not asked for"
+
+
+def test_analyse_names_exact_combinations():
+    """A plain matrix: c = a + b, z = 0, e = 2 d; d is a wish to hold."""
+    rng = np.random.default_rng(0)
+    a, b, d, f = rng.normal(size=(4, 30))
+    found = analyse(np.column_stack([a, b, a + b, 0 * a, d, 2 * d, f]), list("abczdef"), 0, {"d": "because"})
+    assert found.independent == ("a", "b", "e", "f")
+    reasons = {u.name: u for u in found.held}
+    assert set(reasons["c"].confounded_with) == {"a", "b"}
+    assert reasons["z"].reason == "it has no effect on what was measured"
+    assert reasons["d"].reason == "because"
+    assert found.condition == pytest.approx(
+        np.linalg.cond(np.column_stack([v / np.linalg.norm(v) for v in (a, b, d, f)])), rel=1e-9
+    )
+
+
+def test_analyse_lets_points_come_first():
+    rng = np.random.default_rng(0)
+    point, a = rng.normal(size=(2, 10))
+    found = analyse(np.column_stack([point, 3 * point, a]), ["shift", "a"], 1, {})
+    assert found.independent == ("a",)
+    assert found.held[0].reason == "the unknown points absorb it"

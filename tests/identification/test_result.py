@@ -1,0 +1,173 @@
+"""What a result says of itself: optimality, bounds, priors, methods, sigmas, outliers, predictions, repeatability."""
+
+from dataclasses import replace
+
+import arms
+import numpy as np
+import pytest
+
+from casadical import InputError, identify
+
+ARM = arms.six_axis()
+
+
+@pytest.fixture(scope="module")
+def built():
+    return arms.planted(ARM, 1, arms.TRACKER)
+
+
+@pytest.fixture(scope="module")
+def result(built):
+    return identify(ARM, arms.positions(built, arms.readings(built, 60, 2), 3), ["kinematic"])
+
+
+def moved(result, k, by):
+    """The same result with variable k off by `by` standard errors."""
+    v = result.solution.v.copy()
+    v[k] += by * result.standard_errors[k] / result.problem.scale[k]
+    return replace(result, solution=replace(result.solution, v=v))
+
+
+def test_is_optimal_only_where_it_is(result):
+    assert result.is_optimal()
+    for k in range(len(result.names)):
+        assert not moved(result, k, 0.1).is_optimal()
+        assert not moved(result, k, -0.1).is_optimal()
+
+
+def test_a_variable_pushed_onto_its_bound_is_not_optimal(result):
+    """At a bound that the cost pushes away from, a step inwards helps."""
+    v = result.solution.v.copy()
+    k = result.names.index("a2")
+    for side in result.problem.bounds:
+        v[k] = side[k]
+        assert not replace(result, solution=replace(result.solution, v=v.copy())).is_optimal()
+
+
+def test_robust_solution_is_optimal_and_its_perturbation_is_not(built):
+    m = arms.positions(built, arms.readings(built, 80, 4), 5)
+    for loss in ("huber", "soft_l1"):
+        robust = identify(ARM, m, ["kinematic"], loss=loss)
+        assert robust.is_optimal()
+        assert not moved(robust, 3, 0.1).is_optimal()
+
+
+def test_noise_free_data_are_fitted_to_round_off(built):
+    exact = identify(ARM, arms.positions(built, arms.readings(built, 40, 2), 3, sigma=0), ["kinematic"])
+    assert arms.model_error(exact.robot, built) < 1e-8
+    assert exact.is_optimal()
+
+
+def test_twice_the_same_to_the_last_bit(built):
+    """From the start: new robots, kernels and problems."""
+    runs = []
+    for _ in range(2):
+        robot = arms.six_axis()
+        m = arms.positions(built, arms.readings(robot, 50, 6), 7)
+        runs.append(identify(robot, m, ["kinematic"], loss="soft_l1"))
+    assert np.array_equal(runs[0].solution.v, runs[1].solution.v)
+    assert np.array_equal(runs[0].covariance, runs[1].covariance)
+    assert runs[0].solution.history == runs[1].solution.history
+
+
+def test_priors_hold_what_the_data_do_not_tell(built):
+    """Eight poses cannot tell 27 numbers apart; with priors every one stays within a few of its widths."""
+    m = replace(arms.positions(built, arms.readings(built, 8, 8), 9), sigma=arms.NOISE)
+    with pytest.raises(InputError, match=r"24 numbers were measured.*unknown.*priors"):
+        identify(ARM, m, ["kinematic"])
+    held = identify(ARM, m, ["kinematic"], priors=True)
+    assert held.is_optimal()
+    departures = held.problem.separate(held.solution.v)[0] * np.sqrt(held.problem.prior_weights)
+    assert np.abs(departures).max() < 3
+    widths = np.array([held.start.parameters[n].prior for n in held.names])
+    assert (held.standard_errors < 1.3 * widths).all()
+
+
+def test_priors_fade_where_the_data_tell(built):
+    m = arms.positions(built, arms.readings(built, 400, 10), 11)
+    with_priors, without = (identify(ARM, m, ["kinematic"], priors=p) for p in (True, False))
+    assert with_priors.names == without.names
+    assert np.abs((with_priors.estimate - without.estimate) / without.standard_errors).max() < 0.1
+
+
+def test_the_methods_of_the_paper():
+    robot = arms.hh800()
+    built = arms.planted(robot, 3)
+    m = arms.positions(built, arms.readings(robot, 80, 4), 5, sigma=1e-4)
+    km, skcm = identify(robot, m, method="KM"), identify(robot, m, method="SKCM")
+    assert not any(n.startswith("c") for n in km.names)
+    assert not any(j.compliance for j in km.robot.joints)
+    assert [n for n in skcm.names if n.startswith("c")] == ["c2", "c3", "c4", "c5"]
+    held_out = arms.positions(built, arms.readings(robot, 200, 6), 7, sigma=1e-4)
+    assert skcm.accuracy(held_out)["calibrated"].mean < 0.5 * km.accuracy(held_out)["calibrated"].mean
+    assert km.verdict.startswith("KM: 29 parameters")
+    assert skcm.verdict.startswith("SKCM: 33 parameters")
+
+
+@pytest.mark.parametrize("loss", ["huber", "soft_l1"])
+def test_outliers_are_named_and_left_out(built, loss):
+    q = arms.readings(built, 100, 12)
+    m = arms.positions(built, q, 13)
+    wrong = m.position.copy()
+    wrong[5::10] += np.array([0.5e-3, -0.3e-3, 0.4e-3])
+    robust = identify(ARM, replace(m, position=wrong), ["kinematic"], loss=loss)
+    assert robust.outliers == tuple((0, i) for i in range(5, 100, 10))
+    clean = identify(ARM, m[np.arange(100) % 10 != 5], ["kinematic"])
+    assert arms.model_error(robust.robot, built) < 1.2 * arms.model_error(clean.robot, built)
+    assert robust.sigmas[0][0] == pytest.approx(arms.NOISE, rel=0.15)
+    assert "10 poses left out" in robust.verdict
+    assert arms.model_error(identify(ARM, replace(m, position=wrong), ["kinematic"]).robot, built) > 4 * arms.NOISE
+
+
+def test_a_weight_of_zero_is_a_pose_left_out(built):
+    m = arms.positions(built, arms.readings(built, 60, 14), 15)
+    weight = np.ones(60)
+    weight[40:] = 0
+    wrong = m.position + (weight[:, None] == 0)
+    weighted = identify(ARM, replace(m, position=wrong, weight=weight), ["kinematic"])
+    alone = identify(ARM, m[:40], ["kinematic"])
+    # The start differs (it knows no weights); the optimum does not.
+    assert arms.model_error(weighted.robot, alone.robot) < 1e-7
+
+
+def test_predicted_covariance_is_the_scatter_over_repeated_campaigns(built):
+    robot = replace(ARM, base=replace(ARM.base, T=arms.TRACKER))
+    q, probe = arms.readings(built, 40, 16), arms.readings(built, 5, 17)
+    runs = [identify(robot, arms.positions(built, q, 100 + k), ["kinematic"]) for k in range(20)]
+    found = np.array([r.predict(probe)[0] for r in runs])
+    claimed = np.mean([r.predict(probe)[1] for r in runs], axis=0)
+    miss = found - arms.points(built, probe)
+    # Mahalanobis distances squared have mean 3 and, over 20 runs of five dependent probes, spread of about 0.3.
+    d2 = np.einsum("rni,nij,rnj->rn", miss, np.linalg.inv(claimed), miss)
+    assert d2.mean() == pytest.approx(3, abs=0.9)
+    assert np.allclose(found.std(axis=0), np.sqrt(np.diagonal(claimed, axis1=1, axis2=2)), rtol=0.5)
+
+
+def test_progress_hears_every_iteration(built):
+    heard = []
+    m = arms.positions(built, arms.readings(built, 40, 18), 19)
+    identify(ARM, m, ["kinematic"], progress=lambda k, cost: heard.append((k, cost)))
+    assert [k for k, _ in heard] == list(range(len(heard)))
+    assert heard[-1][1] < 1e-3 * heard[0][1]
+
+
+def test_a_start_far_off_is_told_in_words(built):
+    """Joint 2 counts the other way round."""
+    q = arms.readings(built, 60, 20)
+    m = arms.positions(built, q, 21)
+    turned = replace(m, q=q * np.array([1, -1, 1, 1, 1, 1]))
+    verdict = identify(ARM, turned, ["kinematic"]).verdict
+    assert "DOES NOT FIT" in verdict
+    assert "joint signs" in verdict
+
+
+def test_correlations_are_listed_the_strongest_first(result):
+    pairs = result.correlations(above=0.5)
+    strength = pairs["correlation"].abs().to_numpy()
+    assert len(pairs) > 0
+    assert (strength > 0.5).all()
+    assert (np.diff(strength) <= 0).all()
+    first = pairs.iloc[0]
+    i, j = (result.names.index(first[c]) for c in ("parameter", "with"))
+    expected = result.covariance[i, j] / (result.standard_errors[i] * result.standard_errors[j])
+    assert first["correlation"] == pytest.approx(expected)

@@ -1,0 +1,235 @@
+"""A table of bad inputs: each is refused with an InputError that says where, what, and what is allowed."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from casadical import (
+    Body,
+    FourBar,
+    InputError,
+    Joint,
+    Measurements,
+    Placement,
+    Robot,
+    from_table,
+    identify,
+    read_measurements,
+)
+from casadical.checks import check_against
+from casadical.transforms import frame
+
+N = 24
+ARM = Robot(
+    "arm",
+    (
+        Joint(d=0.4, lower=-2, upper=2),
+        Joint(alpha=np.pi / 2, a=0.1, lower=-2, upper=2),
+        Joint(a=0.5, lower=-2, upper=2),
+    ),
+    base=Placement(np.eye(4), "pose"),
+    tool=Placement(frame(np.eye(3), np.array([0.4, 0.1, 0.05])), "position"),
+)
+LOOPED = replace(ARM, loops=(FourBar(driven=3, carrier=2, crank=0.3, coupler=0.35, rocker=0.3),))
+
+
+def table(**columns):
+    """A good table of positions, with the given columns in place of its own (None takes one out)."""
+    rng = np.random.default_rng(0)
+    q = rng.uniform(-1.5, 1.5, (N, 3))
+    p = ARM.position.map(N)(q.T, ARM.parameters.values).full().T + 2e-5 * rng.normal(size=(N, 3))
+    good = {f"q{i + 1}_deg": np.rad2deg(q[:, i]) for i in range(3)} | {
+        f"{c}_mm": 1e3 * p[:, k] for k, c in enumerate("xyz")
+    }
+    return pd.DataFrame({k: v for k, v in (good | columns).items() if v is not None})
+
+
+def changed(column, row, value):
+    """The good table with one cell changed; row counts as in a file, the header being row 1."""
+    t = table().astype(object)
+    t.loc[row - 2, column] = value
+    return t
+
+
+def without_positions(**columns):
+    return table(x_mm=None, y_mm=None, z_mm=None, **columns)
+
+
+def read(t, joints=3, **options):
+    return from_table(t, joints, source="bad.csv", **options)
+
+
+def file(tmp_path, content):
+    path = tmp_path / "bad.csv"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return read_measurements(path, 3)
+
+
+def check(t, robot=ARM, **options):
+    check_against(robot, read(t, **options))
+
+
+GOOD = read(table())
+PAIRS = {"pose": range(1, N + 1), "other_pose": [*range(2, N + 1), 1], "distance_mm": np.linspace(200, 700, N)}
+ANGLES = {"rx_deg": np.zeros(N), "ry_deg": np.zeros(N), "rz_deg": np.zeros(N)}
+IDENTITY = {f"R{i}{j}": np.full(N, float(i == j)) for i in range(3) for j in range(3)}
+QUATERNION = {"qw": np.ones(N), "qx": np.zeros(N), "qy": np.zeros(N), "qz": np.zeros(N)}
+
+
+@dataclass(frozen=True)
+class Bad:
+    """What is done, and the pieces that the message must hold."""
+
+    what: str
+    act: Callable
+    says: tuple[str, ...]
+
+
+TABLES = [
+    # files
+    Bad("no such file", lambda tmp: read_measurements(tmp / "none.csv", 3), ("none.csv", "no such file")),
+    Bad("a folder", lambda tmp: read_measurements(tmp, 3), ("not a readable CSV",)),
+    Bad("empty file", lambda tmp: file(tmp, ""), ("bad.csv", "not a readable CSV")),
+    Bad("ragged rows", lambda tmp: file(tmp, "a,b\n1,2\n1,2,3,4\n"), ("bad.csv", "not a readable CSV", "line 3")),
+    Bad("not text", lambda tmp: file(tmp, b"a,b\n\xff\xfe\x00\x81,2\n"), ("bad.csv", "not a readable CSV")),
+    Bad("semicolons", lambda tmp: file(tmp, "q1_deg;x_mm\n1;2\n"), ("bad.csv", "';'", "commas")),
+    Bad("header only", lambda tmp: file(tmp, "q1_deg,q2_deg,q3_deg,x_mm,y_mm,z_mm\n"), ("bad.csv", "no rows")),
+    Bad("a column twice", lambda tmp: file(tmp, "q1_deg,q1_deg\n1,2\n"), ("bad.csv", "'q1_deg'", "twice")),
+    # columns
+    Bad("a joint missing", lambda _: read(table(q2_deg=None)), ("bad.csv", "q2_deg or q2_rad is missing", "q3_deg")),
+    Bad("too many joints", lambda _: read(table(q4_deg=np.zeros(N))), ("'q4_deg'", "only 3 joints")),
+    Bad("one joint, two units", lambda _: read(table(q1_rad=np.zeros(N))), ("q1_deg and q1_rad", "keep one")),
+    Bad("joint without unit", lambda _: read(table(q1_deg=None, q1=np.zeros(N))),
+        ("q1_deg or q1_rad is missing", "q1")),
+    Bad("nothing observed", lambda _: read(without_positions()), ("no observation", "x_mm", "distance_mm", "point")),
+    Bad("a coordinate missing", lambda _: read(table(y_mm=None)), ("y_mm or y_m is missing", "x_mm")),
+    Bad("a coordinate, two units", lambda _: read(table(x_m=np.zeros(N))), ("x_mm and x_m", "keep one")),
+    Bad("renamed from nothing", lambda _: read(table(), columns={"x_mm": "X"}), ("'X'", "'x_mm'", "is missing")),
+    Bad("unknown kind", lambda _: read(table(), kind="velocity"), ("'velocity'", "allowed: position, pose, distance")),
+    Bad("unknown joint kind", lambda _: read(table(), ["rotary"] * 3), ("'rotary'", "'revolute' or 'prismatic'")),
+    Bad("no joints", lambda _: read(table(), 0), ("joints 0", "allowed")),
+    # cells
+    Bad("a word", lambda _: read(changed("y_mm", 5, "12,7")), ("row 5", "'y_mm'", "'12,7'", "not a finite number")),
+    Bad("an empty cell", lambda _: read(changed("q3_deg", 9, np.nan)), ("row 9", "'q3_deg'", "nan", "not a finite")),
+    Bad("infinity", lambda _: read(changed("z_mm", 2, np.inf)), ("row 2", "'z_mm'", "inf", "not a finite number")),
+    Bad("a word among payloads", lambda _: read(table(payload_kg=["2.0"] * 5 + ["2,0"] + ["2.0"] * (N - 6))),
+        ("row 7", "'payload_kg'", "'2,0'", "not a finite number")),
+    Bad("a row copied", lambda _: read(pd.concat([table(), table()[3:4]], ignore_index=True)),
+        (f"row {N + 2} repeats row 5", "delete")),
+    Bad("a negative weight", lambda _: read(table(weight=[1.0] * 7 + [-2] + [1.0] * (N - 8))),
+        ("row 9", "'weight'", "-2", "zero or more")),
+    Bad("no weight at all", lambda _: read(table(weight=np.zeros(N))), ("'weight'", "zero in every row")),
+    Bad("sigma of zero", lambda _: read(table(), sigma_mm=0.0), ("sigma is 0", "positive")),
+    Bad("sigma not a number", lambda _: read(table(), sigma_mm=float("nan")), ("sigma is nan", "positive")),
+    # units
+    Bad("degrees as radians", lambda _: read(table(q2_rad=table().q2_deg, q2_deg=None)),
+        ("'q2_rad'", "turns", "degrees?", "q2_deg")),
+    Bad("radians as degrees",
+        lambda _: read(table(**{c: np.deg2rad(table()[c]) for c in ("q1_deg", "q2_deg", "q3_deg")})),
+        ("no joint moves by more than", "radians?", "q1_rad")),
+    Bad("far too many turns", lambda _: read(changed("q1_deg", 4, 4000.0)),
+        ("row 4", "'q1_deg'", "4000 deg", "11.1 turns")),
+    Bad("millimetres as metres", lambda _: check(table().rename(columns=lambda c: c.replace("_mm", "_m"))),
+        ("bad.csv", "spread over", "arm reaches", "millimetres?", "x_mm")),
+    Bad("metres as millimetres", lambda _: check(table(**{f"{c}_mm": table()[f"{c}_mm"] / 1e3 for c in "xyz"})),
+        ("bad.csv", "mm only", "metres?", "x_m")),
+    Bad("pair distances in metres as mm",
+        lambda _: check(without_positions(**PAIRS | {"distance_mm": PAIRS["distance_mm"] / 1e3})),
+        ("bad.csv", "distances up to", "arm", "distance_m?")),
+    Bad("distances in mm as metres", lambda _: check(without_positions(distance_m=np.linspace(200, 700, N))),
+        ("bad.csv", "distances up to 700 m", "distance_mm?")),
+    # orientations
+    Bad("no rotation", lambda _: read(table(**IDENTITY | {"R11": np.full(N, 0.9)})),
+        ("row 2", "'R00' to 'R22'", "orthonormal")),
+    Bad("a mirror", lambda _: read(table(**IDENTITY | {"R22": -np.ones(N)})), ("row 2", "no rotation", "right-handed")),
+    Bad("quaternion too long", lambda _: read(table(**QUATERNION | {"qx": np.r_[np.zeros(N - 1), 1.0]})),
+        (f"row {N + 1}", "1.414", "unit quaternions")),
+    Bad("quaternion of zero", lambda _: read(table(**QUATERNION | {"qw": np.zeros(N)})), ("row 2", "length 0", "unit")),
+    Bad("an angle missing", lambda _: read(table(**{**ANGLES, "ry_deg": None})), ("ry_deg or ry_rad is missing",)),
+    # distances and contacts
+    Bad("a negative distance", lambda _: read(without_positions(distance_mm=np.r_[np.full(N - 1, 300), -4.0])),
+        (f"row {N + 1}", "'distance'", "-4 mm", "positive")),
+    Bad("other pose nowhere", lambda _: read(without_positions(**PAIRS | {"other_pose": [*range(2, N + 1), 99]})),
+        (f"row {N + 1}", "'other_pose'", "99 is no pose", "allowed")),
+    Bad("other pose the same", lambda _: read(without_positions(**PAIRS | {"other_pose": [*range(2, N + 1), N]})),
+        (f"row {N + 1}", "'other_pose'", "24 is that pose itself")),
+    Bad("a pose's number twice", lambda _: read(without_positions(**PAIRS | {"pose": [1, *range(1, N)]})),
+        ("row 2", "'pose'", "1 occurs again in row 3")),
+    Bad("no point named", lambda _: read(without_positions(), kind="contact"), ("'point' is missing", "touches")),
+    Bad("a point's name empty", lambda _: read(without_positions(point=["A"] * 9 + [None] + ["B"] * (N - 10))),
+        ("row 11", "'point' is empty")),
+    Bad("every point touched once", lambda _: read(without_positions(point=[f"P{k}" for k in range(N)])),
+        ("'point'", "no point is touched twice")),
+    Bad("a separation to nowhere",
+        lambda _: read(without_positions(point=["A", "B"] * 12)).with_separations([("A", "C", 0.1)]),
+        ("'A' - 'C'", "no pose touches 'C'", "A, B")),
+    Bad("a separation of nothing",
+        lambda _: read(without_positions(point=["A", "B"] * 12)).with_separations([("A", "B", 0.0)]),
+        ("'A' - 'B'", "0 mm", "positive")),
+    Bad("separations of positions", lambda _: GOOD.with_separations([("A", "B", 0.1)]),
+        ("no pose touches", "contact only")),
+    # against the robot
+    Bad("another robot's joints", lambda _: check(table(q3_deg=None), joints=2),
+        ("2 joint columns", "arm has 3 joints")),
+    Bad("out of range", lambda _: check(changed("q2_deg", 8, 130.0)), ("row 8", "q2 = 130 deg", "[-114.592, 114.592]")),
+    Bad("an open loop", lambda _: check(table(), LOOPED), ("row", "four-bar cannot close", "signs and zeros")),
+    # splits
+    Bad("sets too large", lambda _: GOOD.split({"identify": 20, "report": 20}), ("cannot be taken from 24 poses",)),
+    Bad("a set of nothing", lambda _: GOOD.split({"identify": 0.5, "report": 0}),
+        ("cannot be taken", "positive sizes")),
+    Bad("no sets", lambda _: GOOD.split({}), ("cannot be taken",)),
+    # arguments of Measurements and identify
+    Bad("lengths differ", lambda _: replace(GOOD, position=GOOD.position[:5]),
+        ("position has shape (5, 3)", "(24, 3)")),
+    Bad("flat readings", lambda _: Measurements(q=np.zeros(5), kind="position"),
+        ("q has shape (5,)", "(poses, joints)")),
+    Bad("nothing measured", lambda _: Measurements(q=np.zeros((5, 3)), kind="pose"), ("kind 'pose' needs position",)),
+    Bad("not a number inside", lambda _: replace(GOOD, q=GOOD.q * np.nan), ("row 2", "q is", "finite")),
+    Bad("no pose chosen", lambda _: GOOD[np.zeros(N, bool)], ("no poses",)),
+    Bad("too few numbers", lambda _: identify(ARM, GOOD[:5]),
+        ("15 numbers were measured", "unknown", "fewer parameters")),
+    Bad("no measurements", lambda _: identify(ARM, []), ("an empty list", "from_table")),
+    Bad("a table, not measurements", lambda _: identify(ARM, [table()]), ("DataFrame", "from_table")),
+    Bad("unknown parameter", lambda _: identify(ARM, GOOD, ["theta9"]), ("'theta9'", "groups:", "theta3")),
+    Bad("nothing free", lambda _: identify(ARM, GOOD, []), ("chooses no parameter of arm", "groups:")),
+    Bad("no compliance to free", lambda _: identify(ARM, GOOD, ["compliance"]), ("chooses no parameter of arm",)),
+    Bad("unknown loss", lambda _: identify(ARM, GOOD, loss="cauchy"), ("'cauchy'", "linear, huber, soft_l1")),
+    Bad("unknown method", lambda _: identify(ARM, GOOD, method="XM"), ("'XM'", "KM, SKCM")),
+    # robots
+    Bad("no rows", lambda _: Robot("none", ()), ("'none' has no joints",)),
+    Bad("a row of nan", lambda _: Robot("r", (Joint(), Joint(a=np.nan))), ("'r', joint 2", "a is nan", "finite")),
+    Bad("limits turned round", lambda _: Robot("r", (Joint(lower=1, upper=-1),)), ("joint 1", "[1, -1]", "below")),
+    Bad("negative compliance", lambda _: Robot("r", (Joint(compliance=-1e-6),)), ("joint 1", "-1e-06", "zero or more")),
+    Bad("negative mass", lambda _: Robot("r", (Joint(body=Body(-3, np.zeros(3))),)), ("joint 1", "mass -3 kg")),
+    Bad("unknown joint", lambda _: Robot("r", (Joint(kind="ball"),)), ("'ball'", "revolute, prismatic")),
+    Bad("a loop backwards", lambda _: replace(ARM, loops=(FourBar(2, 3, 0.3, 0.5, 0.3),)),
+        ("carrier 3", "driven 2", "before")),
+    Bad("no such value", lambda _: ARM.with_values({"a7": 0.1}), ("'a7'", "there are", "a1")),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("bad", TABLES, ids=[b.what for b in TABLES])
+def test_refused_with_words(bad, tmp_path):
+    with pytest.raises(InputError) as refused:
+        bad.act(tmp_path)
+    message = str(refused.value)
+    missing = [piece for piece in bad.says if piece not in message]
+    assert not missing, f"{message!r} lacks {missing}"
+
+
+def test_the_good_ones_pass():
+    """Each bad table is bad for its one change alone."""
+    check_against(ARM, GOOD)
+    check(table(**ANGLES))
+    check(table(**IDENTITY))
+    check(table(**QUATERNION))
+    check(without_positions(**PAIRS))
+    check(without_positions(distance_mm=np.linspace(200, 700, N)))
+    check(without_positions(point=["A", "B"] * 12))
+    check(table(payload_kg=np.linspace(0, 3, N), remark=["fine"] * N, empty=[None] * N))
+    assert identify(ARM, GOOD, ["kinematic"]).is_optimal()
+    assert len(TABLES) >= 30
+    assert len({b.what for b in TABLES}) == len(TABLES)

@@ -1,0 +1,153 @@
+"""Measurements: units by name, kinds by their columns, named and disjoint splits."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from casadical import InputError, Measurements, from_table, read_measurements
+
+
+def readings(n, joints=2, seed=0):
+    return np.random.default_rng(seed).uniform(-1, 1, (n, joints))
+
+
+def positions(q):
+    return Measurements(q=q, kind="position", position=np.arange(3.0 * len(q)).reshape(-1, 3))
+
+
+def keys(m):
+    return {row.tobytes() for row in m.q}
+
+
+def test_units_are_read_from_the_names():
+    t = pd.DataFrame(
+        {
+            "q1_deg": [90.0, 180.0],
+            "q2_rad": [0.5, 1.0],
+            "q3_mm": [250.0, 300.0],
+            "x_mm": [1.0, 2],
+            "y_m": [3.0, 4],
+            "z_mm": [5.0, 6],
+        }
+    )
+    m = from_table(t, ["revolute", "revolute", "prismatic"], sigma_mm=0.02)
+    assert np.allclose(m.q, [[np.pi / 2, 0.5, 0.25], [np.pi, 1.0, 0.3]])
+    assert np.allclose(m.position, [[1e-3, 3, 5e-3], [2e-3, 4, 6e-3]])
+    assert m.sigma == pytest.approx(2e-5)
+    assert m.kind == "position"
+
+
+def test_a_file_s_own_names(tmp_path):
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({" A1 ": [10.0, 20], "X": [1.0, 2], "Y": [3.0, 4], "Z": [5.0, 6]}).to_csv(path, index=False)
+    m = read_measurements(path, 1, columns={"q1_deg": "A1", "x_mm": "X", "y_mm": "Y", "z_mm": "Z"})
+    assert np.allclose(np.rad2deg(m.q.ravel()), [10, 20])
+    assert m.row.tolist() == [2, 3]
+    assert m.source == "mine.csv"
+
+
+@pytest.mark.parametrize("form", ["angles", "radians", "matrix", "quaternion"])
+def test_orientations_against_scipy(form):
+    R = Rotation.random(6, random_state=3)
+    angles = R.as_euler("XYZ")  # intrinsic x-y-z
+    columns = {
+        "angles": dict(zip(("rx_deg", "ry_deg", "rz_deg"), np.rad2deg(angles).T, strict=True)),
+        "radians": dict(zip(("rx_rad", "ry_rad", "rz_rad"), angles.T, strict=True)),
+        "matrix": {f"R{i}{j}": R.as_matrix()[:, i, j] for i in range(3) for j in range(3)},
+        "quaternion": dict(zip(("qx", "qy", "qz", "qw"), R.as_quat().T, strict=True)),
+    }[form]
+    t = pd.DataFrame({"q1_deg": np.arange(6.0) * 10, "x_mm": np.arange(6.0), "y_mm": 0.0, "z_mm": 0.0} | columns)
+    m = from_table(t, 1)
+    assert m.kind == "pose"
+    assert np.allclose(m.orientation, R.as_matrix(), atol=1e-12)
+
+
+def test_every_other_column_is_a_condition():
+    t = pd.DataFrame(
+        {"pose": [1, 2], "time_s": [0.0, 9], "approach1": [-1, 1], "payload_kg": [2.0, 3], "quality": [1.0, 0.9],
+         "remark": ["a", "b"], "void": [None, None], "q1_deg": [1.0, 2], "x_mm": [1.0, 2], "y_mm": [1.0, 2],
+         "z_mm": [1.0, 2], "weight": [1.0, 2], "set": ["a", "b"]}
+    )  # fmt: skip
+    m = from_table(t, 1)
+    assert set(m.conditions) == {"pose", "time_s", "approach1", "payload_kg", "quality"}
+    assert m.weight.tolist() == [1, 2]
+    matrix = m.condition_matrix(["payload_kg", "temperature_degC"], np.array([9.0, 20.0]))
+    assert matrix.tolist() == [[2, 20], [3, 20]]
+
+
+def test_pairs_take_the_readings_of_the_other_pose():
+    t = pd.DataFrame({"pose": [5, 6, 7], "other_pose": [7, 5, 6], "q1_deg": [10.0, 20, 30], "distance_mm": [1.0, 2, 3]})
+    m = from_table(t, 1)
+    assert m.kind == "pair_distance"
+    assert np.allclose(np.rad2deg(m.other.ravel()), [30, 10, 20])
+
+
+def test_a_part_keeps_its_rows_and_conditions():
+    m = from_table(
+        pd.DataFrame(
+            {
+                "q1_deg": np.arange(5.0) * 9,
+                "payload_kg": np.arange(5.0),
+                "x_mm": np.arange(5.0),
+                "y_mm": 0.0,
+                "z_mm": 0.0,
+            }
+        ),
+        1,
+    )
+    for part in (m[[1, 4]], m[np.array([False, True, False, False, True])], m[1::3]):
+        assert part.row.tolist() == [3, 6]
+        assert part.conditions["payload_kg"].tolist() == [1, 4]
+    assert len(m[2]) == 1
+
+
+def test_separations_stay_where_both_points_are():
+    m = Measurements(q=readings(6), kind="contact", label=np.array(list("AABBCC"), dtype=object))
+    m = m.with_separations([("A", "B", 0.1), ("B", "C", 0.2)])
+    assert m[:4].separations == (("A", "B", 0.1),)
+    assert m.residuals == 20
+
+
+def test_split_is_disjoint_seeded_and_of_the_asked_sizes():
+    m = positions(readings(100))
+    sizes = {"identify": 40, "train": 0.25, "choose": 5, "report": 0.3}
+    sets = m.split(sizes, seed=3)
+    assert [len(s) for s in sets.values()] == [40, 25, 5, 30]
+    assert len(set().union(*(keys(s) for s in sets.values()))) == 100
+    again = m.split(sizes, seed=3)
+    assert all(np.array_equal(sets[name].row, again[name].row) for name in sizes)
+    assert not np.array_equal(sets["identify"].row, m.split(sizes, seed=4)["identify"].row)
+
+
+def test_shares_that_add_up_to_one_use_every_pose():
+    for n in (3, 7, 10, 101):
+        sets = positions(readings(n)).split({"identify": 0.5, "report": 0.5}, seed=n)
+        assert sum(len(s) for s in sets.values()) == n
+
+
+@settings(max_examples=60, deadline=None)
+@given(copies=st.lists(st.integers(1, 4), min_size=4, max_size=25), seed=st.integers(0, 99), share=st.floats(0.2, 0.8))
+def test_replicates_stay_together(copies, seed, share):
+    q = np.repeat(readings(len(copies), seed=seed), copies, axis=0)
+    q = q + 1e-8 * np.random.default_rng(1).normal(size=q.shape)  # an encoder's last digit
+    try:
+        sets = positions(q).split({"identify": share, "report": 1 - share}, seed)
+    except InputError:  # so few readings that a set was left empty
+        return
+    source = np.repeat(np.arange(len(copies)), copies)
+    first, second = ({int(source[k]) for k in s.row} for s in sets.values())
+    assert not first & second
+    assert len(first | second) == len(copies)
+    assert sum(len(s) for s in sets.values()) == len(q)
+
+
+def test_pairs_across_two_sets_are_left_out():
+    q = readings(60)
+    m = Measurements(q=q, kind="pair_distance", distance=np.ones(60), other=np.roll(q, -1, axis=0))
+    sets = m.split({"identify": 0.6, "report": 0.4}, seed=1)
+    ends = [keys(s) | {row.tobytes() for row in s.other} for s in sets.values()]
+    assert not ends[0] & ends[1]
+    assert 20 < sum(len(s) for s in sets.values()) < 60
