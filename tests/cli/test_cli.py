@@ -131,7 +131,7 @@ WRONG = {
     "no problem in the folder": (["calibrate", "tests"], ["tests/problem.toml", "no such file"]),
     "no such method": (["calibrate", PLANAR, "--method", "BP"], ["--method BP", "KM, SKCM"]),
     "no such loss": (["calibrate", PLANAR, "--loss", "l2"], ["--loss l2", "huber"]),
-    "negative seed": (["calibrate", PLANAR, "--seed", "-1"], ["--seed", "-1"]),
+    "negative seed": (["calibrate", PLANAR, "--seed", "-1"], ["--seed", "greater than or equal to 0"]),
     "the same problem twice": (["calibrate", PLANAR, "problems/planar"], ["planar", "one after the other"]),
     "no such option": (["calibrate", PLANAR, "--metod", "KM"], ["--metod"]),
     "no such command": (["calibrat"], ["calibrat"]),

@@ -16,8 +16,7 @@ from casadical.robot_file import read_robot
 ROOT = Path(__file__).parents[2]
 FILES = ["README.md", "certified.toml", "problem.toml", "robot.toml"]
 FOLDERS = sorted(p for p in (ROOT / "problems").iterdir() if p.is_dir())
-# Robots whose campaigns are handed to the diagnosis as files of their own; nothing to calibrate in the folder.
-ROBOTS_ONLY = {"kr210", "ur10e"}
+EXTRA = {"hh800": ["campaign.robot.toml"]}  # the same arm with all joints compliant, as the campaigns have it
 
 
 def study(name: str):
@@ -30,29 +29,15 @@ def study(name: str):
     return module
 
 
-def content(folder: Path) -> dict:
-    return tomllib.loads((folder / "problem.toml").read_text())
+every_problem = pytest.mark.parametrize("folder", FOLDERS, ids=lambda f: f.name)
 
 
-def problems() -> list:
-    return [pytest.param(f, id=f.name) for f in FOLDERS if f.name not in ROBOTS_ONLY]
-
-
-def needs_data(folder: Path) -> None:
-    missing = [m["file"] for m in content(folder)["measurements"] if not (folder / m["file"]).exists()]
-    if missing:
-        pytest.skip(f"{folder.name}: {missing[0]} is not in this checkout yet")
-
-
-@pytest.mark.parametrize("folder", FOLDERS, ids=lambda f: f.name)
+@every_problem
 def test_folder_holds_the_same_files(folder: Path) -> None:
-    wanted = ["README.md", "robot.toml"] if folder.name in ROBOTS_ONLY else FILES
-    if folder.name not in ROBOTS_ONLY:
-        needs_data(folder)
-    assert sorted(p.name for p in folder.iterdir()) == wanted
+    assert sorted(p.name for p in folder.iterdir()) == sorted(FILES + EXTRA.get(folder.name, []))
 
 
-@pytest.mark.parametrize("folder", FOLDERS, ids=lambda f: f.name)
+@every_problem
 def test_readme_says_what_is_real(folder: Path) -> None:
     text = (folder / "README.md").read_text()
     for heading in ("## What is real", "## What is synthetic", "## Source and licence", "## What to expect"):
@@ -60,9 +45,8 @@ def test_readme_says_what_is_real(folder: Path) -> None:
     assert f"problems/{folder.name}" in text
 
 
-@pytest.mark.parametrize("folder", problems())
+@every_problem
 def test_certified_figures_hold(folder: Path, calibrated) -> None:
-    needs_data(folder)
     expected = tomllib.loads((folder / "certified.toml").read_text())
     tolerance = expected.pop("tolerance_mm")
     found = study("certify").figures(calibrated(folder.name))
@@ -76,9 +60,8 @@ def test_certified_figures_hold(folder: Path, calibrated) -> None:
                 assert found[method][name] == figure, f"{method} {name}"
 
 
-@pytest.mark.parametrize("folder", problems())
+@every_problem
 def test_no_pose_is_in_two_sets(folder: Path, calibrated) -> None:
-    needs_data(folder)
     sets = calibrated(folder.name)[0].sets
     rows = [set(map(tuple, np.concatenate([m.q for m in parts]))) for parts in sets.values()]
     for i, some in enumerate(rows):
