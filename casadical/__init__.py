@@ -14,6 +14,8 @@ _HOME = {
     "Body": "casadical.robot",
     "CasadicalError": "casadical.errors",
     "ConvergenceError": "casadical.errors",
+    "Diagnosis": "casadical.diagnosis.diagnosis",
+    "Effect": "casadical.effects",
     "FourBar": "casadical.robot",
     "Identification": "casadical.identification",
     "InputError": "casadical.errors",
@@ -21,9 +23,15 @@ _HOME = {
     "Measurements": "casadical.measurements",
     "Placement": "casadical.robot",
     "Robot": "casadical.robot",
+    "calibrated_urdf": "casadical.urdf_export",
+    "diagnose": "casadical.diagnosis.diagnosis",
     "from_table": "casadical.measurements",
     "identify": "casadical.identification",
     "read_measurements": "casadical.measurements",
+    "read_problem": "casadical.problem",
+    "read_robot": "casadical.robot_file",
+    "read_urdf": "casadical.urdf",
+    "write_robot": "casadical.robot_file",
 }
 
 __all__ = ["__version__", *_HOME]

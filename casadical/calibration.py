@@ -65,5 +65,18 @@ def result_files(
             f"Calibrated by casadical, method {name}, from {problem.title} ({problem.data} data).\n{result.verdict}"
         )
         texts[folder / f"{name}.robot.toml"] = to_toml(result.robot, comment)
+        if problem.urdf:
+            texts[folder / f"{name}.robot.urdf"] = _urdf(problem, result)
         texts[folder / f"{name}.parameters.csv"] = result.parameters.to_csv(index=False)
     return texts
+
+
+def _urdf(problem: Problem, result: Identification) -> str:
+    """The problem's URDF with the calibrated geometry, the measured point as a link of its own."""
+    from .urdf_export import calibrated_urdf_text
+
+    assert problem.urdf is not None
+    path, base_link, tip_link = problem.urdf
+    return calibrated_urdf_text(
+        problem.robot, result.robot, path, base_link, tip_link, measured_link="casadical_measured_point"
+    )

@@ -18,7 +18,8 @@ from .least_squares import SIGMA_ANGLE_GUESS, SIGMA_GUESS, LeastSquares, settle,
 from .measurements import Measurements
 from .placement import place
 from .residuals import LOSSES, Loss, make_block
-from .robot import Robot
+from .robot import Robot, modified_dh
+from .robot_file import to_toml
 from .solver import Progress, Solution
 from .statistics import student_t
 from .transforms import Array
@@ -159,6 +160,15 @@ class Identification:
         """
         round_off = 1e-12 * self.solution.history[0]
         return self.problem.decrement(self.solution.v) < tolerance * self.variance + round_off
+
+    def to_toml(self) -> str:
+        """The calibrated robot as the text of a robot file that `read_robot` reads again."""
+        return to_toml(self.robot, f"Calibrated by casadical.\n{self.verdict}")
+
+    @property
+    def dh_table(self) -> pd.DataFrame:
+        """The corrected modified DH table, a row per joint, in millimetres and degrees."""
+        return pd.DataFrame(modified_dh(self.robot))
 
     @property
     def verdict(self) -> str:

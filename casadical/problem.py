@@ -61,12 +61,21 @@ class _Sets(_Strict):
         return given or {"identify": 0.7, "report": 0.3}
 
 
+class _Urdf(_Strict):
+    """Which part of a URDF is the robot; written again when it is calibrated."""
+
+    base_link: str | None = None
+    tip_link: str | None = None
+    compliant: list[int] = []
+
+
 class _ProblemFile(_Strict):
     casadical: Literal[1]
     title: str
     data: Literal["real", "synthetic"]
     robot: str = "robot.toml"
     campaign_robot: str | None = None
+    urdf: _Urdf | None = None
     methods: list[Literal["KM", "SKCM"]] = ["KM", "SKCM"]
     loss: Loss = "linear"
     measurements: list[_Data] = Field(min_length=1)
@@ -80,6 +89,7 @@ class Problem:
     data : whether the measurements are real or synthetic
     sets : by name, one `Measurements` for each kind; no pose is in two sets
     methods, loss : what `casadical calibrate` does by default
+    urdf : file, base link and tip link where the robot came from a URDF
     """
 
     folder: Path
@@ -89,6 +99,7 @@ class Problem:
     sets: Mapping[str, tuple[Measurements, ...]]
     methods: tuple[Literal["KM", "SKCM"], ...]
     loss: Loss
+    urdf: tuple[Path, str | None, str | None] | None = None
 
 
 def read_problem(folder: str | Path, seed: int | None = None) -> Problem:
@@ -101,7 +112,7 @@ def read_problem(folder: str | Path, seed: int | None = None) -> Problem:
         raise InputError(f"{folder}: no such problem folder; it must hold problem.toml and a robot file")
     path = folder / "problem.toml"
     file = check(_ProblemFile, load_toml(path), str(path))
-    robot = _read_robot(folder / file.robot)
+    robot = _read_robot(folder / file.robot, file.urdf or _Urdf())
     sets = file.sets if seed is None else file.sets.model_copy(update={"seed": seed})
     split: dict[str, list[Measurements]] = {}
     for data in file.measurements:
@@ -117,6 +128,7 @@ def read_problem(folder: str | Path, seed: int | None = None) -> Problem:
         sets={name: tuple(parts) for name, parts in split.items()},
         methods=tuple(file.methods),
         loss=file.loss,
+        urdf=_urdf_source(folder / file.robot, file.urdf or _Urdf()),
     )
 
 
@@ -130,14 +142,18 @@ def read_campaign_robot(folder: str | Path) -> Robot:
         raise InputError(f"{folder}: no such problem folder; it must hold problem.toml and a robot file")
     path = folder / "problem.toml"
     file = check(_ProblemFile, load_toml(path), str(path))
-    return _read_robot(folder / (file.campaign_robot or file.robot))
+    return _read_robot(folder / (file.campaign_robot or file.robot), file.urdf or _Urdf())
 
 
-def _read_robot(path: Path) -> Robot:
+def _urdf_source(path: Path, urdf: _Urdf) -> tuple[Path, str | None, str | None] | None:
+    return (path, urdf.base_link, urdf.tip_link) if path.suffix == ".urdf" else None
+
+
+def _read_robot(path: Path, urdf: _Urdf) -> Robot:
     if path.suffix == ".urdf":
         from .urdf import read_urdf
 
-        return read_urdf(path)
+        return read_urdf(path, urdf.base_link, urdf.tip_link, compliant=urdf.compliant)
     return read_robot(path)
 
 

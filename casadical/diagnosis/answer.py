@@ -87,7 +87,7 @@ def _gap_line(d: Diagnosis) -> str:
     there = "nothing detected" if d.verdict == "none" else "detected"
     return (
         f"GAP    {1e3 * d.gap.before:.4f} mm mean, held out (noise floor {1e3 * d.gap.floor:.4f}; "
-        f"{len(d.case.m)} poses); {there}, P(nothing) = {d.rankings[0].none:.2g}"
+        f"{int(d.case.kept.sum())} poses); {there}, P(nothing) = {d.rankings[0].none:.2g}"
     )
 
 

@@ -28,10 +28,10 @@ COMPLIANCE_SHARE = 0.5
 class Case:
     """Everything that the diagnosis computes with.
 
-    robot : calibrated base model; m : poses without outliers
+    robot : calibrated base model; m : all poses
     given, values : the robot that was given, and its parameters that make it the calibrated one
     candidates : that the logged columns allow; missing : label -> columns that were not logged
-    outliers : indices of poses left out, among all poses
+    whole : residuals and columns of all poses; kept : mask of those that are no outliers, shape (n,)
     """
 
     robot: Robot
@@ -40,9 +40,15 @@ class Case:
     m: Measurements
     candidates: tuple[Candidate, ...]
     missing: dict[str, tuple[str, ...]]
-    outliers: tuple[int, ...]
-    evidence: Evidence
+    whole: Evidence
+    kept: Array
     columns: dict[Effect, Array]
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """Residuals and columns of the poses that are no outliers."""
+        e, k = self.whole, self.kept
+        return replace(e, r=e.r[k], J=e.J[k], Jq=e.Jq[k], E=e.E[k])
 
     @cached_property
     def variants(self) -> tuple[tuple[int, int], ...]:
@@ -65,10 +71,10 @@ class Case:
         effects = tuple(dict.fromkeys(e for v in variants for e in v if e not in self.columns))
         m, _ = derive(self.m, [c for e in effects for c in e.conditions])
         E, _, _ = signatures(self.given, effects, m, self.values)
-        first = self.evidence.E.shape[2]
+        first = self.whole.E.shape[2]
         columns = {**self.columns, **_column_numbers(effects, first)}
-        evidence = replace(self.evidence, E=np.concatenate([self.evidence.E, E * _widths(effects)], axis=2))
-        return replace(self, m=m, candidates=candidates, columns=columns, evidence=evidence)
+        whole = replace(self.whole, E=np.concatenate([self.whole.E, E * _widths(effects)], axis=2))
+        return replace(self, m=m, candidates=candidates, columns=columns, whole=whole)
 
 
 def make_case(identification: Identification, candidates: Sequence[Candidate]) -> Case:
@@ -82,8 +88,8 @@ def make_case(identification: Identification, candidates: Sequence[Candidate]) -
             "a diagnosis needs one set of measured positions; distances and contacts do not say where it lies"
         )
     m = measured[0]
-    outliers = tuple(sorted(i for _, i in identification.outliers))
-    m = m[np.setdiff1d(np.arange(len(m)), outliers)]
+    kept = np.ones(len(m), dtype=bool)
+    kept[[i for _, i in identification.outliers]] = False
     possible, missing = choose(candidates, m)
     effects = tuple(dict.fromkeys(e for c in possible for v in c.variants for e in v))
     m, _ = derive(m, [c for e in effects for c in e.conditions])
@@ -94,9 +100,9 @@ def make_case(identification: Identification, candidates: Sequence[Candidate]) -
     assert m.position is not None
     delta0 = _prior_mean(identification) - values
     delta0[[n.startswith("base_") for n in robot.parameters.names]] = 0.0
-    evidence = Evidence(m.position - p, J, Jq, delta0, _prior(robot), E * _widths(effects))
+    whole = Evidence(m.position - p, J, Jq, delta0, _prior(robot), E * _widths(effects))
     columns = _column_numbers(effects, 0)
-    return Case(identification.robot, robot, values, m, possible, missing, outliers, evidence, columns)
+    return Case(identification.robot, robot, values, m, possible, missing, whole, kept, columns)
 
 
 def _widths(effects: Sequence[Effect]) -> Array:

@@ -8,14 +8,13 @@ from typing import Literal
 
 import numpy as np
 
-from ..accuracy import predicted
 from ..effects import Effect
 from ..identification import Identification, identify
 from ..measurements import Measurements
 from ..robot import Robot
 from ..transforms import Array
 from .case import Case, make_case
-from .gap import Noise, held_out_errors, random_folds, shrink_interval
+from .gap import Noise, estimates, held_out_errors, random_folds, remainders, shrink_interval
 from .library import named, standard_candidates
 from .refine import refined
 from .which import Ranking, rank
@@ -25,8 +24,10 @@ Show = Callable[[str], None]
 
 # A cause is claimed alone from this probability on.
 CLAIM = 0.90
-# Something is there if "nothing" is less probable than this.
-DETECT = 0.05
+# Something is there if "nothing" is less probable than this, at first and once a cause was found.
+DETECT, DETECT_FURTHER = 0.05, 0.02
+# Squared Mahalanobis distance of three coordinates beyond which a pose is an outlier, and below which it is none.
+OUT, IN = 75.0, 40.0
 MOST_CAUSES = 4
 SET_SHARE, SET_SIZE = 0.97, 3
 PARTITIONS = 5
@@ -151,7 +152,6 @@ class _Investigation:
     def __init__(self, identification: Identification, case: Case, seed: int, show: Show) -> None:
         self.identification, self.case, self.seed, self.show = identification, case, seed, show
         self.by_label = {c.label: c for c in case.candidates}
-        self.folds = [random_folds(len(case.m), seed + k) for k in range(PARTITIONS)]
         self.steps: list[_Step] = []
         self.rankings: list[Ranking] = []
 
@@ -167,6 +167,17 @@ class _Investigation:
         chosen = self.columns(self.steps)
         self.case, effects = refined(self.case, labels[0], self.variant(ranking, labels[0]), chosen)
         self.steps.append(_Step(ranking, tuple(labels), effects))
+        self._screen(ranking.noise[labels[0]])
+
+    def _screen(self, noise: Noise) -> None:
+        """Decide anew which poses are outliers, now that the model holds more."""
+        case = self.case
+        _, distance = remainders(case.whole, self.columns(self.steps), noise, case.kept)
+        self.case = replace(case, kept=np.where(case.kept, distance < OUT, distance < IN))
+
+    @property
+    def folds(self) -> list[Array]:
+        return [random_folds(int(self.case.kept.sum()), self.seed + k) for k in range(PARTITIONS)]
 
     def errors(self, columns: Array, noise: Noise) -> Array:
         """Held-out error of each pose, averaged over partitions."""
@@ -187,7 +198,7 @@ class _Investigation:
 
     def _next(self, ranking: Ranking) -> str:
         """Accept the next cause, or say why not: none, ambiguous, unknown."""
-        if ranking.none > DETECT:
+        if ranking.none > (DETECT_FURTHER if self.steps else DETECT):
             return "none"
         listed = [label for label in ranking.order if self.by_label[label].listed]
         unknown = sum(p for label, p in ranking.probability.items() if not self.by_label[label].listed)
@@ -215,7 +226,7 @@ class _Investigation:
         after = self.errors(self.columns(self.steps), noise) if self.steps else before
         floor = self._floor(noise)
         causes = [self._cause(step, before) for step in self.steps]
-        before_all, causes = self._with_outliers(before, causes)
+        before_all, causes = self._with_outliers(before, noise, causes)
         causes.sort(key=lambda c: -c.shrink)
         gap = Gap(float(before_all.mean()), float(after.mean()), floor)
         verdict, rest = self._verdict(end, gap, bool(causes))
@@ -226,7 +237,7 @@ class _Investigation:
             noise=noise,
             unknown_rest=rest,
             rankings=tuple(self.rankings),
-            outliers=tuple(int(self.identification.measurements[0].row[i]) for i in self.case.outliers),
+            outliers=tuple(int(self.case.m.row[i]) for i in np.flatnonzero(~self.case.kept)),
             missing=self.case.missing,
             case=self.case,
             identification=self.identification,
@@ -267,22 +278,32 @@ class _Investigation:
             shrink_interval=shrink_interval(before, alone, self.seed),
             indistinguishable=step.labels[1:] or alike,
             effects=step.effects,
+            estimates=self._estimates(step),
         )
 
-    def _with_outliers(self, before: Array, causes: list[Cause]) -> tuple[Array, list[Cause]]:
-        """Poses that were left out are themselves a cause, if they are more than a slip."""
-        count = len(self.case.outliers)
-        if not count:
+    def _estimates(self, step: _Step) -> dict[str, tuple[float, float, str]]:
+        """Parameters of a cause, all causes fitted together."""
+        everything = self.columns(self.steps)
+        value, error = estimates(self.case.evidence, everything, step.ranking.noise[step.labels[0]])
+        found = {}
+        for effect in step.effects:
+            places = np.searchsorted(everything, self.case.columns[effect])
+            for place, (name, (size, unit)) in zip(places, effect.sizes().items(), strict=True):
+                found[name] = (float(value[place] * size), float(error[place] * size), unit)
+        return found
+
+    def _with_outliers(self, before: Array, noise: Noise, causes: list[Cause]) -> tuple[Array, list[Cause]]:
+        """Poses that were left out are themselves a cause; one alone only if it is far out."""
+        case = self.case
+        wrong, distance = remainders(case.whole, self.columns(self.steps), noise, case.kept)
+        out = ~case.kept
+        count = int(out.sum())
+        if count == 0 or (count == 1 and distance[out][0] < 2 * OUT):
             return before, causes
-        m = self.identification.measurements[0][np.array(self.case.outliers, dtype=np.int64)]
-        p, _ = predicted(self.identification.robot, m)
-        assert m.position is not None
-        wrong = np.linalg.norm(m.position - p, axis=1)
-        whole = np.concatenate([before, wrong])
+        whole = np.concatenate([before, wrong[out]])
         shrink = float(1 - before.mean() / whole.mean())
         interval = shrink_interval(whole, np.concatenate([before, np.full(count, before.mean())]), self.seed)
-        cause = Cause("outliers", None, 0.99 if count > 1 else 0.9, shrink, interval, ())
-        return whole, [*causes, cause]
+        return whole, [*causes, Cause("outliers", None, 0.99, shrink, interval, ())]
 
     def _verdict(self, end: str, gap: Gap, found: bool) -> tuple[Verdict, float]:
         """The verdict, and the share of the gap that no named cause explains."""

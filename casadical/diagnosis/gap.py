@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..transforms import Array
-from .evidence import RHOS, SIGMAS, Evidence
+from .evidence import CHOSEN, RHOS, SIGMAS, Evidence
 
 FOLDS = 5
 
@@ -31,29 +31,71 @@ def likely_noise(log_grid: Array) -> Noise:
     return Noise(float(SIGMAS[sigma]), float(RHOS[rho] * SIGMAS[sigma]))
 
 
-def held_out_errors(e: Evidence, columns: Array, noise: Noise, folds: Array, kappa: float = 4.0) -> Array:
+@dataclass(frozen=True, eq=False)
+class _Normal:
+    """Normal equations of base model and causes together, pose by pose."""
+
+    A: Array
+    H: Array
+    g: Array
+    prior: Array
+    mean: Array
+
+    def solve(self, use: Array) -> Array:
+        """The fit to the poses in a mask."""
+        normal = self.H[use].sum(axis=0) + np.diag(self.prior**-2)
+        scale = np.sqrt(np.diag(normal))
+        right = self.g[use].sum(axis=0) + self.mean / self.prior**2
+        return np.asarray(np.linalg.solve(normal / np.outer(scale, scale), right / scale) / scale)
+
+
+def _normal(e: Evidence, columns: Array, noise: Noise) -> _Normal:
+    A = np.concatenate([e.J, e.E[:, :, columns]], axis=2)
+    AW = np.einsum("nip,nij->npj", A, np.linalg.inv(covariance(e, noise)))
+    return _Normal(
+        A,
+        AW @ A,
+        np.einsum("npj,nj->np", AW, e.r),
+        np.concatenate([e.prior, np.full(len(columns), CHOSEN)]),
+        np.concatenate([e.delta0, np.zeros(len(columns))]),
+    )
+
+
+def covariance(e: Evidence, noise: Noise) -> Array:
+    """Of the noise of each measured position, shape (n, 3, 3) [m^2]."""
+    return noise.sigma**2 * np.eye(3) + noise.repeatability**2 * e.Jq @ e.Jq.transpose(0, 2, 1)
+
+
+def held_out_errors(e: Evidence, columns: Array, noise: Noise, folds: Array) -> Array:
     """Position error of each pose, shape (n,) [m], by a fit to the poses of the other folds.
 
     columns : of the causes in the model; folds : number of the fold of each pose, shape (n,)
     """
-    A = np.concatenate([e.J, e.E[:, :, columns]], axis=2)
-    prior = np.concatenate([e.prior, np.full(len(columns), kappa)])
-    mean = np.concatenate([e.delta0, np.zeros(len(columns))])
-    C = noise.sigma**2 * np.eye(3) + noise.repeatability**2 * e.Jq @ e.Jq.transpose(0, 2, 1)
-    W = np.linalg.inv(C)
-    AW = np.einsum("nip,nij->npj", A, W)
-    H = np.einsum("npj,njq->npq", AW, A) if len(A) * A.shape[2] ** 2 < 5e7 else None
-    g = np.einsum("npj,nj->np", AW, e.r)
-    errors = np.empty(len(A))
+    problem = _normal(e, columns, noise)
+    errors = np.empty(len(e.r))
     for fold in np.unique(folds):
-        train, test = folds != fold, folds == fold
-        normal = H[train].sum(axis=0) if H is not None else np.einsum("npj,njq->pq", AW[train], A[train])
-        normal = normal + np.diag(prior**-2)
-        scale = np.sqrt(np.diag(normal))
-        right = g[train].sum(axis=0) + mean / prior**2
-        x = np.linalg.solve(normal / np.outer(scale, scale), right / scale) / scale
-        errors[test] = np.linalg.norm(e.r[test] - A[test] @ x, axis=1)
+        test = folds == fold
+        errors[test] = np.linalg.norm(e.r[test] - problem.A[test] @ problem.solve(~test), axis=1)
     return errors
+
+
+def remainders(e: Evidence, columns: Array, noise: Noise, kept: Array) -> tuple[Array, Array]:
+    """What a fit to the kept poses leaves at every pose: length [m] and squared Mahalanobis distance, shapes (n,)."""
+    problem = _normal(e, columns, noise)
+    left = e.r - problem.A @ problem.solve(kept)
+    distance = np.einsum("ni,nij,nj->n", left, np.linalg.inv(covariance(e, noise)), left)
+    return np.linalg.norm(left, axis=1), distance
+
+
+def estimates(e: Evidence, columns: Array, noise: Noise) -> tuple[Array, Array]:
+    """Values and standard errors of the causes' parameters, in sizes, shapes (len(columns),)."""
+    problem = _normal(e, columns, noise)
+    everyone = np.ones(len(e.r), dtype=bool)
+    normal = problem.H.sum(axis=0) + np.diag(problem.prior**-2)
+    scale = np.sqrt(np.diag(normal))
+    inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
+    first = e.J.shape[2]
+    return problem.solve(everyone)[first:], np.sqrt(np.diag(inverse))[first:]
 
 
 def random_folds(n: int, seed: int, count: int = FOLDS) -> Array:

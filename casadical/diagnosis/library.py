@@ -116,8 +116,6 @@ def _listed(robot: Robot) -> list[Candidate]:
         effects += [JointScale(j), *(JointCoupling(j, i) for i in _coupled(robot, j))]
         effects += [JointZeroStep(j, t) for t in TIMES]
         effects += [ThermalZeroDrift(j, lag) for lag in LAGS]
-        effects += [NonlinearStiffness(j, k) for k in (0.1, 0.2, 0.4, 0.7)]
-        effects += [CubicStiffness(j)] if joint.compliance is not None else []
         effects += [Backlash(j, f, f * w) for f in FRICTIONS for w in (0.3, 0.6, 1.2)]
         effects += [FrictionWindup(j)]
     effects += [ThermalGrowth(None, lag) for lag in LAGS]
@@ -125,7 +123,16 @@ def _listed(robot: Robot) -> list[Candidate]:
     effects += [PayloadError()] if robot.payload else []
     effects += [GravityCompensator(2, a, p) for a in (1.2, 2.0, 4.0) for p in PHASES] if robot.n >= 2 else []
     effects += [BaseCompliance(), *(FrameDrift(None, s) for s in (0.5, 1.0, 2.0))]
-    return [*_grouped(effects), _flexure(robot)]
+    return [*_grouped(effects), *_stiffness(robot), _flexure(robot)]
+
+
+def _stiffness(robot: Robot) -> list[Candidate]:
+    """A joint that stiffens with torque, by either law."""
+    laws: dict[int, list[Effect]] = {
+        j: [*(NonlinearStiffness(j, k) for k in (0.1, 0.2, 0.4, 0.7)), CubicStiffness(j)] for j in range(1, robot.n + 1)
+    }
+    name = NonlinearStiffness.name
+    return [Candidate(f"{name}@{j}", name, j, tuple((e,) for e in found)) for j, found in laws.items()]
 
 
 def _coupled(robot: Robot, j: int) -> list[int]:

@@ -42,7 +42,7 @@ def _joints(r: Array, Jq: Array) -> dict[str, float]:
 def _directions(case: Case) -> dict[str, float]:
     assert case.m.position is not None
     T = case.robot.base.T
-    p = (case.m.position - T[:3, 3]) @ T[:3, :3]
+    p = (case.m.position[case.kept] - T[:3, 3]) @ T[:3, :3]
     r = case.evidence.r @ T[:3, :3]
     out = p[:, :2] / np.maximum(np.linalg.norm(p[:, :2], axis=1, keepdims=True), 1e-9)
     radial = (r[:, :2] * out).sum(axis=1)
@@ -56,9 +56,10 @@ def _halves(case: Case) -> dict[str, dict[str, float]]:
     size = 1e3 * np.linalg.norm(case.evidence.r, axis=1)
     found = {}
     for name, column in (("payload", "payload_kg"), ("warmth", "temperature_degC"), ("time", "time_s")):
-        values = case.m.conditions.get(column)
-        if values is None or np.ptp(values) == 0:
+        logged = case.m.conditions.get(column)
+        if logged is None or np.ptp(logged[case.kept]) == 0:
             continue
+        values = logged[case.kept]
         high = values > np.median(values) if name != "payload" else values > 0.5 * values.max()
         if 0 < high.sum() < len(high):
             found[name] = {"low": round(float(size[~high].mean()), 5), "high": round(float(size[high].mean()), 5)}

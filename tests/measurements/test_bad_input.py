@@ -206,7 +206,7 @@ TABLES = [
     Bad("negative mass", lambda _: Robot("r", (Joint(body=Body(-3, np.zeros(3))),)), ("joint 1", "mass -3 kg")),
     Bad("unknown joint", lambda _: Robot("r", (Joint(kind="ball"),)), ("'ball'", "revolute, prismatic")),
     Bad("a loop backwards", lambda _: replace(ARM, loops=(FourBar(2, 3, 0.3, 0.5, 0.3),)),
-        ("carrier 3", "driven 2", "before")),
+        ("carrier = 3", "driven = 2", "before")),
     Bad("no such value", lambda _: ARM.with_values({"a7": 0.1}), ("'a7'", "there are", "a1")),
 ]  # fmt: skip
 
