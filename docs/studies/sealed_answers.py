@@ -23,10 +23,8 @@ def main() -> None:
         answer = as_json(found, path.stem)
         write_whole(ROOT / "data" / "campaigns" / "answers" / f"{path.stem}.json", json.dumps(answer, indent=1) + "\n")
         causes = ", ".join(f"{c.label} {c.confidence:.2f}" for c in found.causes)
-        print(
-            f"{path.stem}  {found.verdict:<10} {1e3 * found.gap.before:.4f} -> {1e3 * found.gap.after:.4f} mm  {causes}",
-            flush=True,
-        )
+        gap = f"{1e3 * found.gap.before:.4f} -> {1e3 * found.gap.after:.4f} mm"
+        print(f"{path.stem}  {found.verdict:<10} {gap}  {causes}", flush=True)
 
 
 if __name__ == "__main__":
