@@ -110,17 +110,18 @@ class Box:
     @property
     def centre(self) -> Array:
         """Middle of every range, shape (joints,) [rad]."""
-        return (np.asarray(self.lower) + np.asarray(self.upper)) / 2
+        return 0.5 * np.add(self.lower, self.upper, dtype=np.float64)
 
     @property
     def half_width(self) -> Array:
         """Half of every range, shape (joints,) [rad]; 1 where the joint does not move."""
-        half = (np.asarray(self.upper) - np.asarray(self.lower)) / 2
+        half = 0.5 * np.subtract(self.upper, self.lower, dtype=np.float64)
         return np.where(half > 0, half, 1.0)
 
     def contains(self, q: Array) -> NDArray[np.bool_]:
         """Tell for every row of q, shape (n, joints) [rad], whether it lies in the box."""
-        return np.asarray(np.all((q >= self.lower) & (q <= self.upper), axis=1), dtype=np.bool_)
+        within: NDArray[np.bool_] = (q >= self.lower) & (q <= self.upper)
+        return np.asarray(within.all(axis=1), dtype=np.bool_)
 
 
 def box_around(q: Array) -> Box:
