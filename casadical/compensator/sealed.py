@@ -18,6 +18,11 @@ def digest(body: dict[str, Any]) -> str:
     return hashlib.sha256(_canonical(body).encode("utf-8")).hexdigest()
 
 
+def sealed_text(document: dict[str, Any]) -> str:
+    """Return the text of a sealed file: the one way in which its document is written."""
+    return json.dumps(document, indent=1, allow_nan=False) + "\n"
+
+
 def write_sealed(path: str | os.PathLike[str], kind: str, version: int, body: dict[str, Any]) -> None:
     """Write a body as a sealed file: into a new file beside it, flushed to disk, then put in its place."""
     document = {"format": kind, "version": version, **body}
@@ -26,8 +31,7 @@ def write_sealed(path: str | os.PathLike[str], kind: str, version: int, body: di
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=target.name + ".", suffix=".part")
     try:
         with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
-            json.dump(document, file, indent=1, allow_nan=False)
-            file.write("\n")
+            file.write(sealed_text(document))
             file.flush()
             os.fsync(file.fileno())
         os.chmod(name, 0o666 & ~_umask())
@@ -43,7 +47,8 @@ def read_sealed(path: str | os.PathLike[str], kind: str, version: int) -> dict[s
     Raises InputError when it is not there, truncated, changed, of another kind, or of a later version.
     """
     try:
-        document = json.loads(Path(path).read_text(encoding="utf-8"))
+        text = Path(path).read_text(encoding="utf-8")
+        document = json.loads(text)
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from None
     except (UnicodeDecodeError, ValueError, RecursionError) as error:
@@ -54,21 +59,22 @@ def read_sealed(path: str | os.PathLike[str], kind: str, version: int) -> dict[s
         raise InputError(
             f"{path} has version {document.get('version')!r} of {kind}; this casadical reads version {version}"
         )
-    seal = document.pop("sha256", None)
-    if seal != _digest_or_none(document):
+    if not _intact(document, text):
         raise InputError(f"{path} was changed after it was written (its sha256 does not match); take an undamaged copy")
-    return document
+    return {name: value for name, value in document.items() if name != "sha256"}
 
 
 def _canonical(body: dict[str, Any]) -> str:
     return json.dumps(body, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
-def _digest_or_none(body: dict[str, Any]) -> str | None:
+def _intact(document: dict[str, Any], text: str) -> bool:
+    """Tell whether the seal fits and the text is the one its values are written as: no digit may differ."""
     try:
-        return digest(body)
+        body = {name: value for name, value in document.items() if name != "sha256"}
+        return document.get("sha256") == digest(body) and sealed_text(document) == text
     except ValueError:  # NaN or Infinity, which a sealed file never holds
-        return None
+        return False
 
 
 def _umask() -> int:

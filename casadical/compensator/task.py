@@ -69,6 +69,8 @@ def make_task(
     layout: Layout, box: Box, q: Array, residual_mm: Array, *, scale_mm: float = 1.0, loss: Loss | None = None
 ) -> Task:
     """Prepare joint angles, shape (n, joints) [rad], and residuals, shape (n, outputs) [mm], for training."""
+    if not (np.isfinite(scale_mm) and scale_mm > 0):
+        raise InputError(f"output_scale_mm must be positive and finite; got {scale_mm}")
     inputs = network_inputs(layout, box, q)
     targets = np.ascontiguousarray(residual_mm.T) / scale_mm
     return Task(layout, inputs, targets, scale_mm, loss if loss is not None else Loss())
