@@ -7,6 +7,7 @@ matrix ``[W | b]`` of shape (m, k + 1), row by row. The paper's 6-5-3 network ha
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -45,13 +46,13 @@ class Layout:
         """Number of network inputs: one a joint, two for a periodic one."""
         return self.joints + len(self.periodic)
 
-    @property
+    @cached_property
     def shapes(self) -> tuple[tuple[int, int], ...]:
         """Shape of ``[W | b]`` of every layer, inputs to outputs."""
         sizes = (self.features, *self.hidden, self.outputs)
         return tuple((m, k + 1) for k, m in pairwise(sizes))
 
-    @property
+    @cached_property
     def count(self) -> int:
         """Number of weights, biases included."""
         return sum(m * k for m, k in self.shapes)
