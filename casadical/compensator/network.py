@@ -1,6 +1,6 @@
 """The compensator network: joint angles [rad] -> position correction [mm], in numpy and in CasADi (paper, eq. 10)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +25,7 @@ class Network:
 
     layout: Layout
     box: Box
-    weights: Array
+    weights: Array = field(repr=False)
     output_scale_mm: float = 1.0
 
     def __post_init__(self) -> None:

@@ -35,7 +35,7 @@ class Training:
     reasons : why it stopped. note : what the trainer chose. history : (step, loss [mm^2]) now and then.
     """
 
-    weights: Array
+    weights: Array = field(repr=False)
     loss_mm2: float
     steps: int
     reasons: tuple[str, ...]

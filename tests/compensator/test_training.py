@@ -115,6 +115,15 @@ def test_huge_ridge_leaves_the_mean_residual():
     np.testing.assert_allclose(outputs, np.tile(task.targets.mean(axis=1)[:, None], task.targets.shape[1]), atol=1e-4)
 
 
+def test_lm_without_ridge_survives_inputs_that_say_nothing():
+    """Two joints that never move leave the normal equations singular."""
+    task = small_task()
+    inputs = task.inputs.copy()
+    inputs[[1, 4]] = 0.0
+    training = train(dataclasses.replace(task, inputs=inputs), LevenbergMarquardt(2, 2000, (0.0,)), seed=0)
+    assert np.isfinite(training.loss_mm2)
+
+
 def test_lm_chooses_the_ridge_of_least_held_out_error():
     """On pure noise the strongest ridge must win; on a smooth residual without noise a weak one."""
     trainer = LevenbergMarquardt(restarts=1, iterations=5, ridges=(1.0, 1e-3, 1e-5))

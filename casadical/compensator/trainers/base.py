@@ -1,5 +1,6 @@
 """What every trainer offers: a training that goes step by step and can be taken up again from its state."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -31,18 +32,18 @@ class Run(Protocol):
 
 
 @dataclass(frozen=True)
-class Trainer:
+class Trainer(ABC):
     """Settings of one way to train. Every trainer is one small frozen dataclass."""
 
     @property
+    @abstractmethod
     def name(self) -> str:
         """Short name, as in tables and saved files."""
-        raise NotImplementedError
 
+    @abstractmethod
     def begin(self, task: Task, seed: int) -> Run:
         """Start a training."""
-        raise NotImplementedError
 
+    @abstractmethod
     def resume(self, task: Task, seed: int, state: dict[str, Any]) -> Run:
         """Take a training up again from its `Run.state`; it goes on bit for bit as it would have."""
-        raise NotImplementedError

@@ -67,6 +67,7 @@ def _advance_part(task: Task, new: dict[str, Array], at: Any, samples: Array, ri
     slope, curvature = _normal_equations(task, weights, samples, ridge)
     diagonal = np.einsum("pii->pi", curvature)
     damping = np.where(new["damping"][at] < 0, 1e-3 * diagonal.max(axis=1), new["damping"][at])
+    damping = np.maximum(damping, 1e-14 * diagonal.max(axis=1) + np.finfo(float).tiny)  # never singular
     diagonal += damping[:, None]
     step = -np.linalg.solve(curvature, slope[..., None])[..., 0]
     trial = weights + step
