@@ -1,0 +1,77 @@
+/* @name@: see @name@.h. Written by casadical; do not edit. */
+#include <float.h>
+#include <stddef.h>
+#include "@name@.h"
+
+/* The bits are promised for plain IEEE arithmetic only; @NAME@_ANY_ARITHMETIC is for testing the self-test. */
+#ifndef @NAME@_ANY_ARITHMETIC
+#if defined(__FAST_MATH__) || defined(__RECIPROCAL_MATH__) || defined(__ASSOCIATIVE_MATH__)
+#error "@name@ must not be compiled with -ffast-math or its parts"
+#endif
+#if defined(__FINITE_MATH_ONLY__)
+#if __FINITE_MATH_ONLY__ > 0
+#error "@name@ must not be compiled with -ffinite-math-only: its guards would be removed"
+#endif
+#endif
+#if !defined(FLT_EVAL_METHOD)
+#error "@name@ needs C99 or later"
+#elif (FLT_EVAL_METHOD != 0)@eval_method@
+#error "@name@ must not be computed in a wider type than @real@ (x87); use -msse2 -mfpmath=sse"
+#endif
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#elif defined(__GNUC__)
+#pragma GCC optimize("fp-contract=off")
+#elif defined(_MSC_VER)
+#pragma fp_contract(off)
+#else
+#pragma STDC FP_CONTRACT OFF
+#endif
+#endif
+
+#if (FLT_RADIX != 2) || (@MANT_DIG@ != @mant_dig@)
+#error "@name@ needs IEEE 754 @bits@"
+#endif
+
+@boxes@
+/* q moved into a box; with NOT_FINITE x is inside the box too */
+static @name@_status @name@_boxed(const @name@_real q[@n@], const @name@_real lower[@n@], const @name@_real upper[@n@],
+                             @name@_real x[@n@])
+{
+    @name@_real wrong = @0@;
+    @name@_real moved = @0@;
+    @name@_status status;
+    uint32_t i;
+    for (i = 0U; i < @n@U; i++)
+    {
+        const @name@_real v = q[i];
+        const @name@_real a = (v > lower[i]) ? v : lower[i];
+        const @name@_real b = (a < upper[i]) ? a : upper[i];
+        wrong = wrong + (v - v);
+        moved = moved + ((b > v) ? (b - v) : (v - b));
+        x[i] = b;
+    }
+    if (!(wrong >= @0@))
+    {
+        status = @NAME@_NOT_FINITE;
+    }
+    else if (moved > @0@)
+    {
+        status = @NAME@_CLAMPED;
+    }
+    else
+    {
+        status = @NAME@_OK;
+    }
+    return status;
+}
+
+@elementary@
+@kernels@
+@functions@
+const @name@_facts *@name@_info(void)
+{
+    static const @name@_facts facts = { "@name@", "@real@", "@model_sha256@",
+                                        "@data_sha256@", @schema@U, @n@U, @steps@U };
+    return &facts;
+}
