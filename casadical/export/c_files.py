@@ -29,7 +29,7 @@ def header(program: Program, label: Label) -> str:
     parts += [template("command.h")] if command else []
     values["prototypes"] = "".join(filled(part, values) for part in parts).rstrip("\n") + "\n"
     values["defines"] = filled(_COMMAND_DEFINES, values) if command else ""
-    values["command_statuses"] = _COMMAND_STATUSES if command else ""
+    values["command_statuses"] = filled(_COMMAND_STATUSES, values) if command else ""
     values["not_finite_output"] = "; zeros are written"
     values["title"] = "correction of joint commands" if command else "compensation network"
     return filled(template("header.h"), values)
@@ -41,7 +41,6 @@ def source(program: Program, label: Label) -> str:
     parts = [template("network.c")] if program.network else []
     parts += [template("command.c")] if program.command else []
     values["functions"] = "".join(filled(part, values) for part in parts)
-    values["boxes"] = "".join(_tables(program, label.name))
     values["elementary"] = elementary_functions(list(program.tapes.values()), label.name, program.real)
     values["kernels"] = "\n".join(
         kernel(tape, label.name, f"{name}_values", program.real) for name, tape in sorted(program.tapes.items())
@@ -50,15 +49,13 @@ def source(program: Program, label: Label) -> str:
 
 
 _COMMAND_DEFINES = """
-/* Largest correction of a joint [rad], its largest change in one call of @name@_step [rad], and the remaining
-   error [m] above which NOT_CONVERGED is returned */
+/* Largest correction of a joint [rad], and its largest change in one call of @name@_step [rad] */
 #define @NAME@_DELTA_LIMIT @delta_decimal@
 #define @NAME@_CHANGE_LIMIT @change_decimal@
-#define @NAME@_TOLERANCE @tolerance_decimal@
 """
 _COMMAND_STATUSES = """\
  *   RATE_LIMITED   the correction is on its way, as fast as it may change
- *   NOT_CONVERGED  more than the tolerance is estimated to remain; the correction is the best so far
+ *   NOT_CONVERGED  more than @tolerance_mm@ mm is estimated to remain; the correction is the best so far
  *   LIMITED        the correction is at its limit, all joints scaled alike
  *   SINGULAR       the arm can hardly move its tool in some direction; the correction is damped and within its limit
 """
@@ -86,6 +83,7 @@ def common_values(program: Program, label: Label) -> dict[str, str]:
         "1": literal(1.0, real),
         "largest": literal(c.largest, real),
     }
+    values |= {f"box_table:{key}": _table(pair, real) for key, pair in boxes(program).items()}
     if program.network is not None:
         values["n_dp"] = str(len(program.network_bounds))
         values["network_bounds"] = "".join(
@@ -137,15 +135,13 @@ def _command_values(command: Command, program: Program, real: Real) -> dict[str,
         "damping2": f"{command.limits.damping**2:.6g}",
         "cycle_s": f"{command.limits.cycle_s:.6g}",
         "ramp_s": f"{command.limits.ramp_s:.6g}",
-        "delta_limit": literal(numbers.delta, real),
         "step_limit": literal(numbers.step, real),
-        "change_limit": literal(numbers.change, real),
-        "ramp": literal(numbers.ramp, real),
         "tolerance2": literal(numbers.tolerance2, real),
+        "ramp": literal(numbers.ramp, real),
         "weakness_limit": literal(numbers.weakness, real),
         "delta_decimal": _decimal(numbers.delta, real),
         "change_decimal": _decimal(numbers.change, real),
-        "tolerance_decimal": _decimal(1e-3 * command.limits.tolerance_mm, real),
+        "tolerance_mm": f"{command.limits.tolerance_mm:.6g}",
     }
 
 
@@ -162,23 +158,16 @@ def _box_text(lower: Vector, upper: Vector) -> str:
 
 
 def boxes(program: Program) -> dict[str, tuple[Vector, Vector]]:
-    """The boxes that inputs are moved into, by the infix of their tables' names."""
+    """The boxes that inputs are moved into, by what they are for."""
     found: dict[str, tuple[Vector, Vector]] = {}
     if program.command is not None:
         lower, upper, reach = program.command.lower, program.command.upper, program.command.limits.delta_rad
-        found |= {"": (lower, upper), "reach_": (lower - reach, upper + reach)}
+        found |= {"command": (lower, upper), "reach": (lower - reach, upper + reach)}
     if program.network is not None:
-        found["network_"] = (program.network.lower, program.network.upper)
+        found["network"] = (program.network.lower, program.network.upper)
     return found
 
 
-def _tables(program: Program, name: str) -> list[str]:
-    return [
-        f"static const {name}_real {name}_{key}{side}[{program.n}] = {{ {_list(table, program.real)} }};\n"
-        for key, pair in boxes(program).items()
-        for side, table in zip(("lower", "upper"), pair, strict=True)
-    ]
-
-
-def _list(values: Vector, real: Real) -> str:
-    return ", ".join(literal(float(v), real) for v in values)
+def _table(pair: tuple[Vector, Vector], real: Real) -> str:
+    rows = ("{ " + ", ".join(literal(float(v), real) for v in side) + " }" for side in pair)
+    return "{\n            " + ",\n            ".join(rows) + "\n        }"

@@ -36,9 +36,8 @@ def functions_used(tapes: list[Tape]) -> list[str]:
 def elementary_functions(tapes: list[Tape], name: str, real: Real) -> str:
     """C text of the static functions that the tapes call."""
     used = functions_used(tapes)
-    snippets = (["powers"] if {"tansig", "exp"} & set(used) else []) + used
     values = _constants(real) | {"name": name, "real": f"{name}_real"}
-    return "\n".join(filled(template(f"{snippet}.c"), values) for snippet in snippets)
+    return "\n".join(filled(template(f"{snippet}.c"), values) for snippet in used)
 
 
 def kernel(tape: Tape, prefix: str, name: str, real: Real) -> str:
@@ -67,12 +66,12 @@ def _statement(k: int, node: Node, a: list[str], prefix: str, real: Real) -> str
     if node.op == "const":
         return ""
     if node.op == "sincos":
-        return f"{prefix}_real v{k}s;\n{prefix}_real v{k}c;\n{prefix}_sincos({a[0]}, &v{k}s, &v{k}c);"
+        return f"{prefix}_real v{k}[2];\n{prefix}_sincos({a[0]}, v{k});"
     text = _expression(node, a, prefix, real)
     line = f"const {prefix}_real v{k} = {text};"
     if node.op.startswith("guard"):
         sign = ">=" if node.op == "guard_min" else "<="
-        line += f"\nfine &= ({a[0]} {sign} {literal(node.value, real)}) ? 1U : 0U;"
+        line += f"\nif (!({a[0]} {sign} {literal(node.value, real)}))\n{{\n    fine = 0U;\n}}"
     return line
 
 
@@ -86,8 +85,8 @@ def _expression(node: Node, a: list[str], prefix: str, real: Real) -> str:
         return f"in[{int(node.value)}]"
     limit = literal(node.value, real)
     return {
-        "sin": lambda: f"{a[0]}s",
-        "cos": lambda: f"{a[0]}c",
+        "sin": lambda: f"{a[0]}[0]",
+        "cos": lambda: f"{a[0]}[1]",
         "neg": lambda: f"-{a[0]}",
         "fabs": lambda: f"({a[0]} < {zero}) ? -{a[0]} : {a[0]}",
         "fmin": lambda: f"({a[0]} < {a[1]}) ? {a[0]} : {a[1]}",
@@ -123,7 +122,7 @@ def _constants(real: Real) -> dict[str, str]:
     numbers |= {k: getattr(c, k) for k in ("two_over_pi", "one_over_ln2", "pi", "pi_2", "pi_4")}
     numbers |= {k: getattr(c, k) for k in ("tansig_limit", "smallest", "largest")}
     numbers |= {f"guess_{i}": g for i, g in enumerate(SQRT_GUESS)}
-    numbers |= {text: float(text) for text in ("0", "1", "2", "4", "0.5", "-0.5")}
+    numbers |= {text: float(text) for text in ("0", "1", "2", "4", "0.5", "1024", "1024.5")}
     values = {key: literal(value, real) for key, value in numbers.items()}
     values |= {f"poly:{key}": _polynomial(getattr(c, key), real) for key in ("sin", "cos", "coth", "atan")}
     values |= {f"powers:{s}": ", ".join(literal(2.0 ** (s * i), real) for i in range(8)) for s in (1, 8)}

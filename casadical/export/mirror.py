@@ -31,12 +31,13 @@ class Mirror:
 
     def sincos(self, x: Array) -> tuple[Array, Array]:
         T, c = self.T, self.c
-        k = np.trunc(x * T(c.two_over_pi) + np.where(x < 0, T(-0.5), T(0.5)))
+        whole = np.trunc(x * T(c.two_over_pi) + T(1024.5))
+        k = whole - T(1024)
         r = (x - k * T(c.half_pi[0])) - k * T(c.half_pi[1])
         z = r * r
         s = r + (r * z) * self._poly(c.sin, z)
         co = (T(1) - T(0.5) * z) + (z * z) * self._poly(c.cos, z)
-        q = k.astype(np.int64) & 3
+        q = whole.astype(np.int64) & 3
         sin, cos = np.where(q & 1, co, s), np.where(q & 1, s, co)
         return np.where(q & 2, -sin, sin), np.where((q + 1) & 2, -cos, cos)
 

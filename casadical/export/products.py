@@ -56,8 +56,9 @@ class Command:
     nominal, calibrated : q[n] -> p[3] [m], or q[n] -> (p[3], R[3x3]) for position and orientation; the calibrated one
         is the whole model of the real robot (loop, compliance, network).
     lower, upper : box of joint angles in which the model was identified, shape (n,) [rad]
-    jacobian_of : function like ``calibrated`` whose Jacobian the chord steps use; leave out what is small (compliance,
-        network) to save most of the time. Without it, ``calibrated``.
+    jacobian_of, jacobian_at : the chord steps use the Jacobian of ``jacobian_of`` (a function like ``calibrated``, which
+        it is when not given) with respect to its joints, at the joints ``jacobian_at(q)`` (q when not given). With the
+        chain without compliance and network for the one and the bent joints for the other it costs a third.
     network : exported beside the correction when given.
     steps : least-squares steps, 1 to 10.
     length_m : what one radian of orientation error counts, for poses.
@@ -68,6 +69,7 @@ class Command:
     lower: Vector
     upper: Vector
     jacobian_of: casadi.Function | None = None
+    jacobian_at: casadi.Function | None = None
     network: Network | None = None
     limits: Limits = field(default_factory=Limits)
     steps: int = 2
@@ -82,6 +84,8 @@ class Command:
         for other in (self.nominal, self.jacobian_of):
             if other is not None and _checked_signature(other, n, (size,)) != size:
                 raise AssertionError
+        if self.jacobian_at is not None:
+            _checked_signature(self.jacobian_at, n, (n,))
         if self.network is not None and len(self.network.lower) != n:
             raise InputError(f"the network has {len(self.network.lower)} joints and the robot {n}; both must be equal")
 

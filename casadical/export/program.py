@@ -89,14 +89,13 @@ def residual_size(command: Command) -> int:
 
 
 def _jacobian(command: Command, q: SX) -> SX:
-    """The Jacobian of minus the residual with respect to the joints, at the commanded joints."""
+    """The Jacobian of minus the residual with respect to the joints, where the chord steps want it."""
     function = command.jacobian_of if command.jacobian_of is not None else command.calibrated
-    now = _flat(function, q)
-    if now.numel() == 3:
-        return casadi.jacobian(now, q)
-    fixed = SX.sym("fixed", 12)
-    slope = casadi.jacobian(-_residual(fixed, now, command.length_m), q)
-    return casadi.graph_substitute(slope, [fixed], [now])
+    x, fixed = SX.sym("x", len(command.lower)), SX.sym("fixed", 3 if residual_size(command) == 3 else 12)
+    now = _flat(function, x)
+    slope = casadi.jacobian(-_residual(fixed, now, command.length_m), x)
+    at = q if command.jacobian_at is None else _flat(command.jacobian_at, q)
+    return casadi.Function("slope", [x, fixed], [slope])(at, _flat(function, at))
 
 
 def _factored(A: SX, floor: float) -> tuple[SX, SX]:
@@ -132,19 +131,19 @@ def _lower(m: int) -> list[tuple[int, int]]:
 
 
 def _prepare(command: Command) -> casadi.Function:
-    """q -> nominal position or pose, J, L below its diagonal, inverted pivots, weakness."""
+    """q -> nominal position or pose, J, L below its diagonal, inverted pivots, weakness, calibrated position or pose."""
     n, m = len(command.lower), residual_size(command)
     damping = command.limits.damping**2
     q = SX.sym("q", n)
     J = _jacobian(command, q)
     L, inverse = _factored(casadi.mtimes(J, J.T) + damping * SX.eye(m), damping / 2)
     below = casadi.vertcat(*[L[i, j] for i, j in _lower(m)])
-    out = casadi.vertcat(_flat(command.nominal, q), casadi.vec(J), below, inverse, _weakness(L, inverse))
-    return casadi.Function("prepare", [q], [casadi.densify(out)], ["q"], ["prepared"])
+    out = [_flat(command.nominal, q), casadi.vec(J), below, inverse, _weakness(L, inverse), _flat(command.calibrated, q)]
+    return casadi.Function("prepare", [q], [casadi.densify(casadi.vertcat(*out))], ["q"], ["prepared"])
 
 
 def prepared_size(command: Command) -> int:
-    """How many numbers ``prepare`` gives."""
+    """How many numbers ``prepare`` gives before the calibrated position or pose."""
     m = residual_size(command)
     return (3 if m == 3 else 12) + m * len(command.lower) + m * (m - 1) // 2 + m + 1
 

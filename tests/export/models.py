@@ -83,3 +83,8 @@ def calibrated(seed=0, with_network=True):
     q = ca.SX.sym("q", 6)
     p = kinematics(seed)(q)
     return ca.Function("calibrated", [q], [p + 1e-3 * network_dp(q, seed) if with_network else p], ["q"], ["p"])
+
+
+def bent():
+    q = ca.SX.sym("q", 6)
+    return ca.Function("bent", [q], [q + deflection(q)], ["q"], ["bent"])

@@ -17,11 +17,11 @@ static uint32_t @name@_all_finite(const @name@_real *const v, const uint32_t cou
 }
 
 /* the largest magnitude */
-static @name@_real @name@_largest(const @name@_real v[@n@])
+static @name@_real @name@_largest(const @name@_real v[@NAME@_JOINTS])
 {
     @name@_real most = @0@;
     uint32_t i;
-    for (i = 0U; i < @n@U; i++)
+    for (i = 0U; i < @NAME@_JOINTS; i++)
     {
         const @name@_real magnitude = (v[i] < @0@) ? -v[i] : v[i];
         most = (magnitude > most) ? magnitude : most;
@@ -30,22 +30,21 @@ static @name@_real @name@_largest(const @name@_real v[@n@])
 }
 
 /* v scaled so that no joint is beyond the limit; 1 where that was needed */
-static uint32_t @name@_limited(@name@_real v[@n@], const @name@_real limit)
+static uint32_t @name@_limited(@name@_real v[@NAME@_JOINTS], const @name@_real limit)
 {
     const @name@_real most = @name@_largest(v);
-    const uint32_t needed = (most > limit) ? 1U : 0U;
-    const @name@_real scale = limit / ((needed != 0U) ? most : limit);
+    const @name@_real scale = limit / ((most > limit) ? most : limit);
     uint32_t i;
-    for (i = 0U; i < @n@U; i++)
+    for (i = 0U; i < @NAME@_JOINTS; i++)
     {
         const @name@_real scaled = v[i] * scale;
         const @name@_real low = (scaled > -limit) ? scaled : -limit;
         v[i] = (low < limit) ? low : limit;
     }
-    return needed;
+    return (most > limit) ? 1U : 0U;
 }
 
-@name@_status @name@_forward(const @name@_real q[@n@], @name@_real p[@n_p@])
+@name@_status @name@_forward(const @name@_real q[@NAME@_JOINTS], @name@_real p[@n_p@])
 {
     @name@_status status;
     if ((q == NULL) || (p == NULL))
@@ -54,9 +53,10 @@ static uint32_t @name@_limited(@name@_real v[@n@], const @name@_real limit)
     }
     else
     {
-        @name@_real x[@n@];
+        static const @name@_real box[2][@NAME@_JOINTS] = @box_table:reach@;
+        @name@_real x[@NAME@_JOINTS];
         uint32_t fine;
-        status = @name@_boxed(q, @name@_reach_lower, @name@_reach_upper, x);
+        status = @name@_boxed(q, box, x);
         fine = @name@_forward_values(x, p);
         fine = fine & @name@_all_finite(p, @n_p@U);
         if ((fine == 0U) || (status == @NAME@_NOT_FINITE))
@@ -73,11 +73,11 @@ static uint32_t @name@_limited(@name@_real v[@n@], const @name@_real limit)
 }
 
 /* the correction at joints x inside the box */
-static @name@_status @name@_chord(const @name@_real x[@n@], @name@_real dq[@n@])
+static @name@_status @name@_chord(const @name@_real x[@NAME@_JOINTS], @name@_real dq[@NAME@_JOINTS])
 {
     @name@_status status = @NAME@_OK;
-    @name@_real work[@n_work@]; /* what prepare gives, then where the calibrated robot is */
-    @name@_real at[@n@];
+    @name@_real work[@n_work@]; /* what prepare gives; where the calibrated robot is comes last */
+    @name@_real at[@NAME@_JOINTS];
     @name@_real moved[@n_moved@]; /* joint step, squared error before it, squared rest after it */
     @name@_real before = @largest@;
     @name@_real wrong = @0@;
@@ -85,7 +85,7 @@ static @name@_status @name@_chord(const @name@_real x[@n@], @name@_real dq[@n@])
     uint32_t fine = @name@_prepare_values(x, work);
     uint32_t step;
     uint32_t i;
-    for (i = 0U; i < @n@U; i++)
+    for (i = 0U; i < @NAME@_JOINTS; i++)
     {
         dq[i] = @0@;
         moved[i] = @0@;
@@ -94,25 +94,28 @@ static @name@_status @name@_chord(const @name@_real x[@n@], @name@_real dq[@n@])
     moved[@i_rest@] = @0@;
     for (step = 0U; step < @steps@U; step++)
     {
-        before = (step == 0U) ? @largest@ : moved[@i_error@];
-        for (i = 0U; i < @n@U; i++)
+        if (step > 0U)
         {
-            at[i] = x[i] + dq[i];
+            before = moved[@i_error@];
+            for (i = 0U; i < @NAME@_JOINTS; i++)
+            {
+                at[i] = x[i] + dq[i];
+            }
+            fine = fine & @name@_forward_values(at, &work[@n_prepared@]);
         }
-        fine = fine & @name@_forward_values(at, &work[@n_prepared@]);
         fine = fine & @name@_advance_values(work, moved);
         wrong = wrong + ((moved[@i_error@] - moved[@i_error@]) + (moved[@i_rest@] - moved[@i_rest@]));
         clamped = @name@_limited(moved, @step_limit@);
-        for (i = 0U; i < @n@U; i++)
+        for (i = 0U; i < @NAME@_JOINTS; i++)
         {
             dq[i] = dq[i] + moved[i];
         }
-        clamped = clamped | (@name@_limited(dq, @delta_limit@) << 1U);
+        clamped = clamped | (@name@_limited(dq, @NAME@_DELTA_LIMIT) << 1U);
     }
     wrong = wrong + (work[@i_weakness@] - work[@i_weakness@]);
     if ((fine == 0U) || !(wrong >= @0@))
     {
-        for (i = 0U; i < @n@U; i++)
+        for (i = 0U; i < @NAME@_JOINTS; i++)
         {
             dq[i] = @0@;
         }
@@ -138,34 +141,33 @@ static @name@_status @name@_chord(const @name@_real x[@n@], @name@_real dq[@n@])
     return status;
 }
 
-@name@_status @name@_correct(const @name@_real q[@n@], @name@_real dq[@n@])
+/* the correction at any joints */
+static @name@_status @name@_corrected(const @name@_real q[@NAME@_JOINTS], @name@_real dq[@NAME@_JOINTS])
 {
-    @name@_status status;
-    if ((q == NULL) || (dq == NULL))
+    static const @name@_real box[2][@NAME@_JOINTS] = @box_table:command@;
+    @name@_real x[@NAME@_JOINTS];
+    @name@_status status = @name@_boxed(q, box, x);
+    if (status == @NAME@_NOT_FINITE)
     {
-        status = @NAME@_NULL_ARG;
+        uint32_t i;
+        for (i = 0U; i < @NAME@_JOINTS; i++)
+        {
+            dq[i] = @0@;
+        }
     }
     else
     {
-        @name@_real x[@n@];
-        status = @name@_boxed(q, @name@_lower, @name@_upper, x);
-        if (status == @NAME@_NOT_FINITE)
-        {
-            uint32_t i;
-            for (i = 0U; i < @n@U; i++)
-            {
-                dq[i] = @0@;
-            }
-        }
-        else
-        {
-            status = @name@_worse(status, @name@_chord(x, dq));
-        }
+        status = @name@_worse(status, @name@_chord(x, dq));
     }
     return status;
 }
 
-@name@_status @name@_step(@name@_state *state, const @name@_real q[@n@], uint32_t enable, @name@_real dq[@n@])
+@name@_status @name@_correct(const @name@_real q[@NAME@_JOINTS], @name@_real dq[@NAME@_JOINTS])
+{
+    return ((q == NULL) || (dq == NULL)) ? @NAME@_NULL_ARG : @name@_corrected(q, dq);
+}
+
+@name@_status @name@_step(@name@_state *state, const @name@_real q[@NAME@_JOINTS], uint32_t enable, @name@_real dq[@NAME@_JOINTS])
 {
     @name@_status status;
     if ((state == NULL) || (q == NULL) || (dq == NULL))
@@ -174,14 +176,14 @@ static @name@_status @name@_chord(const @name@_real x[@n@], @name@_real dq[@n@])
     }
     else
     {
-        @name@_real want[@n@];
+        @name@_real want[@NAME@_JOINTS];
         @name@_real gain = state->gain;
         uint32_t i;
-        status = @name@_correct(q, want);
-        if (!((@name@_all_finite(state->dq, @n@U) != 0U) && (@name@_largest(state->dq) <= @delta_limit@)
+        status = @name@_corrected(q, want);
+        if (!((@name@_all_finite(state->dq, @n@U) != 0U) && (@name@_largest(state->dq) <= @NAME@_DELTA_LIMIT)
               && (gain >= @0@) && (gain <= @1@)))
         {
-            for (i = 0U; i < @n@U; i++)
+            for (i = 0U; i < @NAME@_JOINTS; i++)
             {
                 state->dq[i] = @0@;
             }
@@ -192,23 +194,23 @@ static @name@_status @name@_chord(const @name@_real x[@n@], @name@_real dq[@n@])
         gain = (gain > @0@) ? gain : @0@;
         gain = (gain < @1@) ? gain : @1@;
         state->gain = gain;
-        for (i = 0U; i < @n@U; i++)
+        for (i = 0U; i < @NAME@_JOINTS; i++)
         {
             const @name@_real change = (gain * want[i]) - state->dq[i];
             @name@_real given = change;
-            if (change > @change_limit@)
+            if (change > @NAME@_CHANGE_LIMIT)
             {
-                given = @change_limit@;
+                given = @NAME@_CHANGE_LIMIT;
                 status = @name@_worse(status, @NAME@_RATE_LIMITED);
             }
-            if (change < -@change_limit@)
+            if (change < -@NAME@_CHANGE_LIMIT)
             {
-                given = -@change_limit@;
+                given = -@NAME@_CHANGE_LIMIT;
                 status = @name@_worse(status, @NAME@_RATE_LIMITED);
             }
             given = state->dq[i] + given;
-            given = (given > -@delta_limit@) ? given : -@delta_limit@;
-            given = (given < @delta_limit@) ? given : @delta_limit@;
+            given = (given > -@NAME@_DELTA_LIMIT) ? given : -@NAME@_DELTA_LIMIT;
+            given = (given < @NAME@_DELTA_LIMIT) ? given : @NAME@_DELTA_LIMIT;
             state->dq[i] = given;
             dq[i] = given;
         }

@@ -33,8 +33,8 @@ extern "C"
 {
 #endif
 
-#define @NAME@_JOINTS @n@
-#define @NAME@_SCHEMA @schema@
+#define @NAME@_JOINTS @n@U
+#define @NAME@_SCHEMA @schema@U
 @defines@
 typedef @real@ @name@_real;
 

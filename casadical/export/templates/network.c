@@ -1,4 +1,4 @@
-@name@_status @name@_network(const @name@_real q[@n@], @name@_real dp_mm[@n_dp@])
+@name@_status @name@_network(const @name@_real q[@NAME@_JOINTS], @name@_real dp_mm[@n_dp@])
 {
     @name@_status status;
     if ((q == NULL) || (dp_mm == NULL))
@@ -7,8 +7,9 @@
     }
     else
     {
-        @name@_real x[@n@];
-        status = @name@_boxed(q, @name@_network_lower, @name@_network_upper, x);
+        static const @name@_real box[2][@NAME@_JOINTS] = @box_table:network@;
+        @name@_real x[@NAME@_JOINTS];
+        status = @name@_boxed(q, box, x);
         if ((@name@_network_values(x, dp_mm) == 0U) || (status == @NAME@_NOT_FINITE))
         {
             uint32_t i;

@@ -33,22 +33,21 @@
 #error "@name@ needs IEEE 754 @bits@"
 #endif
 
-@boxes@
 /* q moved into a box; with NOT_FINITE x is inside the box too */
-static @name@_status @name@_boxed(const @name@_real q[@n@], const @name@_real lower[@n@], const @name@_real upper[@n@],
-                             @name@_real x[@n@])
+static @name@_status @name@_boxed(const @name@_real q[@NAME@_JOINTS], const @name@_real box[2][@NAME@_JOINTS], @name@_real x[@NAME@_JOINTS])
 {
     @name@_real wrong = @0@;
     @name@_real moved = @0@;
     @name@_status status;
     uint32_t i;
-    for (i = 0U; i < @n@U; i++)
+    for (i = 0U; i < @NAME@_JOINTS; i++)
     {
         const @name@_real v = q[i];
-        const @name@_real a = (v > lower[i]) ? v : lower[i];
-        const @name@_real b = (a < upper[i]) ? a : upper[i];
+        const @name@_real a = (v > box[0][i]) ? v : box[0][i];
+        const @name@_real b = (a < box[1][i]) ? a : box[1][i];
+        const @name@_real d = b - v;
         wrong = wrong + (v - v);
-        moved = moved + ((b > v) ? (b - v) : (v - b));
+        moved = moved + ((d < @0@) ? -d : d);
         x[i] = b;
     }
     if (!(wrong >= @0@))
@@ -72,6 +71,6 @@ static @name@_status @name@_boxed(const @name@_real q[@n@], const @name@_real lo
 const @name@_facts *@name@_info(void)
 {
     static const @name@_facts facts = { "@name@", "@real@", "@model_sha256@",
-                                        "@data_sha256@", @schema@U, @n@U, @steps@U };
+                                        "@data_sha256@", @NAME@_SCHEMA, @NAME@_JOINTS, @steps@U };
     return &facts;
 }
