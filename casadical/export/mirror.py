@@ -112,6 +112,9 @@ def _simple(T: Any) -> dict[str, Callable[..., Array]]:
     }
 
 
+_ROWS_AT_ONCE = 4096  # keeps the values of a long tape in the cache
+
+
 def run(tape: Tape, inputs: Array, real: Real) -> tuple[Array, NDArray[np.bool_]]:
     """Evaluate a tape on many inputs.
 
@@ -124,6 +127,12 @@ def run(tape: Tape, inputs: Array, real: Real) -> tuple[Array, NDArray[np.bool_]
     outputs : array, shape (k, n_out)
     fine : boolean array, shape (k,); false where a guard of the tape was touched (no real root, argument out of range)
     """
+    starts = range(0, max(len(inputs), 1), _ROWS_AT_ONCE)
+    parts = [_run(tape, inputs[start : start + _ROWS_AT_ONCE], real) for start in starts]
+    return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+
+
+def _run(tape: Tape, inputs: Array, real: Real) -> tuple[Array, NDArray[np.bool_]]:
     mirror = Mirror(real)
     T, simple = mirror.T, _simple(mirror.T)
     k = len(inputs)
@@ -143,8 +152,6 @@ def run(tape: Tape, inputs: Array, real: Real) -> tuple[Array, NDArray[np.bool_]
                 inside = args[0] >= limit if node.op == "guard_min" else args[0] <= limit
                 fine &= inside
                 values.append(np.where(inside, args[0], limit))
-            elif node.op in simple:
-                values.append(simple[node.op](*args))
             else:
-                values.append(getattr(mirror, node.op)(*args))
+                values.append((simple.get(node.op) or getattr(mirror, node.op))(*args))
     return np.stack([values[o] for o in tape.outputs], 1).astype(T, copy=False), fine
