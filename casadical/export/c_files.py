@@ -81,6 +81,7 @@ def common_values(program: Program, label: Label) -> dict[str, str]:
         "mant_dig": "24" if real == "float" else "53",
         "0": literal(0.0, real),
         "1": literal(1.0, real),
+        "9": literal(9.0, real),
         "largest": literal(c.largest, real),
     }
     values |= {f"box_table:{key}": _table(pair, real) for key, pair in boxes(program).items()}

@@ -62,7 +62,9 @@ def _source(program: Program, label: Label) -> str:
     values["middle"] = ", ".join(repr(v) for v in box_middle(program))
     values["state"] = filled(_STATE, values) if command else ""
     values["reset"] = filled(_RESET, values) if command else ""
-    values["call"] = f"{name}_step(&it->state, q, (unsigned int)it->enable, out)" if command else f"{name}_network(q, out)"
+    values["call"] = (
+        f"{name}_step(&it->state, q, (unsigned int)it->enable, out)" if command else f"{name}_network(q, out)"
+    )
     values["do_step"] = filled(_CYCLES, values) if command else "    (void)size;\n    call(it);\n"
     values["initial"] = "" if command else "    call((instance *)c);\n"
     return filled(template("fmu.c"), values)

@@ -110,7 +110,9 @@ def without_needless_guards(tape: Tape, lower: NDArray[np.float64], upper: NDArr
         args = tuple(place[a] for a in node.args)
         low, high = found[node.args[0]] if node.args else _EVERYTHING
         proven = math.isfinite(low) and math.isfinite(high)
-        if proven and ((node.op == "guard_min" and low >= node.value) or (node.op == "guard_max" and high <= node.value)):
+        if proven and (
+            (node.op == "guard_min" and low >= node.value) or (node.op == "guard_max" and high <= node.value)
+        ):
             place.append(args[0])
         else:
             place.append(len(kept))

@@ -106,7 +106,10 @@ def build(shape: Shape, sources: list[Path], folder: Path, compiler: Compiler, f
     """Compile an export's sources with the loops over rows into a new library in a folder, and load it."""
     wrapper = folder / f"{shape.name}_rows.c"
     wrapper.write_text(rows_source(shape), encoding="utf-8")
-    library = folder / f"{shape.name}_{Path(compiler.command).name}_{hashlib.sha256(' '.join(flags).encode()).hexdigest()[:8]}.so"
+    library = (
+        folder
+        / f"{shape.name}_{Path(compiler.command).name}_{hashlib.sha256(' '.join(flags).encode()).hexdigest()[:8]}.so"
+    )
     include = f"-I{sources[0].parent}"
     shared_library(compiler, [*sources, wrapper], library, ("-O2", include, *flags))
     return Kernel(shape, library)

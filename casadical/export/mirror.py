@@ -1,4 +1,4 @@
-"""The exported C's arithmetic in NumPy, operation for operation: the reference that the compiled C must equal bit for bit.
+"""The exported C's arithmetic in NumPy, operation for operation: the bits that the compiled C must give.
 
 Nothing here calls NumPy's own sin, exp or sqrt; every line has its counterpart in the templates and rounds where the C
 rounds.
@@ -56,14 +56,16 @@ class Mirror:
         t, r, R = self._reduced(x + x)
         up, down = t + T(1), t - T(1)
         value = (down * R + up * r) / (up * R + down * r)
-        return np.where(a < 0, -value, value)
+        signed: Array = np.where(a < 0, -value, value)
+        return signed
 
     def exp(self, a: Array) -> Array:
         x = np.where(a < 0, -a, a)
         t, r, R = self._reduced(np.where(x < self.T(EXP_LIMIT), x, self.T(EXP_LIMIT)))
         up, down = t * (R + r), R - r
         negative = a < 0
-        return np.where(negative, down, up) / np.where(negative, up, down)
+        quotient: Array = np.where(negative, down, up) / np.where(negative, up, down)
+        return quotient
 
     def sqrt(self, x: Array) -> Array:
         T = self.T
@@ -75,7 +77,8 @@ class Mirror:
         y = T(SQRT_GUESS[0]) + m * (T(SQRT_GUESS[1]) + m * T(SQRT_GUESS[2]))
         for _ in range(self.c.heron_steps):
             y = T(0.5) * (y + m / y)
-        return np.where(x < T(self.c.smallest), T(0), s * y)
+        root: Array = np.where(x < T(self.c.smallest), T(0), s * y)
+        return root
 
     def atan2(self, y: Array, x: Array) -> Array:
         T, c = self.T, self.c
@@ -93,7 +96,7 @@ class Mirror:
         return np.where(y < 0, -angle, angle)
 
 
-def _simple(T: Any) -> dict[str, Callable[..., Array]]:
+def _simple(T: Any) -> dict[str, Callable[..., Any]]:
     one, zero = T(1), T(0)
     return {
         "add": lambda a, b: a + b,

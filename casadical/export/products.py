@@ -56,9 +56,10 @@ class Command:
     nominal, calibrated : q[n] -> p[3] [m], or q[n] -> (p[3], R[3x3]) for position and orientation; the calibrated one
         is the whole model of the real robot (loop, compliance, network).
     lower, upper : box of joint angles in which the model was identified, shape (n,) [rad]
-    jacobian_of, jacobian_at : the chord steps use the Jacobian of ``jacobian_of`` (a function like ``calibrated``, which
-        it is when not given) with respect to its joints, at the joints ``jacobian_at(q)`` (q when not given). With the
-        chain without compliance and network for the one and the bent joints for the other it costs a third.
+    jacobian_of, jacobian_at : the calibrated robot's part in the chord steps' Jacobian is the one of ``jacobian_of`` (a
+        function like ``calibrated``, which it is when not given) with respect to its joints, at the joints
+        ``jacobian_at(q)`` (q when not given). With the chain without compliance and network for the one and the bent
+        joints for the other it costs a third.
     network : exported beside the correction when given.
     steps : least-squares steps, 1 to 10.
     length_m : what one radian of orientation error counts, for poses.

@@ -89,12 +89,21 @@ def residual_size(command: Command) -> int:
 
 
 def _jacobian(command: Command, q: SX) -> SX:
-    """The Jacobian of minus the residual with respect to the joints, where the chord steps want it."""
+    """The mean of the calibrated and the nominal robot's Jacobian at the commanded joints.
+
+    The corrected robot will have its tool where the nominal one has it now: the mean of the two slopes is, nearly, the
+    trapezoidal rule along the step, and leaves about half of the calibrated Jacobian's error.
+    """
     function = command.jacobian_of if command.jacobian_of is not None else command.calibrated
+    at = q if command.jacobian_at is None else _flat(command.jacobian_at, q)
+    return 0.5 * (_slope(command, function, at) + _slope(command, command.nominal, q))
+
+
+def _slope(command: Command, function: casadi.Function, at: SX) -> SX:
+    """Jacobian of minus the residual with respect to the function's joints."""
     x, fixed = SX.sym("x", len(command.lower)), SX.sym("fixed", 3 if residual_size(command) == 3 else 12)
     now = _flat(function, x)
     slope = casadi.jacobian(-_residual(fixed, now, command.length_m), x)
-    at = q if command.jacobian_at is None else _flat(command.jacobian_at, q)
     return casadi.Function("slope", [x, fixed], [slope])(at, _flat(function, at))
 
 
@@ -131,14 +140,21 @@ def _lower(m: int) -> list[tuple[int, int]]:
 
 
 def _prepare(command: Command) -> casadi.Function:
-    """q -> nominal position or pose, J, L below its diagonal, inverted pivots, weakness, calibrated position or pose."""
+    """q -> nominal position or pose, J, L below its diagonal, inverted pivots, weakness, calibrated one."""
     n, m = len(command.lower), residual_size(command)
     damping = command.limits.damping**2
     q = SX.sym("q", n)
     J = _jacobian(command, q)
     L, inverse = _factored(casadi.mtimes(J, J.T) + damping * SX.eye(m), damping / 2)
     below = casadi.vertcat(*[L[i, j] for i, j in _lower(m)])
-    out = [_flat(command.nominal, q), casadi.vec(J), below, inverse, _weakness(L, inverse), _flat(command.calibrated, q)]
+    out = [
+        _flat(command.nominal, q),
+        casadi.vec(J),
+        below,
+        inverse,
+        _weakness(L, inverse),
+        _flat(command.calibrated, q),
+    ]
     return casadi.Function("prepare", [q], [casadi.densify(casadi.vertcat(*out))], ["q"], ["prepared"])
 
 

@@ -117,7 +117,7 @@ def _chord_status(
     numbers: CommandNumbers, T: Any, weakness: Array, ends: Array, before: Array, limited: Flags, clamped: Flags
 ) -> Statuses:
     tolerance2 = T(numbers.tolerance2)
-    far = clamped | (ends[:, 1] > tolerance2) | (ends[:, 0] * ends[:, 0] > tolerance2 * before)
+    far = clamped | (ends[:, 1] > tolerance2) | (T(9) * (ends[:, 0] * ends[:, 0]) > tolerance2 * before)
     status = np.where(far, Status.NOT_CONVERGED, Status.OK)
     status = np.where(limited, Status.LIMITED, status)
     return np.where(weakness > T(numbers.weakness), Status.SINGULAR, status)

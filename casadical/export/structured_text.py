@@ -26,7 +26,9 @@ def structured_text(program: Program, label: Label) -> str:
     parts = [filled(template("head.st"), values)]
     if any(node.op == "atan2" for tape in program.tapes.values() for node in tape.nodes):
         parts.append(filled(template("atan2.st"), values))
-    parts += [_block(tape, f"{label.name}_{key}_values", kind, program.real) for key, tape in sorted(program.tapes.items())]
+    parts += [
+        _block(tape, f"{label.name}_{key}_values", kind, program.real) for key, tape in sorted(program.tapes.items())
+    ]
     if program.network is not None:
         size = {"last_out": str(len(program.network_bounds) - 1)}
         parts.append(filled(template("network.st"), values | size | _box(program, "network")))
@@ -45,7 +47,9 @@ def number(value: float, real: Real) -> str:
 
 def _block(tape: Tape, name: str, kind: str, real: Real) -> str:
     names = [_name(k, node, real) for k, node in enumerate(tape.nodes)]
-    statements = [s for k, node in enumerate(tape.nodes) for s in _statements(k, node, [names[a] for a in node.args], real)]
+    statements = [
+        s for k, node in enumerate(tape.nodes) for s in _statements(k, node, [names[a] for a in node.args], real)
+    ]
     own = [s.split(" := ")[0] for s in statements if not s.startswith("IF")]
     declared = "".join(f"    {v} : {kind};\n" for v in own)
     body = "".join(f"{s};\n" if not s.endswith("END_IF;") else f"{s}\n" for s in statements)

@@ -1,8 +1,9 @@
 """A CasADi SX function as a tape: a list of plain real operations in single-assignment form.
 
 Equal operations on equal arguments are stored once, sines and cosines of one angle share an operation, and a tansig is
-recognised however it is written. Where an operation takes only some numbers (square root, exp, sine of a huge angle)
-a guard stands before it; what an interval analysis proves to be needless is removed (see intervals.py). The C emitter and the NumPy mirror both walk this list and nothing else.
+recognised however it is written. Where an operation takes only some numbers (square root, exp, sine of a huge angle) a
+guard stands before it; what an interval analysis proves to be needless is removed (see intervals.py). The C emitter and
+the NumPy mirror both walk this list and nothing else.
 """
 
 from collections.abc import Iterable
@@ -240,7 +241,5 @@ def _live(nodes: Iterable[Node], n_in: int, outputs: list[int]) -> Tape:
         if k in needed:
             needed.update(nodes[k].args)
     place = {old: new for new, old in enumerate(sorted(needed))}
-    kept = tuple(
-        Node(nodes[k].op, tuple(place[a] for a in nodes[k].args), nodes[k].value) for k in sorted(needed)
-    )
+    kept = tuple(Node(nodes[k].op, tuple(place[a] for a in nodes[k].args), nodes[k].value) for k in sorted(needed))
     return Tape(kept, n_in, tuple(place[k] for k in outputs))

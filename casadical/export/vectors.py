@@ -41,7 +41,9 @@ def comparison_inputs(program: Program, count: int) -> Array:
     scales = T(10.0) ** rng.uniform(0, 6, len(odd)).astype(T)
     q[odd] *= scales[:, None]
     corner = odd[::4]
-    q[corner] = np.where(rng.integers(0, 2, (len(corner), program.n)) == 1, program.product.lower, program.product.upper)
+    q[corner] = np.where(
+        rng.integers(0, 2, (len(corner), program.n)) == 1, program.product.lower, program.product.upper
+    )
     special = odd[1::16]
     values = np.array([np.nan, np.inf, -np.inf, np.finfo(T).max, -np.finfo(T).max, np.finfo(T).tiny, -0.0], T)
     q[special, rng.integers(0, program.n, len(special))] = values[rng.integers(0, len(values), len(special))]

@@ -75,7 +75,7 @@ def main():
         print(f"  half_pi = {split(mp.pi / 2, pi_bits, dtype)!r}")
         print(f"  ln2 = {split(mp.log(2), ln_bits, dtype)!r}")
         print(f"  two_over_pi = {rounded(2 / mp.pi, dtype)!r}, one_over_ln2 = {rounded(1 / mp.log(2), dtype)!r}")
-        print(f"  pi = {rounded(mp.pi, dtype)!r}, pi/2 = {rounded(mp.pi / 2, dtype)!r}, pi/4 = {rounded(mp.pi / 4, dtype)!r}")
+        print(f"  pi, pi/2, pi/4 = {[rounded(mp.pi / k, dtype) for k in (1, 2, 4)]}")
 
 
 if __name__ == "__main__":

@@ -130,7 +130,7 @@ static @name@_status @name@_chord(const @name@_real x[@NAME@_JOINTS], @name@_rea
         status = @NAME@_LIMITED;
     }
     else if ((clamped != 0U) || (moved[@i_rest@] > @tolerance2@)
-             || ((moved[@i_error@] * moved[@i_error@]) > (@tolerance2@ * before)))
+             || ((@9@ * (moved[@i_error@] * moved[@i_error@])) > (@tolerance2@ * before)))
     {
         status = @NAME@_NOT_CONVERGED;
     }

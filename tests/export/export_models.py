@@ -68,7 +68,7 @@ def nominal():
 
 def deflection(q):
     """Joint deflections under gravity: compliance times the torques of the nominal arm."""
-    height = sum(m * point(q, NOMINAL, [0.0] * 6, ca.SX(c), i + 1)[2] for i, (m, c) in enumerate(zip(MASS, COM)))
+    height = sum(MASS[i] * point(q, NOMINAL, [0.0] * 6, ca.SX(COM[i]), i + 1)[2] for i in range(6))
     return -9.81 * COMPLIANCE * ca.gradient(height, q)
 
 
@@ -88,3 +88,27 @@ def calibrated(seed=0, with_network=True):
 def bent():
     q = ca.SX.sym("q", 6)
     return ca.Function("bent", [q], [q + deflection(q)], ["q"], ["bent"])
+
+
+def four_bar(q, lengths=(0.5, 0.9, 0.55, 1.0)):
+    """Angle of the rocker of a four-bar loop driven by q: crank, coupler, rocker, ground [m]."""
+    crank, coupler, rocker, ground = lengths
+    x, y = ground - crank * ca.cos(q), -crank * ca.sin(q)
+    diagonal = ca.sqrt(x**2 + y**2)
+    inner = ca.acos((rocker**2 + diagonal**2 - coupler**2) / (2 * rocker * diagonal))
+    return ca.atan2(y, x) + inner
+
+
+def with_loop(seed=0, lengths=(0.5, 0.9, 0.55, 1.0)):
+    """The calibrated chain with joint 3 driven through a four-bar loop."""
+    q = ca.SX.sym("q", 6)
+    turned = ca.vertcat(q[0], q[1], q[2] + 0.02 * (four_bar(q[2] + 1.5, lengths) - 1.5), q[3:])
+    return ca.Function("with_loop", [q], [kinematics(seed)(turned)], ["q"], ["p"])
+
+
+def pose_of(rows, betas):
+    """Position and rotation of the tool, by three more points of the last frame."""
+    q = ca.SX.sym("q", 6)
+    p = point(q, rows, betas, ca.SX(TOOL))
+    axes = [point(q, rows, betas, ca.SX(TOOL + np.eye(3)[k])) - p for k in range(3)]
+    return ca.Function("pose", [q], [p, ca.horzcat(*axes)], ["q"], ["p", "R"])
