@@ -21,7 +21,7 @@ def pkg_config(label: Label) -> str:
 
 def cross_check(program: Program, label: Label) -> str:
     """C by CasADi's own code generator (double, with math.h): a second way from the same functions to numbers."""
-    generator = casadi.CodeGenerator(f"{label.name}_casadi", {"with_header": False, "casadi_int": "int"})
+    generator = casadi.CodeGenerator(f"{label.name}_casadi", {"with_header": False})
     found = {} if program.network is None else {"network": program.network.function}
     if program.command is not None:
         found |= {"nominal": program.command.nominal, "calibrated": program.command.calibrated}

@@ -10,6 +10,10 @@ from casadical.export.products import Command, Vector
 from casadical.export.program import Program, prepared_size
 
 SCHEMA = 1
+_METHODS = {
+    "float": (0, 16, 32),
+    "double": (0, 1, 16, 32, 64),
+}  # FLT_EVAL_METHOD where the type keeps its own precision
 
 
 @dataclass(frozen=True)
@@ -76,7 +80,7 @@ def common_values(program: Program, label: Label) -> dict[str, str]:
         "n": str(program.n),
         "steps": str(command.steps if command else 0),
         "box": _box_text(program.product.lower, program.product.upper),
-        "eval_method": "" if real == "float" else " && (FLT_EVAL_METHOD != 1)",
+        "wider": " && ".join(f"(FLT_EVAL_METHOD != {m})" for m in _METHODS[real]),
         "MANT_DIG": "FLT_MANT_DIG" if real == "float" else "DBL_MANT_DIG",
         "mant_dig": "24" if real == "float" else "53",
         "0": literal(0.0, real),

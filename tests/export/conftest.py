@@ -3,7 +3,7 @@
 import export_models as models
 import pytest
 
-from casadical.export import Command, Network
+from casadical.export import Command, Network, load, write_c
 from casadical.export.toolchain import compilers
 
 
@@ -36,12 +36,16 @@ def compiler():
 @pytest.fixture(scope="session")
 def exported(tmp_path_factory, compiler, network, command):
     """Folders of written exports by (product, real)."""
-    from casadical.export import write_c
-
     folders = {}
     for key, product in (("network", network), ("command", command)):
         for real in ("float", "double"):
             folder = tmp_path_factory.mktemp(f"{key}_{real}")
-            write_c(product, folder, name="arm", real=real, vectors=20_000)
+            write_c(product, folder, name="arm", real=real, vectors=5_000)
             folders[key, real] = folder
     return folders
+
+
+@pytest.fixture(scope="session")
+def kernels(exported):
+    """The exports loaded again from their folders, by (product, real)."""
+    return {key: load(folder) for key, folder in exported.items()}

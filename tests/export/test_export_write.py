@@ -17,7 +17,9 @@ from casadical.export import Command, Limits, Network, load, write_c
 
 def test_the_same_model_gives_the_same_bytes(tmp_path, network):
     first = write_c(network, tmp_path / "a", name="arm", real="float", vectors=1000)
-    write_c(Network(models.network(), models.LOWER, models.UPPER), tmp_path / "b", name="arm", real="float", vectors=1000)
+    write_c(
+        Network(models.network(), models.LOWER, models.UPPER), tmp_path / "b", name="arm", real="float", vectors=1000
+    )
     for name in first.files:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes(), name
     for name in set(first.files) - {"manifest.json", "arm.fmu"}:

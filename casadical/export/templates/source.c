@@ -15,13 +15,13 @@
 #endif
 #if !defined(FLT_EVAL_METHOD)
 #error "@name@ needs C99 or later"
-#elif (FLT_EVAL_METHOD != 0)@eval_method@
+#elif @wider@
 #error "@name@ must not be computed in a wider type than @real@ (x87); use -msse2 -mfpmath=sse"
 #endif
 #if defined(__clang__)
 #pragma STDC FP_CONTRACT OFF
 #elif defined(__GNUC__)
-#pragma GCC optimize("fp-contract=off")
+#pragma GCC optimize("fp-contract=off", "no-tree-slp-vectorize") /* gcc 12's vectorizer fuses even so (vfmaddsub) */
 #elif defined(_MSC_VER)
 #pragma fp_contract(off)
 #else
