@@ -22,8 +22,12 @@ static uint32_t @name@_test_@function@(void)
 static uint32_t @name@_test_bad_@function@(const @name@_real q[@NAME@_JOINTS])
 {
     @name@_real out[@size@];
-    uint32_t passed = (@name@_@function@(q, out) == @NAME@_NOT_FINITE) ? 1U : 0U;
+    uint32_t passed = 1U;
     uint32_t i;
+    if (@name@_@function@(q, out) != @NAME@_NOT_FINITE)
+    {
+        passed = 0U;
+    }
     for (i = 0U; i < @size@U; i++)
     {
         const @name@_real zero = @0@;

@@ -92,7 +92,7 @@ int main(void)
     for (uint32_t k = 0; k < 256U; k++) {
         real q[6];
         real out[N_OUT];
-        input(JITTER_INSIDE ? 0U : k, q);
+        input(0U, q); /* inside the box */
         const uint32_t start = ticks();
         (void)call(q, out);
         const uint32_t used = (start - ticks()) & 0x00FFFFFFU;
