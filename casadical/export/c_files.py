@@ -86,6 +86,7 @@ def common_values(program: Program, label: Label) -> dict[str, str]:
         "0": literal(0.0, real),
         "1": literal(1.0, real),
         "9": literal(9.0, real),
+        "share": literal(box_share(program.n), real),
         "largest": literal(c.largest, real),
     }
     values |= {f"box_table:{key}": _table(pair, real) for key, pair in boxes(program).items()}
@@ -160,6 +161,11 @@ def _box_text(lower: Vector, upper: Vector) -> str:
         f" *   q[{i}]  {low:.9g} to {high:.9g}  ({np.rad2deg(low):.6g} to {np.rad2deg(high):.6g} deg)\n"
         for i, (low, high) in enumerate(zip(lower, upper, strict=True))
     )
+
+
+def box_share(n: int) -> float:
+    """A power of two by which n finite numbers can be multiplied so that their sum is finite."""
+    return 2.0 ** -(n - 1).bit_length()
 
 
 def boxes(program: Program) -> dict[str, tuple[Vector, Vector]]:

@@ -48,7 +48,7 @@ _RULES: dict[str, Callable[..., Interval]] = {
     "neg": lambda a: (-a[1], -a[0]),
     "sqrt": lambda a: (math.sqrt(max(a[0], 0.0)), math.sqrt(max(a[1], 0.0))),
     "exp": lambda a: (math.exp(min(max(a[0], -44.0), 44.0)), math.exp(max(min(a[1], 44.0), -44.0))),
-    "tansig": lambda a: (math.tanh(a[0]), math.tanh(a[1])),
+    "tansig": lambda _a: (-1.0, 1.0),  # the C clamps it
     "atan2": lambda _y, _x: (-math.pi, math.pi),
     "fabs": _magnitude,
     "fmin": lambda a, b: (min(a[0], b[0]), min(a[1], b[1])),
@@ -62,7 +62,7 @@ _RULES: dict[str, Callable[..., Interval]] = {
     "sin": lambda _a: (-1.0, 1.0),
     "cos": lambda _a: (-1.0, 1.0),
 }
-_EXACT = {"input", "const", "neg", "fabs", "fmin", "fmax", "lt", "le", "not", "sign", "select", "sincos"}
+_EXACT = {"input", "const", "neg", "fabs", "fmin", "fmax", "tansig", "lt", "le", "not", "sign", "select", "sincos"}
 
 
 def _bound(node: Node, args: list[Interval], box: list[Interval], real: Real) -> Interval:

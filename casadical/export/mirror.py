@@ -56,6 +56,7 @@ class Mirror:
         t, r, R = self._reduced(x + x)
         up, down = t + T(1), t - T(1)
         value = (down * R + up * r) / (up * R + down * r)
+        value = np.where(value < T(1), value, T(1))
         signed: Array = np.where(a < 0, -value, value)
         return signed
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadical.export.c_files import CommandNumbers, boxes, command_numbers
+from casadical.export.c_files import CommandNumbers, box_share, boxes, command_numbers
 from casadical.export.coefficients import DTYPE
 from casadical.export.mirror import Array, run
 from casadical.export.products import Command, Vector
@@ -39,12 +39,15 @@ def boxed(q: Array, box: tuple[Vector, Vector]) -> tuple[Array, Statuses]:
     """Inputs moved into a box of the same real type, and OK, CLAMPED or NOT_FINITE for each row."""
     T = q.dtype.type
     lower, upper = box[0].astype(T), box[1].astype(T)
-    with np.errstate(invalid="ignore"):
+    moved = np.zeros(len(q), T)
+    with np.errstate(all="ignore"):
         a = np.where(q > lower, q, lower)
         x = np.where(a < upper, a, upper)
-    finite = np.isfinite(q).all(1)
-    status = np.where((x != q).any(1), Status.CLAMPED, Status.OK)
-    return x, np.where(finite, status, Status.NOT_FINITE)
+        distance = np.where(x < q, q - x, x - q)
+        for i in range(q.shape[1]):
+            moved = moved + T(box_share(q.shape[1])) * distance[:, i]
+    status = np.where(moved > 0, Status.CLAMPED, Status.OK)
+    return x, np.where(moved <= np.finfo(T).max, status, Status.NOT_FINITE)
 
 
 def network(program: Program, q: Array) -> tuple[Array, Statuses]:

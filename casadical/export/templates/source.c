@@ -36,7 +36,6 @@
 /* q moved into a box; with NOT_FINITE x is inside the box too */
 static @name@_status @name@_boxed(const @name@_real q[@NAME@_JOINTS], const @name@_real box[2][@NAME@_JOINTS], @name@_real x[@NAME@_JOINTS])
 {
-    @name@_real wrong = @0@;
     @name@_real moved = @0@;
     @name@_status status;
     uint32_t i;
@@ -46,11 +45,11 @@ static @name@_status @name@_boxed(const @name@_real q[@NAME@_JOINTS], const @nam
         const @name@_real a = (v > box[0][i]) ? v : box[0][i];
         const @name@_real b = (a < box[1][i]) ? a : box[1][i];
         const @name@_real d = b - v;
-        wrong = wrong + (v - v);
-        moved = moved + ((d < @0@) ? -d : d);
+        const @name@_real distance = (d < @0@) ? -d : d;
+        moved = moved + (@share@ * distance); /* NaN and infinity stay; the factor keeps finite sums finite */
         x[i] = b;
     }
-    if (!(wrong >= @0@))
+    if (!(moved <= @largest@))
     {
         status = @NAME@_NOT_FINITE;
     }

@@ -16,5 +16,6 @@ static @real@ @name@_tansig(const @real@ a)
     const @real@ up = t + @1@;
     const @real@ down = t - @1@;
     const @real@ value = ((down * R) + (up * r)) / ((up * R) + (down * r));
-    return (a < @0@) ? -value : value;
+    const @real@ bounded = (value < @1@) ? value : @1@; /* makes the bound provable; rounding never exceeds it */
+    return (a < @0@) ? -bounded : bounded;
 }
