@@ -61,7 +61,8 @@ class Command:
         ``jacobian_at(q)`` (q when not given). With the chain without compliance and network for the one and the bent
         joints for the other it costs a third.
     network : exported beside the correction when given.
-    steps : least-squares steps, 1 to 10.
+    steps : least-squares steps, 1 to 10. With one step NOT_CONVERGED sees only what the damping leaves; with more it
+        also extrapolates from the last two errors, without evaluating the robot once more.
     length_m : what one radian of orientation error counts, for poses.
     """
 

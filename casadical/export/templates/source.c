@@ -5,7 +5,7 @@
 
 /* The bits are promised for plain IEEE arithmetic only; @NAME@_ANY_ARITHMETIC is for testing the self-test. */
 #ifndef @NAME@_ANY_ARITHMETIC
-#if defined(__FAST_MATH__) || defined(__RECIPROCAL_MATH__) || defined(__ASSOCIATIVE_MATH__)
+#if defined(__FAST_MATH__) || defined(__RECIPROCAL_MATH__) || defined(__ASSOCIATIVE_MATH__) || defined(_M_FP_FAST)
 #error "@name@ must not be compiled with -ffast-math or its parts"
 #endif
 #if defined(__FINITE_MATH_ONLY__)
