@@ -10,7 +10,7 @@ import casadi
 import numpy as np
 from casadi import SX
 
-from casadical.export.coefficients import Real
+from casadical.export.coefficients import DTYPE, Real
 from casadical.export.intervals import bounds, without_needless_guards
 from casadical.export.products import Command, Network, Product, Vector
 from casadical.export.tape import Tape, tape_of
@@ -47,19 +47,24 @@ def program_of(product: Product, real: Real) -> Program:
     network = product if isinstance(product, Network) else product.network
     network_bounds: list[tuple[float, float]] = []
     if network is not None:
-        tape = without_needless_guards(tape_of(network.function), network.lower, network.upper, real)
-        found = bounds(tape, network.lower, network.upper, real)
+        lower, upper = _rounded(network.lower, real), _rounded(network.upper, real)
+        tape = without_needless_guards(tape_of(network.function), lower, upper, real)
+        found = bounds(tape, lower, upper, real)
         tapes["network"], network_bounds = tape, [found[o] for o in tape.outputs]
     if isinstance(product, Command):
         tapes |= _command_tapes(product, real)
     return Program(product, real, tapes, tuple(network_bounds))
 
 
+def _rounded(bound: Vector, real: Real) -> Vector:
+    return bound.astype(DTYPE[real]).astype(np.float64)
+
+
 def _command_tapes(command: Command, real: Real) -> dict[str, Tape]:
-    reach = command.limits.delta_rad
+    reach = 1.001 * command.limits.delta_rad  # joints and corrections are added in the real type, and rounded
     boxes: dict[str, tuple[Vector, Vector]] = {
-        "forward": (command.lower - reach, command.upper + reach),
-        "prepare": (command.lower, command.upper),
+        "forward": (_rounded(command.lower, real) - reach, _rounded(command.upper, real) + reach),
+        "prepare": (_rounded(command.lower, real), _rounded(command.upper, real)),
     }
     tapes = {"forward": tape_of(command.calibrated), "prepare": tape_of(_prepare(command))}
     tapes = {key: without_needless_guards(tape, *boxes[key], real) for key, tape in tapes.items()}
