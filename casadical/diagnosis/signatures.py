@@ -9,6 +9,7 @@ candidates cost little more than one.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import ClassVar
 
@@ -20,7 +21,7 @@ from ..kinematics import link_frames
 from ..measurements import Measurements
 from ..model import base_frame, gravity_in_base
 from ..robot import Robot
-from ..statics import gravity_energy, gravity_torques
+from ..statics import deflections, gravity_energy, gravity_torques
 from ..transforms import Array, Symbolic, small_frame
 
 _TWIST = ("x", "y", "z", "rx", "ry", "rz")
@@ -96,14 +97,19 @@ def _context(robot: Robot, q: ca.SX, w: dict[str, ca.SX], phi: ca.SX) -> Context
     values = dict(zip(robot.parameters.names, ca.vertsplit(phi), strict=True))
     frames = link_frames(robot, ca.vertsplit(q), values)
     gravity = gravity_in_base(robot, base_frame(robot, values))
-    energy = gravity_energy(robot, frames, gravity, w.get("payload_kg", 0.0))
-    return Context(robot, q, w, values, frames, gravity, gravity_torques(ca.SX(energy), q))
+    context = Context(robot, q, w, values, frames, gravity)
+    return replace(context, torque=_torque(context))
+
+
+def _torque(context: Context, added: Symbolic = 0.0) -> ca.SX:
+    """Gravity torques as the model has them: of the robot that has sunk once; added : potential energy [J]."""
+    energy = gravity_energy(context.robot, context.frames, context.gravity, context.conditions.get("payload_kg", 0.0))
+    torque = gravity_torques(ca.SX(energy + added), context.q)
+    return ca.substitute(torque, context.q, context.q + deflections(context.robot, torque, context.values))
 
 
 def _seam_derivative(effect: Effect, context: Context, point: ca.SX) -> ca.SX:
     """Derivative of all seam variables by the effect's parameters at zero, shape (seams, parameters)."""
-    from dataclasses import replace
-
     parameters = effect.parameters()
     theta = ca.SX.sym("theta", len(parameters))
     own = dict(zip((p.name for p in parameters), ca.vertsplit(theta), strict=True))
@@ -111,9 +117,7 @@ def _seam_derivative(effect: Effect, context: Context, point: ca.SX) -> ca.SX:
     angle = ca.SX(effect.joint_angle(context))
     energy = ca.SX(effect.energy(replace(context, torque=None)))
     if ca.depends_on(energy, theta):
-        torque = gravity_torques(energy, context.q)
-        n = context.robot.n
-        angle += ca.vertcat(*(context.values.get(f"c{i}", 0.0) * torque[i - 1] for i in range(1, n + 1)))
+        angle += deflections(context.robot, _torque(context, energy), context.values)
     seams, n = [angle], context.robot.n
     seams += [_twist(effect.link(i, context)) for i in range(1, n + 1)] if _acts(effect, "link") else [ca.SX(6 * n, 1)]
     seams += [_twist(effect.base(context)) if _acts(effect, "base") else ca.SX(6, 1)]
