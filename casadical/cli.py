@@ -139,7 +139,10 @@ def diagnose(
     ] = None,
     effects: Annotated[
         str | None,
-        typer.Option(metavar="NAMES", help="Only these effects: names (backlash) or labels (backlash@5), by commas."),
+        typer.Option(
+            metavar="NAMES",
+            help="standard (the default), extended, or only these: names (backlash) or labels (backlash@5), by commas.",
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the partitions into folds.")] = 0,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,

@@ -20,11 +20,14 @@ _SPACING = {"at": TIMES[1] - TIMES[0], "cycles": CYCLES[1] - CYCLES[0], "phase":
 
 
 def neighbours(effect: Effect, fineness: float) -> list[Effect]:
-    """The effect with one setting moved by a fraction of the grid's spacing, each in turn."""
+    """The effect with one setting moved by a fraction of the grid's spacing, each in turn.
+
+    Only fields of type float are moved, and none whose metadata say that it is given (a known gear ratio).
+    """
     found = []
     for f in fields(effect):
         value = getattr(effect, f.name)
-        if not isinstance(value, float):
+        if not isinstance(value, float) or f.metadata.get("given"):
             continue
         if f.name in _SPACING:
             moved = [value + step * fineness * _SPACING[f.name] for step in (-0.67, -0.33, 0.33, 0.67)]

@@ -101,7 +101,7 @@ def _context(robot: Robot, q: ca.SX, w: dict[str, ca.SX], phi: ca.SX) -> Context
     return replace(context, torque=_torque(context))
 
 
-def _torque(context: Context, added: Symbolic = 0.0) -> ca.SX:
+def _torque(context: Context, added: Symbolic = 0.0) -> Symbolic:
     """Gravity torques as the model has them: of the robot that has sunk once; added : potential energy [J]."""
     energy = gravity_energy(context.robot, context.frames, context.gravity, context.conditions.get("payload_kg", 0.0))
     torque = gravity_torques(ca.SX(energy + added), context.q)
