@@ -60,9 +60,10 @@ class Evidence:
 
     @cached_property
     def whitened(self) -> tuple[Whitened, ...]:
-        return tuple(self._whiten(float(rho)) for rho in RHOS)
+        return tuple(self.white(float(rho)) for rho in RHOS)
 
-    def _whiten(self, rho: float) -> Whitened:
+    def white(self, rho: float) -> Whitened:
+        """The problem at one rho, joint repeatability over the instrument's sigma [rad/m]."""
         C = np.eye(3) + rho**2 * self.Jq @ self.Jq.transpose(0, 2, 1)
         L = np.linalg.cholesky(C)
         flat = [np.linalg.solve(L, part).reshape(self.r.size, -1) for part in (self.r[:, :, None], self.J, self.E)]

@@ -82,7 +82,9 @@ def signature_function(robot: Robot, effects: tuple[Effect, ...]) -> tuple[ca.Fu
     J, S = ca.jacobian(model.p, phi), ca.jacobian(model.p, seams)
     context = _context(robot, model.q, w, phi)
     columns = [S @ _seam_derivative(effect, context, model.p) for effect in effects]
-    at_zero = ca.substitute([ca.horzcat(*columns), J, S[:, : robot.n]], [seams], [ca.SX.zeros(seams.numel())])
+    at_zero = ca.substitute(
+        [ca.horzcat(ca.SX(3, 0), *columns), J, S[:, : robot.n]], [seams], [ca.SX.zeros(seams.numel())]
+    )
     function = ca.Function(
         "signatures",
         [model.q, model.w, phi],
@@ -149,4 +151,4 @@ def signatures(robot: Robot, effects: Sequence[Effect], m: Measurements, values:
     declared = np.array([robot.payload.mass if c == "payload_kg" and robot.payload else 0.0 for c in conditions])
     w = m.condition_matrix(conditions, declared)
     parts = function.map(len(m))(m.q.T, w.T, values)
-    return tuple(part.full().reshape(3, len(m), -1).transpose(1, 0, 2) for part in parts)
+    return tuple(p.full().reshape(3, len(m), p.shape[1] // len(m)).transpose(1, 0, 2) for p in parts)
