@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,11 +36,15 @@ def summarise(errors: Array) -> Accuracy:
     )
 
 
-def predicted(robot: Robot, m: Measurements) -> tuple[Array, Array]:
-    """Positions, shape (n, 3) [m], and orientations, shape (n, 3, 3), that the robot's nominal values give."""
+def predicted(robot: Robot, m: Measurements, values: Mapping[str, float] | None = None) -> tuple[Array, Array]:
+    """Positions, shape (n, 3) [m], and orientations, shape (n, 3, 3), of the robot as it is.
+
+    values : instead of its own, by parameter name [SI]
+    """
+    parameters = robot.parameters.with_values(dict(values)) if values else robot.parameters
     w = m.condition_matrix(robot.conditions, robot.declared)
-    p, R = robot.model.function("pose", ("p", "R")).map(len(m))(m.q.T, w.T, robot.parameters.values)
-    return p.full().T, R.full().reshape(3, len(m), 3).transpose(1, 0, 2)
+    p, R = robot.model.evaluate(("p", "R"), m.q, w, parameters.values)
+    return p.T, R.reshape(3, len(m), 3).transpose(1, 0, 2)
 
 
 def errors(robot: Robot, m: Measurements) -> Array:

@@ -291,7 +291,8 @@ def _estimated_sigmas(problem: LeastSquares, solution: Solution) -> tuple[tuple[
     share = problem.redundancies(solution.v)
     found = []
     for k, (m, (sigma, angle)) in enumerate(zip(problem.sets, problem.sigmas, strict=True)):
-        r, freedom = residuals[k], share[edges[k] : edges[k + 1]].reshape(residuals[k].shape)
+        freedom = share[edges[k] : edges[k + 1]].reshape(residuals[k].shape)[m.weight > 0]
+        r = residuals[k][m.weight > 0]
         sigma = m.sigma or sigma * _deviation(problem, r[:, :3], freedom[:, :3])
         if m.kind == "pose":
             angle = m.sigma_angle or angle * _deviation(problem, r[:, 3:], freedom[:, 3:])

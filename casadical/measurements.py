@@ -92,8 +92,10 @@ class Measurements:
 
     @property
     def residuals(self) -> int:
-        """How many numbers were observed."""
-        return len(self) * {"position": 3, "pose": 6, "contact": 3}.get(self.kind, 1) + len(self.separations)
+        """How many numbers were observed, poses of weight zero left aside."""
+        return int(np.count_nonzero(self.weight)) * {"position": 3, "pose": 6, "contact": 3}.get(self.kind, 1) + len(
+            self.separations
+        )
 
     def __getitem__(self, which: Array | slice | Sequence[int]) -> Measurements:
         """The poses chosen by mask, slice or indices."""

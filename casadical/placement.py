@@ -8,8 +8,8 @@ import numpy as np
 
 from .accuracy import predicted
 from .measurements import Measurements
-from .robot import Placement, Robot
-from .transforms import Array, frame, nearest_rotation
+from .robot import Robot
+from .transforms import Array, frame, nearest_rotation, to_xyz
 
 
 def place(robot: Robot, m: Measurements) -> Robot:
@@ -20,22 +20,29 @@ def place(robot: Robot, m: Measurements) -> Robot:
     turns. Only positions and full poses carry this information; other kinds, and robots whose base is known or is
     row 1 of the table, are left as they are.
     """
+    m = m[m.weight > 0]
     if robot.base.unknown != "pose" or m.position is None or len(m) < 6:
         return robot
     known = None if robot.tool.unknown != "none" else robot.tool.T[:3, 3]
     compliant = robot.gravity_frame == "measuring" and any(j.compliance for j in robot.joints)
-    T_M0 = np.eye(4)
+    T_M0, t = robot.base.T, robot.tool.T[:3, 3]
     for _ in range(3 if compliant else 1):  # a compliant arm hangs by where gravity points in its base
-        gravity = T_M0[:3, :3].T @ robot.gravity if robot.gravity_frame == "measuring" else robot.gravity
-        bare = replace(
-            robot, base=Placement(np.eye(4)), tool=Placement(np.eye(4)), gravity=gravity, gravity_frame="base"
-        )
-        p, R = predicted(bare, m)
+        p, R = _flange(robot, m, T_M0)
         T_M0, t = _solve(p, R, m.position, known)
     turn = robot.tool.T[:3, :3]
     if robot.tool.unknown == "pose" and m.orientation is not None:
         turn = nearest_rotation(np.einsum("nji,kj,nkl->il", R, T_M0[:3, :3], m.orientation))
     return replace(robot, base=replace(robot.base, T=T_M0), tool=replace(robot.tool, T=frame(turn, t)))
+
+
+def _flange(robot: Robot, m: Measurements, T_M0: Array) -> tuple[Array, Array]:
+    """Flange positions, shape (n, 3), and orientations, shape (n, 3, 3), in the base frame, with the base at T_M0."""
+    turn = np.linalg.inv(robot.base.T) @ T_M0
+    values = dict(zip(("base_x", "base_y", "base_z"), turn[:3, 3], strict=True))
+    values |= dict(zip(("base_rx", "base_ry", "base_rz"), to_xyz(turn[:3, :3]), strict=True))
+    p, R = predicted(robot, m, values)
+    R = T_M0[:3, :3].T @ R @ robot.tool.T[:3, :3].T
+    return (p - T_M0[:3, 3]) @ T_M0[:3, :3] - R @ robot.tool.T[:3, 3], R
 
 
 def _solve(p: Array, R: Array, y: Array, known_tool: Array | None) -> tuple[Array, Array]:

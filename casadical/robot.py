@@ -201,13 +201,6 @@ class Robot:
         return build(self)
 
     @cached_property
-    def model_of_fixed_loads(self) -> Model:
-        """The same with the gravity torques of the nominal geometry: what identifiability is judged on."""
-        from .model import build
-
-        return build(self, fixed_loads=True)
-
-    @cached_property
     def position(self) -> ca.Function:
         """position:(q[n] rad, phi)->(p[3] m) of the measured point in the measuring frame, declared payload."""
         return self.model.at_declared("position", ("p",))

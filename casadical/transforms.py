@@ -1,5 +1,8 @@
 """Elementary homogeneous transforms; each takes and returns numbers, DM or SX alike (4 x 4, metres and radians)."""
 
+import operator
+from collections.abc import Sequence
+from functools import reduce
 from typing import Any
 
 import casadi as ca
@@ -34,6 +37,19 @@ def small_frame(x: Symbolic, y: Symbolic, z: Symbolic, rx: Symbolic, ry: Symboli
     return translate(x, y, z) @ rot_x(rx) @ rot_y(ry) @ rot_z(rz)
 
 
+def product(factors: Sequence[Symbolic]) -> Symbolic:
+    """Product of transforms, the first one outermost."""
+    return reduce(operator.matmul, factors)
+
+
+def carry(factors: Sequence[Symbolic], point: Symbolic) -> Symbolic:
+    """A point, shape (3,), through transforms, the last one first: a tenth of the work of their product."""
+    carried = ca.vertcat(point, 1)
+    for T in reversed(factors):
+        carried = T @ carried
+    return carried[:3]
+
+
 def apply(T: Symbolic, point: Symbolic) -> Symbolic:
     """A point, shape (3,), moved by the transform T."""
     return T[:3, :3] @ point + T[:3, 3]
@@ -58,6 +74,11 @@ def to_rpy(R: Array) -> Array:
     c, s = np.cos(yaw), np.sin(yaw)
     roll = np.arctan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
     return np.array([roll, np.arctan2(-R[2, 0], horizontal), yaw])
+
+
+def to_xyz(R: Array) -> Array:
+    """Angles [rad] of rotations about x, y, z in this order (intrinsic), as `small_frame` takes them."""
+    return -to_rpy(R.T)
 
 
 def frame(R: Array, p: Array) -> Array:

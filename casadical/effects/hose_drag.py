@@ -25,7 +25,7 @@ class HoseDrag(Effect):
 
     name: ClassVar[str] = "hose_drag"
     physics: ClassVar[str] = (
-        "A dress pack is a weak spring with some tension from its clip on the forearm to the tool; its pull turns the "
+        "A dress pack is a weak spring with some tension from its clip on the forearm to the load; its pull turns the "
         "wrist joints through their own springs, by the slope of its length."
     )
     confused_with: ClassVar[str] = "gear_eccentricity and joint_scale of joint 5; any smooth error of the wrist"
@@ -40,15 +40,10 @@ class HoseDrag(Effect):
         forearm = wrist - elbow[:3, 3]
         beside = elbow[:3, 2] * self.side * ca.sqrt(ca.sumsqr(forearm))
         clip = elbow[:3, 3] + self.clip * forearm + beside
-        reach = apply(context.frames[-1], ca.DM(robot.tool.T[:3, 3])) - clip
-        length = ca.sqrt(ca.sumsqr(reach) + 1e-6)
-        usual = _lengths(context, n) + (1 - self.clip) * ca.sqrt(ca.sumsqr(forearm))
+        end = robot.payload.com if robot.payload else [0.0, 0.0, 0.0]
+        length = ca.sqrt(ca.sumsqr(apply(context.frames[-1], ca.DM(end)) - clip) + 1e-6)
+        rows = context.values[f"d{n - 1}"] ** 2 + context.values[f"d{n}"] ** 2 + float(np.dot(end, end))
+        usual = ca.sqrt(rows + 1e-3) + (1 - self.clip) * ca.sqrt(ca.sumsqr(forearm))
         drawn = length / usual - 1
         pull = float(robot.torque_scale[n - 2])
         return pull * (self.value(context, "tension") * drawn + self.value(context, "spring") * drawn**2)
-
-
-def _lengths(context: Context, n: int) -> float:
-    """From the wrist to the tool, stretched out [m]."""
-    rows = context.robot.joints[n - 2 :]
-    return max(0.05, float(sum(abs(j.a) + abs(j.d) for j in rows) + np.linalg.norm(context.robot.tool.T[:3, 3])))

@@ -126,8 +126,11 @@ def test_a_weight_of_zero_is_a_pose_left_out(built):
     wrong = m.position + (weight[:, None] == 0)
     weighted = identify(ARM, replace(m, position=wrong, weight=weight), ["kinematic"])
     alone = identify(ARM, m[:40], ["kinematic"])
-    # The start differs (it knows no weights); the optimum does not.
     assert arms.model_error(weighted.robot, alone.robot) < 1e-7
+    assert weighted.degrees_of_freedom == alone.degrees_of_freedom
+    assert weighted.standard_errors == pytest.approx(alone.standard_errors, rel=1e-3)
+    robust = identify(ARM, replace(m, position=wrong, weight=weight), ["kinematic"], loss="huber")
+    assert robust.sigmas[0][0] == pytest.approx(arms.NOISE, rel=0.2)
 
 
 def test_predicted_covariance_is_the_scatter_over_repeated_campaigns(built):
