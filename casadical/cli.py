@@ -9,7 +9,7 @@ import json
 import sys
 import traceback
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -17,6 +17,9 @@ from rich.progress import Progress, SpinnerColumn, TaskID, TextColumn, TimeElaps
 
 from . import __version__
 from .errors import ConvergenceError, InputError
+
+if TYPE_CHECKING:
+    from .robot import Robot
 
 BAD_INPUT, NO_CONVERGENCE, OUR_BUG = 2, 3, 70
 
@@ -139,9 +142,20 @@ def diagnose(
     ] = None,
     effects: Annotated[
         str | None,
-        typer.Option(metavar="NAMES", help="Only these effects: names (backlash) or labels (backlash@5), by commas."),
+        typer.Option(
+            metavar="NAMES",
+            help="standard (the default), extended, or only these: names (backlash) or labels (backlash@5), by commas.",
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the partitions into folds.")] = 0,
+    isolability: Annotated[
+        bool,
+        typer.Option(
+            "--isolability",
+            help="Before any data: what these poses could show of each effect, and which look alike. Measured "
+            "positions are not needed; nothing is diagnosed.",
+        ),
+    ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
 ) -> None:
     """Say why there is still a gap: where it lies, which effect causes it, how far it shrinks without it."""
@@ -153,6 +167,9 @@ def diagnose(
 
     console = Console(quiet=quiet)
     robot = read_campaign_robot(problem)
+    if isolability:
+        _print_isolability(robot, campaigns, effects, json_file, console)
+        return
     answers = []
     for path in campaigns:
         m = read_measurements(path, [j.kind for j in robot.joints])
@@ -165,6 +182,27 @@ def diagnose(
             found = run(robot, m, effects.split(",") if effects else "standard", seed=seed, show=show)
         answers.append(as_json(found, path.stem))
         console.print(report(found, f"{path.stem} ({robot.name})"))
+        console.print()
+    if json_file:
+        whole = answers if len(answers) > 1 else answers[0]
+        write_whole(json_file, json.dumps(whole, indent=1, allow_nan=False) + "\n")
+        console.print(f"wrote {json_file}")
+
+
+def _print_isolability(
+    robot: Robot, campaigns: list[Path], effects: str | None, json_file: Path | None, console: Console
+) -> None:
+    from .diagnosis.isolability import isolability
+    from .diagnosis.isolability_report import as_json, report
+    from .files import write_whole
+    from .measurements import read_readings
+
+    answers = []
+    for path in campaigns:
+        m = read_readings(path, [j.kind for j in robot.joints])
+        found = isolability(robot, m, effects.split(",") if effects else "standard")
+        answers.append(as_json(found, path.stem))
+        console.print(report(found, f"{path.stem} ({robot.name}), {len(m)} poses"))
         console.print()
     if json_file:
         whole = answers if len(answers) > 1 else answers[0]

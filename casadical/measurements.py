@@ -172,6 +172,24 @@ def read_measurements(
 
     Raises InputError that names the file, row and column where something is wrong.
     """
+    path, table = _csv(path)
+    return from_table(table, joints, kind, columns=columns, sigma_mm=sigma_mm, sigma_deg=sigma_deg, source=path.name)
+
+
+def read_readings(path: str | Path, joints: int | Sequence[str]) -> Measurements:
+    """Poses that are planned but not measured, from a CSV file: readings and conditions, every position zero.
+
+    Raises InputError as `read_measurements` does.
+    """
+    path, table = _csv(path)
+    table = table.drop(columns=[c for c in table if str(c).strip() in _POSITIONS])
+    return from_table(table.assign(x_m=0.0, y_m=0.0, z_m=0.0), joints, "position", source=path.name)
+
+
+_POSITIONS = {f"{c}{u}" for c in "xyz" for u in ("_mm", "_m")}
+
+
+def _csv(path: str | Path) -> tuple[Path, pd.DataFrame]:
     path = Path(path)
     try:
         table = pd.read_csv(path)
@@ -181,7 +199,7 @@ def read_measurements(
         raise InputError(f"{path}: not a readable CSV table: {str(error).strip()}") from None
     if table.shape[1] == 1 and (";" in str(table.columns[0]) or "\t" in str(table.columns[0])):
         raise InputError(f"{path}: its columns are parted by ';' or tabs; allowed: commas, with decimal points")
-    return from_table(table, joints, kind, columns=columns, sigma_mm=sigma_mm, sigma_deg=sigma_deg, source=path.name)
+    return path, table
 
 
 def from_table(

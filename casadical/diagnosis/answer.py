@@ -32,6 +32,14 @@ SIGNATURES = {
     "base_compliance": "a foot that tilts under the overturning moment",
     "frame_drift": "a measuring frame that creeps with time",
     "outliers": "single points that are wrong",
+    "load_hysteresis": "a lag behind the last motion that grows with the load",
+    "gear_mesh": "periodic error once and twice a turn of the motor or wave generator",
+    "cross_coupling": "a joint that gives way to another one's torque (parallelogram, link bending)",
+    "missing_compliance": "deflection of a joint that the model takes as rigid",
+    "hose_drag": "a pull at the wrist that grows as hose or cable is drawn out",
+    "tracker_scale": "all lengths wrong by one factor",
+    "refraction": "a beam bent by warm air",
+    "smr_offset": "an offset that stays fixed against the beam",
 }
 
 
@@ -120,7 +128,7 @@ def _cause_table(d: Diagnosis) -> Table:
             f"{c.confidence:.3f}",
             f"{100 * c.shrink:.0f} %",
             f"{low:.0f} .. {high:.0f} %",
-            SIGNATURES[c.effect],
+            SIGNATURES.get(c.effect) or (c.effects[0].physics if c.effects else ""),
         )
     return table
 

@@ -72,8 +72,8 @@ class Case:
         m, _ = derive(self.m, [c for e in effects for c in e.conditions])
         E, _, _ = signatures(self.given, effects, m, self.values)
         first = self.whole.E.shape[2]
-        columns = {**self.columns, **_column_numbers(effects, first)}
-        whole = replace(self.whole, E=np.concatenate([self.whole.E, E * _widths(effects)], axis=2))
+        columns = {**self.columns, **column_numbers(effects, first)}
+        whole = replace(self.whole, E=np.concatenate([self.whole.E, E * widths(effects)], axis=2))
         return replace(self, m=m, candidates=candidates, columns=columns, whole=whole)
 
 
@@ -100,17 +100,18 @@ def make_case(identification: Identification, candidates: Sequence[Candidate]) -
     assert m.position is not None
     delta0 = _prior_mean(identification) - values
     delta0[[n.startswith("base_") for n in robot.parameters.names]] = 0.0
-    whole = Evidence(m.position - p, J, Jq, delta0, _prior(robot), E * _widths(effects))
-    columns = _column_numbers(effects, 0)
+    whole = Evidence(m.position - p, J, Jq, delta0, base_prior(robot), E * widths(effects))
+    columns = column_numbers(effects, 0)
     return Case(identification.robot, robot, values, m, possible, missing, whole, kept, columns)
 
 
-def _widths(effects: Sequence[Effect]) -> Array:
+def widths(effects: Sequence[Effect]) -> Array:
     """One sigma of every parameter of the effects."""
     return np.array([size for e in effects for size, _ in e.sizes().values()])
 
 
-def _column_numbers(effects: Sequence[Effect], first: int) -> dict[Effect, Array]:
+def column_numbers(effects: Sequence[Effect], first: int) -> dict[Effect, Array]:
+    """Numbers of every effect's columns, one after the other."""
     edges = first + np.cumsum([0, *(len(e.sizes()) for e in effects)])
     return {e: np.arange(a, b) for e, a, b in zip(effects, edges[:-1], edges[1:], strict=True)}
 
@@ -119,7 +120,8 @@ def _prior_mean(identification: Identification) -> Array:
     return identification.given.parameters.values
 
 
-def _prior(robot: Robot) -> Array:
+def base_prior(robot: Robot) -> Array:
+    """One sigma of every parameter of the base model, shape (P,) [SI]."""
     return np.array(
         [COMPLIANCE_SHARE * p.value if p.group == "compliance" and p.value > 0 else p.prior for p in robot.parameters]
     )

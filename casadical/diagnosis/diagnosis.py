@@ -15,7 +15,7 @@ from ..robot import Robot
 from ..transforms import Array
 from .case import Case, make_case
 from .gap import Noise, estimates, held_out_errors, random_folds, remainders, shrink_interval
-from .library import named, standard_candidates
+from .library import candidates_of
 from .refine import refined
 from .which import Ranking, rank
 
@@ -100,7 +100,7 @@ class Diagnosis:
 def diagnose(
     robot: Robot,
     m: Measurements,
-    effects: Sequence[str | Effect] | Literal["standard"] = "standard",
+    effects: Sequence[str | Effect] | Literal["standard", "extended"] = "standard",
     *,
     seed: int = 0,
     show: Show = lambda _text: None,
@@ -108,7 +108,7 @@ def diagnose(
     """Calibrate the base model on a campaign and diagnose what is left.
 
     robot : nominal model, with the compliances that it should have; m : one set of measured positions
-    effects : "standard", or names (backlash), labels (backlash@5) and own effects
+    effects : "standard" or "extended", or names (backlash), labels (backlash@5) and own effects
     seed : of the partitions into folds; show : called with a line of progress
 
     Raises InputError where the measurements cannot carry a diagnosis.
@@ -120,20 +120,15 @@ def diagnose(
 
 def diagnose_identification(
     identification: Identification,
-    effects: Sequence[str | Effect] | Literal["standard"] = "standard",
+    effects: Sequence[str | Effect] | Literal["standard", "extended"] = "standard",
     *,
     seed: int = 0,
     show: Show = lambda _text: None,
 ) -> Diagnosis:
     """Diagnose what an identification left on its own measurements; arguments as of `diagnose`."""
     robot = identification.given
-    if effects == "standard":
-        candidates = standard_candidates(robot)
-    else:
-        names = [e for e in effects if isinstance(e, str)]
-        candidates = named(robot, names, [e for e in effects if isinstance(e, Effect)])
     show("signatures of the candidates")
-    case = make_case(identification, candidates)
+    case = make_case(identification, candidates_of(robot, effects))
     return _Investigation(identification, case, seed, show).conclude()
 
 

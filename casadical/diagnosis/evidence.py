@@ -60,21 +60,25 @@ class Evidence:
 
     @cached_property
     def whitened(self) -> tuple[Whitened, ...]:
-        return tuple(self._whiten(float(rho)) for rho in RHOS)
+        return tuple(self.white(float(rho)) for rho in RHOS)
 
-    def _whiten(self, rho: float) -> Whitened:
+    def white(self, rho: float) -> Whitened:
+        """The problem at one rho, joint repeatability over the instrument's sigma [rad/m]."""
         C = np.eye(3) + rho**2 * self.Jq @ self.Jq.transpose(0, 2, 1)
         L = np.linalg.cholesky(C)
-        flat = [np.linalg.solve(L, part).reshape(self.r.size, -1) for part in (self.r[:, :, None], self.J, self.E)]
+        W = np.linalg.inv(L)
+        flat = [(W @ part).reshape(self.r.size, -1) for part in (self.r[:, :, None], self.J, self.E)]
         weights = self.reference / self.prior
         A = np.concatenate([flat[1], np.diag(weights)])
         # A parameter whose column is long is scaled first, so that rank is judged fairly.
         Q, R = np.linalg.qr(A / np.linalg.norm(A, axis=0))
         y = np.concatenate([flat[0].ravel(), weights * self.delta0])
-        E = np.concatenate([flat[2], np.zeros((len(weights), flat[2].shape[1]))])
+        rows = self.r.size
+        E = -Q @ (Q[:rows].T @ flat[2])
+        E[:rows] += flat[2]
         log_det = 2 * float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum())
         log_det += 2 * float(np.log(np.abs(np.diag(R)) * np.linalg.norm(A, axis=0)).sum())
-        return Whitened(y - Q @ (Q.T @ y), E - Q @ (Q.T @ E), Q, self.r.size, -0.5 * log_det)
+        return Whitened(y - Q @ (Q.T @ y), E, Q, rows, -0.5 * log_det)
 
     def log_base(self) -> Array:
         """Log likelihood without any cause, shape (rhos, sigmas)."""

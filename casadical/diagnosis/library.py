@@ -12,21 +12,29 @@ from ..effects import (
     AxisWobble,
     Backlash,
     BaseCompliance,
+    CrossCoupling,
     CubicStiffness,
     Effect,
     FrameDrift,
     FrictionWindup,
     GearEccentricity,
+    GearMesh,
     GravityCompensator,
+    HoseDrag,
     JointCoupling,
     JointScale,
     JointZeroStep,
     LinkFlexure,
+    LoadHysteresis,
+    MissingCompliance,
     NonlinearStiffness,
     PayloadError,
+    Refraction,
+    SmrOffset,
     TargetShift,
     ThermalGrowth,
     ThermalZeroDrift,
+    TrackerScale,
     TransmissionRipple,
 )
 from ..errors import InputError
@@ -39,6 +47,8 @@ TIMES = tuple(float(t) for t in np.linspace(0.03, 0.97, 32))
 PHASES = tuple(float(p) for p in np.deg2rad(np.arange(0, 360, 30)))
 FRICTIONS = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
 CYCLES = tuple(float(c) for c in np.arange(2, 32.01, 0.5))
+# Usual ratios of strain-wave and cycloid gears; a gear of another ratio is a candidate of its own, GearMesh(3, 171.5).
+RATIOS = (50.0, 80.0, 100.0, 120.0, 160.0)
 
 
 @dataclass(frozen=True)
@@ -58,8 +68,22 @@ class Candidate:
 
 
 def standard_candidates(robot: Robot) -> list[Candidate]:
-    """Every listed effect and every form of the unknown, for a robot."""
+    """Every effect of the standard list and every form of the unknown, for a robot."""
     return [*_listed(robot), *_smooth(robot)]
+
+
+def extended_candidates(robot: Robot) -> list[Candidate]:
+    """The same and the rarer effects, many of which look like standard ones or like the base model."""
+    return [*_listed(robot), *_rare(robot), *_smooth(robot)]
+
+
+def candidates_of(robot: Robot, effects: str | Sequence[str | Effect]) -> list[Candidate]:
+    """Candidates of a choice of effects: "standard", "extended", or a sequence of names, labels and own effects.
+
+    Raises InputError for a name that is no effect.
+    """
+    chosen = [effects] if isinstance(effects, str) else list(effects)
+    return named(robot, [e for e in chosen if isinstance(e, str)], [e for e in chosen if isinstance(e, Effect)])
 
 
 def choose(
@@ -79,18 +103,22 @@ def choose(
 
 
 def named(robot: Robot, names: Iterable[str], extra: Iterable[Effect] = ()) -> list[Candidate]:
-    """Candidates chosen by name (backlash) or label (backlash@5), and a user's own effects.
+    """Candidates chosen by list (standard, extended), name (backlash) or label (backlash@5), and a user's own effects.
 
     Raises InputError for a name that is no effect.
     """
-    listed = _listed(robot)
+    standard = _listed(robot)
+    every = [*standard, *_rare(robot)]
+    lists = {"standard": standard, "extended": every}
     chosen = [_single(e) for e in extra]
     for name in names:
-        hit = [c for c in listed if name in (c.name, c.label)]
+        hit = lists.get(name) or [c for c in every if name in (c.name, c.label)]
         if not hit:
-            raise InputError(f"no effect {name!r}; there are {', '.join(sorted({c.name for c in listed}))}")
+            known = ", ".join([*lists, *sorted({c.name for c in every})])
+            raise InputError(f"no effect {name!r} of this robot; there are {known}; with a joint: backlash@5")
         chosen += hit
-    return [*chosen, *_smooth(robot)]
+    # An own effect stands for the list's one of the same label.
+    return [*{c.label: c for c in reversed(chosen)}.values()][::-1] + _smooth(robot)
 
 
 def _single(effect: Effect) -> Candidate:
@@ -124,6 +152,19 @@ def _listed(robot: Robot) -> list[Candidate]:
     effects += [GravityCompensator(2, a, p) for a in (1.2, 2.0, 4.0) for p in PHASES] if robot.n >= 2 else []
     effects += [BaseCompliance(), *(FrameDrift(None, s) for s in (0.5, 1.0, 2.0))]
     return [*_grouped(effects), *_stiffness(robot), _flexure(robot)]
+
+
+def _rare(robot: Robot) -> list[Candidate]:
+    """Effects of the extended list alone."""
+    effects: list[Effect] = []
+    for j, joint in enumerate(robot.joints, 1):
+        effects += [LoadHysteresis(j, power) for power in (1, 2)]
+        effects += [CrossCoupling(j, i) for i in _coupled(robot, j)]
+        effects += [GearMesh(j, ratio) for ratio in RATIOS] if joint.kind == "revolute" else []
+        effects += [MissingCompliance(j)] if not joint.compliance else []
+    if robot.n >= 6:
+        effects += [HoseDrag(None, clip, side) for clip in (0.3, 0.6, 0.9) for side in (0.0, 0.2)]
+    return _grouped([*effects, TrackerScale(), Refraction(), SmrOffset()])
 
 
 def _stiffness(robot: Robot) -> list[Candidate]:

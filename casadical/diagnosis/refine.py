@@ -20,11 +20,14 @@ _SPACING = {"at": TIMES[1] - TIMES[0], "cycles": CYCLES[1] - CYCLES[0], "phase":
 
 
 def neighbours(effect: Effect, fineness: float) -> list[Effect]:
-    """The effect with one setting moved by a fraction of the grid's spacing, each in turn."""
+    """The effect with one setting moved by a fraction of the grid's spacing, each in turn.
+
+    Only fields of type float are moved, and none whose metadata say that it is given (a known gear ratio).
+    """
     found = []
     for f in fields(effect):
         value = getattr(effect, f.name)
-        if not isinstance(value, float):
+        if not isinstance(value, float) or f.metadata.get("given"):
             continue
         if f.name in _SPACING:
             moved = [value + step * fineness * _SPACING[f.name] for step in (-0.67, -0.33, 0.33, 0.67)]
@@ -48,6 +51,13 @@ def refined(case: Case, label: str, variant: tuple[Effect, ...], chosen: Array) 
             break
         case = case.with_variants(label, near)
         trial = [variant, *near]
-        grids = case.evidence.log_grids([case.group(v) for v in trial], also=chosen) + np.log(KAPPA_WEIGHTS)
-        variant = trial[int(np.argmax(log_sum(grids.reshape(len(trial), -1), axis=1)))]
+        variant = trial[int(np.argmax(_log_evidence(case, [case.group(v) for v in trial], chosen)))]
     return case, variant
+
+
+def _log_evidence(case: Case, groups: list[Array], chosen: Array) -> Array:
+    """Of each group of columns, up to what they share, shape (groups,); no other column is looked at."""
+    used = np.unique(np.concatenate([*groups, chosen.astype(np.int64)]))
+    few = replace(case.evidence, E=case.evidence.E[:, :, used])
+    grids = few.log_grids([np.searchsorted(used, g) for g in groups], also=np.searchsorted(used, chosen))
+    return log_sum((grids + np.log(KAPPA_WEIGHTS)).reshape(len(groups), -1), axis=1)

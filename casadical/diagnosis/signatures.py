@@ -9,6 +9,7 @@ candidates cost little more than one.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import ClassVar
 
@@ -20,7 +21,7 @@ from ..kinematics import link_frames
 from ..measurements import Measurements
 from ..model import base_frame, gravity_in_base
 from ..robot import Robot
-from ..statics import gravity_energy, gravity_torques
+from ..statics import deflections, gravity_energy, gravity_torques
 from ..transforms import Array, Symbolic, small_frame
 
 _TWIST = ("x", "y", "z", "rx", "ry", "rz")
@@ -81,7 +82,9 @@ def signature_function(robot: Robot, effects: tuple[Effect, ...]) -> tuple[ca.Fu
     J, S = ca.jacobian(model.p, phi), ca.jacobian(model.p, seams)
     context = _context(robot, model.q, w, phi)
     columns = [S @ _seam_derivative(effect, context, model.p) for effect in effects]
-    at_zero = ca.substitute([ca.horzcat(*columns), J, S[:, : robot.n]], [seams], [ca.SX.zeros(seams.numel())])
+    at_zero = ca.substitute(
+        [ca.horzcat(ca.SX(3, 0), *columns), J, S[:, : robot.n]], [seams], [ca.SX.zeros(seams.numel())]
+    )
     function = ca.Function(
         "signatures",
         [model.q, model.w, phi],
@@ -96,14 +99,19 @@ def _context(robot: Robot, q: ca.SX, w: dict[str, ca.SX], phi: ca.SX) -> Context
     values = dict(zip(robot.parameters.names, ca.vertsplit(phi), strict=True))
     frames = link_frames(robot, ca.vertsplit(q), values)
     gravity = gravity_in_base(robot, base_frame(robot, values, ca.DM(robot.base.T)))
-    energy = gravity_energy(robot, frames, gravity, w.get("payload_kg", 0.0))
-    return Context(robot, q, w, values, frames, gravity, gravity_torques(ca.SX(energy), q))
+    context = Context(robot, q, w, values, frames, gravity)
+    return replace(context, torque=_torque(context))
+
+
+def _torque(context: Context, added: Symbolic = 0.0) -> Symbolic:
+    """Gravity torques as the model has them: of the robot that has sunk once; added : potential energy [J]."""
+    energy = gravity_energy(context.robot, context.frames, context.gravity, context.conditions.get("payload_kg", 0.0))
+    torque = gravity_torques(ca.SX(energy + added), context.q)
+    return ca.substitute(torque, context.q, context.q + deflections(context.robot, torque, context.values))
 
 
 def _seam_derivative(effect: Effect, context: Context, point: ca.SX) -> ca.SX:
     """Derivative of all seam variables by the effect's parameters at zero, shape (seams, parameters)."""
-    from dataclasses import replace
-
     parameters = effect.parameters()
     theta = ca.SX.sym("theta", len(parameters))
     own = dict(zip((p.name for p in parameters), ca.vertsplit(theta), strict=True))
@@ -111,9 +119,7 @@ def _seam_derivative(effect: Effect, context: Context, point: ca.SX) -> ca.SX:
     angle = ca.SX(effect.joint_angle(context))
     energy = ca.SX(effect.energy(replace(context, torque=None)))
     if ca.depends_on(energy, theta):
-        torque = gravity_torques(energy, context.q)
-        n = context.robot.n
-        angle += ca.vertcat(*(context.values.get(f"c{i}", 0.0) * torque[i - 1] for i in range(1, n + 1)))
+        angle += deflections(context.robot, _torque(context, energy), context.values)
     seams, n = [angle], context.robot.n
     seams += [_twist(effect.link(i, context)) for i in range(1, n + 1)] if _acts(effect, "link") else [ca.SX(6 * n, 1)]
     seams += [_twist(effect.base(context)) if _acts(effect, "base") else ca.SX(6, 1)]
@@ -145,4 +151,4 @@ def signatures(robot: Robot, effects: Sequence[Effect], m: Measurements, values:
     declared = np.array([robot.payload.mass if c == "payload_kg" and robot.payload else 0.0 for c in conditions])
     w = m.condition_matrix(conditions, declared)
     parts = function.map(len(m))(m.q.T, w.T, values)
-    return tuple(part.full().reshape(3, len(m), -1).transpose(1, 0, 2) for part in parts)
+    return tuple(p.full().reshape(3, len(m), p.shape[1] // len(m)).transpose(1, 0, 2) for p in parts)

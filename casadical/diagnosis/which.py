@@ -48,8 +48,8 @@ def rank(case: Case, chosen: Array, skip: frozenset[str] = frozenset()) -> Ranki
 
     chosen : columns of causes that are in the model already; skip : their labels, no longer candidates
     """
-    grids = case.evidence.log_grids(case.groups, also=chosen) + np.log(KAPPA_WEIGHTS)
     problem = case.evidence.with_base(chosen) if len(chosen) else case.evidence
+    grids = problem.log_grids(case.groups) + np.log(KAPPA_WEIGHTS)
     base_grid = problem.log_base()
     base = float(log_sum(base_grid))
     log_variant = log_sum(grids.reshape(len(grids), -1), axis=1) - base

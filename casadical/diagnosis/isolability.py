@@ -1,0 +1,148 @@
+"""What a set of poses can show before any position is measured: how much of each effect the base model absorbs, what
+stays visible at a realistic size, and which effects look alike.
+
+The visible signal is what is left of an effect's columns beside the base model's, whose parameters are re-estimated
+with every cause, in the noise's metric; an effect of n poses and visible signal r per coordinate, in units of the
+noise, has noncentrality 3 n r^2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+
+from ..conditions import derive
+from ..effects import Effect
+from ..measurements import Measurements
+from ..robot import Robot
+from ..transforms import Array
+from .case import base_prior, column_numbers, widths
+from .evidence import Evidence
+from .gap import Noise
+from .library import Candidate, candidates_of, choose
+from .signatures import signatures
+
+# Noncentrality at which one among a hundred or so candidates is found nine times in ten.
+FOUND = 36.0
+# Directions of an effect that carry less than this share of its strongest one are round-off.
+NEGLIGIBLE = 1e-6
+# Signals of less energy [m^2], a nanometre, are round-off.
+NOTHING = 1e-18
+USUAL_NOISE = Noise(20e-6, 8e-6)
+
+
+@dataclass(frozen=True, eq=False)
+class Isolability:
+    """What a design can tell, at the effects' realistic sizes.
+
+    effects : a row per candidate (index: label): size_mm, its rms over the poses; absorbed, the share of that signal's
+        energy that the base model takes over; visible_mm, the rms of the rest; visible_to_noise, per coordinate in
+        units of the noise; findable_from, the multiple of its realistic size from which it is found nine times in ten
+    alike : share of the visible signal of each candidate (row) that another one (column) reproduces, 0 to 1
+    missing : label -> columns that would have to be logged
+    """
+
+    effects: pd.DataFrame
+    alike: pd.DataFrame
+    missing: dict[str, tuple[str, ...]]
+
+    def rivals(self, label: str, above: float = 0.5) -> dict[str, float]:
+        """Candidates that reproduce more than a share of a candidate's visible signal, the worst first."""
+        shares = zip(self.alike.columns, self.alike.loc[label].to_numpy(), strict=True)
+        found = [(str(k), float(v)) for k, v in shares if k != label and v > above]
+        return dict(sorted(found, key=lambda rival: -rival[1]))
+
+
+def isolability(
+    robot: Robot,
+    m: Measurements,
+    effects: Sequence[str | Effect] | Literal["standard", "extended"] = "standard",
+    *,
+    noise: Noise = USUAL_NOISE,
+    whole: bool = False,
+) -> Isolability:
+    """Isolability of effects at the poses of a (planned) campaign; positions are not looked at.
+
+    effects : as of `diagnose`; noise : that is expected
+    whole : whether an effect counts as one cause in all its joints together, not joint by joint
+
+    Raises InputError for a name that is no effect.
+    """
+    candidates = [c for c in candidates_of(robot, effects) if c.listed]
+    possible, missing = choose(candidates, m)
+    used = tuple(dict.fromkeys(e for c in possible for v in c.variants for e in v))
+    m, _ = derive(m, [c for e in used for c in e.conditions])
+    values = robot.parameters.values
+    E, J, Jq = signatures(robot, used, m, values)
+    evidence = Evidence(np.zeros((len(m), 3)), J, Jq, 0 * values, base_prior(robot), E * widths(used), noise.sigma)
+    columns = column_numbers(used, 0)
+    named = _whole(possible) if whole else {c.label: c.variants for c in possible}
+    groups = {k: [np.concatenate([columns[e] for e in v]) for v in variants] for k, variants in named.items()}
+    return _judged(evidence, groups, noise, missing)
+
+
+def _whole(candidates: Sequence[Candidate]) -> dict[str, tuple[tuple[Effect, ...], ...]]:
+    """Each name as one cause: the middle setting of every parameter in every joint."""
+    found: dict[str, dict[tuple[str, ...], tuple[Effect, ...]]] = {}
+    for c in candidates:
+        by_parameters: dict[tuple[str, ...], list[tuple[Effect, ...]]] = {}
+        for v in c.variants:
+            by_parameters.setdefault(tuple(p.name for e in v for p in e.parameters()), []).append(v)
+        middle = {names: like[len(like) // 2] for names, like in by_parameters.items()}
+        found.setdefault(c.name, {}).update(middle)
+    return {name: (tuple(dict.fromkeys(e for v in parts.values() for e in v)),) for name, parts in found.items()}
+
+
+def _judged(
+    evidence: Evidence, groups: dict[str, list[Array]], noise: Noise, missing: dict[str, tuple[str, ...]]
+) -> Isolability:
+    n = len(evidence.r)
+    plain = evidence.white(0.0).E
+    seen = evidence.white(noise.repeatability / noise.sigma).E
+    bare = (evidence.E**2).sum(axis=(0, 1))
+    owner = [label for label, variants in groups.items() for _ in variants]
+    columns = [c for variants in groups.values() for c in variants]
+    energy = np.array([[(part[..., c] ** 2).sum() for c in columns] for part in (plain, seen)])
+    size = np.array([bare[c].sum() for c in columns])
+    table = pd.DataFrame(
+        {
+            "label": owner,
+            "size_mm": 1e3 * np.sqrt(size / n),
+            "absorbed": 1 - energy[0] / np.maximum(size, 1e-30),
+            "visible_mm": 1e3 * np.sqrt(energy[0] / n),
+            "visible_to_noise": np.sqrt(energy[1] / (3 * n)) / noise.sigma,
+        }
+    )
+    # A grid of settings counts by its mean.
+    effects = table.groupby("label", sort=False).mean()
+    effects["findable_from"] = np.sqrt(FOUND / (3 * n)) / effects["visible_to_noise"]
+    return Isolability(effects, _alike(seen, columns, owner), missing)
+
+
+def _alike(E: Array, columns: list[Array], owner: list[str]) -> pd.DataFrame:
+    """Share of each candidate's visible energy in the span of another's columns: mean over its settings, best of the
+    other's; E : visible columns, shape (rows, columns)."""
+    bases = [_span(E[:, c]) for c in columns]
+    Q = np.concatenate(bases, axis=1)
+    which = np.concatenate(columns)
+    inner = (Q.T @ E[:, which]) ** 2
+    rows = np.repeat(np.arange(len(bases)), [b.shape[1] for b in bases])
+    by_rival = np.zeros((len(bases), inner.shape[1]))
+    np.add.at(by_rival, rows, inner)
+    starts = np.cumsum([0, *(len(c) for c in columns)])[:-1]
+    energy = np.array([(E[:, c] ** 2).sum() for c in columns])
+    share = np.add.reduceat(by_rival, starts, axis=1) / np.maximum(energy, 1e-30)
+    share[:, energy < NOTHING] = 0.0
+    by_setting = pd.DataFrame(share, index=pd.Index(owner), columns=pd.Index(owner))
+    best = by_setting.groupby(level=0, sort=False).max()
+    return best.T.groupby(level=0, sort=False).mean().clip(0.0, 1.0)
+
+
+def _span(E: Array) -> Array:
+    """Orthonormal basis of some columns, shape (rows, rank)."""
+    U, s, _ = np.linalg.svd(E, full_matrices=False)
+    return np.asarray(U[:, s > NEGLIGIBLE * max(s.max(initial=0.0), 1e-30)])

@@ -1,0 +1,34 @@
+"""Errors of a gear of known ratio: one and two cycles a turn of its fast side."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import casadi as ca
+
+from ..transforms import Symbolic
+from .base import Context, Effect
+
+
+@dataclass(frozen=True)
+class GearMesh(Effect):
+    """ratio : turns of the motor, wave generator or pinion a turn of the joint; from the data sheet, to 1 in 1000"""
+
+    ratio: float = field(default=100.0, metadata={"given": True})
+
+    name: ClassVar[str] = "gear_mesh"
+    physics: ClassVar[str] = (
+        "Run-out of the motor's shaft repeats N times a turn of the joint, the two lobes of a wave generator 2N times "
+        "(Tuttle and Seering 1996). Joint readings must not be rounded to more than a hundredth of 1/N turn."
+    )
+    confused_with: ClassVar[str] = "joint repeatability, if the ratio is not exact"
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        return dict.fromkeys(("sin1", "cos1", "sin2", "cos2"), (20e-6, "rad"))
+
+    def angle(self, context: Context, q: Symbolic) -> Symbolic:
+        turn = self.ratio * q
+        first = self.value(context, "sin1") * ca.sin(turn) + self.value(context, "cos1") * ca.cos(turn)
+        return first + self.value(context, "sin2") * ca.sin(2 * turn) + self.value(context, "cos2") * ca.cos(2 * turn)

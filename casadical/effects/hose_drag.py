@@ -1,0 +1,49 @@
+"""A hose or cable from the forearm to the tool pulls at the wrist."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
+
+from ..transforms import Symbolic, apply
+from .base import Context, Effect
+
+
+@dataclass(frozen=True)
+class HoseDrag(Effect):
+    """clip : where the hose is held, as a share of the way from the elbow to the wrist
+
+    side : how far beside the forearm, as a share of its length
+    """
+
+    clip: float = 0.7
+    side: float = 0.1
+
+    name: ClassVar[str] = "hose_drag"
+    physics: ClassVar[str] = (
+        "A dress pack is a weak spring with some tension from its clip on the forearm to the load; its pull turns the "
+        "wrist joints through their own springs, by the slope of its length."
+    )
+    confused_with: ClassVar[str] = "gear_eccentricity and joint_scale of joint 5; any smooth error of the wrist"
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        # Torque at the last joint but one, as a share of its great torques.
+        return {"tension": (0.1, ""), "spring": (0.2, "")}
+
+    def energy(self, context: Context) -> Symbolic:
+        robot, n = context.robot, context.robot.n
+        elbow, wrist = context.frames[n - 4], context.frames[n - 3][:3, 3]
+        forearm = wrist - elbow[:3, 3]
+        beside = elbow[:3, 2] * self.side * ca.sqrt(ca.sumsqr(forearm))
+        clip = elbow[:3, 3] + self.clip * forearm + beside
+        end = robot.payload.com if robot.payload else [0.0, 0.0, 0.0]
+        length = ca.sqrt(ca.sumsqr(apply(context.frames[-1], ca.DM(end)) - clip) + 1e-6)
+        rows = context.values[f"d{n - 1}"] ** 2 + context.values[f"d{n}"] ** 2 + float(np.dot(end, end))
+        usual = ca.sqrt(rows + 1e-3) + (1 - self.clip) * ca.sqrt(ca.sumsqr(forearm))
+        drawn = length / usual - 1
+        pull = float(robot.torque_scale[n - 2])
+        return pull * (self.value(context, "tension") * drawn + self.value(context, "spring") * drawn**2)

@@ -1,0 +1,25 @@
+"""The instrument's scale is wrong by a small factor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from ..transforms import Symbolic
+from .base import Context, Effect
+
+
+@dataclass(frozen=True)
+class TrackerScale(Effect):
+    name: ClassVar[str] = "tracker_scale"
+    physics: ClassVar[str] = (
+        "Distances are counted in wavelengths: 1 K or 3 hPa not accounted for make 1e-6 of every length (Edlen 1966)."
+    )
+    confused_with: ClassVar[str] = "the lengths of all links, wholly: only a known length (a scale bar) tells"
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        return {"k": (5e-6, "m/m")}
+
+    def measurement(self, point: Symbolic, context: Context) -> Symbolic:
+        return point * (1 + self.value(context, "k"))

@@ -1,0 +1,82 @@
+"""Robots, campaigns and cases that the tests of this folder share."""
+
+import json
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from casadical.diagnosis.case import Case, make_case
+from casadical.diagnosis.diagnosis import Diagnosis, diagnose
+from casadical.diagnosis.evidence import Evidence
+from casadical.diagnosis.library import candidates_of
+from casadical.identification import Identification, identify
+from casadical.measurements import Measurements, from_table, read_measurements
+from casadical.problem import read_campaign_robot
+from casadical.robot import Robot
+from casadical.simulation import Disturbance, Plant, campaign, perturb
+
+ROOT = Path(__file__).parents[2]
+PRACTICE = ROOT / "data" / "campaigns" / "practice"
+ANSWERS = json.loads((PRACTICE / "answers.json").read_text())
+
+
+@cache
+def robot(name: str) -> Robot:
+    return read_campaign_robot(ROOT / "problems" / name)
+
+
+@cache
+def practice(name: str) -> Measurements:
+    return read_measurements(PRACTICE / f"{name}.csv", 6)
+
+
+@cache
+def diagnosed(name: str) -> Diagnosis:
+    return diagnose(robot(name.split("-")[0]), practice(name))
+
+
+@cache
+def identified(name: str) -> Identification:
+    return identify(robot(name.split("-")[0]), practice(name), loss="huber", priors=True)
+
+
+@cache
+def case(name: str, *effects: str) -> Case:
+    found = identified(name)
+    return make_case(found, candidates_of(found.given, effects or ("standard",)))
+
+
+def plant(r: Robot) -> Plant:
+    """The simulator's robot of the same drawing, written out as it takes it."""
+    rows = [
+        {"alpha_deg": np.rad2deg(j.alpha), "a_m": j.a, "d_m": j.d, "theta0_deg": np.rad2deg(j.theta)} for j in r.joints
+    ]
+    payload = {"mass_kg": r.payload.mass, "com_m": r.payload.com.tolist()}
+    return Plant.from_dict(
+        {
+            "name": r.name,
+            "modified_dh": rows,
+            "tool_m": r.tool.T[:3, 3],
+            "mass_kg": [j.body.mass for j in r.joints],
+            "com_m": [j.body.com for j in r.joints],
+            "payload": payload,
+            "stiffness_Nm_per_rad": [1 / j.compliance for j in r.joints],
+            "joint_range_deg": [[np.rad2deg(j.lower), np.rad2deg(j.upper)] for j in r.joints],
+        }
+    )
+
+
+def simulated(name: str, seed: int, *disturbances: Disturbance, n: int = 100, drop: tuple[str, ...] = ()):
+    """A campaign of a serial robot from the simulator, as measurements; drop : columns that were not logged."""
+    table = campaign(perturb(plant(robot(name)), seed), n, seed, disturbances=disturbances, noise_mm=0.015)
+    return from_table(table.drop(columns=[c for c in table if c.startswith(drop)] if drop else []), 6)
+
+
+def small_problem(seed: int = 0, n: int = 9) -> Evidence:
+    """A few poses, five base parameters, four columns."""
+    rng = np.random.default_rng(seed)
+    J, Jq, E = rng.normal(size=(n, 3, 5)), rng.normal(size=(n, 3, 2)), 4e-5 * rng.normal(size=(n, 3, 4))
+    delta0, prior = 1e-5 * rng.normal(size=5), np.array([1e-3, 3e-5, 1e-4, 1e-2, 2e-5])
+    r = J @ (delta0 + 1e-5 * rng.normal(size=5)) + E @ [1.0, 0, -0.5, 0] + 2e-5 * rng.normal(size=(n, 3))
+    return Evidence(r, J, Jq, delta0, prior, E)

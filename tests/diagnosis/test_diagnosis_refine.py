@@ -1,0 +1,50 @@
+"""Settings between the grid's points: never less likely than where the search began."""
+
+import numpy as np
+import pytest
+from cases import case, robot, simulated
+
+from casadical.diagnosis.case import Case, make_case
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
+from casadical.diagnosis.library import candidates_of
+from casadical.diagnosis.refine import neighbours, refined
+from casadical.diagnosis.which import rank
+from casadical.effects import Backlash, Effect, FrictionWindup, TransmissionRipple
+from casadical.identification import identify
+from casadical.simulation import disturbances
+
+NOTHING = np.zeros(0, dtype=np.int64)
+
+
+def evidence(c: Case, variant: tuple[Effect, ...], chosen: np.ndarray = NOTHING) -> float:
+    return float(log_sum(c.evidence.log_grids([c.group(variant)], also=chosen) + np.log(KAPPA_WEIGHTS)))
+
+
+@pytest.mark.parametrize("label", ["backlash@5", "transmission_ripple@2", "thermal_growth", "gravity_compensator@2"])
+def test_refining_never_lowers_the_evidence(label: str) -> None:
+    start = case("hh800-P01", "backlash", "transmission_ripple", "thermal_growth", "gravity_compensator")
+    ranking = rank(start, NOTHING)
+    variant = {c.label: c for c in start.candidates}[label].variants[ranking.variant[label]]
+    found, better = refined(start, label, variant, NOTHING)
+    assert evidence(found, better) >= evidence(found, variant) - 1e-9
+    assert evidence(found, variant) == pytest.approx(evidence(start, variant))
+    if label == "backlash@5":  # the campaign's own cause, whose flanks lie between the grid's
+        assert evidence(found, better) > evidence(start, variant) + 1
+    chosen = start.group(start.candidates[0].variants[0])
+    found, better = refined(start, label, variant, chosen)
+    assert evidence(found, better, chosen) >= evidence(found, variant, chosen) - 1e-9
+
+
+def test_a_frequency_between_the_grids_is_found() -> None:
+    m = simulated("ur10e", 3, disturbances.TransmissionRipple(2, size=80e-6, cycles=7))
+    r = robot("ur10e")
+    start = make_case(identify(r, m, priors=True), candidates_of(r, ["transmission_ripple@2"]))
+    _, (found,) = refined(start, "transmission_ripple@2", (TransmissionRipple(2, 6.9),), NOTHING)
+    assert found.cycles == pytest.approx(7, abs=0.1)
+
+
+def test_neighbours_move_one_setting_each() -> None:
+    near = neighbours(Backlash(5, 0.05, 0.03), 1.0)
+    assert len(near) == 8
+    assert all((e.friction == 0.05) != (e.width == 0.03) for e in near)
+    assert neighbours(FrictionWindup(2), 1.0) == []

@@ -1,0 +1,56 @@
+"""Robots, campaigns and effects that the tests of this folder share."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from casadical.conditions import derive
+from casadical.diagnosis.library import extended_candidates
+from casadical.effects import Effect
+from casadical.measurements import Measurements, read_measurements
+from casadical.problem import read_campaign_robot
+from casadical.robot import Robot
+
+ROOT = Path(__file__).parents[2]
+FIRST = {"hh800": "hh800-P01", "kr210": "kr210-P02", "ur10e": "ur10e-P03"}
+
+
+@cache
+def robot(name: str) -> Robot:
+    return read_campaign_robot(ROOT / "problems" / name)
+
+
+@cache
+def campaign(name: str) -> Measurements:
+    return read_measurements(ROOT / "data" / "campaigns" / "practice" / f"{FIRST[name]}.csv", 6)
+
+
+def batches(name: str, listed: bool = True) -> list[list[Effect]]:
+    """Every effect of the extended list, in batches without two of the same label: first, middle and last setting."""
+    found: list[list[Effect]] = [[], [], []]
+    by_label: dict[str, dict[Effect, None]] = {}
+    for c in extended_candidates(robot(name)):
+        if c.listed is listed:
+            for effect in (e for v in c.variants for e in v):
+                by_label.setdefault(effect.label, {})[effect] = None
+    for effects in map(list, by_label.values()):
+        for k, e in enumerate(dict.fromkeys((effects[0], effects[len(effects) // 2], effects[-1]))):
+            found[k].append(e)
+    return [b for b in found if b]
+
+
+def moved_by(name: str, effects: list[Effect], values: np.ndarray, poses: Measurements) -> np.ndarray:
+    """Positions of the robot with the effects in its model, shape (variations, n, 3); values : (variations, P)."""
+    whole = robot(name).with_effect(*effects)
+    w = poses.condition_matrix(whole.conditions, whole.declared)
+    n, K = len(poses), len(values)
+    f = whole.model.function("position", ("p",)).map(n * K)
+    p = f(np.tile(poses.q, (K, 1)).T, np.tile(w, (K, 1)).T, np.repeat(values, n, axis=0).T)
+    return p.full().T.reshape(K, n, 3)
+
+
+def with_columns(m: Measurements, effects: list[Effect]) -> Measurements:
+    found, missing = derive(m, [c for e in effects for c in e.conditions])
+    assert missing == ()
+    return found

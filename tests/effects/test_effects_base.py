@@ -1,0 +1,54 @@
+"""Every effect: named, sized, sourced, and nothing at zero."""
+
+import inspect
+
+import numpy as np
+import pytest
+from bench import FIRST, batches, campaign, moved_by, robot, with_columns
+
+import casadical.effects
+from casadical.accuracy import predicted
+from casadical.diagnosis.answer import SIGNATURES
+from casadical.diagnosis.library import extended_candidates, standard_candidates
+from casadical.effects import Effect
+
+CLASSES = [
+    c for _, c in inspect.getmembers(casadical.effects, inspect.isclass) if issubclass(c, Effect) and c is not Effect
+]
+
+
+@pytest.mark.parametrize("kind", CLASSES, ids=lambda c: c.__name__)
+def test_effect_says_what_it_is(kind: type[Effect]) -> None:
+    effect = kind(2) if "joint" in kind.__init__.__annotations__ else kind()
+    assert effect.sizes()
+    assert all(size > 0 for size, _ in effect.sizes().values())
+    assert len(kind.physics) > 40
+    assert kind.physics.endswith(".")
+    assert kind.confused_with
+    assert kind.name in SIGNATURES
+    assert inspect.getmodule(kind).__name__.endswith(kind.name)
+    for p in effect.parameters():
+        assert p.name.startswith(f"{effect.label}.")
+        assert p.value == 0
+        assert p.prior > 0
+
+
+def test_every_effect_is_in_a_list() -> None:
+    listed = {type(e) for c in extended_candidates(robot("ur10e")) for v in c.variants for e in v}
+    # The UR10e has no rigid joint, so nothing can lack there.
+    assert {c.__name__ for c in set(CLASSES) - listed} == {"MissingCompliance"}
+    rare = {c.name for c in extended_candidates(robot("ur10e"))} - {c.name for c in standard_candidates(robot("ur10e"))}
+    assert rare == {
+        *("load_hysteresis", "gear_mesh", "cross_coupling", "hose_drag"),
+        *("tracker_scale", "refraction", "smr_offset"),
+    }
+
+
+@pytest.mark.parametrize("name", FIRST)
+def test_zero_means_no_effect(name: str) -> None:
+    for effects in batches(name):
+        poses = with_columns(campaign(name)[::40], effects)
+        count = sum(len(e.parameters()) for e in effects)
+        values = np.concatenate([robot(name).parameters.values, np.zeros(count)])
+        plain, _ = predicted(robot(name), poses)
+        np.testing.assert_allclose(moved_by(name, effects, values[None], poses)[0], plain, atol=1e-13)

@@ -1,0 +1,73 @@
+"""Signatures, which jump from seam to seam, against finite differences of the whole model with the effect in it.
+
+The model takes gravity torques of the robot that has sunk once under its own, and so do the signatures: they agree to
+the differences' own round-off, effects that load the joints included.
+"""
+
+import numpy as np
+import pytest
+from bench import FIRST, batches, campaign, moved_by, robot, with_columns
+
+from casadical.diagnosis.signatures import signatures
+from casadical.effects import Effect
+
+ROUND_OFF = 3e-16 * 5  # m, of a position some metres away
+
+
+def compare(name: str, effects: list[Effect]) -> None:
+    poses = with_columns(campaign(name)[::17], effects)
+    base = robot(name).parameters.values
+    E, J, Jq = signatures(robot(name), effects, poses, base)
+    assert J.shape == (len(poses), 3, len(base))
+    assert Jq.shape == (len(poses), 3, 6)
+    parameters = [p for e in effects for p in e.parameters()]
+    assert E.shape == (len(poses), 3, len(parameters))
+    size = np.array([p.prior for p in parameters])
+    step = np.hstack([np.zeros((len(size), len(base))), np.diag(size)])
+    start = np.concatenate([base, np.zeros(len(size))])
+    up, down = (moved_by(name, effects, start + sign * step, poses) for sign in (1, -1))
+    expected = (up - down) / 2
+    found = (E * size).transpose(2, 0, 1)
+    scale = np.abs(expected).max(axis=(1, 2))
+    miss = np.abs(found - expected).max(axis=(1, 2))
+    wrong = {p.name: (m, s) for p, m, s in zip(parameters, miss, scale, strict=True) if m > 1e-5 * s + 10 * ROUND_OFF}
+    assert wrong == {}
+
+
+@pytest.mark.parametrize("name", FIRST)
+def test_signature_is_the_models_derivative(name: str) -> None:
+    for effects in batches(name):
+        compare(name, effects)
+
+
+def test_signature_of_the_unknown_is_the_models_derivative() -> None:
+    for effects in batches("ur10e", listed=False):
+        compare("ur10e", effects)
+
+
+def test_payload_error_acts_where_the_payload_is() -> None:
+    from casadical.effects import PayloadError
+
+    poses = with_columns(campaign("kr210"), [PayloadError()])
+    E, _, _ = signatures(robot("kr210"), [PayloadError()], poses, robot("kr210").parameters.values)
+    carried = poses.conditions["payload_kg"] > 0
+    assert 0 < carried.sum() < len(poses)
+    assert np.abs(E[~carried]).max() == 0
+    assert np.abs(E[carried] * 0.06).max(axis=(0, 1))[0] > 1e-5
+
+
+def test_base_columns_are_the_robots_own_derivative() -> None:
+    poses = campaign("hh800")[::17]
+    r = robot("hh800")
+    _, J, Jq = signatures(r, (), poses, r.parameters.values)
+    w = poses.condition_matrix(r.conditions, r.declared)
+    f = r.model.function("position", ("p",)).map(len(poses))
+    for k in (0, 7, len(r.parameters) - 1):
+        h = 1e-3 * r.parameters[r.parameters.names[k]].prior
+        step = np.zeros(len(r.parameters))
+        step[k] = h
+        up, down = (f(poses.q.T, w.T, r.parameters.values + s * step).full().T for s in (1, -1))
+        np.testing.assert_allclose(J[:, :, k], (up - down) / (2 * h), atol=1e-8 + 1e-6 * np.abs(J[:, :, k]).max())
+    # A joint variable moves the arm as its zero does; nothing here depends on the joint's deflection but the loads.
+    zero = r.parameters.names.index("theta6")
+    np.testing.assert_allclose(Jq[:, :, 5], J[:, :, zero], rtol=1e-3, atol=1e-3 * np.abs(Jq[:, :, 5]).max())
