@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
 from . import __version__
+from .controller.commands import correct, export_app
 from .errors import ConvergenceError, InputError
 
 if TYPE_CHECKING:
@@ -208,6 +209,10 @@ def _print_isolability(
         whole = answers if len(answers) > 1 else answers[0]
         write_whole(json_file, json.dumps(whole, indent=1, allow_nan=False) + "\n")
         console.print(f"wrote {json_file}")
+
+
+app.add_typer(export_app, name="export")
+app.command()(correct)
 
 
 def _progress(quiet: bool) -> Progress:
