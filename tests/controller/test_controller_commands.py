@@ -124,14 +124,15 @@ def test_a_network_alone_is_exported_and_corrects_no_program(files, tmp_path, mo
     manifest = json.loads((tmp_path / "c" / "manifest.json").read_text())
     assert manifest["data_sha256"] == hashlib.sha256((tmp_path / "net.json").read_bytes()).hexdigest()
     assert (manifest["product"], manifest["kernel"]["outputs"]) == ("network", {"network": 3})
-    if compilers():
-        values, status = load(tmp_path / "c").network(q)
-        assert (status == 0).all()
-        assert values == pytest.approx(made.correction_mm(q), abs=1e-4)
-        capfd.readouterr()
-        job = program(tmp_path / "job.csv", q[:3])
-        assert run(monkeypatch, "correct", tmp_path / "c", job, "--out", tmp_path / "new.csv") == 2
-        assert "--what command" in capfd.readouterr().err
+    if not compilers():
+        pytest.skip("written; not called, for want of a C compiler (gcc, clang, cc)")
+    values, status = load(tmp_path / "c").network(q)
+    assert (status == 0).all()
+    assert values == pytest.approx(made.correction_mm(q), abs=1e-4)
+    capfd.readouterr()
+    job = program(tmp_path / "job.csv", q[:3])
+    assert run(monkeypatch, "correct", tmp_path / "c", job, "--out", tmp_path / "new.csv") == 2
+    assert "--what command" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("unit", ["deg", "rad"])
@@ -244,7 +245,7 @@ def test_a_users_mistake_ends_in_2_and_writes_nothing(case, files, tmp_path, mon
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_damaged_manifest_is_a_users_mistake(exported, tmp_path, monkeypatch, capfd):
+def test_a_damaged_manifest_is_a_users_mistake(tmp_path, monkeypatch, capfd):
     job = program(tmp_path / "job.csv", poses(planted("hh800"), 3))
     (tmp_path / "c").mkdir()
     for text in ("{", "[]", '{"kernel": {}}'):
