@@ -43,8 +43,8 @@ def predicted(robot: Robot, m: Measurements, values: Mapping[str, float] | None 
     """
     parameters = robot.parameters.with_values(dict(values)) if values else robot.parameters
     w = m.condition_matrix(robot.conditions, robot.declared)
-    p, R = robot.model.function("pose", ("p", "R")).map(len(m))(m.q.T, w.T, parameters.values)
-    return p.full().T, R.full().reshape(3, len(m), 3).transpose(1, 0, 2)
+    p, R = robot.model.evaluate(("p", "R"), m.q, w, parameters.values)
+    return p.T, R.reshape(3, len(m), 3).transpose(1, 0, 2)
 
 
 def errors(robot: Robot, m: Measurements) -> Array:

@@ -40,11 +40,10 @@ def check_against(robot: Robot, m: Measurements) -> None:
 
 
 def _refuse_open_loop(robot: Robot, m: Measurements) -> None:
-    margin = robot.model.function("loop", ("margin",)).map(len(m))(
-        m.q.T, m.condition_matrix(robot.conditions, robot.declared).T, robot.parameters.values
-    )
+    w = m.condition_matrix(robot.conditions, robot.declared)
+    (margin,) = robot.model.evaluate(("margin",), m.q, w, robot.parameters.values)
     # Not a number where the crank's end lies on the driven joint: the rocker's direction is then open.
-    smallest = np.nan_to_num(margin.full().min(axis=0), nan=0.0)
+    smallest = np.nan_to_num(margin.min(axis=0), nan=0.0)
     k = int(np.argmin(smallest))
     if smallest[k] < LEAST_MARGIN:
         raise InputError(

@@ -10,7 +10,7 @@ import numpy as np
 
 from . import fourbar
 from .errors import InputError
-from .transforms import Symbolic, rot_x, rot_y, rot_z, translate
+from .transforms import Symbolic, product, rot_x, rot_y, rot_z, translate
 
 if TYPE_CHECKING:
     from .robot import FourBar, Robot
@@ -21,19 +21,19 @@ Values = Mapping[str, Symbolic]
 LEAST_MARGIN = 0.02
 
 
-def row_transform(robot: Robot, i: int, variable: Symbolic, values: Values) -> Symbolic:
-    """Frame i in frame i-1 (1-based), shape (4, 4), for the joint's own variable [rad or m]."""
+def row_factors(robot: Robot, i: int, variable: Symbolic, values: Values) -> list[Symbolic]:
+    """Elementary transforms whose product is frame i in frame i-1 (1-based); variable : the joint's own [rad or m]."""
     theta, d = values[f"theta{i}"], values[f"d{i}"]
     if robot.joints[i - 1].kind == "revolute":
         theta = theta + variable
     else:
         d = d + variable
-    T = rot_x(values[f"alpha{i - 1}"]) @ translate(values[f"a{i - 1}"], 0, 0)
+    factors = [rot_x(values[f"alpha{i - 1}"]), translate(values[f"a{i - 1}"], 0, 0)]
     if f"beta{i - 1}" in values:
-        T = T @ rot_y(values[f"beta{i - 1}"])
+        factors.append(rot_y(values[f"beta{i - 1}"]))
     if f"b{i - 1}" in values:
-        T = T @ translate(0, values[f"b{i - 1}"], 0)
-    return T @ rot_z(theta) @ translate(0, 0, d)
+        factors.append(translate(0, values[f"b{i - 1}"], 0))
+    return [*factors, rot_z(theta), translate(0, 0, d)]
 
 
 def loop_bars(robot: Robot, number: int, values: Values) -> tuple[Symbolic, Symbolic, Symbolic, Symbolic]:
@@ -61,21 +61,20 @@ def loop_margins(robot: Robot, actuated: Sequence[Symbolic], values: Values) -> 
     ]
 
 
-def link_frames(
-    robot: Robot, actuated: Sequence[Symbolic], values: Values, link_errors: Sequence[Symbolic] | None = None
-) -> tuple[Symbolic, ...]:
-    """T_01..T_0n, frames of the links in the robot's base frame, each (4, 4).
+def chain_factors(robot: Robot, actuated: Sequence[Symbolic], values: Values) -> list[list[Symbolic]]:
+    """For each row the elementary transforms whose product it is.
 
     actuated : joint variables, readings with all that is added to them, n of them [rad or m]
-    link_errors : transforms behind each link, n of them (4, 4)
     """
     own = _own_variables(robot, actuated, values)
-    T = ca.SX.eye(4)
-    frames = []
-    for i in range(1, robot.n + 1):
-        T = T @ row_transform(robot, i, own[i - 1], values)
-        if link_errors is not None:
-            T = T @ link_errors[i - 1]
+    return [row_factors(robot, i, own[i - 1], values) for i in range(1, robot.n + 1)]
+
+
+def link_frames(robot: Robot, actuated: Sequence[Symbolic], values: Values) -> tuple[Symbolic, ...]:
+    """T_01..T_0n, frames of the links in the robot's base frame, each (4, 4); actuated as of `chain_factors`."""
+    T, frames = ca.SX.eye(4), []
+    for row in chain_factors(robot, actuated, values):
+        T = T @ product(row)
         frames.append(T)
     return tuple(frames)
 
@@ -83,7 +82,7 @@ def link_frames(
 def _own_variables(robot: Robot, actuated: Sequence[Symbolic], values: Values) -> list[Symbolic]:
     """The variable of each row: the actuated one, or what its loop makes of it (paper, eq. 3)."""
     own = list(actuated)
-    sides = _sides(robot)
+    sides = assembly_sides(robot)
     for k in _from_base(robot):
         angles = loop_angles(robot.loops[k - 1], actuated, own, values)
         own[robot.loops[k - 1].driven - 1] = _driven(robot, k, angles, sides[k], values)
@@ -99,11 +98,11 @@ def _driven(robot: Robot, k: int, angles: tuple[Symbolic, Symbolic], side: int, 
     """The variable of the row that loop k drives, for its angles of crank and ground bar."""
     loop = robot.loops[k - 1]
     rocker = fourbar.rocker_angle(*angles, loop_bars(robot, k, values), side)
-    # theta of the driven row turns the crank, not the link: row_transform adds it, so it is taken off here.
+    # theta of the driven row turns the crank, not the link: row_factors adds it, so it is taken off here.
     return rocker - angles[1] + loop.offset - values[f"theta{loop.driven}"]
 
 
-def _sides(robot: Robot) -> dict[int, int]:
+def assembly_sides(robot: Robot) -> dict[int, int]:
     """Assembly of every uncrossed loop, at mid range of its joints' limits. Raises InputError where it cannot close."""
     middle = [0.5 * (j.lower + j.upper) for j in robot.joints]
     nominal = {p.name: p.value for p in robot.parameters}

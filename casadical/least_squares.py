@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -134,21 +135,25 @@ class LeastSquares:
         """The bounded optimum. Raises ConvergenceError."""
         v = ca.MX.sym("v", self.size)
         x, u = v[: len(self.names)], ca.reshape(v[len(self.names) :], 3, len(self.labels))
-        cost, gradient, hessian = ca.MX(0), ca.MX.zeros(self.size), ca.MX(self.size, self.size)
+        cost, again, gradient, hessian = ca.MX(0), ca.MX(0), ca.MX.zeros(self.size), ca.MX(self.size, self.size)
         for block in self.blocks:
             cost += block.cost(x, u)
-            gradient += block.gradient(x, u)
-            hessian += block.hessian(x, u)
+            f, g = block.gradient(x, u)
+            again, gradient, hessian = again + f, gradient + g, hessian + block.hessian(x, u)
         r = self._separations(u)
         if r.numel():
             J = ca.jacobian(r, v)
-            cost, gradient, hessian = cost + ca.sumsqr(r) / 2, gradient + J.T @ r, hessian + ca.triu(J.T @ J)
+            cost, again = cost + ca.sumsqr(r) / 2, again + ca.sumsqr(r) / 2
+            gradient, hessian = gradient + J.T @ r, hessian + ca.triu(J.T @ J)
         if self.priors:
             weights = ca.DM(self.prior_weights)
-            cost, gradient = cost + ca.dot(weights, v**2) / 2, gradient + weights * v
+            prior = ca.dot(weights, v**2) / 2
+            cost, again, gradient = cost + prior, again + prior, gradient + weights * v
             hessian += ca.diag(weights)
         lower, upper = self.bounds
-        return minimise(v, cost, gradient, hessian, lower, upper, scale=0.5 * self.residual_count, progress=progress)
+        return minimise(
+            v, cost, (again, gradient), hessian, lower, upper, scale=0.5 * self.residual_count, progress=progress
+        )
 
     def _separations(self, u: ca.MX) -> ca.MX:
         """Residuals of known distances between touched points."""
@@ -162,6 +167,18 @@ class LeastSquares:
 
     def evaluate(self, v: Array) -> tuple[list[Array], Array]:
         """Residuals of every set, shape (n, m), and the whole Jacobian, shape (residuals, size), without the loss."""
+        at, result = self._last
+        if at is None or not np.array_equal(at, v):
+            self._last[:] = [v.copy(), self._evaluate(v)]
+            result = self._last[1]
+        return result  # type: ignore[no-any-return]
+
+    @cached_property
+    def _last(self) -> list[Any]:
+        """Where the problem was evaluated last, and what came out: the statistics ask for the optimum many times."""
+        return [None, None]
+
+    def _evaluate(self, v: Array) -> tuple[list[Array], Array]:
         x, u = self.separate(v)
         residuals, rows = [], []
         for block in self.blocks:

@@ -8,86 +8,173 @@ the cube of the compliance.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import casadi as ca
+import numpy as np
 
 from .effects import Context
-from .kinematics import Values, link_frames, loop_margins
+from .kinematics import Values, assembly_sides, chain_factors, link_frames, loop_margins
 from .statics import deflections, gravity_energy, gravity_torques
-from .transforms import Symbolic, rot_x, rot_y, rot_z, small_frame, translate
+from .transforms import Array, Symbolic, carry, product, rot_x, rot_y, rot_z, small_frame, translate
 
 if TYPE_CHECKING:
     from .robot import Robot
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
-    """Symbols and expressions of one robot; functions are made from them.
+class Expressions:
+    """Symbols and expressions that all robots of one structure share; see `Model`.
 
-    q : joint readings (n,) [rad or m]; w : conditions (k,); phi : parameters (P,) [SI]
-    p, R : position (3,) [m] and orientation (3, 3) of the tool frame in the measuring frame
-    tau : gravity torques (n,) [N m or N]; margin : of each loop
-    whole : (q, w, phi, bearing)->(p, R, tau, margin), with parameters of their own for where the weights are
+    frames : nominal T_M0 and T_nE, their upper three rows column by column, shape (24,)
+    loaded : the parameters at which gravity torques are taken, shape (P,); phi itself but for fixed loads
     """
 
-    robot: Robot
     q: ca.SX
     w: ca.SX
     phi: ca.SX
+    frames: ca.SX
+    loaded: ca.SX
     p: ca.SX
     R: ca.SX
     tau: ca.SX
     margin: ca.SX
-    whole: ca.Function
+    functions: dict[tuple[str, ...], ca.Function]
 
-    def with_fixed_loads(self) -> Model:
-        """The same, the weights where the nominal geometry has them; identifiability is judged on it.
+    def function(self, *outputs: str) -> ca.Function:
+        """model:(q, w, phi, frames, loaded)->outputs, made once."""
+        if outputs not in self.functions:
+            inputs = {n: getattr(self, n) for n in ("q", "w", "phi", "frames", "loaded")}
+            results = [getattr(self, o) for o in outputs]
+            made = ca.Function("model", list(inputs.values()), results, list(inputs), list(outputs))
+            self.functions[outputs] = made
+        return self.functions[outputs]
 
-        Strictly, a longer last link also carries its load farther out; but masses are not known well enough to tell the
-        link from the tool by that.
-        """
-        p, R, tau, margin = self.whole(self.q, self.w, self.phi, self.robot.parameters.values)
-        return replace(self, p=p, R=R, tau=tau, margin=margin)
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """The symbolic model of one robot; functions are made from it.
+
+    q : joint readings (n,) [rad or m]; w : conditions (k,); phi : parameters (P,) [SI]
+    p, R : position (3,) [m] and orientation (3, 3) of the tool frame in the measuring frame
+    tau : gravity torques (n,) [N m or N]; margin : of each loop
+    """
+
+    robot: Robot
+    shared: Expressions
+
+    @property
+    def q(self) -> ca.SX:
+        return self.shared.q
+
+    @property
+    def w(self) -> ca.SX:
+        return self.shared.w
+
+    @property
+    def phi(self) -> ca.SX:
+        return self.shared.phi
+
+    @cached_property
+    def p(self) -> ca.SX:
+        return self.function("position", ("p",))(self.q, self.w, self.phi)
 
     def function(self, name: str, outputs: tuple[str, ...]) -> ca.Function:
         """name:(q, w, phi)->outputs, out of p, R, tau, margin."""
-        return ca.Function(
-            name, [self.q, self.w, self.phi], [getattr(self, o) for o in outputs], ["q", "w", "phi"], list(outputs)
-        )
+        whole = self.shared.function(*outputs)
+        results = whole.call([self.q, self.w, self.phi, ca.DM(frame_numbers(self.robot)), self.phi])
+        return ca.Function(name, [self.q, self.w, self.phi], results, ["q", "w", "phi"], list(outputs))
 
     def at_declared(self, name: str, outputs: tuple[str, ...]) -> ca.Function:
         """name:(q, phi)->outputs, every logged condition at its declared value."""
         results = self.function(name, outputs).call([self.q, ca.DM(self.robot.declared), self.phi])
         return ca.Function(name, [self.q, self.phi], results, ["q", "phi"], list(outputs))
 
+    def evaluate(self, outputs: tuple[str, ...], q: Array, w: Array, phi: Array) -> list[Array]:
+        """Outputs at many poses, one array each, poses side by side; q : (n, joints), w : (n, k), phi : (P,) [SI]."""
+        mapped = self.shared.function(*outputs).map(len(q))
+        return [o.full() for o in mapped.call([q.T, w.T, phi, frame_numbers(self.robot), phi])]
 
-def build(robot: Robot) -> Model:
-    """Compose the model of a robot from its parts."""
+
+def frame_numbers(robot: Robot) -> Array:
+    """Nominal base and tool frames as the numbers of `Expressions.frames`, shape (24,)."""
+    return np.concatenate([T[:3].ravel(order="F") for T in (robot.base.T, robot.tool.T)])
+
+
+class _Structure:
+    """Everything of a robot but its numbers that enter as parameters or frames; equal ones share expressions."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        joints = tuple(
+            (j.kind, j.beta is None, j.b is None, j.compliance is None, j.body and (j.body.mass, *j.body.com))
+            for j in robot.joints
+        )
+        sides = tuple(sorted(assembly_sides(robot).items()))
+        loops = tuple((loop.driven, loop.carrier, loop.offset) for loop in robot.loops)
+        payload = robot.payload and (robot.payload.mass, *robot.payload.com)
+        # What an effect may look at besides symbols.
+        seen = (robot.effects, *robot.torque_scale) if robot.effects else ()
+        gravity = (*robot.gravity, robot.gravity_frame)
+        self.key = (
+            joints, sides, loops, payload, gravity, robot.base.unknown, robot.tool.unknown, robot.conditions,
+            robot.parameters.names, seen,
+        )  # fmt: skip
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Structure) and self.key == other.key
+
+
+def build(robot: Robot, *, fixed_loads: bool = False) -> Model:
+    """Compose the model of a robot from its parts.
+
+    fixed_loads : whether gravity torques are those of the nominal geometry. Strictly, a longer last link also carries
+        its load farther out; the masses are not known well enough to tell the link from the tool by that.
+    """
+    return Model(robot, expressions(robot, fixed_loads))
+
+
+def expressions(robot: Robot, fixed_loads: bool = False) -> Expressions:
+    """The expressions of a robot's structure, composed once for all robots that share it."""
+    return _expressions(_Structure(robot), fixed_loads)
+
+
+@lru_cache(maxsize=64)
+def _expressions(structure: _Structure, fixed_loads: bool) -> Expressions:
+    robot = structure.robot
     q = ca.SX.sym("q", robot.n)
     w = ca.SX.sym("w", len(robot.conditions))
-    phi, bearing = (ca.SX.sym(name, len(robot.parameters)) for name in ("phi", "bearing"))
-    values, at = (dict(zip(robot.parameters.names, ca.vertsplit(s), strict=True)) for s in (phi, bearing))
+    phi = ca.SX.sym("phi", len(robot.parameters))
+    loaded = ca.SX.sym("loaded", len(robot.parameters))
+    frames = ca.SX.sym("frames", 24)
+    last_row = ca.DM([[0, 0, 0, 1]])
+    base, tool = (ca.vertcat(ca.reshape(frames[k : k + 12], 3, 4), last_row) for k in (0, 12))
+    names = robot.parameters.names
+    values: dict[str, Symbolic] = dict(zip(names, ca.vertsplit(phi), strict=True))
     conditions = dict(zip(robot.conditions, ca.vertsplit(w) if robot.conditions else [], strict=True))
 
-    T_M0 = base_frame(robot, values)
-    gravity = gravity_in_base(robot, base_frame(robot, at))
+    T_M0 = base_frame(robot, values, base)
     readings = ca.vertsplit(q)
+    at = dict(zip(names, ca.vertsplit(loaded), strict=True)) if fixed_loads else values
+    gravity = gravity_in_base(robot, base_frame(robot, at, base))
     rigid = link_frames(robot, readings, at)
     unloaded = Context(robot, q, conditions, values, rigid, gravity)
     energy = gravity_energy(robot, rigid, gravity, conditions.get("payload_kg", 0.0))
     energy = energy + sum(e.energy(unloaded) for e in robot.effects)
     tau = gravity_torques(ca.SX(energy), q)
     tau = ca.substitute(tau, q, q + deflections(robot, tau, values))
-    loaded = replace(unloaded, torque=tau)
-    T_ME = _tool_frame(robot, T_M0, loaded)
-    point = T_ME[:3, 3]
+    context = replace(unloaded, torque=tau)
+    factors = [T_M0, *_to_tool(robot, tool, context)]
+    T_ME, point = product(factors), carry(factors, ca.SX.zeros(3))
     for effect in robot.effects:
-        point = effect.measurement(point, loaded)
+        point = effect.measurement(point, context)
     margin = ca.vertcat(*loop_margins(robot, readings, values)) if robot.loops else ca.SX.zeros(0)
-    whole = ca.Function("whole", [q, w, phi, bearing], [ca.SX(point), ca.SX(T_ME[:3, :3]), ca.SX(tau), ca.SX(margin)])
-    p, R, tau, margin = whole(q, w, phi, phi)
-    return Model(robot, q, w, phi, p, R, tau, margin, whole)
+    outputs = (ca.SX(point), ca.SX(T_ME[:3, :3]), ca.SX(tau), ca.SX(margin))
+    return Expressions(q, w, phi, frames, loaded, *outputs, functions={})
 
 
 def gravity_in_base(robot: Robot, T_M0: Symbolic) -> Symbolic:
@@ -96,44 +183,30 @@ def gravity_in_base(robot: Robot, T_M0: Symbolic) -> Symbolic:
     return T_M0[:3, :3].T @ gravity if robot.gravity_frame == "measuring" else gravity
 
 
-def base_frame(robot: Robot, values: Values) -> Symbolic:
-    """T_M0, the robot's base in the measuring frame, shape (4, 4)."""
-    T = ca.DM(robot.base.T)
+def base_frame(robot: Robot, values: Values, T: Symbolic) -> Symbolic:
+    """T_M0, the robot's base in the measuring frame, from its nominal transform T; shapes (4, 4)."""
     if robot.base.unknown == "none":
         return T
     return T @ small_frame(*(values.get(f"base_{c}", 0.0) for c in ("x", "y", "z", "rx", "ry", "rz")))
 
 
-def _tool_frame(robot: Robot, T_M0: Symbolic, context: Context) -> Symbolic:
-    """T_ME: readings, effects and deflections through the chain, then flange effects and tool."""
+def _to_tool(robot: Robot, nominal: Symbolic, context: Context) -> list[Symbolic]:
+    """Transforms whose product is T_0E: readings, effects and deflections through the chain, then flange and tool."""
     values = context.values
     moved = context.q + deflections(robot, context.torque, values)
     for effect in robot.effects:
         moved = moved + effect.joint_angle(context)
-    errors = None
-    if robot.effects:
-        errors = []
-        for i in range(1, robot.n + 1):
-            error = ca.SX.eye(4)
-            for effect in robot.effects:
-                error = error @ effect.link(i, context)
-            errors.append(error)
-    T = T_M0
-    for effect in robot.effects:
-        T = T @ effect.base(context)
-    T = T @ link_frames(robot, ca.vertsplit(moved), values, errors)[-1]
-    for effect in robot.effects:
-        T = T @ effect.tool(context)
-    return T @ _tool(robot, values)
+    factors = [effect.base(context) for effect in robot.effects]
+    for i, row in enumerate(chain_factors(robot, ca.vertsplit(moved), values), 1):
+        factors += [*row, *(effect.link(i, context) for effect in robot.effects)]
+    return [*factors, *(effect.tool(context) for effect in robot.effects), *_tool(nominal, values)]
 
 
-def _tool(robot: Robot, values: Values) -> Symbolic:
-    nominal = robot.tool.T
+def _tool(nominal: Symbolic, values: Values) -> list[Symbolic]:
+    """Transforms whose product is the tool frame in the flange."""
     x, y, z = (values.get(f"tool_{c}", nominal[k, 3]) for k, c in enumerate("xyz"))
-    turn = ca.DM(nominal)
-    turn[:3, 3] = 0
-    T = translate(x, y, z) @ turn
-    for make, c in ((rot_x, "rx"), (rot_y, "ry"), (rot_z, "rz")):
-        if f"tool_{c}" in values:
-            T = T @ make(values[f"tool_{c}"])
-    return T
+    turn = ca.horzcat(nominal[:, :3], ca.DM([0, 0, 0, 1]))
+    turns = [
+        make(values[f"tool_{c}"]) for make, c in ((rot_x, "rx"), (rot_y, "ry"), (rot_z, "rz")) if f"tool_{c}" in values
+    ]
+    return [translate(x, y, z), turn, *turns]

@@ -17,6 +17,7 @@ import numpy as np
 
 from .compiled import compiled
 from .measurements import Kind, Measurements
+from .model import Expressions, expressions, frame_numbers
 from .robot import Robot
 from .transforms import Array
 
@@ -36,21 +37,20 @@ _KNEE = {1: 3.84, 3: 7.81, 6: 12.59}
 class _Pose:
     """What a residual may use: the model at this pose, its unknown point, and its column of data, taken in order."""
 
-    def __init__(self, robot: Robot, phi: ca.SX, u: ca.SX, fixed_loads: bool) -> None:
-        model = robot.model.with_fixed_loads() if fixed_loads else robot.model
-        self._model = model.function("pose", ("p", "R"))
-        self._phi = phi
+    def __init__(self, model: Expressions, n: int, phi: ca.SX, frames: ca.SX, loaded: ca.SX, u: ca.SX) -> None:
+        self._model = model.function("p", "R")
+        self._shared = (phi, frames, loaded)
         self.columns: list[ca.SX] = []
-        self.n, self.u = robot.n, u
-        q, self._w = self.take(robot.n), self.take(len(robot.conditions))
-        self.p, self.R = self._model(q, self._w, phi)
+        self.n, self.u = n, u
+        q, self._w = self.take(n), self.take(model.w.numel())
+        self.p, self.R = self._model(q, self._w, *self._shared)
 
     def take(self, count: int) -> ca.SX:
         self.columns.append(ca.SX.sym(f"d{len(self.columns)}", count))
         return self.columns[-1]
 
     def position_at(self, q: ca.SX) -> ca.SX:
-        return self._model(q, self._w, self._phi)[0]
+        return self._model(q, self._w, *self._shared)[0]
 
 
 def _position(pose: _Pose) -> ca.SX:
@@ -114,34 +114,49 @@ _LOSS: dict[Loss, Callable[[ca.SX, float], tuple[ca.SX, ca.SX]]] = {
 
 
 class Kernel:
-    """Functions of one pose, each made when it is first asked for.
+    """Functions of one pose, each made when it is first asked for; shared by all robots of one structure.
 
-    residual : (z, data)->(r[m], J[m, z]), in units of sigma, without the loss
-    cost, gradient, hessian : (z, data)->f, g[z], h, with the loss; h holds the columns of the upper triangle
+    robot : the numbers that differ between them: nominal parameters, nominal frames, scales (see `robot_numbers`)
+    residual : (z, data, robot)->(r[m], J[m, z]), in units of sigma, without the loss
+    cost, gradient, hessian : (z, data, robot)->f, (f, g[z]), h, with the loss; h is the upper triangle by columns
     point : whether z ends with an unknown point
-    fixed_loads : whether gravity torques are those of the nominal geometry (see `Model`)
     """
 
     def __init__(
-        self, robot: Robot, kind: Kind, point: bool, names: tuple[str, ...], loss: Loss, fixed_loads: bool = False
+        self, model: Expressions, kind: Kind, point: bool, chosen: tuple[int, ...], loss: Loss, fixed_loads: bool
     ) -> None:
         self.point = point
-        x = ca.SX.sym("x", len(names))
+        x = ca.SX.sym("x", len(chosen))
         u = ca.SX.sym("u", 3) if point else ca.SX.zeros(3)
-        phi = ca.SX(ca.DM(robot.parameters.values))
-        for k, name in enumerate(names):
-            index = robot.parameters.index_of(name)
-            phi[index] += robot.parameters[index].scale * x[k]
-        pose = _Pose(robot, phi, u, fixed_loads)
+        nominal, frames = ca.SX.sym("nominal", model.phi.numel()), ca.SX.sym("frames", 24)
+        scale = ca.SX.sym("scale", len(chosen))
+        phi = ca.SX(nominal)
+        for k, index in enumerate(chosen):
+            phi[index] += scale[k] * x[k]
+        pose = _Pose(model, model.q.numel(), phi, frames, nominal if fixed_loads else phi, u)
         r = _RESIDUAL[kind](pose)
         self._r = r * pose.take(1)
         self._z = ca.vertcat(x, u) if point else x
-        self._data = ca.vertcat(*pose.columns)
+        self._inputs = [self._z, ca.vertcat(*pose.columns), ca.vertcat(nominal, frames, scale)]
         cost, self._slope = _LOSS[loss](ca.dot(self._r, self._r), _KNEE[r.numel()])
         self._cost = 0.5 * cost
+        self._mapped: dict[tuple[str, int, bool, bool], ca.Function] = {}
 
     def _function(self, name: str, *outputs: ca.SX) -> ca.Function:
-        return ca.Function(name, [self._z, self._data], list(outputs))
+        return ca.Function(name, self._inputs, list(outputs))
+
+    def mapped(self, name: str, n: int, *, total: bool, machine_code: bool) -> ca.Function:
+        """A function over n poses, robot shared; outputs side by side, or (`total`) summed with z shared too."""
+        key = (name, n, total, machine_code)
+        if key not in self._mapped:
+            f = self.machine_code(name) if machine_code else getattr(self, name)
+            self._mapped[key] = f.map("poses", "serial", n, [0, 2] if total else [2], [0] if total else [])
+        return self._mapped[key]
+
+    @lru_cache(maxsize=8)  # noqa: B019 - kernels live in a cache themselves
+    def machine_code(self, name: str) -> ca.Function:
+        """A function through the C compiler, where there is one."""
+        return compiled(getattr(self, name))
 
     @cached_property
     def _J(self) -> ca.SX:
@@ -157,7 +172,7 @@ class Kernel:
 
     @cached_property
     def gradient(self) -> ca.Function:
-        return self._function("gradient", ca.gradient(self._cost, self._z))
+        return self._function("gradient", ca.vertcat(self._cost, ca.gradient(self._cost, self._z)))
 
     @cached_property
     def hessian(self) -> ca.Function:
@@ -165,7 +180,24 @@ class Kernel:
         return self._function("hessian", ca.project(H, ca.Sparsity.upper(self._z.numel())).nz[:])
 
 
-kernel = lru_cache(maxsize=64)(Kernel)
+_kernel = lru_cache(maxsize=64)(Kernel)
+
+
+def kernel(
+    robot: Robot, kind: Kind, point: bool, names: tuple[str, ...], loss: Loss, fixed_loads: bool = False
+) -> Kernel:
+    """The kernel of one kind of measurement for the chosen parameters of a robot.
+
+    fixed_loads : whether gravity torques are those of the nominal geometry (see `model.build`)
+    """
+    chosen = tuple(robot.parameters.index_of(name) for name in names)
+    return _kernel(expressions(robot, fixed_loads), kind, point, chosen, loss, fixed_loads)
+
+
+def robot_numbers(robot: Robot, names: Sequence[str]) -> Array:
+    """The input `robot` of a kernel: nominal parameters [SI], nominal frames [m], scales of the chosen parameters."""
+    scale = [robot.parameters[n].scale for n in names]
+    return np.concatenate([robot.parameters.values, frame_numbers(robot), scale])
 
 
 def data_columns(robot: Robot, m: Measurements, points: Array, sigma: float, sigma_angle: float) -> Array:
@@ -192,14 +224,17 @@ class Block:
     """One set of measurements, ready to be evaluated for the chosen parameters.
 
     data : shape (numbers, n); group : index of each pose's point among all unknown points, shape (n,)
+    robot : see `robot_numbers`
     """
 
     kernel: Kernel
     data: Array
     group: Array
+    robot: Array
 
-    def _ready(self, f: ca.Function) -> ca.Function:
-        return compiled(f) if self.data.shape[1] >= COMPILE_FROM else f
+    @property
+    def _machine_code(self) -> bool:
+        return bool(self.data.shape[1] >= COMPILE_FROM)
 
     def evaluate(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Residuals, shape (n, m), and Jacobians, shape (n, m, z); x : (p,), u : (K, 3) in solver units."""
@@ -207,24 +242,23 @@ class Block:
         z = np.tile(x[:, None], n)
         if self.kernel.point:
             z = np.concatenate([z, u[self.group].T])
-        r, J = self._ready(self.kernel.residual).map(n)(z, self.data)
-        m = r.shape[0]
-        return r.full().T, J.full().T.reshape(n, z.shape[0], m).transpose(0, 2, 1)
+        f = self.kernel.mapped("residual", n, total=False, machine_code=self._machine_code)
+        r, J = (o.full() for o in f.call([z, self.data, self.robot]))
+        return r.T, J.T.reshape(n, z.shape[0], len(r)).transpose(0, 2, 1)
 
     def cost(self, x: ca.MX, u: ca.MX) -> ca.MX:
         """The block's cost; x : (p,), u : (3, K) in solver units."""
-        return self._summed(self.kernel.cost, x, u)[0]
+        return self._summed("cost", x, u)[0]
 
-    def gradient(self, x: ca.MX, u: ca.MX) -> ca.MX:
-        """Gradient over v = (x, u), shape (p + 3 K,)."""
-        p = x.numel()
-        g, by_point = self._summed(self.kernel.gradient, x, u, shared=p)
-        return ca.vertcat(g, by_point)
+    def gradient(self, x: ca.MX, u: ca.MX) -> tuple[ca.MX, ca.MX]:
+        """Cost, and gradient over v = (x, u), shape (p + 3 K,)."""
+        shared, by_point = self._summed("gradient", x, u, shared=1 + x.numel())
+        return shared[0], ca.vertcat(shared[1:], by_point)
 
     def hessian(self, x: ca.MX, u: ca.MX) -> ca.MX:
         """Gauss-Newton Hessian over v = (x, u), upper triangle, shape (p + 3 K, p + 3 K)."""
         p, K = x.numel(), u.size2()
-        shared, by_point = self._summed(self.kernel.hessian, x, u, shared=p * (p + 1) // 2)
+        shared, by_point = self._summed("hessian", x, u, shared=p * (p + 1) // 2)
         pattern = ca.Sparsity.upper(p)
         if not self.kernel.point:
             pattern.resize(p + 3 * K, p + 3 * K)
@@ -238,15 +272,32 @@ class Block:
         whole = ca.Sparsity.triplet(p + 3 * K, p + 3 * K, rows, columns)
         return ca.MX(whole, ca.vertcat(shared, by_point))
 
-    def _summed(self, f: ca.Function, x: ca.MX, u: ca.MX, shared: int = 1) -> tuple[ca.MX, ca.MX]:
+    def _summed(self, name: str, x: ca.MX, u: ca.MX, shared: int = 1) -> tuple[ca.MX, ca.MX]:
         """Sum over the poses of the first `shared` outputs, and of the others point by point (stacked)."""
-        f = self._ready(f)
         if not self.kernel.point:
-            return _sum_over_poses(f, self.data, x), ca.MX.zeros(u.numel() if f.name() == "gradient" else 0)
+            return self._sum_over_poses(name, x), ca.MX.zeros(u.numel() if name == "gradient" else 0)
         n, K = self.data.shape[1], u.size2()
-        out = f.map(n)(ca.vertcat(ca.repmat(x, 1, n), u[:, self.group.tolist()]), ca.DM(self.data))
+        z = ca.vertcat(ca.repmat(x, 1, n), u[:, self.group.tolist()])
+        f = self.kernel.mapped(name, n, total=False, machine_code=self._machine_code)
+        out = f(z, ca.DM(self.data), ca.DM(self.robot))
         member = ca.DM(ca.Sparsity.triplet(n, K, list(range(n)), self.group.tolist()), 1.0)
         return ca.sum2(out[:shared, :]), ca.vec(out[shared:, :] @ member)
+
+    def _sum_over_poses(self, name: str, x: ca.MX) -> ca.MX:
+        """Sum over all poses, in chunks of one length, so that memory does not grow with the poses."""
+        data, robot = self.data, ca.DM(self.robot)
+        n = data.shape[1]
+        f = self.kernel.mapped(name, min(n, CHUNK), total=True, machine_code=self._machine_code)
+        if n <= CHUNK:
+            return f(x, ca.DM(data), robot)
+        chunks = -(-n // CHUNK)
+        # The last chunk is filled with copies of the first pose at weight zero (the last number of a column).
+        fill = np.repeat(data[:, :1], chunks * CHUNK - n, axis=1)
+        fill[-1] = 0.0
+        z, d, k = ca.MX.sym("z", x.numel()), ca.MX.sym("d", data.shape[0], CHUNK), ca.MX.sym("k", robot.numel())
+        chunk = ca.Function("chunk", [z, d, k], [f(z, d, k)])
+        whole = chunk.map("chunks", "serial", chunks, [0, 2], [0])
+        return whole(x, ca.DM(np.concatenate([data, fill], axis=1)), robot)
 
 
 def make_block(
@@ -264,21 +315,7 @@ def make_block(
     """Measurements as a block; points : shape (K, 3) [m], all points' starts; group, fixed_loads : see above."""
     start = points[group] if len(points) else np.zeros((len(m), 3))
     found = kernel(robot, m.kind, has_point(m), tuple(names), loss, fixed_loads)
-    return Block(found, data_columns(robot, m, start, sigma, sigma_angle), group)
-
-
-def _sum_over_poses(f: ca.Function, data: Array, x: ca.MX) -> ca.MX:
-    """Sum over all poses, in chunks of one length, so that memory does not grow with the poses."""
-    n = data.shape[1]
-    if n <= CHUNK:
-        return f.map("poses", "serial", n, [0], [0])(x, ca.DM(data))
-    chunks = -(-n // CHUNK)
-    # The last chunk is filled with copies of the first pose at weight zero (the last number of a column).
-    fill = np.repeat(data[:, :1], chunks * CHUNK - n, axis=1)
-    fill[-1] = 0.0
-    z, d = ca.MX.sym("z", x.numel()), ca.MX.sym("d", data.shape[0], CHUNK)
-    chunk = ca.Function("chunk", [z, d], [f.map("poses", "serial", CHUNK, [0], [0])(z, d)])
-    return chunk.map("chunks", "serial", chunks, [0], [0])(x, ca.DM(np.concatenate([data, fill], axis=1)))
+    return Block(found, data_columns(robot, m, start, sigma, sigma_angle), group, robot_numbers(robot, names))
 
 
 def loss_slope(loss: Loss, r: Array) -> Array:

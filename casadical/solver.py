@@ -78,7 +78,7 @@ class _Watch(ca.Callback):
 def minimise(
     v: ca.MX,
     cost: ca.MX,
-    gradient: ca.MX,
+    gradient: tuple[ca.MX, ca.MX],
     hessian: ca.MX,
     lower: Array,
     upper: Array,
@@ -88,13 +88,13 @@ def minimise(
 ) -> Solution:
     """Minimise a sum of squares from v = 0 within bounds.
 
-    gradient, hessian : of the cost over v; the Hessian is the upper triangle of J'J
+    gradient : the cost once more, as it comes with the gradient, and the gradient; hessian : upper triangle of J'J
     scale : typical size of the cost, by which it is divided
 
     Raises ConvergenceError with a sentence and a remedy if Ipopt does not stop at an optimum.
     """
     p, lam_f, lam_g = ca.MX.sym("p", 0), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
-    grad = ca.Function("nlp_grad_f", [v, p], [cost / scale, gradient / scale], ["x", "p"], ["f", "grad_f_x"])
+    grad = ca.Function("nlp_grad_f", [v, p], [part / scale for part in gradient], ["x", "p"], ["f", "grad_f_x"])
     hess = ca.Function(
         "nlp_hess_l",
         [v, p, lam_f, lam_g],

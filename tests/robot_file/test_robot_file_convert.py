@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
+from scipy.optimize import newton
 from scipy.spatial.transform import Rotation
 
 from casadical import Body, FourBar, InputError, Joint, Placement, Robot
@@ -193,25 +192,32 @@ def test_two_loops_each_turn_their_own_link() -> None:
     data = {"casadical": 1, "name": "two", "joint": rows, "four_bar": loops, "tool": {"xyz_mm": [200, 0, 0]}}
     robot = robot_from(data, "two")
     assert {"L5", "L4", "L3", "L5_2", "L4_2", "L3_2"} <= set(robot.parameters.names)
-    for q in np.random.default_rng(0).uniform(*np.deg2rad(limits).T, (20, 3)):
-        first = rocker_angle(q[1], q[0], 500, loops[0]) - q[0]
-        second = rocker_angle(q[2], first, 400, loops[1]) - first + np.deg2rad(-20)
-        turns = np.cumsum([q[0], first, second])
-        expected = sum(length * np.exp(1j * turn) for length, turn in zip([0.5, 0.4, 0.2], turns, strict=True))
+    low, high = np.deg2rad(limits).T
+    for q in np.random.default_rng(0).uniform(low, high, (20, 3)):
+        expected = two_loops_end((low + high) / 2, q, loops)
         p = robot.position(q, robot.parameters.values).full().ravel()
         assert p[0] + 1j * p[1] == pytest.approx(expected, abs=1e-9)
 
 
-def rocker_angle(crank: float, ground: float, length: float, bars: dict) -> float:
-    """The rocker's direction, nearest to the crank's, at which the ends of both are a coupler apart."""
-    crank_end, pivot = bars["crank_mm"] * np.exp(1j * crank), length * np.exp(1j * ground)
+def two_loops_end(start: np.ndarray, q: np.ndarray, loops: list[dict]) -> complex:
+    """Where the arm ends: both loops followed in small steps from their assembly at `start`."""
+    rockers = [start[1], start[2]]
+    for reading in np.linspace(start, q, 300):
+        rockers[0] = rocker_angle(reading[1], reading[0], 500, loops[0], rockers[0])
+        first = rockers[0] - reading[0]
+        rockers[1] = rocker_angle(reading[2], first, 400, loops[1], rockers[1])
+    turns = np.cumsum([q[0], first, rockers[1] - first + np.deg2rad(loops[1]["offset_deg"])])
+    return sum(length * np.exp(1j * turn) for length, turn in zip([0.5, 0.4, 0.2], turns, strict=True))
+
+
+def rocker_angle(crank: float, ground: float, length: float, bars: dict, near: float) -> float:
+    """The rocker's direction, near a known one, at which the ends of rocker and crank are a coupler apart."""
+    between = length * np.exp(1j * ground) - bars["crank_mm"] * np.exp(1j * crank)
 
     def gap(angle: float) -> float:
-        return abs(pivot + bars["rocker_mm"] * np.exp(1j * angle) - crank_end) - bars["coupler_mm"]
+        return abs(between + bars["rocker_mm"] * np.exp(1j * angle)) - bars["coupler_mm"]
 
-    grid = crank + np.linspace(-np.pi, np.pi, 721)
-    roots = [brentq(gap, a, b, xtol=1e-13) for a, b in pairwise(grid) if gap(a) * gap(b) < 0]
-    return min(roots, key=lambda angle: abs(angle - crank))
+    return newton(gap, near, tol=1e-13)
 
 
 def test_a_loop_that_cannot_be_assembled_is_said_so() -> None:

@@ -1,0 +1,40 @@
+"""A small network that learns what calibration leaves. Stands alone: it loads no kinematics."""
+
+from casadical.compensator.compensator import Compensator
+from casadical.compensator.iwo import InvasiveWeeds, IwoHistory, IwoResult, IwoSettings, iwo_minimise
+from casadical.compensator.layout import Box, Layout
+from casadical.compensator.network import Network
+from casadical.compensator.report import BeforeAfter, Errors
+from casadical.compensator.saving import load_compensator, save_compensator
+from casadical.compensator.task import Loss, Task, make_task
+from casadical.compensator.trainers import TRAINERS, Backprop, Iwo, IwoThenLm, LevenbergMarquardt, Trainer
+from casadical.compensator.training import Progress, Training, train, train_all
+
+__all__ = [
+    "TRAINERS",
+    "Backprop",
+    "BeforeAfter",
+    "Box",
+    "Compensator",
+    "Errors",
+    "InvasiveWeeds",
+    "Iwo",
+    "IwoHistory",
+    "IwoResult",
+    "IwoSettings",
+    "IwoThenLm",
+    "Layout",
+    "LevenbergMarquardt",
+    "Loss",
+    "Network",
+    "Progress",
+    "Task",
+    "Trainer",
+    "Training",
+    "iwo_minimise",
+    "load_compensator",
+    "make_task",
+    "save_compensator",
+    "train",
+    "train_all",
+]

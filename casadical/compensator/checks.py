@@ -1,0 +1,46 @@
+"""Checks of the arrays a user hands in."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadical.compensator.layout import Array
+from casadical.errors import InputError
+
+
+def joint_angles(q: ArrayLike, joints: int) -> Array:
+    """Return q as an array of shape (n, joints) [rad]; a single pose may come as shape (joints,)."""
+    rows = _numbers(q, "q")
+    rows = rows[None] if rows.ndim == 1 else rows
+    if rows.ndim != 2 or rows.shape[1] != joints:
+        raise InputError(f"q must have shape (n, {joints}) [rad]; its shape is {np.shape(q)}")
+    _finite(rows, "q", "rad")
+    return rows
+
+
+def residuals(residual_mm: ArrayLike, poses: int, outputs: int) -> Array:
+    """Return residuals as an array of shape (poses, outputs) [mm]."""
+    rows = _numbers(residual_mm, "residual_mm")
+    if rows.shape != (poses, outputs):
+        raise InputError(
+            f"residual_mm must have shape ({poses}, {outputs}) [mm], one row for each row of q; "
+            f"its shape is {rows.shape}"
+        )
+    _finite(rows, "residual_mm", "mm")
+    return rows
+
+
+def _numbers(values: ArrayLike, name: str) -> Array:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} must be an array of numbers: {error}") from None
+
+
+def _finite(rows: Array, name: str, unit: str) -> None:
+    bad = np.argwhere(~np.isfinite(rows))
+    if len(bad):
+        row, column = bad[0]
+        raise InputError(
+            f"{name}[{row}, {column}] is {rows[row, column]} {unit}: {len(bad)} value(s) of {name} are not finite; "
+            "drop these poses or repair them"
+        )

@@ -1,0 +1,200 @@
+"""The compensator of what calibration leaves (paper, section 4), which refuses to help where it does not help.
+
+Sign: the residual is measured minus computed position (paper, eq. 9), and the correction is added to the computed one.
+"""
+
+import hashlib
+import os
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadical.compensator.checks import joint_angles, residuals
+from casadical.compensator.folds import training_masks
+from casadical.compensator.layout import Array, Box, Layout, box_around
+from casadical.compensator.network import Network
+from casadical.compensator.report import BeforeAfter, table
+from casadical.compensator.task import Loss, make_task
+from casadical.compensator.trainers import Trainer, trainer_named
+from casadical.compensator.training import Progress, Training, train_all
+from casadical.errors import InputError
+
+if TYPE_CHECKING:
+    import casadi
+
+Data = tuple[ArrayLike, ArrayLike]
+
+
+@dataclass(frozen=True, eq=False)
+class Compensator:
+    """A trained compensator, or the null one when the network was refused.
+
+    network : the network in use; None is the null compensator, which corrects nothing.
+    training, choice, validation : errors without and with the trained network, also when it was refused; ``choice`` are
+    poses it was not trained on and that decided (see ``chosen_by``), ``validation`` had no part in any choice.
+    trained_box : the joint angles seen in training [rad]. data_sha256 : of the training data.
+    """
+
+    network: Network | None
+    layout: Layout
+    trained_box: Box
+    training: BeforeAfter
+    choice: BeforeAfter
+    validation: BeforeAfter | None
+    chosen_by: str
+    margin: float
+    trainer: str
+    settings: dict[str, Any]
+    note: str
+    seed: int
+    data_sha256: str
+
+    @classmethod
+    def fit(
+        cls,
+        q: ArrayLike,
+        residual_mm: ArrayLike,
+        *,
+        validate: Data | None = None,
+        choose: Data | None = None,
+        trainer: Trainer | str = "lm",
+        layout: Layout | None = None,
+        joint_range: Box | None = None,
+        output_scale_mm: float | None = None,
+        loss: Loss | None = None,
+        seed: int = 0,
+        folds: int = 5,
+        margin: float = 1.0,
+        checkpoint: str | os.PathLike[str] | None = None,
+        progress: Callable[[Progress], None] | None = None,
+    ) -> Self:
+        """Train a network on residuals and keep it only where it helps.
+
+        q, residual_mm : arrays, shapes (n, joints) [rad] and (n, outputs) [mm]: training poses.
+        validate : (q, residual_mm) of further poses, for the report only.
+        choose : (q, residual_mm) of poses that decide whether the network helps, instead of a cross-validation with
+        ``folds`` trainings. trainer : "iwo", "backprop", "lm", "iwo-lm" or a trainer with its settings.
+        layout : default one hidden layer of 5. joint_range : scales the inputs; default the box of the training poses.
+        output_scale_mm : millimetres of one output unit, 1 in the paper; default the root mean square residual.
+        margin : the gain must exceed so many of its standard errors. checkpoint, progress : see `train_all`.
+        Raises InputError for arrays of wrong shape or with values that are not finite, and for fewer than 10 poses.
+        """
+        rows = joint_angles(q, layout.joints if layout else np.shape(q)[-1])
+        size = layout or Layout(joints=rows.shape[1], outputs=np.shape(residual_mm)[-1])
+        targets = residuals(residual_mm, len(rows), size.outputs)
+        _check_choices(len(rows), folds, margin)
+        how = trainer_named(trainer)
+        scale = output_scale_mm if output_scale_mm is not None else _root_mean_square(targets)
+        box = joint_range or box_around(rows)
+
+        masks = training_masks(len(rows), folds, seed) if choose is None else np.empty((0, len(rows)), dtype=bool)
+        parts = [*masks, np.ones(len(rows), dtype=bool)]
+        tasks = [make_task(size, box, rows[m], targets[m], scale_mm=scale, loss=loss) for m in parts]
+        outcomes = train_all(tasks, how, seed=seed, checkpoint=checkpoint, progress=progress)
+        networks = [Network(size, box, outcome.weights, scale) for outcome in outcomes]
+
+        network, last = networks[-1], outcomes[-1]
+        judged = _cross_validated(networks[:-1], masks, rows, targets) if choose is None else _apply(network, choose)
+        return cls(
+            network=network if judged.gain > margin * judged.gain_error and judged.gain > 0 else None,
+            layout=size,
+            trained_box=box_around(rows),
+            training=_apply(network, (rows, targets)),
+            choice=judged,
+            validation=None if validate is None else _apply(network, validate),
+            chosen_by=f"{folds}-fold cross-validation" if choose is None else "a set of poses of its own",
+            margin=float(margin),
+            trainer=how.name,
+            settings=asdict(how),
+            note=_note(last),
+            seed=int(seed),
+            data_sha256=_data_sha256(rows, targets),
+        )
+
+    @property
+    def helps(self) -> bool:
+        """Tell whether there is a network in use."""
+        return self.network is not None
+
+    @property
+    def verdict(self) -> str:
+        """Say in words whether the network helps, and by how much on poses it was not trained on."""
+        c = self.choice
+        change = f"{c.before.mean_mm:.4g} -> {c.after.mean_mm:.4g} mm on poses not trained on, by {self.chosen_by}"
+        gain = f"gain {100 * c.gain:.1f} % +/- {100 * c.gain_error:.1f} %"
+        if not self.helps:
+            return f"The network does not help here, nothing is corrected: mean error {change} ({gain})."
+        worse = c.after.max_mm > c.before.max_mm
+        warning = f" But the largest error grows: {c.before.max_mm:.4g} -> {c.after.max_mm:.4g} mm." if worse else ""
+        return f"The network helps: mean error {change} ({gain}).{warning}"
+
+    def __str__(self) -> str:
+        rows = {"training": self.training, self.chosen_by: self.choice}
+        if self.validation is not None:
+            rows["validation"] = self.validation
+        which = "" if self.helps else "Figures of the refused network, without > with it:\n"
+        return f"{self.verdict}\n{which}{table(rows)}\n{self.trainer}, seed {self.seed}: {self.note}"
+
+    def correction_mm(self, q: ArrayLike) -> Array:
+        """Return what to add to the computed positions.
+
+        q : array, shape (n, joints) or (joints,) [rad]. Returns shape (n, outputs) or (outputs,) [mm]; zeros from the
+        null compensator. Outside of ``trained_box`` the value is an extrapolation: see `inside`.
+        """
+        if self.network is not None:
+            return self.network.output_mm(np.asarray(q))
+        rows = joint_angles(q, self.layout.joints)
+        return np.zeros((len(rows), self.layout.outputs) if np.ndim(q) == 2 else self.layout.outputs)
+
+    def inside(self, q: ArrayLike) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """Tell for every row of q, shape (n, joints) [rad], whether training saw such angles, joint by joint."""
+        return self.trained_box.contains(joint_angles(q, self.layout.joints))
+
+    def function(self) -> "casadi.Function":
+        """Return ``network:(q[joints])->(dp[outputs])``: q in radians, dp in millimetres; zeros from the null one."""
+        if self.network is not None:
+            return self.network.function()
+        import casadi
+
+        q = casadi.SX.sym("q", self.layout.joints)
+        return casadi.Function("network", [q], [casadi.SX.zeros(self.layout.outputs)], ["q"], ["dp"])
+
+
+def _check_choices(poses: int, folds: int, margin: float) -> None:
+    if poses < 10:
+        raise InputError(f"{poses} training poses are too few to train and to judge a network; give at least 10")
+    if not 2 <= folds <= poses:
+        raise InputError(f"folds must be 2 to the number of training poses ({poses}); got {folds}")
+    if not margin >= 0:
+        raise InputError(f"margin is a number of standard errors, not negative; got {margin}")
+
+
+def _apply(network: Network, data: Data) -> BeforeAfter:
+    rows = joint_angles(data[0], network.layout.joints)
+    before = residuals(data[1], len(rows), network.layout.outputs)
+    return BeforeAfter.of(before, before - network.output_mm(rows))
+
+
+def _cross_validated(networks: list[Network], masks: Any, rows: Array, targets: Array) -> BeforeAfter:
+    after = targets.copy()
+    for network, mask in zip(networks, masks, strict=True):
+        after[~mask] -= network.output_mm(rows[~mask])
+    return BeforeAfter.of(targets, after)
+
+
+def _note(last: Training) -> str:
+    return "; ".join((*last.reasons, *([last.note] if last.note else [])))
+
+
+def _root_mean_square(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2))) or 1.0
+
+
+def _data_sha256(rows: Array, targets: Array) -> str:
+    sums = hashlib.sha256(f"{rows.shape} {targets.shape}".encode())
+    for array in (rows, targets):
+        sums.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+    return sums.hexdigest()

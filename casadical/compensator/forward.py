@@ -1,0 +1,76 @@
+"""Forward pass, gradient and Jacobian of a whole colony of networks in batched numpy.
+
+The paper's eq. 10 prints tansig(a) = 2 / (1 + exp(-2a)), without the -1 that makes it odd and bounded by +-1; here it
+is 2 / (1 + exp(-2a)) - 1, which is tanh(a).
+
+Shapes: P networks, N samples, O outputs, weights (P, count), inputs (features + 1, N) from `network_inputs`.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadical.compensator.layout import Array, Layout
+
+Floats = NDArray[np.floating]
+
+
+def forward(layout: Layout, weights: Floats, inputs: Floats) -> Floats:
+    """Return the outputs of every network for every sample, shape (P, O, N), in the precision of the arguments."""
+    first, *rest = layout.layers(weights)
+    count, samples = len(weights), inputs.shape[1]
+    # The first layer sees the same inputs in every network: one matrix product for the whole colony.
+    z = (first.reshape(-1, first.shape[-1]) @ inputs).reshape(count, first.shape[1], samples)
+    for layer in rest:
+        np.tanh(z, out=z)
+        z = layer[:, :, :-1] @ z
+        z += layer[:, :, -1:]
+    return z
+
+
+def _activations(layout: Layout, weights: Array, inputs: Array) -> list[Array]:
+    """Return what enters every layer, shape (P, k + 1, N) each with its last row one, and then the outputs."""
+    count, samples = len(weights), inputs.shape[1]
+    enters = [np.broadcast_to(inputs, (count, *inputs.shape))]
+    layers = layout.layers(weights)
+    for layer in layers[:-1]:
+        z = np.ones((count, layer.shape[1] + 1, samples))
+        np.tanh(layer @ enters[-1], out=z[:, :-1])
+        enters.append(z)
+    return [*enters, np.matmul(layers[-1], enters[-1])]
+
+
+def gradient(layout: Layout, weights: Array, inputs: Array, sensitivity: Array) -> Array:
+    """Back-propagate: gradient of a scalar by the weights, shape (P, count).
+
+    sensitivity : array, shape (P, O, N), derivative of the scalar by every output.
+    """
+    *enters, _ = _activations(layout, weights, inputs)
+    layers = layout.layers(weights)
+    parts: list[Array] = []
+    delta = sensitivity
+    for level in reversed(range(len(layers))):
+        z = enters[level]
+        parts.append(delta @ z.transpose(0, 2, 1))
+        if level:
+            delta = (layers[level][:, :, :-1].transpose(0, 2, 1) @ delta) * (1.0 - z[:, :-1] ** 2)
+    return np.asarray(layout.weights(parts[::-1]), dtype=np.float64)
+
+
+def outputs_and_jacobian(layout: Layout, weights: Array, inputs: Array) -> tuple[Array, Array]:
+    """Return outputs, shape (P, O, N), and their transposed Jacobian by the weights, shape (P, count, O, N)."""
+    *enters, outputs = _activations(layout, weights, inputs)
+    layers = layout.layers(weights)
+    count, size, samples = outputs.shape
+    jacobian = np.empty((count, layout.count, size, samples))
+    # slope[p, o, m, n]: derivative of output o by what neuron m of the present layer sums up
+    slope: Array = np.broadcast_to(np.eye(size)[None, :, :, None], (count, size, size, samples))
+    stop = layout.count
+    for level in reversed(range(len(layers))):
+        m, k = layout.shapes[level]
+        z, start = enters[level], stop - m * k
+        block = jacobian[:, start:stop].reshape(count, m, k, size, samples)
+        np.multiply(slope.transpose(0, 2, 1, 3)[:, :, None], z[:, None, :, None], out=block)
+        if level:
+            back = np.einsum("pmk,pomn->pokn", layers[level][:, :, :-1], slope)
+            slope, stop = back * (1.0 - z[:, None, :-1] ** 2), start
+    return outputs, jacobian

@@ -1,0 +1,148 @@
+"""Layer sizes of a compensator network, its weight vector and its scaled inputs.
+
+The one map between weight vector and layers: layer after layer from the inputs to the outputs, in each layer neuron
+after neuron, and for each neuron its input weights followed by its bias. A layer of m neurons on k inputs is thus the
+matrix ``[W | b]`` of shape (m, k + 1), row by row. The paper's 6-5-3 network has 5 * 7 + 3 * 6 = 53 weights.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadical.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Sizes of a network.
+
+    joints : number of joint angles it is given.
+    hidden : neurons of each hidden layer, first to last (tansig).
+    outputs : number of outputs (linear).
+    periodic : joints, counted from 0, that enter as (sin q, cos q) instead of as a scaled angle.
+    """
+
+    joints: int = 6
+    hidden: tuple[int, ...] = (5,)
+    outputs: int = 3
+    periodic: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "hidden", tuple(int(size) for size in self.hidden))
+        object.__setattr__(self, "periodic", tuple(sorted(int(joint) for joint in self.periodic)))
+        if min((self.joints, self.outputs, *self.hidden)) < 1:
+            raise InputError(f"every layer of a network needs at least one neuron, got {self}")
+        if len(set(self.periodic)) != len(self.periodic) or not set(self.periodic) <= set(range(self.joints)):
+            raise InputError(f"periodic names joints 0 to {self.joints - 1}, each once; got {self.periodic}")
+
+    @property
+    def features(self) -> int:
+        """Number of network inputs: one a joint, two for a periodic one."""
+        return self.joints + len(self.periodic)
+
+    @cached_property
+    def shapes(self) -> tuple[tuple[int, int], ...]:
+        """Shape of ``[W | b]`` of every layer, inputs to outputs."""
+        sizes = (self.features, *self.hidden, self.outputs)
+        return tuple((m, k + 1) for k, m in pairwise(sizes))
+
+    @cached_property
+    def count(self) -> int:
+        """Number of weights, biases included."""
+        return sum(m * k for m, k in self.shapes)
+
+    def layers(self, weights: NDArray[np.floating]) -> list[NDArray[np.floating]]:
+        """Split weight vectors into layers.
+
+        weights : array, shape (..., count).
+        Returns one array of shape (..., m, k + 1) a layer, each row the input weights of a neuron and then its bias.
+        """
+        weights = np.asarray(weights)
+        if weights.shape[-1:] != (self.count,):
+            raise InputError(f"{self} has {self.count} weights; the array's shape is {weights.shape}")
+        parts, start = [], 0
+        for shape in self.shapes:
+            stop = start + shape[0] * shape[1]
+            parts.append(weights[..., start:stop].reshape(*weights.shape[:-1], *shape))
+            start = stop
+        return parts
+
+    def weights(self, layers: Sequence[NDArray[np.floating]]) -> NDArray[np.floating]:
+        """Join layers into weight vectors: the inverse of `layers`."""
+        got = [np.shape(layer)[-2:] for layer in layers]
+        if got != list(self.shapes):
+            raise InputError(f"{self} has layers of shape {list(self.shapes)}; got {got}")
+        return np.concatenate([np.asarray(part).reshape(*np.shape(part)[:-2], -1) for part in layers], axis=-1)
+
+    def output_biases(self) -> NDArray[np.bool_]:
+        """Mark the biases of the output layer in a weight vector: boolean array, shape (count,)."""
+        marks = [np.zeros(shape, dtype=bool) for shape in self.shapes]
+        marks[-1][:, -1] = True
+        return np.concatenate([mark.ravel() for mark in marks])
+
+
+@dataclass(frozen=True)
+class Box:
+    """Joint ranges that a network is scaled by and trusted in.
+
+    lower, upper : one angle a joint [rad]. ``lower`` is sent to -1 and ``upper`` to +1; a joint that does not move
+    (lower == upper) is sent to q - lower.
+    """
+
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        lower, upper = (tuple(float(v) for v in bound) for bound in (self.lower, self.upper))
+        object.__setattr__(self, "lower", lower)
+        object.__setattr__(self, "upper", upper)
+        if len(lower) != len(upper):
+            raise InputError(f"a box needs as many lower as upper bounds; got {len(lower)} and {len(upper)}")
+        for joint, (low, high) in enumerate(zip(lower, upper, strict=True)):
+            if not (np.isfinite(low) and np.isfinite(high) and low <= high):
+                raise InputError(f"bounds of joint {joint} must be finite and in order; got {low} and {high} rad")
+
+    @property
+    def centre(self) -> Array:
+        """Middle of every range, shape (joints,) [rad]."""
+        return 0.5 * np.add(self.lower, self.upper, dtype=np.float64)
+
+    @property
+    def half_width(self) -> Array:
+        """Half of every range, shape (joints,) [rad]; 1 where the joint does not move."""
+        half = 0.5 * np.subtract(self.upper, self.lower, dtype=np.float64)
+        return np.where(half > 0, half, 1.0)
+
+    def contains(self, q: Array) -> NDArray[np.bool_]:
+        """Tell for every row of q, shape (n, joints) [rad], whether it lies in the box."""
+        within: NDArray[np.bool_] = (q >= self.lower) & (q <= self.upper)
+        return np.asarray(within.all(axis=1), dtype=np.bool_)
+
+
+def box_around(q: Array) -> Box:
+    """Return the smallest box that holds the joint angles q, shape (n, joints) [rad]."""
+    return Box(tuple(q.min(axis=0)), tuple(q.max(axis=0)))
+
+
+def network_inputs(layout: Layout, box: Box, q: Array) -> Array:
+    """Scale joint angles to network inputs.
+
+    q : array, shape (n, joints) [rad].
+    Returns an array of shape (features + 1, n): joint after joint its scaled angle, or sin and cos of a periodic one;
+    the last row is one, the input of the biases.
+    """
+    rows: list[Array] = []
+    centre, half = box.centre, box.half_width
+    for joint in range(layout.joints):
+        angle = q[:, joint]
+        if joint in layout.periodic:
+            rows += [np.sin(angle), np.cos(angle)]
+        else:
+            rows.append((angle - centre[joint]) / half[joint])
+    return np.vstack([*rows, np.ones(len(q))])

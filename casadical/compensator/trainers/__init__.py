@@ -1,0 +1,26 @@
+"""The ways to train a network, one small file each."""
+
+from casadical.compensator.trainers.backprop import Backprop
+from casadical.compensator.trainers.base import Run, Trainer
+from casadical.compensator.trainers.iwo import Iwo
+from casadical.compensator.trainers.iwo_lm import IwoThenLm
+from casadical.compensator.trainers.lm import LevenbergMarquardt
+from casadical.errors import InputError
+
+__all__ = ["TRAINERS", "Backprop", "Iwo", "IwoThenLm", "LevenbergMarquardt", "Run", "Trainer", "trainer_named"]
+
+TRAINERS: dict[str, type[Trainer]] = {
+    "iwo": Iwo,
+    "backprop": Backprop,
+    "lm": LevenbergMarquardt,
+    "iwo-lm": IwoThenLm,
+}
+
+
+def trainer_named(trainer: Trainer | str) -> Trainer:
+    """Return a trainer as it is, or the one of this name with its default settings."""
+    if isinstance(trainer, Trainer):
+        return trainer
+    if trainer not in TRAINERS:
+        raise InputError(f"there is no trainer {trainer!r}; there are {', '.join(TRAINERS)}")
+    return TRAINERS[trainer]()

@@ -1,0 +1,88 @@
+"""Back-propagation, the paper's rival: one gradient run from one random start."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from casadical.compensator.forward import forward, gradient
+from casadical.compensator.layout import Array
+from casadical.compensator.packing import pack, unpack
+from casadical.compensator.task import Task, random_weights
+from casadical.compensator.trainers.base import Trainer
+
+
+@dataclass(frozen=True)
+class Backprop(Trainer):
+    """Full-batch gradient descent with momentum and an adaptive rate.
+
+    steps : gradient steps. rate : first learning rate; it grows by ``faster`` after a step that lowers the loss and
+    shrinks by ``slower`` after one that raises it by more than ``tolerance``, which is then taken back.
+    """
+
+    steps: int = 3000
+    rate: float = 0.01
+    momentum: float = 0.9
+    faster: float = 1.05
+    slower: float = 0.7
+    tolerance: float = 0.04
+
+    @property
+    def name(self) -> str:
+        return "backprop"
+
+    def begin(self, task: Task, seed: int) -> "BackpropRun":
+        weights = random_weights(task.layout, np.random.default_rng(seed), 1)
+        return BackpropRun(self, task, weights, np.zeros_like(weights), self.rate, 0)
+
+    def resume(self, task: Task, seed: int, state: dict[str, Any]) -> "BackpropRun":  # noqa: ARG002 (the state holds it)
+        run = BackpropRun(
+            self, task, unpack(state["weights"]), unpack(state["velocity"]), state["rate"], state["steps"]
+        )
+        run.kept, run.kept_loss = unpack(state["kept"]), state["kept_loss"]
+        return run
+
+
+class BackpropRun:
+    """One descent; a step is one gradient."""
+
+    def __init__(self, trainer: Backprop, task: Task, weights: Array, velocity: Array, rate: float, steps: int):
+        self.trainer, self.task = trainer, task
+        self.weights, self.velocity, self.rate, self.steps = weights, velocity, rate, steps
+        self.loss, self.slope = self._value_and_slope(weights)
+        self.kept, self.kept_loss = weights, self.loss
+
+    def _value_and_slope(self, weights: Array) -> tuple[float, Array]:
+        """Return the loss in units of the scaled targets, and its gradient."""
+        task = self.task
+        errors = np.asarray(forward(task.layout, weights, task.inputs) - task.targets, dtype=np.float64)
+        slope = gradient(task.layout, weights, task.inputs, task.loss.slope(errors))
+        return float(task.loss.of(errors)[0]), slope
+
+    def step(self) -> None:
+        t = self.trainer
+        velocity = t.momentum * self.velocity - (1 - t.momentum) * self.rate * self.slope
+        weights = self.weights + velocity
+        loss, slope = self._value_and_slope(weights)
+        if loss > (1 + t.tolerance) * self.loss or not np.isfinite(loss):
+            self.rate *= t.slower
+            self.velocity = np.zeros_like(velocity)
+        else:
+            self.rate *= t.faster if loss < self.loss else 1.0
+            self.weights, self.velocity, self.loss, self.slope = weights, velocity, loss, slope
+        if self.loss < self.kept_loss:
+            self.kept, self.kept_loss = self.weights, self.loss
+        self.steps += 1
+
+    def reasons(self) -> tuple[str, ...]:
+        return (f"steps: all {self.trainer.steps} gradient steps done",) if self.steps >= self.trainer.steps else ()
+
+    def best(self) -> Array:
+        return np.asarray(self.kept[0], dtype=np.float64)
+
+    def note(self) -> str:
+        return ""
+
+    def state(self) -> dict[str, Any]:
+        packed = {"weights": pack(self.weights), "velocity": pack(self.velocity), "kept": pack(self.kept)}
+        return packed | {"kept_loss": self.kept_loss, "rate": self.rate, "steps": self.steps}

@@ -1,0 +1,49 @@
+"""What every trainer offers: a training that goes step by step and can be taken up again from its state."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from casadical.compensator.layout import Array
+from casadical.compensator.task import Task
+
+
+class Run(Protocol):
+    """A training in progress."""
+
+    @property
+    def steps(self) -> int:
+        """Return how many steps are done."""
+
+    def step(self) -> None:
+        """Do the next piece of work."""
+
+    def reasons(self) -> tuple[str, ...]:
+        """Return why it is over; empty while it should go on."""
+
+    def best(self) -> Array:
+        """Return the best weights so far, shape (count,)."""
+
+    def note(self) -> str:
+        """Return in words what the trainer chose by itself, or an empty string."""
+
+    def state(self) -> dict[str, Any]:
+        """Return all it needs to go on, in JSON types."""
+
+
+@dataclass(frozen=True)
+class Trainer(ABC):
+    """Settings of one way to train. Every trainer is one small frozen dataclass."""
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """Short name, as in tables and saved files."""
+
+    @abstractmethod
+    def begin(self, task: Task, seed: int) -> Run:
+        """Start a training."""
+
+    @abstractmethod
+    def resume(self, task: Task, seed: int, state: dict[str, Any]) -> Run:
+        """Take a training up again from its `Run.state`; it goes on bit for bit as it would have."""

@@ -1,0 +1,152 @@
+"""Levenberg-Marquardt with restarts and a ridge chosen by cross-validation.
+
+First the ridge: every fold is trained from a few random starts at the strongest ridge, then, warm, at weaker and weaker
+ones; the ridge with the smallest mean square error on the held-out poses wins. Then the network: restarts at that ridge
+on all poses; the one of lowest cost wins. Minimises the mean square error; the paper's maximum term has no part in it.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from casadical.compensator.folds import training_masks
+from casadical.compensator.forward import forward
+from casadical.compensator.layout import Array
+from casadical.compensator.packing import pack, unpack
+from casadical.compensator.task import Task, random_weights
+from casadical.compensator.trainers.base import Trainer
+from casadical.compensator.trainers.levenberg import Batch, advance, begin_batch
+from casadical.errors import InputError
+
+_FIRST, _WARM = 40, 15  # iterations at the strongest ridge and at each weaker one
+
+
+@dataclass(frozen=True)
+class LevenbergMarquardt(Trainer):
+    """Settings.
+
+    restarts : random starts of the final training. iterations : at most, of each.
+    ridges : candidates, strongest first, as a fraction of the mean square residual for each unit of squared weight;
+    a single one skips the cross-validation, 0 is no ridge. folds, fold_starts : of the cross-validation.
+    """
+
+    restarts: int = 10
+    iterations: int = 200
+    ridges: tuple[float, ...] = field(default=(0.1, 0.03, 0.01, 0.003, 0.001, 3e-4, 1e-4, 3e-5, 1e-5))
+    folds: int = 5
+    fold_starts: int = 3
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ridges", tuple(float(r) for r in self.ridges))
+        if not self.ridges or min(self.ridges) < 0 or list(self.ridges) != sorted(self.ridges, reverse=True):
+            raise InputError(f"ridges must be given from strong to weak and not be negative; got {self.ridges}")
+        if min(self.restarts, self.iterations, self.fold_starts) < 1 or self.folds < 2:
+            raise InputError(f"needs restarts, iterations, fold_starts >= 1 and folds >= 2; got {self}")
+
+    @property
+    def name(self) -> str:
+        return "lm"
+
+    def begin(self, task: Task, seed: int, starts: Array | None = None) -> "LmRun":
+        """Start a training; ``starts``, shape (k, count), replaces the random starts of the final training."""
+        return LmRun(self, task, seed, starts)
+
+    def resume(self, task: Task, seed: int, state: dict[str, Any]) -> "LmRun":
+        run = LmRun(self, task, seed, None if state["starts"] is None else unpack(state["starts"]))
+        run.steps, run.level, run.inner, run.ridge = state["counts"]
+        run.scores, run.batch = list(state["scores"]), Batch.restore(state["batch"])
+        run.set_problem()
+        return run
+
+
+class LmRun:
+    """One training; a step is one damped step of all its problems together."""
+
+    def __init__(self, trainer: LevenbergMarquardt, task: Task, seed: int, starts: Array | None):
+        self.trainer, self.task, self.seed, self.starts = trainer, task, seed, starts
+        self.folds = min(trainer.folds, task.targets.shape[1])
+        self.steps, self.level, self.inner = 0, 0, 0
+        self.ridge: float | None = trainer.ridges[0] if len(trainer.ridges) == 1 or self.folds < 2 else None
+        self.scores: list[float] = []
+        self._unit = float(np.mean(np.sum(task.targets**2, axis=0)))
+        self.batch = self._begin()
+
+    @property
+    def choosing(self) -> bool:
+        """Tell whether the ridge is still being chosen."""
+        return self.ridge is None
+
+    def step(self) -> None:
+        self.batch = advance(self.task, self.batch, self.samples, self.ridges)
+        self.steps, self.inner = self.steps + 1, self.inner + 1
+        if self.choosing and (self.inner >= (_WARM if self.level else _FIRST) or not self.batch.active.any()):
+            self._next_ridge()
+
+    def reasons(self) -> tuple[str, ...]:
+        if self.choosing:
+            return ()
+        if not self.batch.active.any():
+            return ("converged: no start gains any more",)
+        return (f"iterations: all {self.trainer.iterations} done",) if self.inner >= self.trainer.iterations else ()
+
+    def best(self) -> Array:
+        return np.asarray(self.batch.weights[np.argmin(self.batch.cost)])
+
+    def note(self) -> str:
+        if not self.scores:
+            return f"ridge {self.ridge:g}, given"
+        return f"ridge {self.ridge:g}, chosen by {self.folds}-fold cross-validation from {len(self.scores)} candidates"
+
+    def state(self) -> dict[str, Any]:
+        return {
+            "counts": [self.steps, self.level, self.inner, self.ridge],
+            "scores": self.scores,
+            "batch": self.batch.state(),
+            "starts": None if self.starts is None else pack(self.starts),
+        }
+
+    def set_problem(self) -> None:
+        """Set sample weights and ridges of the present batch: folds while choosing, then all poses."""
+        count, ridge = len(self.batch.weights), self.ridge
+        if ridge is None:
+            ridge = self.trainer.ridges[self.level]
+        self.samples, self.ridges = self._samples(count), np.full(count, ridge * self._unit)
+
+    def _samples(self, count: int) -> Array:
+        total = self.task.targets.shape[1]
+        if not self.choosing:
+            return np.full((count, total), 1.0 / total)
+        masks = np.repeat(training_masks(total, self.folds, self.seed), self.trainer.fold_starts, axis=0)
+        return np.asarray(masks / masks.sum(axis=1, keepdims=True), dtype=np.float64)
+
+    def _begin(self, weights: Array | None = None) -> Batch:
+        """Start the batch of the present level, from ``weights`` or else from new starts."""
+        if weights is None:
+            count = self.folds * self.trainer.fold_starts if self.choosing else self.trainer.restarts
+            random = np.random.default_rng((self.seed, int(self.choosing)))
+            weights = random_weights(self.task.layout, random, count)
+            if not self.choosing and self.starts is not None:
+                weights = self.starts
+        nothing = np.zeros(len(weights))
+        self.batch = Batch(weights, nothing, nothing, nothing, nothing)
+        self.set_problem()
+        return begin_batch(self.task, weights, self.samples, self.ridges)
+
+    def _next_ridge(self) -> None:
+        """Score the present ridge on the held-out poses and go to the next one, or to the final training."""
+        self.scores.append(self._held_out())
+        best = int(np.argmin(self.scores))
+        self.level, self.inner = self.level + 1, 0
+        if self.level == len(self.trainer.ridges) or self.level > best + 2:
+            self.ridge = self.trainer.ridges[best]
+            self.batch = self._begin()
+        else:
+            self.batch = self._begin(self.batch.weights)
+
+    def _held_out(self) -> float:
+        """Return the mean square error on held-out poses, each fold by its start of lowest training cost."""
+        cost = self.batch.cost.reshape(self.folds, -1)
+        chosen = np.argmin(cost, axis=1) + np.arange(self.folds) * cost.shape[1]
+        errors = forward(self.task.layout, self.batch.weights[chosen], self.task.inputs) - self.task.targets
+        return float(np.sum(errors**2 * (self.samples[chosen] == 0)[:, None]) / self.task.targets.shape[1])

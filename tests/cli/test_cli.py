@@ -1,0 +1,224 @@
+"""The command as a user meets it: what it prints, keeps, refuses, and its exit codes."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from casadical import cli
+from casadical.accuracy import errors, summarise
+from casadical.problem import read_problem
+from casadical.robot_file import read_robot
+
+ROOT = Path(__file__).parents[2]
+PLANAR = ROOT / "problems" / "planar"
+
+
+def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """The installed command in a process of its own, from the repository's root."""
+    command = [Path(sys.executable).parent / "casadical", *map(str, arguments)]
+    environment = {**os.environ, "COLUMNS": "80", "TERM": "dumb", "NO_COLOR": "1"}
+    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+
+
+def main(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    """The command inside this process; its exit code."""
+    monkeypatch.setattr(sys, "argv", ["casadical", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    return int(stopped.value.code or 0)
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One run over two problems with everything kept."""
+    folder = tmp_path_factory.mktemp("kept")
+    done = run(
+        "calibrate", "problems/planar", "problems/panda_3", "--out", folder / "out", "--json", folder / "all.json"
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    (folder / "printed.txt").write_text(done.stdout)
+    return folder
+
+
+def test_report_is_the_golden_text() -> None:
+    done = run("calibrate", "problems/planar")
+    assert (done.returncode, done.stderr) == (0, "")
+    printed = "".join(line.rstrip() + "\n" for line in done.stdout.splitlines())
+    assert printed == (Path(__file__).parent / "planar.txt").read_text()
+
+
+def test_report_fits_eighty_columns_and_cuts_nothing(kept: Path) -> None:
+    for line in (kept / "printed.txt").read_text().splitlines():
+        if not line.startswith("wrote "):
+            assert len(line) <= 80
+            assert "…" not in line
+
+
+def test_json_has_every_figure(kept: Path) -> None:
+    found = json.loads((kept / "all.json").read_text())
+    assert list(found) == ["planar", "panda_3"]
+    planar = found["planar"]
+    assert (planar["data"], planar["methods"].keys()) == ("synthetic", {"KM"})
+    method = planar["methods"]["KM"]
+    assert method["sets"].keys() == {"identify", "report"}
+    for figures in method["sets"].values():
+        for name in ("mean_mm", "max_mm", "std_mm", "rms_mm", "p95_mm"):
+            assert 0 < figures[name] < 0.1 < figures["before_placed"][name]
+    assert (method["sets"]["identify"]["n"], method["sets"]["report"]["n"]) == (25, 15)
+    for parameter in method["parameters"]:
+        assert {"name", "value", "std_error", "unit", "status"} <= parameter.keys()
+        assert (parameter["std_error"] is None) == (parameter["status"] != "identified")
+        assert bool(parameter["reason"]) == (parameter["status"] != "identified")
+    assert method["optimal"] is True
+
+
+def test_out_holds_for_each_problem_robot_parameters_and_figures(kept: Path) -> None:
+    whole = json.loads((kept / "all.json").read_text())
+    for name in ("planar", "panda_3"):
+        folder = kept / "out" / name
+        assert sorted(p.name for p in folder.iterdir()) == ["KM.parameters.csv", "KM.robot.toml", "result.json"]
+        assert json.loads((folder / "result.json").read_text()) == whole[name]
+        table = pd.read_csv(folder / "KM.parameters.csv")
+        listed = whole[name]["methods"]["KM"]["parameters"]
+        assert list(table["name"]) == [p["name"] for p in listed]
+        assert table["value"].to_numpy() == pytest.approx([p["value"] for p in listed], rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["planar", "panda_3"])
+def test_the_calibrated_robot_loads_and_has_the_same_errors(kept: Path, name: str) -> None:
+    robot = read_robot(kept / "out" / name / "KM.robot.toml")
+    listed = json.loads((kept / "all.json").read_text())[name]["methods"]["KM"]["sets"]
+    for set_name, parts in read_problem(ROOT / "problems" / name).sets.items():
+        a = summarise(errors(robot, parts[0]))
+        for key, value in (("mean_mm", a.mean), ("max_mm", a.max), ("std_mm", a.std)):
+            assert 1e3 * value == pytest.approx(listed[set_name][key], abs=1e-9)
+
+
+def test_one_problem_is_kept_without_a_folder_of_its_own(tmp_path: Path) -> None:
+    done = run("calibrate", PLANAR, "--out", tmp_path / "a" / "b", "--json", tmp_path / "c" / "one.json", "--quiet")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert sorted(p.name for p in (tmp_path / "a" / "b").iterdir()) == [
+        "KM.parameters.csv",
+        "KM.robot.toml",
+        "result.json",
+    ]
+    assert json.loads((tmp_path / "c" / "one.json").read_text())["problem"] == "planar"
+
+
+def test_method_and_seed_choose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    figures = []
+    for seed in (0, 0, 5):
+        file = tmp_path / "one.json"
+        assert (
+            main(monkeypatch, "calibrate", PLANAR, "--seed", seed, "--method", "SKCM", "--quiet", "--json", file) == 0
+        )
+        found = json.loads(file.read_text())["methods"]
+        assert found.keys() == {"SKCM"}
+        figures.append(found["SKCM"]["sets"]["report"]["mean_mm"])
+    assert figures[0] == figures[1] != figures[2]
+
+
+WRONG = {
+    "no such folder": (["calibrate", "problems/none"], ["problems/none", "no such problem folder"]),
+    "no problem in the folder": (["calibrate", "tests"], ["tests/problem.toml", "no such file"]),
+    "no such method": (["calibrate", PLANAR, "--method", "BP"], ["--method BP", "KM, SKCM"]),
+    "no such loss": (["calibrate", PLANAR, "--loss", "l2"], ["--loss l2", "huber"]),
+    "negative seed": (["calibrate", PLANAR, "--seed", "-1"], ["--seed", "greater than or equal to 0"]),
+    "the same problem twice": (["calibrate", PLANAR, "problems/planar"], ["planar", "one after the other"]),
+    "no such option": (["calibrate", PLANAR, "--metod", "KM"], ["--metod"]),
+    "no such command": (["calibrat"], ["calibrat"]),
+    "nothing to calibrate": (["calibrate"], ["PROBLEM_DIR"]),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_users_mistake_ends_in_a_message_and_2(
+    name: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    arguments, expected = WRONG[name]
+    monkeypatch.chdir(ROOT)
+    assert main(monkeypatch, *arguments) == 2
+    printed = capfd.readouterr()
+    for part in expected:
+        assert part in printed.err
+    assert "Traceback" not in printed.err + printed.out
+
+
+def test_a_place_that_cannot_be_written_is_a_users_mistake_and_nothing_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("mine")
+    for place in (["--out", tmp_path / "file"], ["--out", tmp_path / "new", "--json", tmp_path / "file" / "x.json"]):
+        assert main(monkeypatch, "calibrate", PLANAR, "--quiet", *place) == 2
+        assert "cannot be written" in capfd.readouterr().err
+        assert [p for p in tmp_path.rglob("*") if p.is_file()] == [tmp_path / "file"]
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_a_mistake_in_the_second_problem_keeps_nothing_of_the_first(tmp_path: Path) -> None:
+    bad = tmp_path / "bad"
+    bad.mkdir()
+    (bad / "problem.toml").write_text("casadical = 1\n")
+    done = run("calibrate", PLANAR, bad, "--out", tmp_path / "out")
+    assert done.returncode == 2
+    assert "title: is missing" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_no_optimum_ends_in_3_and_keeps_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("casadical.solver.MAX_ITERATIONS", 1)
+    assert main(monkeypatch, "calibrate", PLANAR, "--out", tmp_path / "out") == 3
+    message = capfd.readouterr().err
+    assert "no optimum found, nothing was written" in message
+    assert "Maximum_Iterations_Exceeded" in message
+    assert "check units" in message
+    assert "Traceback" not in message
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_bug_of_ours_ends_in_70_with_its_traceback(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("planted")
+
+    monkeypatch.setattr("casadical.calibration.calibrate_problem", broken)
+    assert main(monkeypatch, "calibrate", PLANAR) == 70
+    message = capfd.readouterr().err
+    assert "ZeroDivisionError: planted" in message
+    assert "bug of ours" in message
+
+
+def test_help_teaches() -> None:
+    first = run("--help").stdout
+    for part in ("calibrate", "PROBLEM_DIR", "problem.toml", "casadical calibrate problems/ur10"):
+        assert part in first
+    second = " ".join(run("calibrate", "--help").stdout.replace("│", " ").split())
+    for part in ("--out", "--json", "--method", "--seed", "--loss", "--quiet", "held out", "Exit codes: 0 done, 2 bad"):
+        assert part in second
+    assert "kinematics only" in second
+    assert run().stdout.split() == first.split()
+    assert run("--version").stdout.startswith("casadical 0.")
+
+
+def test_ipopt_and_casadi_say_nothing_of_their_own(kept: Path) -> None:
+    text = (kept / "printed.txt").read_text()
+    assert "****" not in text
+    assert "EXIT" not in text
+    assert "Warning" not in text
+
+
+def test_figures_do_not_hang_on_the_machine_they_are_printed_at() -> None:
+    """Two runs give the same bytes."""
+    assert run("calibrate", "problems/planar").stdout == run("calibrate", "problems/planar").stdout

@@ -1,0 +1,260 @@
+"""Loss, trainers and resume against hand numbers, finite differences and scipy."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from problems import small_task
+from scipy.optimize import least_squares, minimize
+
+from casadical.compensator import (
+    Backprop,
+    Iwo,
+    IwoSettings,
+    IwoThenLm,
+    LevenbergMarquardt,
+    Loss,
+    train,
+    train_all,
+)
+from casadical.compensator.folds import training_masks
+from casadical.compensator.forward import forward
+from casadical.compensator.task import random_weights
+from casadical.compensator.trainers.levenberg import advance, begin_batch
+from casadical.errors import InputError
+
+QUICK = {
+    "iwo": Iwo(IwoSettings(iterations=150)),
+    "iwo-single": Iwo(IwoSettings(iterations=150), precision="single"),
+    "backprop": Backprop(steps=120),
+    "lm": LevenbergMarquardt(restarts=2, iterations=30, ridges=(0.1, 0.01, 0.001), folds=3, fold_starts=2),
+    "iwo-lm": IwoThenLm(
+        Iwo(IwoSettings(iterations=25)),
+        LevenbergMarquardt(iterations=20, ridges=(0.1, 0.01), folds=3, fold_starts=1),
+    ),
+}
+
+
+def test_loss_by_hand():
+    """Errors (1, 2, 2) and (0, 0, 3): E = 3 and 3; with (3, 0, 0) and (0, 3, 3): E = 3 and 6; l1 = 1, l2 = 0.7."""
+    errors = np.array([[[1.0, 0], [2, 0], [2, 3]], [[3, 0], [0, 3], [0, 3]]])
+    np.testing.assert_allclose(Loss().of(errors), [3 + 0.7 * 3, 4.5 + 0.7 * 6], rtol=1e-15)
+
+
+def test_loss_slope_against_finite_differences():
+    random = np.random.default_rng(0)
+    errors = random.normal(size=(2, 3, 7))
+    slope, loss = Loss(0.8, 0.3).slope(errors), Loss(0.8, 0.3)
+    for index in np.ndindex(errors.shape):
+        step = np.zeros_like(errors)
+        step[index] = 1e-6
+        numeric = (loss.of(errors + step) - loss.of(errors - step))[index[0]] / 2e-6
+        assert slope[index] == pytest.approx(numeric, abs=1e-8)
+
+
+def test_losses_are_in_square_millimetres_whatever_the_scale():
+    """The same function of the joints, written with two output scales."""
+    one, other = small_task(scale_mm=1.0), small_task(scale_mm=0.1)
+    weights = random_weights(one.layout, np.random.default_rng(0), 3)
+    *hidden, last = one.layout.layers(weights)
+    rescaled = one.layout.weights([*hidden, 10 * last])
+    np.testing.assert_allclose(one.losses(weights), other.losses(rescaled), rtol=1e-12)
+    np.testing.assert_allclose(one.errors_mm(weights[0]), other.errors_mm(rescaled[0]), rtol=1e-10, atol=1e-14)
+
+
+def scipy_residuals(task, samples, ridge):
+    free = ~task.layout.output_biases()
+
+    def residuals(w):
+        errors = forward(task.layout, w[None], task.inputs)[0] - task.targets
+        return np.concatenate([(errors * np.sqrt(samples)).ravel(), np.sqrt(ridge) * w[free]])
+
+    return residuals
+
+
+def test_lm_reaches_an_optimum_that_scipy_cannot_improve():
+    task = small_task()
+    total = task.targets.shape[1]
+    random = np.random.default_rng(1)
+    weights = random_weights(task.layout, random, 3)
+    samples = np.full((3, total), 1 / total)
+    samples[1, :6] = 0
+    samples[1] /= samples[1].sum()
+    ridge = np.array([1e-3, 1e-2, 3e-2])
+    batch = begin_batch(task, weights, samples, ridge)
+    for _ in range(300):
+        batch = advance(task, batch, samples, ridge, tolerance=1e-14)
+    for p in range(3):
+        residuals = scipy_residuals(task, samples[p], ridge[p])
+        assert batch.cost[p] == pytest.approx(np.sum(residuals(batch.weights[p]) ** 2), rel=1e-12)
+        found = least_squares(
+            residuals, batch.weights[p], jac="3-point", method="lm", xtol=1e-13, ftol=1e-13, gtol=1e-13
+        )
+        assert batch.cost[p] <= 2 * found.cost * (1 + 1e-8)
+        slope = 2 * found.jac.T @ residuals(batch.weights[p])
+        assert np.abs(slope).max() < 2e-5  # starts at about 0.1
+
+
+def test_lm_result_does_not_depend_on_its_company():
+    task = small_task()
+    total = task.targets.shape[1]
+    weights = random_weights(task.layout, np.random.default_rng(2), 4)
+    samples, ridge = np.full((4, total), 1 / total), np.full(4, 1e-3)
+    together, alone = (begin_batch(task, weights[:n], samples[:n], ridge[:n]) for n in (4, 1))
+    for _ in range(8):
+        together, alone = (
+            advance(task, b, samples[: len(b.weights)], ridge[: len(b.weights)]) for b in (together, alone)
+        )
+    np.testing.assert_allclose(together.weights[0], alone.weights[0], rtol=1e-7, atol=1e-9)
+
+
+def test_huge_ridge_leaves_the_mean_residual():
+    task = small_task()
+    training = train(task, LevenbergMarquardt(restarts=1, iterations=100, ridges=(1e6,)), seed=0)
+    outputs = forward(task.layout, training.weights[None], task.inputs)[0]
+    np.testing.assert_allclose(outputs, np.tile(task.targets.mean(axis=1)[:, None], task.targets.shape[1]), atol=1e-4)
+
+
+def test_lm_without_ridge_survives_inputs_that_say_nothing():
+    """Two joints that never move leave the normal equations singular."""
+    task = small_task()
+    inputs = task.inputs.copy()
+    inputs[[1, 4]] = 0.0
+    training = train(dataclasses.replace(task, inputs=inputs), LevenbergMarquardt(2, 2000, (0.0,)), seed=0)
+    assert np.isfinite(training.loss_mm2)
+
+
+def test_lm_chooses_the_ridge_of_least_held_out_error():
+    """On pure noise the strongest ridge must win; on a smooth residual without noise a weak one."""
+    trainer = LevenbergMarquardt(restarts=1, iterations=5, ridges=(1.0, 1e-3, 1e-5))
+    smooth_task = small_task(poses=60)
+    noise = np.random.default_rng(3).normal(size=smooth_task.targets.shape)
+    noise_task = dataclasses.replace(smooth_task, targets=noise)
+    assert "ridge 1," in train(noise_task, trainer).note
+    assert "ridge 0.001," in train(smooth_task, trainer).note or "ridge 1e-05," in train(smooth_task, trainer).note
+
+
+def test_iwo_lm_final_part_starts_from_the_iwo_optimum():
+    task = small_task()
+    lm = LevenbergMarquardt(iterations=1, ridges=(0.0,))
+    iwo = train(task, Iwo(IwoSettings(iterations=20)), seed=4)
+    both = train(task, IwoThenLm(Iwo(IwoSettings(iterations=20)), lm), seed=4)
+    total = task.targets.shape[1]
+    batch = begin_batch(task, iwo.weights[None], np.full((1, total), 1 / total), np.zeros(1))
+    batch = advance(task, batch, np.full((1, total), 1 / total), np.zeros(1))
+    np.testing.assert_array_equal(both.weights, batch.weights[0])
+
+
+def test_backprop_descends_nearly_to_the_bottom_of_its_basin():
+    task = dataclasses.replace(small_task(hidden=(2,)), loss=Loss(1.0, 0.0))
+    run = Backprop(steps=6000).begin(task, 0)
+    first = run.loss
+    while not run.reasons():
+        run.step()
+    assert run.kept_loss < 0.5 * first
+    scipy_run = minimize(lambda w: task.losses(w[None])[0], run.best(), method="BFGS")
+    assert task.losses(run.best()[None])[0] < 1.5 * scipy_run.fun
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_every_trainer_lowers_the_loss_and_repeats(name):
+    task = small_task()
+    first, second = (train(task, QUICK[name], seed=5) for _ in range(2))
+    assert first.weights.tobytes() == second.weights.tobytes()
+    assert first.loss_mm2 < float(task.losses(np.zeros((1, task.layout.count)))[0])
+    assert first.loss_mm2 == float(task.losses(first.weights[None])[0])
+    assert first.reasons
+    assert train(task, QUICK[name], seed=6).weights.tobytes() != first.weights.tobytes()
+
+
+class CutError(Exception):
+    pass
+
+
+@pytest.mark.parametrize("calls", [1, 3, 5, 9])
+@pytest.mark.parametrize("name", QUICK)
+def test_cut_training_resumes_to_the_same_bits(name, calls, tmp_path):
+    tasks = [small_task(), small_task(poses=30, seed=1)]
+    whole = train_all(tasks, QUICK[name], seed=3, every=10)
+    seen = []
+
+    def cut(progress):
+        seen.append(progress)
+        if len(seen) == calls:
+            raise CutError
+
+    with pytest.raises(CutError):
+        train_all(tasks, QUICK[name], seed=3, every=10, checkpoint=tmp_path / "run.json", progress=cut)
+    steps = []
+    resumed = train_all(tasks, QUICK[name], seed=3, every=10, checkpoint=tmp_path / "run.json", progress=steps.append)
+    for one, other in zip(whole, resumed, strict=True):
+        assert one.weights.tobytes() == other.weights.tobytes()
+        assert (one.loss_mm2, one.steps, one.reasons, one.note) == (
+            other.loss_mm2,
+            other.steps,
+            other.reasons,
+            other.note,
+        )
+        assert one.history == other.history
+    # it really went on from the cut: the first report after it is not one already seen
+    assert (steps[0].training, steps[0].step) > (seen[-1].training, seen[-1].step)
+
+
+def test_finished_checkpoint_is_not_trained_again(tmp_path):
+    task, steps = small_task(), []
+    first = train(task, QUICK["lm"], checkpoint=tmp_path / "c.json")
+    again = train(task, QUICK["lm"], checkpoint=tmp_path / "c.json", progress=steps.append)
+    assert again.weights.tobytes() == first.weights.tobytes()
+    assert steps == []
+
+
+@pytest.mark.parametrize("change", ["seed", "trainer", "data", "loss"])
+def test_checkpoint_of_another_training_is_refused(change, tmp_path):
+    task = small_task()
+    train(task, QUICK["iwo"], seed=0, checkpoint=tmp_path / "c.json")
+    other = {
+        "data": dataclasses.replace(task, targets=task.targets + 1e-9),
+        "loss": dataclasses.replace(task, loss=Loss(1.0, 0.5)),
+    }.get(change, task)
+    trainer = Iwo(IwoSettings(iterations=151)) if change == "trainer" else QUICK["iwo"]
+    with pytest.raises(InputError, match="another training"):
+        train(other, trainer, seed=int(change == "seed"), checkpoint=tmp_path / "c.json")
+
+
+def test_progress_reports_a_falling_loss():
+    losses = []
+    train(small_task(), QUICK["iwo"], every=5, progress=lambda p: losses.append(p.loss_mm2))
+    assert len(losses) == 31
+    assert np.all(np.diff(losses) <= 0)
+
+
+def test_single_precision_search_is_as_good():
+    """Single precision is for comparing members only; its loss after 200 generations is of the same size."""
+    task = small_task(poses=40)
+    double, single = (
+        np.median([train(task, Iwo(IwoSettings(iterations=200), p), seed=s).loss_mm2 for s in range(5)])
+        for p in ("double", "single")
+    )
+    assert single == pytest.approx(double, rel=0.5)
+
+
+def test_folds_hold_every_pose_out_once():
+    masks = training_masks(23, 5, seed=1)
+    np.testing.assert_array_equal((~masks).sum(axis=0), np.ones(23))
+    assert set((~masks).sum(axis=1)) == {4, 5}
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: LevenbergMarquardt(ridges=(0.1, 0.2)),
+        lambda: LevenbergMarquardt(ridges=()),
+        lambda: LevenbergMarquardt(folds=1),
+        lambda: Iwo(precision="half"),
+        lambda: Loss(0.0, 0.0),
+        lambda: train(small_task(), QUICK["iwo"], every=0),
+    ],
+)
+def test_wrong_settings_are_refused(make):
+    with pytest.raises(InputError):
+        make()

@@ -1,0 +1,87 @@
+"""The README's code and commands work as they stand there."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from repository import ROOT, fenced, tracked
+
+README = ROOT / "README.md"
+VENV = "python3 -m venv .venv && .venv/bin/pip install "
+
+
+def test_the_two_commands_are_whole() -> None:
+    calibrate, tests = (block.strip() for block in fenced(README, "sh"))
+    assert calibrate.startswith(f"{VENV}. && .venv/bin/casadical calibrate ")
+    assert tests == f"{VENV}-e '.[dev]' && .venv/bin/python -m pytest"
+
+
+def test_the_calibrate_command_runs() -> None:
+    """Its last part, with the environment that the tests run in; .ci/run makes a fresh one by the second command."""
+    name, *arguments = fenced(README, "sh")[0].strip().split(" && ")[-1].split()
+    done = subprocess.run(
+        [Path(sys.executable).parent / Path(name).name, *arguments],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.count("report (held out)") == 2
+    assert "Not identifiable" in done.stdout
+
+
+def test_ci_runs_the_readmes_command() -> None:
+    script = ROOT / ".ci" / "run"
+    assert script.stat().st_mode & 0o111
+    line = next(line for line in script.read_text().splitlines() if line.startswith("command="))
+    found = subprocess.run(
+        ["bash", "-c", f'{line}; echo "$command"'], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert found.stdout.strip() == fenced(README, "sh")[1].strip()
+
+
+def test_the_example_runs(tmp_path: Path) -> None:
+    (code,) = fenced(README, "python")
+    assert len([line for line in code.splitlines() if line.strip()]) <= 15
+    for name in ("problems", "data"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    before, after = map(float, re.search(r"mean: ([\d.]+) mm .*, ([\d.]+) mm", done.stdout).groups())
+    assert after < 0.6 < before
+    assert (tmp_path / "ur10_calibrated.toml").exists()
+
+
+def linked(path: Path) -> list[str]:
+    """Targets in this repository of a Markdown file's links and of its `path/like/this`."""
+    text = path.read_text(encoding="utf-8")
+    links = re.findall(r"\]\(([^)#:]+?)(?:#[^)]*)?\)", text)
+    paths = re.findall(r"`((?:docs|data|problems|casadical|tests)/[\w./-]+)`", text)
+    return [str((path.parent / link).resolve()) for link in links] + [str(ROOT / p) for p in paths]
+
+
+@pytest.mark.parametrize("path", [p for p in tracked() if p.suffix == ".md"], ids=str)
+def test_links_lead_somewhere(path: Path) -> None:
+    assert [target for target in linked(ROOT / path) if not Path(target).exists()] == []
+
+
+@pytest.mark.parametrize("path", [p for p in tracked() if p.match("docs/*.md")], ids=str)
+def test_code_in_the_docs_runs(path: Path, tmp_path: Path) -> None:
+    for name in ("problems", "data"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    for code in fenced(ROOT / path, "python"):
+        done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{code}\n{done.stderr}"
+
+
+def test_a_robot_in_the_docs_is_one(tmp_path: Path) -> None:
+    from casadical import read_robot
+
+    for k, text in enumerate(fenced(ROOT / "docs" / "robot-file.md", "toml")):
+        (tmp_path / f"{k}.toml").write_text(text)
+        read_robot(tmp_path / f"{k}.toml")
