@@ -72,7 +72,8 @@ def main() -> None:
     ]
     verdict = "met" if max(robust) <= 1.2 else "MISSED"
     print(
-        f"{verdict}: with 10 % outliers of {GROSS_MM} mm or more at most {max(robust):.3f} times the clean held-out error (target 1.2)"
+        f"{verdict}: with 10 % outliers of {GROSS_MM} mm or more at most {max(robust):.3f} times "
+        "the clean held-out error (target 1.2)"
     )
     print(f"mean over {SEEDS} robots a row; in brackets the largest of any robot")
     print()
