@@ -16,6 +16,7 @@ import numpy as np
 
 from .effects import Context
 from .kinematics import Values, assembly_sides, chain_factors, link_frames, loop_margins
+from .numeric import call
 from .statics import deflections, gravity_energy, gravity_torques
 from .transforms import Array, Symbolic, carry, product, rot_x, rot_y, rot_z, small_frame, translate
 
@@ -50,6 +51,11 @@ class Expressions:
             made = ca.Function("model", list(inputs.values()), results, list(inputs), list(outputs))
             self.functions[outputs] = made
         return self.functions[outputs]
+
+    @lru_cache(maxsize=64)  # noqa: B019 - expressions live in a cache themselves
+    def mapped(self, outputs: tuple[str, ...], n: int) -> ca.Function:
+        """The same over n poses, parameters and frames shared."""
+        return self.function(*outputs).map("poses", "serial", n, [2, 3, 4], [])
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +99,8 @@ class Model:
 
     def evaluate(self, outputs: tuple[str, ...], q: Array, w: Array, phi: Array) -> list[Array]:
         """Outputs at many poses, one array each, poses side by side; q : (n, joints), w : (n, k), phi : (P,) [SI]."""
-        mapped = self.shared.function(*outputs).map(len(q))
-        return [o.full() for o in mapped.call([q.T, w.T, phi, frame_numbers(self.robot), phi])]
+        mapped = self.shared.mapped(outputs, len(q))
+        return call(mapped, q.T, w.T, phi, frame_numbers(self.robot), phi)
 
 
 def frame_numbers(robot: Robot) -> Array:

@@ -18,6 +18,7 @@ import numpy as np
 from .compiled import compiled
 from .measurements import Kind, Measurements
 from .model import Expressions, expressions, frame_numbers
+from .numeric import call
 from .robot import Robot
 from .transforms import Array
 
@@ -243,7 +244,7 @@ class Block:
         if self.kernel.point:
             z = np.concatenate([z, u[self.group].T])
         f = self.kernel.mapped("residual", n, total=False, machine_code=self._machine_code)
-        r, J = (o.full() for o in f.call([z, self.data, self.robot]))
+        r, J = call(f, z, self.data, self.robot)
         return r.T, J.T.reshape(n, z.shape[0], len(r)).transpose(0, 2, 1)
 
     def cost(self, x: ca.MX, u: ca.MX) -> ca.MX:

@@ -6,7 +6,6 @@ import sys
 
 import numpy as np
 import pytest
-from problems import smooth
 
 from casadical.compensator import (
     TRAINERS,
@@ -25,6 +24,7 @@ from casadical.compensator import (
 )
 from casadical.compensator.sealed import digest, sealed_text
 from casadical.errors import InputError
+from problems import smooth
 
 QUICK = LevenbergMarquardt(restarts=2, iterations=30, ridges=(0.1, 0.01, 0.001), folds=3, fold_starts=2)
 

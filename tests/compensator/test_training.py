@@ -4,7 +4,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from problems import small_task
 from scipy.optimize import least_squares, minimize
 
 from casadical.compensator import (
@@ -22,6 +21,7 @@ from casadical.compensator.forward import forward
 from casadical.compensator.task import random_weights
 from casadical.compensator.trainers.levenberg import advance, begin_batch
 from casadical.errors import InputError
+from problems import small_task
 
 QUICK = {
     "iwo": Iwo(IwoSettings(iterations=150)),

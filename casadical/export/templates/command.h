@@ -1,0 +1,28 @@
+/* What a caller of @name@_step keeps between two cycles. Start from all zeros. */
+typedef struct
+{
+    @name@_real dq[@NAME@_JOINTS];   /* correction given in the last cycle [rad] */
+    @name@_real gain;    /* 0: off, 1: all of the correction */
+} @name@_state;
+
+/*
+ * Where the calibrated robot is at the joints q [rad]: @pose_text@.
+ * CLAMPED here means further than @NAME@_DELTA_LIMIT outside the box, so that q + dq can be asked.
+ * Zeros and NOT_FINITE for an input that is not finite.
+ */
+@name@_status @name@_forward(const @name@_real q[@NAME@_JOINTS], @name@_real p[@n_p@]);
+
+/*
+ * The joint correction dq [rad]: sent q + dq, the real tool is where the nominal model has it at q.
+ * @steps@ least-squares steps with the Jacobian at q, damped by lambda^2 = @damping2@ m^2/rad^2.
+ * |dq[i]| never exceeds @NAME@_DELTA_LIMIT. Zeros and NOT_FINITE for an input that is not finite.
+ */
+@name@_status @name@_correct(const @name@_real q[@NAME@_JOINTS], @name@_real dq[@NAME@_JOINTS]);
+
+/*
+ * The same for a controller that calls once in @cycle_s@ s: ramps in over @ramp_s@ s while enable is not 0 and out while
+ * it is 0, and changes no joint's correction by more than @NAME@_CHANGE_LIMIT a call. An input that is not finite takes the
+ * correction towards zero at that rate; a state that is not finite or beyond the limits is set to zero (NOT_FINITE).
+ */
+@name@_status @name@_step(@name@_state *state, const @name@_real q[@NAME@_JOINTS], uint32_t enable, @name@_real dq[@NAME@_JOINTS]);
+
