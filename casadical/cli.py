@@ -147,6 +147,10 @@ def diagnose(
             help="standard (the default), extended, or only these: names (backlash) or labels (backlash@5), by commas.",
         ),
     ] = None,
+    measure_next: Annotated[
+        Path | None,
+        typer.Option("--next", metavar="FILE", help="Poses that would tell apart what one campaign cannot, as CSV."),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the partitions into folds.")] = 0,
     isolability: Annotated[
         bool,
@@ -183,6 +187,11 @@ def diagnose(
         answers.append(as_json(found, path.stem))
         console.print(report(found, f"{path.stem} ({robot.name})"))
         console.print()
+        if measure_next and len(campaigns) == 1:
+            poses = found.next_poses(15)
+            write_whole(measure_next, poses.to_csv(index=False))
+            what = f"to tell {' from '.join(found.in_question)}" if len(poses) else "none: nothing is in question"
+            console.print(f"wrote {measure_next} ({len(poses)} poses, {what})")
     if json_file:
         whole = answers if len(answers) > 1 else answers[0]
         write_whole(json_file, json.dumps(whole, indent=1, allow_nan=False) + "\n")
