@@ -114,13 +114,13 @@ class Workspace:
         Links are judged by the origins of their frames and the tool by its point, not by their shapes.
         """
         lower, upper = self.ranges(robot)
-        found: dict[str, Array] = {"joint range": ((q < lower - 1e-9) | (q > upper + 1e-9)).any(axis=1)}
+        found: dict[str, Array] = {"joint range": np.asarray(((q < lower - 1e-9) | (q > upper + 1e-9)).any(axis=1))}
         points, R, margin = _places(robot, q)
         if robot.loops:
             found["four-bar margin"] = ~(margin >= self.margin)
         tool = points[:, -1]
         if self.floor is not None:
-            found["floor"] = (points[:, :, 2] < self.floor + self.clearance).any(axis=1)
+            found["floor"] = np.asarray((points[:, :, 2] < self.floor + self.clearance).any(axis=1))
         if self.boxes:
             struck = [b.holds(points, self.clearance).any(axis=1) for b in self.boxes]
             found["box"] = np.asarray(np.any(struck, axis=0))
