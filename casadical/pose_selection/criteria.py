@@ -81,7 +81,8 @@ SPECTRAL: dict[str, _Spectral] = {
 }
 
 
-def refuse_unknown(criterion: str) -> None:
-    """Raises InputError for a word that is no criterion."""
+def checked(criterion: str) -> Criterion:
+    """The word as a criterion. Raises InputError for one that is none."""
     if criterion not in CRITERIA:
         raise InputError(f"criterion {criterion!r} is not known; allowed: {', '.join(CRITERIA)}")
+    return criterion

@@ -19,6 +19,8 @@ from .criteria import SPECTRAL
 
 # After so many updates, C and the blocks are computed anew.
 REFRESH = 50
+# Changes of the determinant by which C and the blocks may be updated.
+TRUSTED = 1e4
 SHORTLIST = 24
 # Least information in every direction, as a share of the whole pool's: keeps sets of few poses invertible.
 RIDGE = 1e-10
@@ -121,12 +123,13 @@ class _Inverse(Design):
 
     def _update(self, A: Array, sign: int) -> None:
         self._age += 1
-        # Digits are lost where few poses leave C large.
-        if self._age > REFRESH or len(self.chosen) * self.m < 2 * self.p:
+        U = self.C @ A.T
+        small = np.eye(len(A)) + sign * A @ U
+        # Where the volume changes much, the difference of two large matrices would keep few digits.
+        if self._age > REFRESH or not 1 / TRUSTED < np.linalg.det(small) < TRUSTED:
             self._refresh()
             return
-        U = self.C @ A.T
-        S = sign * np.linalg.inv(np.eye(len(A)) + sign * A @ U)
+        S = sign * np.linalg.inv(small)
         P = self._times(U)
         self._update_blocks(U, S, P)
         self.C = self.C - U @ S @ U.T
@@ -176,9 +179,11 @@ class Linear(_Inverse):
     def _gains(self, which: Array, sign: int) -> Array:
         gains = np.full(self.N, -np.inf)
         small = np.eye(self.m) + sign * self.D[which]
-        change = sign * np.trace(np.linalg.solve(small, self.L[which]), axis1=1, axis2=2)
         # One that cannot be missed leaves `small` singular.
-        gains[which] = np.where(np.linalg.det(small) > 1e-12, change, -np.inf)
+        regular = np.linalg.det(small) > 1e-12
+        small[~regular] = np.eye(self.m)
+        change = sign * np.trace(np.linalg.solve(small, self.L[which]), axis1=1, axis2=2)
+        gains[which] = np.where(regular, change, -np.inf)
         return gains
 
 

@@ -16,7 +16,7 @@ from ..measurements import Measurements
 from ..robot import Robot
 from ..transforms import Array
 from .candidates import Candidates, Circumstances, circumstanced, draw, draw_uniform
-from .criteria import Criterion, observability, refuse_unknown
+from .criteria import Criterion, checked, observability
 from .designs import Design, Determinant, Linear, Spectral, inverse
 from .exchange import improve, search
 from .information import MM, Noise, independent, noise_covariance, scaled_jacobian, whitened
@@ -219,7 +219,7 @@ def prepare(
     rng: np.random.Generator,
 ) -> Problem:
     """Candidates, independent parameters and weights; arguments as of `select_poses`. Raises InputError."""
-    refuse_unknown(criterion)
+    criterion = checked(criterion)
     words = ("kinematic", "compliance", *(e.label for e in robot.effects)) if free is None else tuple(free)
     wanted = robot.parameters.select(words)
     q = draw(robot, pool, workspace, rng) if candidates is None else _allowed(robot, candidates, workspace)

@@ -75,9 +75,10 @@ def forecast(
     )  # fmt: skip
     design = problem.design(problem.pool, "V", 0.0)
     each, p = problem.pool.size, len(problem.names)
+    # Measurements at one reading tell nearly the same: only the first of them counts here.
     if 3 * before < 1.2 * p:
-        first = -(-(int(1.2 * p) - 3 * before) // (3 * each))
-        design.start(search(design, min(first, most - before), 1, seed).tolist())
+        first = min(-(-(int(1.2 * p) - 3 * before) // 3), (most - before) // each)
+        design.start(search(design, first, 1, seed).tolist())
     J = scaled_jacobian(robot, problem.names, problem.task)
     W = np.einsum("kip,kiq->pq", J, J) / len(J)
     poses, error = [], []
