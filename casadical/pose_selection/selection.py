@@ -183,7 +183,9 @@ class Problem:
         occupied = np.empty((0, self.robot.n)) if self.measured is None else self.measured.q
         plain = criterion in ("O1", "O2", "O3", "O4", "O5")
         rows = _rows(self.robot, self.names, pool.measurements(self.robot), None if plain else self.noise)
-        rows = rows.reshape(len(pool), -1, len(self.names))
+        # Passes repeat the same rows: they count by the root of their number.
+        once = rows.reshape(len(pool), pool.size, 3, -1)[:, pool.turn == 0]
+        rows = np.sqrt(self.circumstances.repeats) * once.reshape(len(pool), -1, len(self.names))
         fixed = self.fixed
         if plain and self.measured is not None:
             A = _rows(self.robot, self.names, self.measured, None).reshape(-1, len(self.names))
