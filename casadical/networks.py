@@ -20,7 +20,7 @@ from .transforms import Array
 TRAINERS: Mapping[NetworkMethod, tuple[Trainer, float | None]] = {
     "NN-SKCM": (Backprop(), 1.0),
     "IWO-NN-SKCM": (Iwo(), 1.0),
-    "LM-NN-SKCM": (LevenbergMarquardt(), None),
+    "LM-NN-SKCM": (LevenbergMarquardt(restarts=20), None),
     "IWO-LM-NN-SKCM": (IwoThenLm(), None),
 }
 
@@ -37,8 +37,8 @@ class NetworkResult:
     """One network method on one problem.
 
     compensator : trained or refused; None where there was nothing to train on, and `why` says so
-    errors : by set, of the corrected positions; those of SKCM where the network was refused, for it corrects nothing then
-    (what it would have done: `compensator.training`, `.choice`, `.validation`)
+    errors : by set, of the corrected positions; those of SKCM where the network was refused, for then nothing is
+    corrected (what it would have done: `compensator.training`, `.choice`, `.validation`)
     """
 
     method: str
@@ -89,7 +89,7 @@ def train_networks(
     material = training_material(problem, result, seed)
     if isinstance(material, str):
         return Networks({m: NetworkResult(m, None, material, {}) for m in methods}, material)
-    found = {}
+    found: dict[str, NetworkResult] = {}
     chosen = ", judged on choose" if "choose" in material.sets else ", judged by cross-validation in it"
     for method in methods:
 
@@ -138,13 +138,13 @@ def training_material(problem: Problem, result: Identification, seed: int = 0) -
         readings = 3 * sum(map(len, kept))
         if readings < ENOUGH_READINGS * len(result.names) or len(kept[0]) < 4 * TOO_FEW:
             return (
-                f"no network: there is no set train, and {readings} readings for {len(result.names)} parameters are too "
-                "few to learn from what identification left of them; name a set train in problem.toml"
+                f"no network: there is no set train, and {readings} readings for {len(result.names)} parameters are "
+                "too few to learn from what identification left of them; name a set train in problem.toml"
             )
         sets |= _lend(kept, seed)
         lent = (
-            f"Networks: no set train, so {_count(sets['train'])} of the poses that identified the robot were lent to train "
-            f"and {_count(sets['choose'])} others of them to choose; report was kept from all."
+            f"Networks: no set train, so {_count(sets['train'])} of the poses that identified the robot were lent to "
+            f"train and {_count(sets['choose'])} others of them to choose; report was kept from all."
         )
     return Material({name: _stacked(result.robot, parts) for name, parts in sets.items()}, lent)
 

@@ -18,7 +18,6 @@ from .robot import Robot
 from .robot_file import read_robot
 from .schema import FaultError, check, load_toml
 
-
 BaseMethod = Literal["KM", "SKCM"]
 NetworkMethod = Literal["NN-SKCM", "IWO-NN-SKCM", "LM-NN-SKCM", "IWO-LM-NN-SKCM"]
 NETWORK_METHODS: tuple[NetworkMethod, ...] = get_args(NetworkMethod)

@@ -64,21 +64,21 @@ def error_table(results: Mapping[str, SetAccuracies], networks: Networks | None 
 
 def network_table(networks: Networks) -> Table | Text:
     """What each trained network does to the mean error, also where it was refused, and why it was."""
-    table = _table("Networks as trained, mean error [mm] without > with")
-    for column in ("method", "trained on", "judged on", "gain", "report", "decision"):
+    table = _table("Mean error without > with each network as trained, mm, and what became of it")
+    for column in ("", "trained on", "judged on", "gain there", "report", ""):
         table.add_column(column, no_wrap=True)
     for name, result in networks.results.items():
         c = result.compensator
         if c is None:
             return Text(result.why)
         pairs = [_pair(x.before.mean_mm, x.after.mean_mm) if x else "-" for x in (c.training, c.choice, c.validation)]
-        gain = f"{100 * c.choice.gain:+.1f} +/- {100 * c.choice.gain_error:.1f} %"
+        gain = f"{100 * c.choice.gain:+.0f} +/- {100 * c.choice.gain_error:.0f} %"
         table.add_row(name, *pairs[:2], gain, pairs[2], "kept" if c.helps else "refused")
     return table
 
 
 def _pair(was: float, now: float) -> str:
-    return f"{was:.3f} > {now:.3f}"
+    return f"{was:.2f}>{now:.2f}"
 
 
 def paper_tables(

@@ -1,9 +1,10 @@
 """Levenberg-Marquardt with restarts and a ridge chosen by cross-validation.
 
-First the ridge: every fold is trained from a few random starts at the weakest ridge, then, warm, at stronger and stronger
-ones; the ridge with the smallest mean square error on the held-out poses wins. (The other way round a ridge that is too
-strong would end the search: it leaves no network, all weights zero, and from there no weaker one finds out again.) Then the network: restarts at that ridge
-on all poses; the one of lowest cost wins. Minimises the mean square error; the paper's maximum term has no part in it.
+First the ridge: every fold is trained from a few random starts at the weakest ridge, then, warm, at stronger and
+stronger ones; the ridge with the smallest mean square error on the held-out poses wins. (The other way round a ridge
+that is too strong would end the search: it leaves no network, all weights zero, and from there no weaker ridge finds
+out again.) Then the network: restarts at that ridge on all poses; the one of lowest cost wins. Minimises the mean
+square error; the paper's maximum term has no part in it.
 """
 
 from dataclasses import dataclass, field
@@ -20,7 +21,7 @@ from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.levenberg import Batch, advance, begin_batch
 from casadical.errors import InputError
 
-_FIRST, _WARM = 40, 15  # iterations at the weakest ridge and at each stronger one
+_FIRST, _WARM = 100, 20  # iterations at the weakest ridge and at each stronger one
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class LevenbergMarquardt(Trainer):
 
     restarts: int = 10
     iterations: int = 200
-    ridges: tuple[float, ...] = field(default=(0.1, 0.03, 0.01, 0.003, 0.001, 3e-4, 1e-4, 3e-5, 1e-5))
+    ridges: tuple[float, ...] = field(default=(0.1, 0.03, 0.01, 0.003, 0.001, 3e-4, 1e-4, 3e-5, 1e-5, 1e-6))
     folds: int = 5
     fold_starts: int = 3
 
