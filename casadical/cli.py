@@ -59,15 +59,17 @@ def calibrate(
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Keep the calibrated robots (METHOD.robot.toml), parameters (METHOD.parameters.csv) and result.json "
-            "here; with several problems, in a folder for each.",
+            help="Keep the calibrated robots (METHOD.robot.toml), parameters (METHOD.parameters.csv), networks "
+            "(METHOD.compensator.json) and result.json here; with several problems, in a folder for each.",
         ),
     ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Keep all figures as JSON.")] = None,
     method: Annotated[
         str | None,
         typer.Option(
-            metavar="KM|SKCM", help="KM (kinematics only) or SKCM (with joint compliance); default: the problem's."
+            metavar="METHOD",
+            help="KM (kinematics only), SKCM (with joint compliance), or a network on what SKCM leaves: NN-SKCM "
+            "(back-propagation), IWO-NN-SKCM (the paper's), LM-NN-SKCM or IWO-LM-NN-SKCM; default: the problem's.",
         ),
     ] = None,
     loss: Annotated[
@@ -93,7 +95,7 @@ def calibrate(
 
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug of ours.
     """
-    from .calibration import calibrate_problem, result_files
+    from .calibration import calibrate_problem, problem_networks, result_files
     from .files import write_together
     from .tables import as_json, report
 
@@ -108,11 +110,12 @@ def calibrate(
                 bar.update(task, description=f"{name}: {text}")
 
             run = calibrate_problem(folder, method=method, loss=loss, seed=seed, show=show)
-        found[name] = as_json(*run)
-        console.print(report(*run))
+            networks = problem_networks(run[0], run[1], show)
+        found[name] = as_json(*run, networks)
+        console.print(report(*run, networks))
         console.print()
         if out:
-            texts |= result_files(out if len(problems) == 1 else out / name, *run)
+            texts |= result_files(out if len(problems) == 1 else out / name, *run, networks)
     if json_file:
         whole = found if len(found) > 1 else next(iter(found.values()))
         texts[json_file] = json.dumps(whole, indent=1, allow_nan=False) + "\n"
