@@ -143,7 +143,7 @@ def _places_function(robot: Robot) -> ca.Function:
     rigid = replace(robot, effects=(), effect_values={})
     model = rigid.model
     values = dict(zip(rigid.parameters.names, ca.vertsplit(model.phi), strict=True))
-    T_M0 = base_frame(rigid, values)
+    T_M0 = base_frame(rigid, values, ca.DM(rigid.base.T))
     frames = link_frames(rigid, ca.vertsplit(model.q), values)
     points = [(T_M0 @ T)[:3, 3] for T in frames[1:]]
     return ca.Function(

@@ -146,7 +146,7 @@ def campaigns(name, robot, plant):
         alike = np.mean([accuracy_of(plain, q) for q in chance])
         least = least_error(robot, plain.names, n, plain.task)
         print(
-            f"{name:6s} {n:4d}  {mean['random']:.4f}  {mean['V']:.4f} {1 - mean['V'] / mean['random']:6.1%}  {wins:4.0%}"
+            f"{name:6s} {n:4d}  {mean['random']:.4f}  {mean['V']:.4f} {1 - mean['V'] / mean['random']:6.1%} {wins:4.0%}"
             f"   {1 - chosen.accuracy / by_formula:6.1%}   {1 - plain.accuracy / alike:6.1%}  {1 - least / alike:6.1%}",
             flush=True,
         )
@@ -233,9 +233,7 @@ def main() -> None:
         at = [f"{n}: {1e3 * np.interp(n, seen.poses, seen.error):.4f}" for n in (20, 30, 40, 60, 100)]
         print(f"{name:6s}  {', '.join(at)}; ten more gain under 10 % from {seen.stop()} poses on")
     if len(sys.argv) > 1:
-        print(
-            f"\nO1 [mm] and CPU seconds, {POOL} candidates for all; 'free': ours when it draws its own and refines them."
-        )
+        print(f"\nO1 [mm] and CPU seconds, {POOL} candidates for all; 'free': ours draws its own and refines them.")
         print("Detmax may take a pose twice: 'twice' counts these. Ours includes Jacobians and choosing parameters.\n")
         print("robot     n  random   SOCP top n [s]  Detmax    [s] twice   ours      [s]  free      [s]")
         for name, robot in robots.items():
