@@ -13,6 +13,8 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from casadical import Identification, identify, read_problem
 from casadical.compensator import Compensator, Layout, LevenbergMarquardt, Trainer
 from casadical.networks import TRAINERS, Material, training_material
@@ -78,8 +80,10 @@ def study(name: str) -> None:
     again = identify(apart.robot, apart.sets["identify"], method="SKCM", loss=apart.loss)
     strict = training_material(apart, again, apart.seed)
     assert isinstance(strict, Material)
-    used = {k: tuple(a[:1500] for a in v) if k == "train" else v for k, v in strict.sets.items()}
-    row("LM-NN-SKCM, four sets apart", Material(used), *TRAINERS["LM-NN-SKCM"], None)
+    q, residual = strict.sets["train"]
+    drawn = np.random.default_rng(apart.seed).permutation(len(q))[:1500]
+    used = Material({**strict.sets, "train": (q[drawn], residual[drawn])})
+    row("LM-NN-SKCM, four sets apart", used, *TRAINERS["LM-NN-SKCM"], None)
 
 
 if __name__ == "__main__":
