@@ -3,8 +3,8 @@
 Networks on what SKCM leaves of the HH800 twin (synthetic), 50 training poses and the set report as held-out poses:
 every trainer over 50 seeds on the experiment of problems/hh800; local minima; the methods over 30 other experiments of
 the simulator, each identified anew, and how often the refusal let a network through; and the ceiling: how much of the
-rest is a function of the joints, by a Gaussian process and by larger networks on up to 2000 poses. Writes
-twin_networks.png.
+rest is a function of the joints, by a Gaussian process and by larger networks on up to 2000 poses; and what the
+training poses are worth to the identification instead. Writes twin_networks.png.
 """
 
 from __future__ import annotations
@@ -169,6 +169,28 @@ def ceiling() -> None:
     print("(of what is left, 0.200 mm rms does not repeat at equal joint readings: hh800_twin_effects.txt)")
 
 
+def spent_on_identification() -> None:
+    """What the 50 poses of the set train are worth to SKCM itself, without any network."""
+    rows = []
+    for seed in range(EXPERIMENTS):
+        table = hh800_twin(seed)
+        m = from_table(table, 6, "position")
+        report = m[(table["set"] == "report").to_numpy()]
+        both = m[table["set"].isin(["identify", "train"]).to_numpy()]
+        after = trainers.lengths(residual_mm(identify(robot(), both, method="SKCM").robot, report))
+        rows.append((*trainers.lengths(residuals(seed)["report"][1])[:2], *after[:2]))
+    v = np.array(rows)
+    gain = 100 * (1 - v[:, 2:] / v[:, :2])
+    print(f"\nC. the same {EXPERIMENTS} experiments, SKCM from identify and train (90 poses), no network; report:")
+    for i, name in enumerate(("mean", "max")):
+        low, middle, high = np.percentile(gain[:, i], [25, 50, 75])
+        print(
+            f"  {name} {trainers.quartiles(v[:, i])} > {trainers.quartiles(v[:, 2 + i])}, gain {middle:+.1f} % "
+            f"({low:+.1f}..{high:+.1f}), better in {np.sum(gain[:, i] > 0)}/{len(v)}",
+            flush=True,
+        )
+
+
 def main() -> None:
     found = same_experiment()
     title = "HH800 twin (synthetic): errors on the set report, 50 seeds of each trainer"
@@ -176,6 +198,7 @@ def main() -> None:
     trainers.local_minima(stored, STARTS)
     other_experiments()
     ceiling()
+    spent_on_identification()
 
 
 if __name__ == "__main__":
