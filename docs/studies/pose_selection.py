@@ -146,8 +146,8 @@ def campaigns(name, robot, plant):
         alike = np.mean([accuracy_of(plain, q) for q in chance])
         least = least_error(robot, plain.names, n, plain.task)
         print(
-            f"{name:6s} {n:4d}  {mean['random']:.4f}  {mean['V']:.4f} {1 - mean['V'] / mean['random']:6.1%}  {wins:4.0%}"
-            f"   {1 - chosen.accuracy / by_formula:6.1%}   {1 - plain.accuracy / alike:6.1%}  {1 - least / alike:6.1%}",
+            f"{name:6s} {n:4d}  {mean['random']:.4f}  {mean['V']:.4f} {1 - mean['V'] / mean['random']:6.1%}  "
+            f"{wins:4.0%}   {1 - chosen.accuracy / by_formula:6.1%}   {1 - plain.accuracy / alike:6.1%}  {1 - least / alike:6.1%}",
             flush=True,
         )
 
@@ -214,12 +214,8 @@ def main() -> None:
     for name, robot in robots.items():
         standard_errors(name, robot, plants[name])
     print(f"\nHeld-out mean error [mm], {CAMPAIGNS} real robots, each measured once at random and at chosen poses.")
-    print(
-        "'wins': campaigns in which V is better. 'by formula': what V gains on random poses in expectation, with this"
-    )
-    print(
-        "noise; 'alike': with noise alike in all poses; 'at most': what the best conceivable poses could (a bound).\n"
-    )
+    print("'wins': campaigns in which V is better. 'by formula': what V gains on random poses in expectation, with")
+    print("this noise; 'alike': with noise alike in all poses; 'at most': what no poses could better (a bound).\n")
     print("robot     n  random  V        less  wins   by formula   alike at most")
     for name, robot in robots.items():
         campaigns(name, robot, plants[name])
@@ -233,9 +229,7 @@ def main() -> None:
         at = [f"{n}: {1e3 * np.interp(n, seen.poses, seen.error):.4f}" for n in (20, 30, 40, 60, 100)]
         print(f"{name:6s}  {', '.join(at)}; ten more gain under 10 % from {seen.stop()} poses on")
     if len(sys.argv) > 1:
-        print(
-            f"\nO1 [mm] and CPU seconds, {POOL} candidates for all; 'free': ours when it draws its own and refines them."
-        )
+        print(f"\nO1 [mm] and CPU seconds, {POOL} candidates for all; 'free': ours drawing its own and refining them.")
         print("Detmax may take a pose twice: 'twice' counts these. Ours includes Jacobians and choosing parameters.\n")
         print("robot     n  random   SOCP top n [s]  Detmax    [s] twice   ours      [s]  free      [s]")
         for name, robot in robots.items():
