@@ -147,7 +147,8 @@ def campaigns(name, robot, plant):
         least = least_error(robot, plain.names, n, plain.task)
         print(
             f"{name:6s} {n:4d}  {mean['random']:.4f}  {mean['V']:.4f} {1 - mean['V'] / mean['random']:6.1%}  "
-            f"{wins:4.0%}   {1 - chosen.accuracy / by_formula:6.1%}   {1 - plain.accuracy / alike:6.1%}  {1 - least / alike:6.1%}",
+            f"{wins:4.0%}   {1 - chosen.accuracy / by_formula:6.1%}   {1 - plain.accuracy / alike:6.1%}  "
+            f"{1 - least / alike:6.1%}",
             flush=True,
         )
 
@@ -189,7 +190,8 @@ def standard_errors(name, robot, plant):
     real = perturb(plant, 99)
     chosen = select_poses(robot, 50, "V", noise=NOISE)
     results = [identify(robot, measured(real, chosen.q, k, robot.payload.mass)[0]) for k in range(REPETITIONS)]
-    assert all(set(r.names) == set(chosen.names) for r in results)
+    # A base that leans a little lets gravity load joint 1, which the drawing does not know.
+    assert all(set(r.names) ^ set(chosen.names) <= {"c1"} for r in results)
     # The base frame is placed anew each time; its parameters count from there.
     kept = [k for k, n in enumerate(chosen.names) if not n.startswith("base_")]
     values = np.array([[r.robot.parameters[chosen.names[k]].value for k in kept] for r in results])
