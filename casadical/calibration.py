@@ -6,11 +6,12 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
 
+from .compensator import compensator_text
 from .errors import InputError
-from .identification import METHODS, Identification, Method, identify
-from .problem import Problem, read_problem
+from .identification import Identification, identify
+from .networks import Networks, train_networks
+from .problem import ALL_METHODS, NETWORK_METHODS, Problem, base_methods, read_problem
 from .residuals import LOSSES
 from .robot_file import to_toml
 from .tables import SetAccuracies, accuracies, as_json
@@ -28,10 +29,11 @@ def calibrate_problem(
 ) -> Run:
     """The problem, an identification for each method, and the errors of each on every set.
 
+    A network method needs SKCM, which is identified here; the network itself is trained by `problem_networks`.
     show : called with a line of progress. Raises InputError, ConvergenceError.
     """
-    if method is not None and method not in METHODS:
-        raise InputError(f"--method {method}: not known; allowed: {', '.join(METHODS)}")
+    if method is not None and method not in ALL_METHODS:
+        raise InputError(f"--method {method}: not known; allowed: {', '.join(ALL_METHODS)}")
     if loss is not None and loss not in LOSSES:
         raise InputError(f"--loss {loss}: not known; allowed: {', '.join(LOSSES)}")
     problem = read_problem(folder, seed)
@@ -39,7 +41,10 @@ def calibrate_problem(
         problem = replace(problem, loss=loss)
     results: dict[str, Identification] = {}
     errors: dict[str, SetAccuracies] = {}
-    for name in (method,) if method else problem.methods:
+    if method is not None:
+        chosen = tuple(m for m in NETWORK_METHODS if m == method)
+        problem = replace(problem, methods=base_methods([method]), networks=chosen)
+    for name in problem.methods:
 
         def progress(iteration: int, cost: float, name: str = name) -> None:
             show(f"{name} iteration {iteration}, cost {cost:.6g}")
@@ -47,7 +52,7 @@ def calibrate_problem(
         results[name] = identify(
             problem.robot,
             problem.sets["identify"],
-            method=cast(Method, name),
+            method=name,
             loss=problem.loss,
             progress=progress,
         )
@@ -55,11 +60,28 @@ def calibrate_problem(
     return problem, results, errors
 
 
+def problem_networks(
+    problem: Problem, results: dict[str, Identification], show: Callable[[str], None] = lambda _text: None
+) -> Networks | None:
+    """The problem's network methods, trained on what its SKCM left; None where it lists none. Raises InputError."""
+    if not problem.networks:
+        return None
+    return train_networks(problem, results["SKCM"], problem.networks, seed=problem.seed, show=show)
+
+
 def result_files(
-    folder: Path, problem: Problem, results: dict[str, Identification], errors: dict[str, SetAccuracies]
+    folder: Path,
+    problem: Problem,
+    results: dict[str, Identification],
+    errors: dict[str, SetAccuracies],
+    networks: Networks | None = None,
 ) -> dict[Path, str]:
-    """What is kept of a run: the calibrated robot of each method, its parameters and all figures, by file."""
-    texts = {folder / "result.json": json.dumps(as_json(problem, results, errors), indent=1, allow_nan=False) + "\n"}
+    """What is kept of a run, by file: all figures, of each method the robot and its parameters or the compensator."""
+    figures = as_json(problem, results, errors, networks)
+    texts = {folder / "result.json": json.dumps(figures, indent=1, allow_nan=False) + "\n"}
+    for name, trained in (networks.results if networks else {}).items():
+        if trained.compensator is not None:
+            texts[folder / f"{name}.compensator.json"] = compensator_text(trained.compensator)
     for name, result in results.items():
         comment = (
             f"Calibrated by casadical, method {name}, from {problem.title} ({problem.data} data).\n{result.verdict}"

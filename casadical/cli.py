@@ -60,15 +60,17 @@ def calibrate(
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Keep the calibrated robots (METHOD.robot.toml), parameters (METHOD.parameters.csv) and result.json "
-            "here; with several problems, in a folder for each.",
+            help="Keep the calibrated robots (METHOD.robot.toml), parameters (METHOD.parameters.csv), networks "
+            "(METHOD.compensator.json) and result.json here; with several problems, in a folder for each.",
         ),
     ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Keep all figures as JSON.")] = None,
     method: Annotated[
         str | None,
         typer.Option(
-            metavar="KM|SKCM", help="KM (kinematics only) or SKCM (with joint compliance); default: the problem's."
+            metavar="METHOD",
+            help="KM (kinematics only), SKCM (with joint compliance), or a network on what SKCM leaves: NN-SKCM "
+            "(back-propagation), IWO-NN-SKCM (the paper's), LM-NN-SKCM or IWO-LM-NN-SKCM; default: the problem's.",
         ),
     ] = None,
     loss: Annotated[
@@ -94,7 +96,7 @@ def calibrate(
 
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug of ours.
     """
-    from .calibration import calibrate_problem, result_files
+    from .calibration import calibrate_problem, problem_networks, result_files
     from .files import write_together
     from .tables import as_json, report
 
@@ -109,11 +111,12 @@ def calibrate(
                 bar.update(task, description=f"{name}: {text}")
 
             run = calibrate_problem(folder, method=method, loss=loss, seed=seed, show=show)
-        found[name] = as_json(*run)
-        console.print(report(*run))
+            networks = problem_networks(run[0], run[1], show)
+        found[name] = as_json(*run, networks)
+        console.print(report(*run, networks))
         console.print()
         if out:
-            texts |= result_files(out if len(problems) == 1 else out / name, *run)
+            texts |= result_files(out if len(problems) == 1 else out / name, *run, networks)
     if json_file:
         whole = found if len(found) > 1 else next(iter(found.values()))
         texts[json_file] = json.dumps(whole, indent=1, allow_nan=False) + "\n"
@@ -147,6 +150,10 @@ def diagnose(
             metavar="NAMES",
             help="standard (the default), extended, or only these: names (backlash) or labels (backlash@5), by commas.",
         ),
+    ] = None,
+    measure_next: Annotated[
+        Path | None,
+        typer.Option("--next", metavar="FILE", help="Poses that would tell apart what one campaign cannot, as CSV."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the partitions into folds.")] = 0,
     isolability: Annotated[
@@ -184,6 +191,11 @@ def diagnose(
         answers.append(as_json(found, path.stem))
         console.print(report(found, f"{path.stem} ({robot.name})"))
         console.print()
+        if measure_next and len(campaigns) == 1:
+            poses = found.next_poses(15)
+            write_whole(measure_next, poses.to_csv(index=False))
+            what = f"to tell {' from '.join(found.in_question)}" if len(poses) else "none: nothing is in question"
+            console.print(f"wrote {measure_next} ({len(poses)} poses, {what})")
     if json_file:
         whole = answers if len(answers) > 1 else answers[0]
         write_whole(json_file, json.dumps(whole, indent=1, allow_nan=False) + "\n")
@@ -209,6 +221,88 @@ def _print_isolability(
         whole = answers if len(answers) > 1 else answers[0]
         write_whole(json_file, json.dumps(whole, indent=1, allow_nan=False) + "\n")
         console.print(f"wrote {json_file}")
+
+
+@app.command()
+def plan(
+    problem: Annotated[Path, typer.Argument(metavar="PROBLEM", help="Folder with the robot, or a robot file.")],
+    n: Annotated[int, typer.Option("-n", min=1, help="Number of joint readings to measure.")],
+    out: Annotated[Path, typer.Option(metavar="FILE.csv", help="The poses in order; expected figures beside it.")],
+    effects: Annotated[
+        str | None,
+        typer.Option("--for", metavar="NAMES", help="Effects to be told: names or labels (backlash@5), by commas."),
+    ] = None,
+    criterion: Annotated[
+        str, typer.Option(metavar="WORD", help="V (accuracy over all poses), D, A, or O1 to O5.")
+    ] = "V",
+    room: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml", help="Limits, floor, boxes, tracker; see docs/plan.md.")
+    ] = None,
+    measured: Annotated[
+        Path | None, typer.Option(metavar="FILE.csv", help="Poses measured already, which the choice adds to.")
+    ] = None,
+    payloads: Annotated[
+        str | None, typer.Option(metavar="KG,KG", help="Payloads that can be mounted, by commas.")
+    ] = None,
+    every_payload: Annotated[bool, typer.Option(help="Measure each reading with all payloads.")] = False,
+    both_approaches: Annotated[bool, typer.Option(help="Approach each reading from either side.")] = False,
+    repeats: Annotated[int, typer.Option(min=1, help="Passes over all poses.")] = 1,
+    noise_mm: Annotated[
+        float | None, typer.Option(min=0, help="Of a coordinate, one sigma; default: 0.02, or what was measured shows.")
+    ] = None,
+    joint_noise_urad: Annotated[float, typer.Option(min=0, help="Repeatability of a joint, one sigma.")] = 0.0,
+    min_distance: Annotated[
+        float, typer.Option(min=0, max=1, help="Between poses, in the joint that differs most, share of its range.")
+    ] = 0.0,
+    target_mm: Annotated[float | None, typer.Option(min=0, help="Accuracy wanted: how many poses are enough?")] = None,
+    order: Annotated[bool, typer.Option("--order/--no-order", help="Order for little travel (needs networkx).")] = True,
+    seed: Annotated[int, typer.Option(min=0, help="Of all chance.")] = 0,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Choose which poses to measure, and say what accuracy to expect of them before measuring."""
+    from .diagnosis.library import named
+    from .files import write_together
+    from .pose_selection.candidates import Circumstances
+    from .pose_selection.criteria import checked
+    from .pose_selection.information import Noise
+    from .pose_selection.planning import plan as run
+    from .pose_selection.planning import robot_of
+    from .pose_selection.report import plan_files, report
+    from .pose_selection.room import read_room
+
+    robot = robot_of(problem)
+    wanted = [c for c in named(robot, effects.split(",")) if c.listed] if effects else []
+    given = noise_mm is not None or measured is None
+    with _progress(quiet) as bar:
+        bar.add_task("choosing poses", total=None)
+        found, ahead = run(
+            robot,
+            n,
+            # Of settings on a grid, the middle one.
+            [e for c in wanted for e in c.variants[len(c.variants) // 2]],
+            criterion=checked(criterion),
+            workspace=read_room(room, robot) if room else None,
+            circumstances=Circumstances(_numbers(payloads), every_payload, both_approaches, repeats),
+            measured=measured,
+            noise=Noise(1e-3 * (0.02 if noise_mm is None else noise_mm), 1e-6 * joint_noise_urad) if given else None,
+            min_distance=min_distance,
+            order=order,
+            seed=seed,
+        )
+    texts = plan_files(out, found, ahead)
+    write_together(texts)
+    console = Console(quiet=quiet)
+    console.print(report(found, ahead, None if target_mm is None else 1e-3 * target_mm))
+    for path in texts:
+        console.print(f"wrote {path}", soft_wrap=True)
+
+
+def _numbers(text: str | None) -> tuple[float, ...]:
+    """Payloads by commas. Raises InputError."""
+    try:
+        return tuple(float(word) for word in text.split(",")) if text else ()
+    except ValueError:
+        raise InputError(f"--payloads {text}: allowed: numbers by commas, such as 0,120") from None
 
 
 app.add_typer(export_app, name="export")

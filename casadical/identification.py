@@ -24,10 +24,14 @@ from .solver import Progress, Solution
 from .statistics import student_t
 from .transforms import Array
 
+Settled = tuple[LeastSquares, Solution, Identifiability]
 Method = Literal["KM", "SKCM"]
 METHODS: dict[str, tuple[str, ...]] = {"KM": ("kinematic",), "SKCM": ("kinematic", "compliance")}
 
-OUTLIER_SIGMAS = 5.0
+# Quantiles of chi-squared at 1 - 1e-5, by degrees of freedom.
+OUTLIER_CHI2 = {1: 19.51, 3: 25.90, 6: 33.11}
+LEAST_REDUNDANCY = 0.1
+SCREENINGS = 8
 SIGMA_ROUNDS = 6
 # Residuals of this share of the reach are no measuring error.
 POOR_FIT = 0.005
@@ -196,6 +200,7 @@ def identify(
     method: Method | None = None,
     loss: Loss = "linear",
     priors: bool = False,
+    screen: bool = True,
     progress: Progress | None = None,
 ) -> Identification:
     """Identify parameters of a robot from measurements.
@@ -203,8 +208,9 @@ def identify(
     robot : nominal model; measurements : one set, or several of different kinds, each with its own sigma
     free : parameters by group (base, geometry, loop, tool, compliance), union (kinematic, placement), name or pattern
     method : the paper's KM (kinematics only, joints rigid) or SKCM (with compliance), instead of `free`
-    loss : linear, huber or soft_l1; the robust ones leave poses beyond five sigma out of a last solve
+    loss : linear, huber or soft_l1; the robust ones leave poses that noise explains once in 100 000 out of a last solve
     priors : whether departures from nominal are held back by the robot's prior widths
+    screen : whether a robust loss leaves far poses out of further solves, or only gives them less weight
     progress : called with iteration number and cost
 
     Raises InputError where the measurements do not fit the robot, ConvergenceError where Ipopt finds no optimum.
@@ -225,13 +231,7 @@ def identify(
         )
     sigmas = tuple((m.sigma or SIGMA_GUESS, m.sigma_angle or SIGMA_ANGLE_GUESS) for m in sets)
     problem = LeastSquares(start, sets, names, loss, priors, sigmas)
-    settled = _with_sigmas(problem, progress)
-    outliers: tuple[tuple[int, int], ...] = ()
-    if loss != "linear":
-        outliers = _outliers(settled[0], settled[1])
-        if outliers:
-            settled = _with_sigmas(replace(settled[0], sets=_without(sets, outliers), names=names), progress)
-    reduced, solution, found = settled
+    (reduced, solution, found), outliers = _screened(problem, SCREENINGS if screen else 0, progress)
     return Identification(
         given=robot,
         start=start,
@@ -267,7 +267,7 @@ def _by_method(robot: Robot, method: str) -> tuple[Robot, tuple[str, ...]]:
     return robot, METHODS[method]
 
 
-def _with_sigmas(problem: LeastSquares, progress: Progress | None) -> tuple[LeastSquares, Solution, Identifiability]:
+def _with_sigmas(problem: LeastSquares, progress: Progress | None) -> Settled:
     """Solve; where a sigma matters and was not given, estimate it from the residuals and solve again."""
     first = problem.sets[0]
     several = len(problem.sets) > 1 or first.kind == "pose" or bool(first.separations)
@@ -306,18 +306,35 @@ def _deviation(problem: LeastSquares, r: Array, freedom: Array) -> float:
     return float(np.sqrt(square / max(float(np.mean(freedom)), 1 / r.size)))
 
 
-def _outliers(problem: LeastSquares, solution: Solution) -> tuple[tuple[int, int], ...]:
-    """Poses whose residual is beyond five sigma, by the spread that the residuals themselves show."""
+def _screened(
+    problem: LeastSquares, rounds: int, progress: Progress | None
+) -> tuple[Settled, tuple[tuple[int, int], ...]]:
+    """Solve; with a robust loss, leave outliers out and solve again until there are no more of them.
+
+    In rounds, because outliers widen the spread by which they are judged.
+    """
+    kept = [np.arange(len(m)) for m in problem.sets]
+    settled = _with_sigmas(problem, progress)
+    for _ in range(rounds if problem.loss != "linear" else 0):
+        far = _far(settled[0], settled[1])
+        if not any(mask.any() for mask in far):
+            break
+        kept = [index[~mask] for index, mask in zip(kept, far, strict=True)]
+        sets = tuple(m[index] for m, index in zip(problem.sets, kept, strict=True))
+        settled = _with_sigmas(replace(problem, sets=sets, sigmas=settled[0].sigmas), progress)
+    out = [np.setdiff1d(np.arange(len(m)), index) for m, index in zip(problem.sets, kept, strict=True)]
+    return settled, tuple((k, int(i)) for k, left in enumerate(out) for i in left)
+
+
+def _far(problem: LeastSquares, solution: Solution) -> list[Array]:
+    """Masks of the poses that noise of the spread which the residuals show brings forth once in 100 000."""
     residuals, _ = problem.evaluate(solution.v)
-    found = []
-    for k, (_, r) in enumerate(zip(problem.sets, residuals, strict=False)):
-        size = np.linalg.norm(r, axis=1) / np.sqrt(r.shape[1])
-        found += [(k, int(i)) for i in np.flatnonzero(size > OUTLIER_SIGMAS * spread(r))]
-    return tuple(found)
-
-
-def _without(sets: tuple[Measurements, ...], outliers: tuple[tuple[int, int], ...]) -> tuple[Measurements, ...]:
-    return tuple(
-        m[np.array([i for i in range(len(m)) if (k, i) not in set(outliers)], dtype=np.int64)]
-        for k, m in enumerate(sets)
-    )
+    edges = np.cumsum([0, *(r.size for r in residuals)])
+    share = problem.redundancies(solution.v)
+    masks = []
+    for k in range(len(problem.sets)):
+        r = residuals[k]
+        # A pose that draws the fit towards itself shows little of its error.
+        z = r / np.sqrt(np.maximum(share[edges[k] : edges[k + 1]].reshape(r.shape), LEAST_REDUNDANCY))
+        masks.append((z**2).sum(axis=1) > OUTLIER_CHI2[r.shape[1]] * spread(z) ** 2)
+    return masks

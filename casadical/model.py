@@ -84,7 +84,18 @@ class Model:
 
     @cached_property
     def p(self) -> ca.SX:
-        return self.function("position", ("p",))(self.q, self.w, self.phi)
+        return self._expression("p")
+
+    @cached_property
+    def R(self) -> ca.SX:
+        return self._expression("R")
+
+    @cached_property
+    def margin(self) -> ca.SX:
+        return self._expression("margin")
+
+    def _expression(self, name: str) -> ca.SX:
+        return self.function(name, (name,))(self.q, self.w, self.phi)
 
     def function(self, name: str, outputs: tuple[str, ...]) -> ca.Function:
         """name:(q, w, phi)->outputs, out of p, R, tau, margin."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 import pandas as pd
@@ -17,6 +17,13 @@ from .residuals import Loss
 from .robot import Robot
 from .robot_file import read_robot
 from .schema import FaultError, check, load_toml
+
+BaseMethod = Literal["KM", "SKCM"]
+NetworkMethod = Literal["NN-SKCM", "IWO-NN-SKCM", "LM-NN-SKCM", "IWO-LM-NN-SKCM"]
+NETWORK_METHODS: tuple[NetworkMethod, ...] = get_args(NetworkMethod)
+ALL_METHODS: tuple[BaseMethod | NetworkMethod, ...] = (*get_args(BaseMethod), *NETWORK_METHODS)
+
+Three = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
 class _Strict(BaseModel):
@@ -69,6 +76,22 @@ class _Urdf(_Strict):
     compliant: list[int] = []
 
 
+class _Paper(_Strict):
+    """Published figures to stand beside ours: mean, max and std [mm] by method, `before` among them."""
+
+    source: str
+    calibration: dict[str, Three] = {}
+    validation: dict[str, Three] = {}
+
+    @model_validator(mode="after")
+    def _known(self) -> _Paper:
+        for table in ("calibration", "validation"):
+            for name in getattr(self, table):
+                if name not in ("before", *ALL_METHODS):
+                    raise FaultError((table, name), f"allowed: before, {', '.join(ALL_METHODS)}")
+        return self
+
+
 class _ProblemFile(_Strict):
     casadical: Literal[1]
     title: str
@@ -76,10 +99,20 @@ class _ProblemFile(_Strict):
     robot: str = "robot.toml"
     campaign_robot: str | None = None
     urdf: _Urdf | None = None
-    methods: list[Literal["KM", "SKCM"]] = ["KM", "SKCM"]
+    methods: list[BaseMethod | NetworkMethod] = ["KM", "SKCM"]
     loss: Loss = "linear"
+    paper: _Paper | None = None
     measurements: list[_Data] = Field(min_length=1)
     sets: _Sets = _Sets()
+
+
+@dataclass(frozen=True, eq=False)
+class Paper:
+    """Published figures: (mean, max, std) [mm] by method, "before" among them, of both of the paper's tables."""
+
+    source: str
+    calibration: Mapping[str, tuple[float, ...]]
+    validation: Mapping[str, tuple[float, ...]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +121,9 @@ class Problem:
 
     data : whether the measurements are real or synthetic
     sets : by name, one `Measurements` for each kind; no pose is in two sets
-    methods, loss : what `casadical calibrate` does by default
+    methods, loss : what `casadical calibrate` does by default; methods identify, networks learn what SKCM leaves
+    seed : of the split and of the networks
+    paper : published figures, and their source
     urdf : file, base link and tip link where the robot came from a URDF
     """
 
@@ -97,9 +132,12 @@ class Problem:
     data: Literal["real", "synthetic"]
     robot: Robot
     sets: Mapping[str, tuple[Measurements, ...]]
-    methods: tuple[Literal["KM", "SKCM"], ...]
+    methods: tuple[BaseMethod, ...]
     loss: Loss
     urdf: tuple[Path, str | None, str | None] | None = None
+    networks: tuple[NetworkMethod, ...] = ()
+    seed: int = 0
+    paper: Paper | None = None
 
 
 def read_problem(folder: str | Path, seed: int | None = None) -> Problem:
@@ -126,10 +164,26 @@ def read_problem(folder: str | Path, seed: int | None = None) -> Problem:
         data=file.data,
         robot=robot,
         sets={name: tuple(parts) for name, parts in split.items()},
-        methods=tuple(file.methods),
+        methods=base_methods(file.methods),
         loss=file.loss,
         urdf=_urdf_source(folder / file.robot, file.urdf or _Urdf()),
+        networks=tuple(m for m in NETWORK_METHODS if m in file.methods),
+        seed=sets.seed,
+        paper=_paper(file.paper),
     )
+
+
+def base_methods(methods: Sequence[str]) -> tuple[BaseMethod, ...]:
+    """The identifications that these methods need: networks learn what SKCM leaves."""
+    needed = {*methods, "SKCM"} if set(methods) & {*NETWORK_METHODS} else {*methods}
+    return tuple(m for m in get_args(BaseMethod) if m in needed)
+
+
+def _paper(table: _Paper | None) -> Paper | None:
+    if table is None:
+        return None
+    both = ({m: tuple(figures) for m, figures in t.items()} for t in (table.calibration, table.validation))
+    return Paper(table.source, *both)
 
 
 def read_campaign_robot(folder: str | Path) -> Robot:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from typing import Any
 
 from rich.console import Group, RenderableType
@@ -13,11 +14,13 @@ from rich.text import Text
 from .accuracy import Accuracy
 from .identification import Identification
 from .measurements import Measurements
+from .networks import NetworkResult, Networks
 from .problem import Problem
 from .robot import modified_dh
 
 SetAccuracies = Mapping[str, Mapping[str, Accuracy]]
 
+_NETWORK_USE = {"train": "networks learn", "choose": "networks are judged", "report": "held out"}
 _STATES = {"nominal": "as given", "placed": "base and tool fitted"}
 
 
@@ -34,8 +37,9 @@ def _table(title: str) -> Table:
     return Table(title=title, title_justify="left", title_style="bold", box=None, padding=(0, 2, 0, 0), pad_edge=False)
 
 
-def error_table(results: Mapping[str, SetAccuracies]) -> Table:
+def error_table(results: Mapping[str, SetAccuracies], networks: Networks | None = None) -> Table:
     """Errors in mm before and after, for every method and set."""
+    trained = [r for r in networks.results.values() if r.compensator] if networks else []
     table = _table("Position error [mm]")
     table.add_column("poses, model", no_wrap=True)
     for column in ("n", "mean", "max", "std", "rms", "95 %"):
@@ -43,14 +47,77 @@ def error_table(results: Mapping[str, SetAccuracies]) -> Table:
     first = next(iter(results.values()))
     for name in first:
         held_out = not name.startswith("identify")
+        use = _NETWORK_USE.get(name.split("/")[0]) if trained else None
         table.add_row()
-        table.add_row(name + (" (held out)" if held_out else " (used)"), str(first[name]["nominal"].n))
+        table.add_row(f"{name} ({use or ('held out' if held_out else 'used')})", str(first[name]["nominal"].n))
         for state, words in _STATES.items():
             table.add_row(f"  before, {words}", "", *_figures(first[name][state]))
         for method, by_set in results.items():
             figures = _figures(by_set[name]["calibrated"])
             table.add_row(f"  after {method}", "", *figures, style="bold" if held_out else "")
+        for result in trained:
+            words = "" if result.helps else ": refused"
+            style = "bold" if held_out and result.helps else ""
+            table.add_row(f"  after {result.method}{words}", "", *_figures(result.errors[name]), style=style)
     return table
+
+
+def network_table(networks: Networks) -> Table | Text:
+    """What each trained network does to the mean error, also where it was refused, and why it was."""
+    table = _table("Mean error without > with each network as trained, mm, and what became of it")
+    for column in ("", "trained on", "judged on", "gain there", "report", ""):
+        table.add_column(column, no_wrap=True)
+    for name, result in networks.results.items():
+        c = result.compensator
+        if c is None:
+            return Text(result.why)
+        pairs = [_pair(x.before.mean_mm, x.after.mean_mm) if x else "-" for x in (c.training, c.choice, c.validation)]
+        gain = f"{100 * c.choice.gain:+.0f} +/- {100 * c.choice.gain_error:.0f} %"
+        table.add_row(name, *pairs[:2], gain, pairs[2], "kept" if c.helps else "refused")
+    return table
+
+
+def _pair(was: float, now: float) -> str:
+    return f"{was:.2f}>{now:.2f}"
+
+
+def paper_tables(
+    problem: Problem, errors: Mapping[str, SetAccuracies], networks: Networks | None = None
+) -> list[RenderableType]:
+    """Mean, max and std [mm] beside the published ones: calibration (the poses that each was made from) and report."""
+    if problem.paper is None:
+        return []
+    parts: list[RenderableType] = []
+    for name, published in (("calibration", problem.paper.calibration), ("validation", problem.paper.validation)):
+        table = _table(f"Beside the paper: {name} [mm]")
+        for column in ("", "set", "mean", "max", "std", "paper: mean", "max", "std"):
+            table.add_column(column, justify="right" if column not in ("", "set") else "left", no_wrap=True)
+        for method, set_name, figures in _beside(name, errors, networks):
+            theirs = published.get(method)
+            cells = [f"{v:.4f}" for v in theirs] if theirs else ["-"] * 3
+            refused = networks and method in networks.results and not networks.results[method].helps
+            table.add_row(method + ("*" if refused else ""), set_name, *(f"{v:.4f}" for v in figures), *cells)
+        parts += [table, Text()]
+    star = " * refused: it makes held-out poses worse or no better; SKCM stays in use." if networks else ""
+    return [*parts, Text(f"Paper: {problem.paper.source}.{star}")]
+
+
+def _beside(
+    name: str, errors: Mapping[str, SetAccuracies], networks: Networks | None
+) -> Iterator[tuple[str, str, tuple[float, float, float]]]:
+    """Method, set and our (mean, max, std) [mm]; networks as they were trained, for the paper refuses none."""
+    base = "identify" if name == "calibration" else "report"
+    rows = list(errors.items())
+    for method, states in [("before", rows[-1][1]), *rows]:
+        a = states.get(base, {}).get("placed" if method == "before" else "calibrated")
+        if a:
+            yield method, base, (1e3 * a.mean, 1e3 * a.max, 1e3 * a.std)
+    for result in networks.results.values() if networks else ():
+        c = result.compensator
+        found = c and (c.training if name == "calibration" else c.validation)
+        if found:
+            e = found.after
+            yield result.method, "train" if name == "calibration" else base, (e.mean_mm, e.max_mm, e.std_mm)
 
 
 def _figures(a: Accuracy) -> tuple[str, ...]:
@@ -103,7 +170,10 @@ def held_table(result: Identification) -> Table | Text:
 
 
 def report(
-    problem: Problem, results: Mapping[str, Identification], errors: Mapping[str, SetAccuracies]
+    problem: Problem,
+    results: Mapping[str, Identification],
+    errors: Mapping[str, SetAccuracies],
+    networks: Networks | None = None,
 ) -> RenderableType:
     """Everything that `casadical calibrate` prints about one problem."""
     last = list(results.values())[-1]
@@ -115,8 +185,11 @@ def report(
         *(Text(result.verdict) for result in results.values()),
         Text(_how_sure(last)),
         Text(),
-        error_table(errors),
+        error_table(errors, networks),
         Text(),
+        *([network_table(networks), Text(networks.trained_on), Text()] if networks else []),
+        *(paper := paper_tables(problem, errors, networks)),
+        *([Text()] if paper else []),
         parameter_table(last),
         *_stiffness(last),
         Text(),
@@ -139,10 +212,13 @@ def _how_sure(result: Identification) -> str:
 
 
 def as_json(
-    problem: Problem, results: Mapping[str, Identification], errors: Mapping[str, SetAccuracies]
+    problem: Problem,
+    results: Mapping[str, Identification],
+    errors: Mapping[str, SetAccuracies],
+    networks: Networks | None = None,
 ) -> dict[str, Any]:
     """The same as plain data: per method and set the error figures, per parameter value, error, unit, status."""
-    return {
+    found: dict[str, Any] = {
         "problem": problem.folder.name,
         "title": problem.title,
         "data": problem.data,
@@ -167,6 +243,33 @@ def as_json(
             }
             for method, result in results.items()
         },
+    }
+    if networks:
+        found["trained_on"] = networks.trained_on
+        found["networks"] = {name: _network(result) for name, result in networks.results.items()}
+    if problem.paper:
+        paper = {"calibration": problem.paper.calibration, "validation": problem.paper.validation}
+        found["paper"] = {"source": problem.paper.source} | {
+            name: {m: dict(zip(("mean_mm", "max_mm", "std_mm"), f, strict=True)) for m, f in table.items()}
+            for name, table in paper.items()
+        }
+    return found
+
+
+def _network(result: NetworkResult) -> dict[str, Any]:
+    """One network method: its verdict, the errors by set as it is used, and as trained even where it was refused."""
+    found: dict[str, Any] = {"verdict": result.verdict, "helps": result.helps}
+    c = result.compensator
+    if c is None:
+        return found
+    parts = {"train": c.training, "choose": c.choice, "report": c.validation}
+    return found | {
+        "trainer": c.trainer,
+        "settings": c.settings,
+        "seed": c.seed,
+        "chosen_by": c.chosen_by,
+        "sets": {name: _as_mm(a) for name, a in result.errors.items()},
+        "as_trained": {name: asdict(part) for name, part in parts.items() if part},
     }
 
 

@@ -5,7 +5,7 @@ from casadical.compensator.iwo import InvasiveWeeds, IwoHistory, IwoResult, IwoS
 from casadical.compensator.layout import Box, Layout
 from casadical.compensator.network import Network
 from casadical.compensator.report import BeforeAfter, Errors
-from casadical.compensator.saving import load_compensator, save_compensator
+from casadical.compensator.saving import compensator_text, load_compensator, save_compensator
 from casadical.compensator.task import Loss, Task, make_task
 from casadical.compensator.trainers import TRAINERS, Backprop, Iwo, IwoThenLm, LevenbergMarquardt, Trainer
 from casadical.compensator.training import Progress, Training, train, train_all
@@ -31,6 +31,7 @@ __all__ = [
     "Task",
     "Trainer",
     "Training",
+    "compensator_text",
     "iwo_minimise",
     "load_compensator",
     "make_task",

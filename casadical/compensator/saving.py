@@ -10,7 +10,7 @@ from casadical.compensator.compensator import Compensator
 from casadical.compensator.layout import Box, Layout
 from casadical.compensator.network import Network
 from casadical.compensator.report import BeforeAfter, Errors
-from casadical.compensator.sealed import read_sealed, write_sealed
+from casadical.compensator.sealed import read_sealed, sealed, write_sealed
 from casadical.errors import InputError
 
 KIND, VERSION = "casadical-compensator", 1
@@ -18,6 +18,15 @@ KIND, VERSION = "casadical-compensator", 1
 
 def save_compensator(compensator: Compensator, path: str | os.PathLike[str]) -> None:
     """Write a compensator to a JSON file; an older file is replaced in one piece."""
+    write_sealed(path, KIND, VERSION, _body(compensator))
+
+
+def compensator_text(compensator: Compensator) -> str:
+    """Return the text that `save_compensator` writes, for those who write several files together."""
+    return sealed(KIND, VERSION, _body(compensator))
+
+
+def _body(compensator: Compensator) -> dict[str, Any]:
     net = compensator.network
     network = None
     if net is not None:
@@ -26,7 +35,7 @@ def save_compensator(compensator: Compensator, path: str | os.PathLike[str]) -> 
     body |= {name: asdict(getattr(compensator, name)) for name in ("layout", "training", "choice")}
     body["validation"] = None if compensator.validation is None else asdict(compensator.validation)
     body |= {"trained_box_rad": asdict(compensator.trained_box), "network": network, "verdict": compensator.verdict}
-    write_sealed(path, KIND, VERSION, body)
+    return body
 
 
 def load_compensator(path: str | os.PathLike[str]) -> Compensator:

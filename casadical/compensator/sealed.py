@@ -23,15 +23,20 @@ def sealed_text(document: dict[str, Any]) -> str:
     return json.dumps(document, indent=1, allow_nan=False) + "\n"
 
 
+def sealed(kind: str, version: int, body: dict[str, Any]) -> str:
+    """Return the text of a body as a sealed file."""
+    document = {"format": kind, "version": version, **body}
+    return sealed_text(document | {"sha256": digest(document)})
+
+
 def write_sealed(path: str | os.PathLike[str], kind: str, version: int, body: dict[str, Any]) -> None:
     """Write a body as a sealed file: into a new file beside it, flushed to disk, then put in its place."""
-    document = {"format": kind, "version": version, **body}
-    document["sha256"] = digest(document)
+    text = sealed(kind, version, body)
     target = Path(path)
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=target.name + ".", suffix=".part")
     try:
         with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
-            file.write(sealed_text(document))
+            file.write(text)
             file.flush()
             os.fsync(file.fileno())
         os.chmod(name, 0o666 & ~_umask())

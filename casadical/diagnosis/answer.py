@@ -54,8 +54,14 @@ def as_json(d: Diagnosis, campaign: str) -> dict[str, Any]:
         "where": where(d.case),
         "noise": {"sigma_mm": _mm(d.noise.sigma), "repeatability_urad": round(1e6 * d.noise.repeatability, 2)},
         "outlier_rows": list(d.outliers),
-        "next_measurements": [],
+        "next_measurements": _next(d),
     }
+
+
+def _next(d: Diagnosis, n: int = 10) -> list[dict[str, Any]]:
+    """Poses that would tell apart what this data cannot."""
+    rows = d.next_poses(n).to_dict("records")
+    return [{str(k): v for k, v in row.items() if v == v and v is not None} for row in rows]
 
 
 def _mm(value: float) -> float:

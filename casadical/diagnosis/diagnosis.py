@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+import pandas as pd
 
 from ..effects import Effect
 from ..identification import Identification, identify
@@ -16,6 +17,7 @@ from ..transforms import Array
 from .case import Case, make_case
 from .gap import Noise, estimates, held_out_errors, random_folds, remainders, shrink_interval
 from .library import candidates_of
+from .next_poses import next_poses
 from .refine import refined
 from .which import Ranking, rank
 
@@ -91,6 +93,20 @@ class Diagnosis:
     case: Case
     identification: Identification
 
+    @property
+    def in_question(self) -> tuple[str, ...]:
+        """Labels that further poses should tell apart: a set that looks alike, or the leading cause and its rival."""
+        for cause in self.causes:
+            if cause.indistinguishable and cause.label in self.rankings[0].probability:
+                return (cause.label, *cause.indistinguishable)
+        order = [k for k in self.rankings[-1].order if k in self.rankings[0].probability]
+        return tuple(order[:2]) if self.verdict in ("ambiguous", "unknown") else ()
+
+    def next_poses(self, n: int, seed: int = 0) -> pd.DataFrame:
+        """The n poses that best tell apart what this data cannot (see `next_poses.next_poses`); empty if nothing is."""
+        labels = self.in_question
+        return next_poses(self.case, labels, n, seed) if len(labels) > 1 else pd.DataFrame()
+
     def apply(self, top: int | None = None) -> Robot:
         """The robot that was given, with the first `top` causes' effects in its model (all by default)."""
         effects = [e for c in self.causes[:top] for e in c.effects]
@@ -114,7 +130,7 @@ def diagnose(
     Raises InputError where the measurements cannot carry a diagnosis.
     """
     show("calibrating the base model")
-    identification = identify(robot, m, ("kinematic", "compliance"), loss="huber", priors=True)
+    identification = identify(robot, m, ("kinematic", "compliance"), loss="huber", priors=True, screen=False)
     return diagnose_identification(identification, effects, seed=seed, show=show)
 
 

@@ -136,10 +136,11 @@ def _alike(E: Array, columns: list[Array], owner: list[str]) -> pd.DataFrame:
     starts = np.cumsum([0, *(len(c) for c in columns)])[:-1]
     energy = np.array([(E[:, c] ** 2).sum() for c in columns])
     share = np.add.reduceat(by_rival, starts, axis=1) / np.maximum(energy, 1e-30)
-    share[:, energy < NOTHING] = 0.0
+    # Settings that show nothing (coupling to an idle joint) do not count.
+    share[:, energy < NOTHING] = np.nan
     by_setting = pd.DataFrame(share, index=pd.Index(owner), columns=pd.Index(owner))
     best = by_setting.groupby(level=0, sort=False).max()
-    return best.T.groupby(level=0, sort=False).mean().clip(0.0, 1.0)
+    return best.T.groupby(level=0, sort=False).mean().fillna(0.0).clip(0.0, 1.0)
 
 
 def _span(E: Array) -> Array:

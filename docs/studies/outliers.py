@@ -20,7 +20,9 @@ from casadical.transforms import Array
 
 SEEDS = 12
 POSES = (50, 150)
-SIZES_MM = (0.2, 1.0, 10.0, 100.0)
+SIZES_MM = (0.1, 0.2, 1.0, 10.0, 100.0)
+# From ten sigma on an outlier is called gross; the smaller ones are shown, but drown in the noise.
+GROSS_MM = 0.2
 LOSSES: tuple[Loss, ...] = ("huber", "soft_l1", "linear")
 SHARE = 0.1
 
@@ -62,10 +64,17 @@ def main() -> None:
     runs = {(seed, n): run(seed, n) for n in POSES for seed in range(SEEDS)}
     robust = [
         np.mean([runs[s, n][loss, size, one_way][0] for s in range(SEEDS)])
-        for n in POSES for loss in LOSSES[:2] for size in SIZES_MM for one_way in (False, True)
-    ]  # fmt: skip
+        for n in POSES
+        for loss in LOSSES[:2]
+        for size in SIZES_MM
+        for one_way in (False, True)
+        if size >= GROSS_MM
+    ]
     verdict = "met" if max(robust) <= 1.2 else "MISSED"
-    print(f"{verdict}: with 10 % outliers at most {max(robust):.3f} times the clean held-out error (target 1.2)")
+    print(
+        f"{verdict}: with 10 % outliers of {GROSS_MM} mm or more at most {max(robust):.3f} times "
+        "the clean held-out error (target 1.2)"
+    )
     print(f"mean over {SEEDS} robots a row; in brackets the largest of any robot")
     print()
     print("poses  outliers              " + "".join(f"{loss:>22s}" for loss in LOSSES) + "   left out")

@@ -39,7 +39,7 @@ def test_a_frequency_between_the_grids_is_found() -> None:
     m = simulated("ur10e", 3, disturbances.TransmissionRipple(2, size=80e-6, cycles=7))
     r = robot("ur10e")
     start = make_case(identify(r, m, priors=True), candidates_of(r, ["transmission_ripple@2"]))
-    _, (found,) = refined(start, "transmission_ripple@2", (TransmissionRipple(2, 6.9),), NOTHING)
+    _, (found,) = refined(start, "transmission_ripple@2", (TransmissionRipple(2, 7.5),), NOTHING)
     assert found.cycles == pytest.approx(7, abs=0.1)
 
 

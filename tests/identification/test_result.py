@@ -119,6 +119,16 @@ def test_outliers_are_named_and_left_out(built, loss):
     assert arms.model_error(identify(ARM, replace(m, position=wrong), ["kinematic"]).robot, built) > 4 * arms.NOISE
 
 
+def test_outliers_of_ten_sigma_all_one_way(built):
+    """They drag the fit along and widen the spread by which they are judged: one look does not find them."""
+    m = arms.positions(built, arms.readings(built, 60, 22), 23)
+    wrong = m.position.copy()
+    wrong[::10] += np.array([1.2e-4, -1.2e-4, 1.06e-4])
+    robust = identify(ARM, replace(m, position=wrong), ["kinematic"], loss="soft_l1")
+    assert robust.outliers == tuple((0, i) for i in range(0, 60, 10))
+    assert robust.is_optimal()
+
+
 def test_a_weight_of_zero_is_a_pose_left_out(built):
     m = arms.positions(built, arms.readings(built, 60, 14), 15)
     weight = np.ones(60)

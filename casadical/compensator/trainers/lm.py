@@ -1,8 +1,10 @@
 """Levenberg-Marquardt with restarts and a ridge chosen by cross-validation.
 
-First the ridge: every fold is trained from a few random starts at the strongest ridge, then, warm, at weaker and weaker
-ones; the ridge with the smallest mean square error on the held-out poses wins. Then the network: restarts at that ridge
-on all poses; the one of lowest cost wins. Minimises the mean square error; the paper's maximum term has no part in it.
+First the ridge: every fold is trained from a few random starts at the weakest ridge, then, warm, at stronger and
+stronger ones; the ridge with the smallest mean square error on the held-out poses wins. (The other way round a ridge
+that is too strong would end the search: it leaves no network, all weights zero, and from there no weaker ridge finds
+out again.) Then the network: restarts at that ridge on all poses; the one of lowest cost wins. Minimises the mean
+square error; the paper's maximum term has no part in it.
 """
 
 from dataclasses import dataclass, field
@@ -19,7 +21,7 @@ from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.levenberg import Batch, advance, begin_batch
 from casadical.errors import InputError
 
-_FIRST, _WARM = 40, 15  # iterations at the strongest ridge and at each weaker one
+_FIRST, _WARM = 100, 20  # iterations at the weakest ridge and at each stronger one
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,7 @@ class LevenbergMarquardt(Trainer):
 
     restarts: int = 10
     iterations: int = 200
-    ridges: tuple[float, ...] = field(default=(0.1, 0.03, 0.01, 0.003, 0.001, 3e-4, 1e-4, 3e-5, 1e-5))
+    ridges: tuple[float, ...] = field(default=(0.1, 0.03, 0.01, 0.003, 0.001, 3e-4, 1e-4, 3e-5, 1e-5, 1e-6))
     folds: int = 5
     fold_starts: int = 3
 
@@ -66,6 +68,7 @@ class LmRun:
     def __init__(self, trainer: LevenbergMarquardt, task: Task, seed: int, starts: Array | None):
         self.trainer, self.task, self.seed, self.starts = trainer, task, seed, starts
         self.folds = min(trainer.folds, task.targets.shape[1])
+        self._candidates = trainer.ridges[::-1]
         self.steps, self.level, self.inner = 0, 0, 0
         self.ridge: float | None = trainer.ridges[0] if len(trainer.ridges) == 1 or self.folds < 2 else None
         self.scores: list[float] = []
@@ -110,7 +113,7 @@ class LmRun:
         """Set sample weights and ridges of the present batch: folds while choosing, then all poses."""
         count, ridge = len(self.batch.weights), self.ridge
         if ridge is None:
-            ridge = self.trainer.ridges[self.level]
+            ridge = self._candidates[self.level]
         self.samples, self.ridges = self._samples(count), np.full(count, ridge * self._unit)
 
     def _samples(self, count: int) -> Array:
@@ -138,8 +141,8 @@ class LmRun:
         self.scores.append(self._held_out())
         best = int(np.argmin(self.scores))
         self.level, self.inner = self.level + 1, 0
-        if self.level == len(self.trainer.ridges) or self.level > best + 2:
-            self.ridge = self.trainer.ridges[best]
+        if self.level == len(self._candidates) or self.level > best + 2:
+            self.ridge = self._candidates[best]
             self.batch = self._begin()
         else:
             self.batch = self._begin(self.batch.weights)

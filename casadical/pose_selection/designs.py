@@ -1,0 +1,224 @@
+"""A set of poses that grows and shrinks by one, with the worth of every possible next step known at once.
+
+For D-optimality (and O1, the same order) and for all criteria of the form trace(W C), C the inverse of the information
+matrix (A, V, chosen parameters), a step changes C by a matrix of as many ranks as a candidate has rows (Woodbury's
+formula), and what each candidate would change follows from its own small block A_k C A_k' (Fedorov 1972). The blocks
+are updated too, so that a step costs a few products of tall, thin matrices. O2 to O5 have no such formula: their
+derivative makes a shortlist, and the eigenvalues of the shortlist decide.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ..transforms import Array
+from .criteria import SPECTRAL
+
+# After so many updates, C and the blocks are computed anew.
+REFRESH = 50
+# Changes of the determinant by which C and the blocks may be updated.
+TRUSTED = 1e4
+SHORTLIST = 24
+# Least information in every direction, as a share of the whole pool's: keeps sets of few poses invertible.
+RIDGE = 1e-10
+
+
+class Design(ABC):
+    """Chosen candidates and what another one, or one less, is worth; larger values are better.
+
+    rows : shape (N, m, p), scaled Jacobians in units of sigma; fixed : information there is already, shape (p, p)
+    places : shape (N, d), where candidates stand; those at most `apart` from a chosen one are closed to choice
+    occupied : shape (k, d), places taken beforehand
+    """
+
+    # What a snapshot keeps.
+    _kept: ClassVar[tuple[str, ...]] = ("M", "closed")
+
+    def __init__(self, rows: Array, fixed: Array, places: Array, apart: float, occupied: Array) -> None:
+        self.rows = rows
+        self.N, self.m, self.p = rows.shape
+        flat = rows.reshape(-1, self.p)
+        whole = flat.T @ flat + fixed
+        self.fixed = fixed + RIDGE * np.diag(np.diag(whole)) / self.N
+        self.places, self.apart = places, max(apart, 1e-9)
+        self._taken = sum((self._near(place) for place in occupied), np.zeros(self.N, dtype=int))
+        self.start([])
+
+    def _near(self, place: Array) -> Array:
+        return np.asarray((np.abs(self.places - place).max(axis=1) <= self.apart).astype(int))
+
+    def start(self, chosen: list[int]) -> None:
+        """Begin with these candidates."""
+        self.chosen = list(chosen)
+        self.closed = self._taken + sum((self._near(self.places[k]) for k in chosen), np.zeros(self.N, dtype=int))
+        A = self.rows[self.chosen].reshape(-1, self.p)
+        self.M: Array = self.fixed + A.T @ A
+        self._refresh()
+
+    def _change(self, k: int, sign: int) -> None:
+        self.closed = self.closed + sign * self._near(self.places[k])
+        self.M = self.M + sign * self.rows[k].T @ self.rows[k]
+        self._update(self.rows[k], sign)
+
+    def add(self, k: int) -> None:
+        self.chosen.append(k)
+        self._change(k, 1)
+
+    def remove(self, position: int) -> None:
+        """Take out the candidate at this position of `chosen`."""
+        self._change(self.chosen.pop(position), -1)
+
+    def best_to_add(self) -> int | None:
+        """The candidate that gains most; None where none is open."""
+        gain = np.where(self.closed > 0, -np.inf, self._gains(np.flatnonzero(self.closed == 0), 1))
+        k = int(np.argmax(gain))
+        return k if np.isfinite(gain[k]) else None
+
+    def worst(self) -> int:
+        """Position in `chosen` of the candidate that is missed least."""
+        gain = self._gains(np.array(self.chosen), -1)
+        return int(np.argmax(gain[self.chosen]))
+
+    def snapshot(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in self._kept} | {"chosen": list(self.chosen)}
+
+    def restore(self, kept: dict[str, Any]) -> None:
+        for name, value in kept.items():
+            setattr(self, name, list(value) if name == "chosen" else value)
+
+    @property
+    @abstractmethod
+    def value(self) -> float:
+        """Of the chosen candidates together with what is fixed."""
+
+    @abstractmethod
+    def _refresh(self) -> None:
+        """Compute from M what is kept besides it."""
+
+    @abstractmethod
+    def _update(self, A: Array, sign: int) -> None:
+        """The same after rows A, shape (m, p), were added (1) or taken away (-1)."""
+
+    @abstractmethod
+    def _gains(self, which: Array, sign: int) -> Array:
+        """Change of the value, shape (N,), by adding (1) or removing (-1) each of these; -inf for others."""
+
+
+class _Inverse(Design):
+    """Designs that go by C, the inverse of M, and the blocks D_k = A_k C A_k'."""
+
+    _kept: ClassVar[tuple[str, ...]] = ("M", "closed", "C", "D", "_age")
+
+    def _refresh(self) -> None:
+        self.C: Array = inverse(self.M)
+        self.D: Array = np.einsum("kip,kjp->kij", self._times(self.C), self.rows)
+        self._age = 0
+
+    def _times(self, B: Array) -> Array:
+        """A_k B for all candidates, shape (N, m, columns of B)."""
+        return np.asarray((self.rows.reshape(-1, self.p) @ B).reshape(self.N, self.m, -1))
+
+    def _update(self, A: Array, sign: int) -> None:
+        self._age += 1
+        U = self.C @ A.T
+        small = np.eye(len(A)) + sign * A @ U
+        # Where the volume changes much, the difference of two large matrices would keep few digits.
+        if self._age > REFRESH or not 1 / TRUSTED < np.linalg.det(small) < TRUSTED:
+            self._refresh()
+            return
+        S = sign * np.linalg.inv(small)
+        P = self._times(U)
+        self._update_blocks(U, S, P)
+        self.C = self.C - U @ S @ U.T
+        self.D = self.D - P @ S @ P.transpose(0, 2, 1)
+
+    def _update_blocks(self, U: Array, S: Array, P: Array) -> None:
+        """Called before C and D change."""
+
+
+class Determinant(_Inverse):
+    """D-optimality and O1: the mean logarithm of the singular values."""
+
+    @property
+    def value(self) -> float:
+        return float(np.linalg.slogdet(self.M)[1] / (2 * self.p))
+
+    def _gains(self, which: Array, sign: int) -> Array:
+        gains = np.full(self.N, -np.inf)
+        signs, logs = np.linalg.slogdet(np.eye(self.m) + sign * self.D[which])
+        gains[which] = np.where(signs > 0, logs, -np.inf)
+        return gains
+
+
+class Linear(_Inverse):
+    """Minus trace(W C): A-optimality (W = I), V-optimality (W = mean of J'J over the task), chosen parameters."""
+
+    _kept: ClassVar[tuple[str, ...]] = ("M", "closed", "C", "D", "L", "_age")
+
+    def __init__(self, weight: Array, *of_design: Any) -> None:
+        self.W = weight
+        super().__init__(*of_design)
+
+    @property
+    def value(self) -> float:
+        return -float(np.sum(self.W * self.C))
+
+    def _refresh(self) -> None:
+        super()._refresh()
+        # L_k = A_k C W C A_k'
+        self.L: Array = np.einsum("kip,kjp->kij", self._times(self.C @ self.W @ self.C), self.rows)
+
+    def _update_blocks(self, U: Array, S: Array, P: Array) -> None:
+        WU = self.W @ U
+        Q = self._times(self.C @ WU) @ S @ P.transpose(0, 2, 1)
+        self.L = self.L - Q - Q.transpose(0, 2, 1) + P @ S @ (U.T @ WU) @ S @ P.transpose(0, 2, 1)
+
+    def _gains(self, which: Array, sign: int) -> Array:
+        gains = np.full(self.N, -np.inf)
+        small = np.eye(self.m) + sign * self.D[which]
+        # One that cannot be missed leaves `small` singular.
+        regular = np.linalg.det(small) > 1e-12
+        small[~regular] = np.eye(self.m)
+        change = sign * np.trace(np.linalg.solve(small, self.L[which]), axis1=1, axis2=2)
+        gains[which] = np.where(regular, change, -np.inf)
+        return gains
+
+
+class Spectral(Design):
+    """O2 to O5: a shortlist by the derivative, then eigenvalues."""
+
+    _kept: ClassVar[tuple[str, ...]] = ("M", "closed", "w", "V")
+
+    def __init__(self, index: str, *of_design: Any) -> None:
+        self._log, self._slope = SPECTRAL[index]
+        super().__init__(*of_design)
+
+    @property
+    def value(self) -> float:
+        return float(self._log(self.w))
+
+    def _refresh(self) -> None:
+        self.w, self.V = np.linalg.eigh(self.M)
+        self.w = np.maximum(self.w, 1e-300)
+
+    def _update(self, A: Array, sign: int) -> None:  # noqa: ARG002 - eigenvalues are computed anew
+        self._refresh()
+
+    def _gains(self, which: Array, sign: int) -> Array:
+        gains = np.full(self.N, -np.inf)
+        along = self.rows[which].reshape(-1, self.p) @ self.V
+        first_order = sign * (along**2 @ self._slope(self.w)).reshape(len(which), self.m).sum(axis=1)
+        short = which[np.argsort(-first_order)[:SHORTLIST]]
+        A = self.rows[short]
+        w = np.linalg.eigvalsh(self.M + sign * A.transpose(0, 2, 1) @ A)
+        gains[short] = self._log(np.maximum(w, 1e-300)) - self.value
+        return gains
+
+
+def inverse(M: Array) -> Array:
+    """Of a positive definite matrix, scaled to a unit diagonal first."""
+    root = np.sqrt(np.diag(M))
+    return np.asarray(np.linalg.inv(M / np.outer(root, root)) / np.outer(root, root))

@@ -1,0 +1,102 @@
+"""What poses tell of the parameters: exact scaled Jacobians, noise, and which parameters an identification would keep.
+
+Scaled means millimetres per unit of a parameter's scale (1 mm, 1 mrad, or the deflection of 1 mrad): what `identify`
+computes with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from ..errors import InputError
+from ..identifiability import Unidentifiable, correlated, poorly_determined
+from ..least_squares import LeastSquares
+from ..measurements import Measurements
+from ..robot import Robot
+from ..transforms import Array
+from .designs import inverse
+
+MM = 1e-3
+# Jacobians of more poses than this are computed in parts, which keeps them from being compiled for one use.
+_PART = 1000
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Of a measured coordinate [m], and of how a joint repeats [rad or m]: one sigma each."""
+
+    sigma: float = 2e-5
+    joint_sigma: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (self.sigma > 0 and self.joint_sigma >= 0):
+            raise InputError(f"noise of {self.sigma} m and {self.joint_sigma} rad; allowed: above zero, and not below")
+
+
+def scaled_jacobian(robot: Robot, names: Sequence[str], m: Measurements) -> Array:
+    """Shape (n, 3, p) [mm per unit of scale], at the robot's values."""
+    parts = [m[np.arange(start, min(start + _PART, len(m)))] for start in range(0, len(m), _PART)]
+    found = [_problem(robot, names, part).evaluate(np.zeros(len(names)))[1] for part in parts]
+    return np.asarray(np.concatenate(found).reshape(len(m), 3, -1))
+
+
+def _problem(robot: Robot, names: Sequence[str], m: Measurements) -> LeastSquares:
+    return LeastSquares(robot, (m,), tuple(names), "linear", False, ((MM, MM),))
+
+
+@lru_cache(maxsize=16)
+def _by_joints(robot: Robot) -> ca.Function:
+    """by_joints:(q, w, phi)->(J[3, n]), the point's derivative by the joint variables."""
+    model = robot.model
+    J = ca.densify(ca.jacobian(model.p, model.q))
+    return ca.Function("by_joints", [model.q, model.w, model.phi], [J], ["q", "w", "phi"], ["J"])
+
+
+def noise_covariance(robot: Robot, m: Measurements, noise: Noise) -> Array:
+    """Of each measured point, shape (n, 3, 3) [mm^2]; the readings' own noise moves the point through the arm."""
+    measured = (noise.sigma / MM) ** 2 * np.eye(3)
+    if not noise.joint_sigma:
+        return np.tile(measured, (len(m), 1, 1))
+    w = m.condition_matrix(robot.conditions, robot.declared)
+    J = _by_joints(robot).map(len(m))(m.q.T, w.T, robot.parameters.values).full()
+    J = J.reshape(3, len(m), robot.n).transpose(1, 0, 2) * (noise.joint_sigma / MM)
+    return np.asarray(measured + J @ J.transpose(0, 2, 1))
+
+
+def whitened(J: Array, covariance: Array) -> Array:
+    """Rows in units of sigma; J : shape (n, 3, p); covariance : shape (n, 3, 3)."""
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), J))
+
+
+def independent(
+    robot: Robot, names: Sequence[str], m: Measurements, poses: float, noise: Noise
+) -> tuple[tuple[str, ...], tuple[Unidentifiable, ...]]:
+    """Names that an identification from so many poses like these would keep, and the others with the reason.
+
+    First the independent ones, then, one by one, those are let go of which the data would say less than the prior does
+    (as `least_squares.settle` does).
+    """
+    problem = _problem(robot, names, m[np.arange(min(_PART, len(m)))])
+    found = problem.identifiability(np.zeros(problem.size))
+    kept = list(found.independent)
+    J = scaled_jacobian(robot, kept, m).reshape(-1, len(kept))
+    M = J.T @ J * (MM / noise.sigma) ** 2 * poses / len(m)
+    prior = np.array([robot.parameters[n].prior / robot.parameters[n].scale for n in kept])
+    poor: list[Unidentifiable] = []
+    left = list(range(len(kept)))
+    while left:
+        C = inverse(M[np.ix_(left, left)])
+        worst = poorly_determined(np.sqrt(np.diag(C)), prior[left])
+        if worst is None:
+            break
+        alike = correlated(C, worst, [kept[k] for k in left])
+        poor.append(Unidentifiable(kept[left[worst]], "these poses would tell less of it than is known before", alike))
+        del left[worst]
+    if not left:
+        raise InputError(f"{robot.name}: poses like these tell nothing of {', '.join(names)}; free other parameters")
+    return tuple(kept[k] for k in left), (*found.held, *poor)

@@ -1,0 +1,74 @@
+"""What `casadical plan` does: calibrate what was measured, choose the next poses, order them, look ahead."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..conditions import derive
+from ..effects import Effect
+from ..errors import InputError
+from ..identification import identify
+from ..measurements import Measurements, read_measurements
+from ..problem import read_campaign_robot
+from ..robot import Robot
+from ..robot_file import read_robot
+from .candidates import Circumstances
+from .criteria import Criterion
+from .information import Noise
+from .selection import Selection, select_poses
+from .stopping import Forecast, forecast
+from .workspace import Workspace
+
+
+def robot_of(path: Path) -> Robot:
+    """The robot of a problem folder, or of a robot file. Raises InputError."""
+    return read_robot(path) if path.is_file() else read_campaign_robot(path)
+
+
+def continued(robot: Robot, path: Path, noise: Noise | None) -> tuple[Robot, Measurements, Noise]:
+    """The robot calibrated by what was measured, that, and the noise it shows if none is given. Raises InputError."""
+    m = read_measurements(path, [j.kind for j in robot.joints])
+    m, missing = derive(m, robot.conditions)
+    lost = [name for name in missing if name != "payload_kg"]
+    if lost:
+        raise InputError(f"{path}: column {lost[0]!r} is missing, which the effects to plan for need")
+    result = identify(robot, m, ("kinematic", "compliance", *(e.label for e in robot.effects)))
+    return result.robot, m, noise or Noise(result.sigmas[0][0])
+
+
+def plan(
+    robot: Robot,
+    n: int,
+    effects: Sequence[Effect] = (),
+    *,
+    criterion: Criterion = "V",
+    workspace: Workspace | None = None,
+    circumstances: Circumstances | None = None,
+    measured: Path | None = None,
+    noise: Noise | None = None,
+    min_distance: float = 0.0,
+    order: bool = True,
+    seed: int = 0,
+) -> tuple[Selection, Forecast]:
+    """Poses in order and the forecast beyond them.
+
+    effects : to be told, besides the accuracy over the task; measured : file of poses measured already; order : for
+    little travel; other arguments as of `select_poses`. Raises InputError.
+    """
+    known = {e.label for e in robot.effects}
+    robot = robot.with_effect(*(e for e in effects if e.label not in known)) if effects else robot
+    before = None
+    if measured is not None:
+        robot, before, noise = continued(robot, measured, noise)
+    circumstances = circumstances or Circumstances()
+    found = select_poses(
+        robot, n, criterion, workspace=workspace, circumstances=circumstances, measured=before,
+        interest=tuple(e.label for e in effects), noise=noise, min_distance=min_distance, seed=seed,
+    )  # fmt: skip
+    total = len(found) + (0 if before is None else len(before))
+    ahead = forecast(
+        robot, total + max(20, total // 2), workspace=workspace, circumstances=circumstances, measured=before,
+        noise=noise, seed=seed,
+    )  # fmt: skip
+    return (found.ordered() if order else found), ahead

@@ -1,0 +1,114 @@
+"""A plan as tables to read and as files to keep."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from ..transforms import Array
+from .order import travel
+from .selection import Selection
+from .stopping import Forecast
+
+_HEIGHTS, _DISTANCES = ("low", "middle", "high"), ("near", "middle", "far")
+
+
+def plan_files(path: Path, plan: Selection, forecast: Forecast) -> dict[Path, str]:
+    """The poses; beside them expected standard errors (.expected.csv), error map (.map.csv) and figures (.json)."""
+    figures = {
+        "poses": len(plan),
+        "criterion": plan.criterion,
+        "expected_error_mm": 1e3 * plan.accuracy,
+        "observability": plan.observability,
+        "forecast": forecast.table.to_dict("list"),
+    }
+    return {
+        path: plan.table.to_csv(index=False, float_format="%.10g"),
+        path.with_suffix(".expected.csv"): plan.parameters.to_csv(index=False, float_format="%.6g"),
+        path.with_suffix(".map.csv"): plan.error_map.to_csv(index=False, float_format="%.6g"),
+        path.with_suffix(".json"): json.dumps(figures, indent=1, allow_nan=False) + "\n",
+    }
+
+
+def report(plan: Selection, forecast: Forecast, target: float | None = None) -> RenderableType:
+    """What `casadical plan` prints; target : accuracy that is wanted [m]."""
+    before = 0 if plan.measured is None else len(plan.measured)
+    noise = f"{1e3 * plan.noise.sigma:.3g} mm a coordinate"
+    if plan.noise.joint_sigma:
+        noise += f", {1e6 * plan.noise.joint_sigma:.3g} urad a joint"
+    head = (
+        f"{len(plan)} measurements for {plan.robot.name}" + (f", after {before} measured ones" if before else "") + ": "
+        f"{1e3 * plan.accuracy:.4f} mm rms position error to expect of the calibrated model over the task, "
+        f"from noise of {noise}; {len(plan.names)} parameters."
+    )
+    indices = ", ".join(f"{name} {value:.3g}" for name, value in plan.observability.items())
+    parts: list[RenderableType] = [
+        Text(head, style="bold"),
+        Text(f"Criterion {plan.criterion}; observability {indices}; travel {_degrees(plan)} deg."),
+        Text(_how_many(forecast, target)),
+        Text(),
+        _map(plan),
+        Text(),
+        _errors(plan),
+    ]
+    return Group(*parts)
+
+
+def _degrees(plan: Selection) -> str:
+    return f"{np.rad2deg(travel(plan.robot, plan.q)):.0f}"
+
+
+def _how_many(forecast: Forecast, target: float | None) -> str:
+    at = np.unique(np.linspace(0, len(forecast.poses) - 1, 6).astype(int))
+    course = ", ".join(f"{forecast.poses[k]}: {1e3 * forecast.error[k]:.4f}" for k in at)
+    text = f"Expected error [mm] against poses: {course}. "
+    stop = forecast.stop()
+    if stop is not None:
+        text += f"From {stop} poses on, ten more gain less than 10 %. "
+    if target is not None:
+        enough = forecast.enough(target)
+        text += (
+            f"{enough} poses are enough for {1e3 * target:.4g} mm."
+            if enough
+            else f"Not even {forecast.poses[-1]} poses give {1e3 * target:.4g} mm: measure with less noise, or more."
+        )
+    return text
+
+
+def _map(plan: Selection) -> Table:
+    """Expected errors by height of the point and by its distance from joint 1's axis, in thirds of the task."""
+    assert plan.task.position is not None
+    local = (plan.task.position - plan.robot.base.T[:3, 3]) @ plan.robot.base.T[:3, :3]
+    error = plan.expected_error()
+    height = _thirds(local[:, 2])
+    table = Table(title="Expected error [mm]", title_justify="left", title_style="bold", box=None, pad_edge=False)
+    table.add_column("point")
+    for name in _DISTANCES:
+        table.add_column(name, justify="right")
+    distance = _thirds(np.hypot(local[:, 0], local[:, 1]))
+    for k in (2, 1, 0):
+        cells = [error[(height == k) & (distance == i)] for i in range(3)]
+        table.add_row(_HEIGHTS[k], *(f"{1e3 * np.sqrt(np.mean(c**2)):.4f}" if len(c) else "-" for c in cells))
+    return table
+
+
+def _thirds(values: Array) -> Array:
+    return np.searchsorted(np.quantile(values, [1 / 3, 2 / 3]), values)
+
+
+def _errors(plan: Selection) -> Table:
+    table = Table(title="Expected standard errors", title_justify="left", title_style="bold", box=None, pad_edge=False)
+    table.add_column("parameter", no_wrap=True)
+    table.add_column("std error", justify="right")
+    table.add_column("unit")
+    for name, error in zip(plan.names, plan.standard_errors, strict=True):
+        parameter = plan.robot.parameters[name]
+        table.add_row(name, f"{parameter.readable(error):.3g}", parameter.readable_unit)
+    for u in plan.held:
+        table.add_row(u.name, "-", f"not identifiable: {u.reason}")
+    return table

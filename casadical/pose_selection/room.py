@@ -1,0 +1,68 @@
+"""A room file: where poses may lie, as TOML with units in the keys; see docs/plan.md."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from ..errors import InputError
+from ..robot import Robot
+from ..schema import ANGLE, LENGTH, READING, Angle, Length, Pair, Table, Triple, check, load_toml
+from .workspace import Box, Tracker, Workspace
+
+
+class _Joint(Table):
+    number: int = Field(ge=1)
+    limits: Annotated[Pair, READING]
+
+
+class _Box(Table):
+    low: Annotated[Triple, LENGTH]
+    high: Annotated[Triple, LENGTH]
+
+
+class _Tracker(Table):
+    station: Annotated[Triple, LENGTH]
+    towards: Annotated[Triple | None, LENGTH] = None
+    half_angle: Angle = np.pi / 4
+    nearest: Length = 0.3
+    farthest: Length = 30.0
+    opening: Triple | None = None
+    acceptance: Annotated[float, ANGLE] = np.pi / 6
+
+
+class _Room(Table):
+    casadical: Literal[1]
+    floor: Annotated[float | None, LENGTH] = None
+    clearance: Length = 0.0
+    four_bar_margin: float = Field(default=0.1, gt=0, lt=1)
+    joint: list[_Joint] = Field(default=[])
+    box: list[_Box] = Field(default=[])
+    tracker: _Tracker | None = None
+
+
+def read_room(path: str | Path, robot: Robot) -> Workspace:
+    """The workspace of a room file, in the measuring frame. Raises InputError that names file and key."""
+    room = check(_Room, load_toml(Path(path)), str(path))
+    lower, upper = np.array([(j.lower, j.upper) for j in robot.joints]).T
+    for joint in room.joint:
+        if joint.number > robot.n:
+            raise InputError(f"{path}: joint {joint.number}: {robot.name} has {robot.n} joints")
+        k = joint.number - 1
+        # Inside of the robot's own range, whatever the file says.
+        lower[k], upper[k] = max(lower[k], joint.limits[0]), min(upper[k], joint.limits[1])
+        if lower[k] >= upper[k]:
+            raise InputError(f"{path}: joint {joint.number}: nothing of its range is left between these limits")
+    boxes = tuple(Box(np.array(b.low), np.array(b.high)) for b in room.box)
+    return Workspace(lower, upper, room.four_bar_margin, room.floor, boxes, room.clearance, _tracker(room.tracker))
+
+
+def _tracker(t: _Tracker | None) -> Tracker | None:
+    if t is None:
+        return None
+    towards = None if t.towards is None else np.array(t.towards)
+    opening = None if t.opening is None else np.array(t.opening)
+    return Tracker(np.array(t.station), towards, t.half_angle, t.nearest, t.farthest, opening, t.acceptance)

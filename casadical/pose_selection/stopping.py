@@ -1,0 +1,91 @@
+"""When to stop: the accuracy to expect against the number of poses, with what was measured so far."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from ..errors import InputError
+from ..measurements import Measurements
+from ..robot import Robot
+from ..transforms import Array
+from .candidates import Circumstances
+from .designs import inverse
+from .exchange import search
+from .information import MM, Noise, scaled_jacobian
+from .selection import prepare
+from .workspace import Workspace
+
+
+@dataclass(frozen=True, eq=False)
+class Forecast:
+    """Accuracy to expect after so many poses, the best ones next.
+
+    poses : how many in all, measured ones counted, shape (k,); error : root mean square over the task [m], shape (k,)
+    """
+
+    poses: Array
+    error: Array
+
+    def enough(self, target: float) -> int | None:
+        """The least number of poses whose expected error is at most target [m]; None where none of these is."""
+        good = np.flatnonzero(self.error <= target)
+        return int(self.poses[good[0]]) if len(good) else None
+
+    def stop(self, gain: float = 0.1, ahead: int = 10) -> int | None:
+        """The number of poses from which on `ahead` more would lessen the error by less than the share `gain`."""
+        shares = 1 - self.error[ahead:] / self.error[:-ahead]
+        small = np.flatnonzero(shares < gain)
+        return int(self.poses[small[0]]) if len(small) else None
+
+    @property
+    def table(self) -> pd.DataFrame:
+        return pd.DataFrame({"poses": self.poses, "expected_error_mm": 1e3 * self.error})
+
+
+def forecast(
+    robot: Robot,
+    most: int = 100,
+    *,
+    workspace: Workspace | None = None,
+    circumstances: Circumstances | None = None,
+    measured: Measurements | None = None,
+    free: Iterable[str] | None = None,
+    task: Array | None = None,
+    noise: Noise | None = None,
+    pool: int = 1000,
+    seed: int = 0,
+) -> Forecast:
+    """The expected error as poses are added one by one, each the best next one by V-optimality.
+
+    most : number of poses, measured ones counted, at which to end; other arguments as of `select_poses`
+    Begins with the measured poses or, without any, with a fifth more numbers than parameters. Raises InputError.
+    """
+    before = 0 if measured is None else len(measured)
+    if most <= before:
+        raise InputError(f"{before} poses were measured already; most is {most} and must be above")
+    noise = noise or Noise()
+    problem = prepare(
+        robot, most - before, "V", candidates=None, workspace=workspace or Workspace(),
+        circumstances=circumstances or Circumstances(), measured=measured, free=free, interest=(), task=task,
+        noise=noise, pool=pool, rng=np.random.default_rng(seed),
+    )  # fmt: skip
+    design = problem.design(problem.pool, "V", 0.0)
+    each, p = problem.pool.size, len(problem.names)
+    # Measurements at one reading tell nearly the same: only the first of them counts here.
+    if 3 * before < 1.2 * p:
+        first = min(-(-(int(1.2 * p) - 3 * before) // 3), (most - before) // each)
+        design.start(search(design, first, 1, seed).tolist())
+    J = scaled_jacobian(robot, problem.names, problem.task)
+    W = np.einsum("kip,kiq->pq", J, J) / len(J)
+    poses, error = [], []
+    while True:
+        poses.append(before + each * len(design.chosen))
+        error.append(MM * float(np.sqrt(np.sum(W * inverse(design.M)))))
+        k = design.best_to_add()
+        if k is None or poses[-1] + each > most:
+            return Forecast(np.array(poses), np.array(error))
+        design.add(k)

@@ -1,0 +1,117 @@
+"""python docs/studies/diagnosis_tables.py
+
+Writes the tables of docs/diagnosis.md anew from the effect classes and the thresholds in the code; a test compares.
+"""
+
+import re
+from pathlib import Path
+
+from casadical.diagnosis import diagnosis, which
+from casadical.diagnosis.answer import SIGNATURES
+from casadical.diagnosis.library import Candidate, extended_candidates, standard_candidates
+from casadical.problem import read_campaign_robot
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "diagnosis.md"
+READABLE = {"rad": (1e6, "urad"), "m": (1e6, "um"), "m/m": (1e6, "um/m"), "rad/rad": (1e6, "urad/rad")}
+READABLE |= {"rad/K": (1e6, "urad/K"), "1/K": (1e6, "1e-6/K"), "1/m": (1e6, "um/m^2"), "": (1e2, "% of great torque")}
+READABLE |= {"kg/kg": (1e2, "%")}
+
+
+def tables() -> dict[str, str]:
+    """Name of each marked place in the page -> what must stand there."""
+    robot = read_campaign_robot(ROOT / "problems" / "hh800")
+    standard = [c for c in standard_candidates(robot) if c.listed]
+    names = {c.name for c in standard}
+    rare = [c for c in extended_candidates(robot) if c.listed and c.name not in names]
+    from casadical.effects import MissingCompliance
+
+    rare.append(Candidate("missing_compliance@2", "missing_compliance", 2, ((MissingCompliance(2),),)))
+    return {
+        "standard": _effects(standard),
+        "extended": _effects(rare),
+        "physics": _physics([*standard, *rare]),
+        "thresholds": _thresholds(),
+    }
+
+
+def _by_name(candidates: list[Candidate]) -> dict[str, Candidate]:
+    """One candidate a name: joint 2's where there is one, else the first."""
+    found: dict[str, Candidate] = {}
+    for c in candidates:
+        if c.name not in found or c.joint == 2:
+            found[c.name] = c
+    return found
+
+
+def _effects(candidates: list[Candidate]) -> str:
+    lines = ["| effect | signature | one sigma of its parameters | columns it needs |", "|---|---|---|---|"]
+    for name, c in sorted(_by_name(candidates).items()):
+        joint = "@joint" if c.joint is not None and name != "gravity_compensator" else ""
+        lines.append(f"| `{name}{joint}` | {SIGNATURES[name]} | {_sizes(c)} | {_columns(c)} |")
+    return "\n".join(lines)
+
+
+def _sizes(c: Candidate) -> str:
+    by_size: dict[str, list[str]] = {}
+    for effect in {type(v[0]): v[0] for v in c.variants}.values():
+        for name, (size, unit) in effect.sizes().items():
+            factor, word = (1e3, "mm") if unit == "m" and size >= 1e-3 else READABLE[unit]
+            by_size.setdefault(f"{size * factor:.3g} {word}", []).append(re.sub(r"(?<=[kxyz])\d$", "", name))
+    return "; ".join(f"{', '.join(dict.fromkeys(names))}: {size}" for size, names in by_size.items())
+
+
+def _columns(c: Candidate) -> str:
+    needed = {column for v in c.variants for e in v for column in e.conditions}
+    words = set()
+    for column in needed:
+        if column.startswith("warmth"):
+            words |= {"temperature_degC", "time_s"}
+        elif column.startswith("approach"):
+            words.add("approach (logged, or from the order)")
+        elif column == "progress":
+            words.add("time_s, pose, or the order of the rows")
+        else:
+            words.add(column)
+    return ", ".join(sorted(words)) or "-"
+
+
+def _physics(candidates: list[Candidate]) -> str:
+    lines = []
+    for name, c in sorted(_by_name(candidates).items()):
+        effect = c.variants[0][0]
+        lines.append(f"- `{name}`: {effect.physics} Confused with {effect.confused_with}.")
+    return "\n".join(lines)
+
+
+def _thresholds() -> str:
+    d = diagnosis
+    first, further = which.PRIOR_FIRST, which.PRIOR_FURTHER
+    rows = [
+        ("prior of nothing / a listed effect / the unknown, first cause", _shares(first)),
+        ("the same, for a further cause", _shares(further)),
+        ("prior factor of a further cause at a joint that has one", f"{which.SAME_JOINT:g}"),
+        ("something is there if P(nothing) is at most, first / further cause", f"{d.DETECT:g} / {d.DETECT_FURTHER:g}"),
+        ("one cause is claimed from a probability of", f"{d.CLAIM:g}"),
+        ("a set holds this share of the probability, and at most so many", f"{d.SET_SHARE:g}, {d.SET_SIZE}"),
+        ("squared Mahalanobis distance of an outlier / of one taken back", f"{d.OUT:g} / {d.IN:g}"),
+        ("most causes, partitions into five folds", f"{d.MOST_CAUSES}, {d.PARTITIONS}"),
+    ]
+    return "\n".join(["| threshold | value |", "|---|---|", *(f"| {what} | {value} |" for what, value in rows)])
+
+
+def _shares(prior: dict[str, float]) -> str:
+    return " / ".join(f"{prior[k]:g}" for k in ("none", "listed", "unknown"))
+
+
+def filled(page: str) -> str:
+    """The page with every marked place written anew."""
+    for name, text in tables().items():
+        mark = re.compile(rf"(<!-- {name} -->\n).*?(<!-- end -->)", re.DOTALL)
+        assert mark.search(page), name
+        page = mark.sub(lambda m, text=text: f"{m[1]}{text}\n{m[2]}", page)
+    return page
+
+
+if __name__ == "__main__":
+    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

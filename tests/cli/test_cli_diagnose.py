@@ -1,0 +1,84 @@
+"""casadical diagnose: what it prints, keeps and refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PROBLEM = ROOT / "problems" / "ur10e"
+PRACTICE = ROOT / "data" / "campaigns" / "practice"
+P03, P06 = PRACTICE / "ur10e-P03.csv", PRACTICE / "ur10e-P06.csv"
+FEW = "gear_eccentricity,friction_windup,joint_scale@5,hose_drag"
+
+
+def run(*arguments: object, width: int = 120) -> subprocess.CompletedProcess[str]:
+    command = [Path(sys.executable).parent / "casadical", "diagnose", *map(str, arguments)]
+    environment = {**os.environ, "COLUMNS": str(width), "TERM": "dumb", "NO_COLOR": "1"}
+    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, list[dict]]:
+    """Two campaigns, few effects: what was printed, and the JSON."""
+    kept = tmp_path_factory.mktemp("diagnose") / "both.json"
+    done = run(PROBLEM, P03, P06, "--effects", FEW, "--json", kept)
+    assert done.returncode == 0, done.stderr
+    return done.stdout, json.loads(kept.read_text())
+
+
+def test_several_campaigns_are_answered_in_order(both: tuple[str, list[dict]]) -> None:
+    text, answers = both
+    assert [a["campaign"] for a in answers] == ["ur10e-P03", "ur10e-P06"]
+    assert [(a["causes"][0]["effect"], a["causes"][0]["joint"]) for a in answers] == [
+        ("gear_eccentricity", 5),
+        ("friction_windup", 3),
+    ]
+    assert all(a["verdict"] == "explained" for a in answers)
+    for part in ("ur10e-P03", "ur10e-P06", "GAP", "WHERE", "WHICH", "gear_eccentricity@5", "friction_windup@3"):
+        assert part in text
+    assert text.index("ur10e-P03") < text.index("ur10e-P06")
+
+
+def test_one_campaign_is_one_answer(tmp_path: Path, both: tuple[str, list[dict]]) -> None:
+    done = run(PROBLEM, P06, "--effects", FEW, "--json", tmp_path / "one.json", "--quiet")
+    assert (done.returncode, done.stdout) == (0, "")
+    assert json.loads((tmp_path / "one.json").read_text()) == both[1][1]
+
+
+def test_isolability_needs_no_positions(tmp_path: Path) -> None:
+    planned = tmp_path / "planned.csv"
+    pd.read_csv(P03).drop(columns=["x_mm", "y_mm", "z_mm"]).to_csv(planned, index=False)
+    done = run(PROBLEM, planned, "--isolability", "--effects", FEW, "--json", tmp_path / "design.json")
+    assert done.returncode == 0, done.stderr
+    for part in ("absorbed", "looks like", "joint_scale@5", "hose_drag", "60 poses"):
+        assert part in done.stdout
+    assert "WHICH" not in done.stdout
+    design = json.loads((tmp_path / "design.json").read_text())
+    assert 0 < design["effects"]["hose_drag"]["absorbed"] < 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((PROBLEM, PRACTICE / "none.csv"), "no such file"),
+        ((ROOT / "problems" / "nowhere", P03), "no such problem folder"),
+        ((PROBLEM, P03, "--effects", "backlsh"), "no effect 'backlsh'"),
+        ((PROBLEM, PROBLEM / "robot.toml"), "not a readable CSV table"),
+        ((PROBLEM, PRACTICE / "none.csv", "--isolability"), "no such file"),
+    ],
+    ids=["campaign", "problem", "effect", "no table", "design"],
+)
+def test_a_users_mistake_ends_in_a_message_and_2(tmp_path: Path, arguments: tuple, message: str) -> None:
+    done = run(*arguments, "--json", tmp_path / "answer.json", width=400)
+    assert done.returncode == 2
+    assert done.stderr.startswith("casadical: ")
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "answer.json").exists()

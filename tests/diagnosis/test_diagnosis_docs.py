@@ -1,0 +1,44 @@
+"""The page on the diagnosis: its tables are those of the code, and its code runs."""
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from cases import ROOT
+
+PAGE = ROOT / "docs" / "diagnosis.md"
+
+
+def blocks() -> list[str]:
+    parts = PAGE.read_text(encoding="utf-8").split("```python\n")[1:]
+    return [part.split("```")[0] for part in parts]
+
+
+def test_tables_are_those_of_the_code() -> None:
+    """If not: python docs/studies/diagnosis_tables.py"""
+    spec = importlib.util.spec_from_file_location("diagnosis_tables", ROOT / "docs/studies/diagnosis_tables.py")
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    page = PAGE.read_text(encoding="utf-8")
+    assert script.filled(page) == page, "run: python docs/studies/diagnosis_tables.py"
+    assert "| `hose_drag` |" in page
+
+
+@pytest.mark.parametrize("number", [0, 1], ids=["use", "own effect"])
+def test_code_runs_as_it_stands(number: int, tmp_path: Path) -> None:
+    for name in ("problems", "data"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    code = blocks()[number]
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("explained [")
+    if number == 0:
+        assert "friction_windup@3" in done.stdout
+        assert len((tmp_path / "next.csv").read_text().splitlines()) == 11
+
+
+def test_own_effect_is_twenty_lines() -> None:
+    own = blocks()[1].split("@dataclass")[1].split("\n\n\nrobot")[0]
+    assert len([line for line in own.splitlines() if line.strip()]) <= 20

@@ -1,0 +1,114 @@
+"""Next poses: the gain against densities written out, better than chance, and a table to take to the robot."""
+
+import io
+
+import numpy as np
+import pandas as pd
+import pytest
+from cases import case, robot
+from scipy.linalg import block_diag
+
+from casadical import InputError
+from casadical.diagnosis.next_poses import _causes, _draw, _gain, _noise_at, _predict, _Prediction, next_poses
+from casadical.measurements import from_table
+
+EFFECTS = ("nonlinear_stiffness@2", "backlash@2", "gear_eccentricity@2", "frame_drift", "thermal_growth")
+
+
+@pytest.fixture(scope="module")
+def doubtful():
+    return case("ur10e-P09", *EFFECTS)
+
+
+def divergence(a: _Prediction, b: _Prediction, noise: np.ndarray, poses: list[int]) -> float:
+    """Mean Kullback-Leibler divergence, both ways, of two normal distributions of the poses' data."""
+    mean, cov = [], []
+    for p in (a, b):
+        rows = p.spread[poses].reshape(3 * len(poses), -1)
+        mean.append(p.mean[poses].ravel())
+        cov.append(rows @ rows.T + block_diag(*noise[poses]))
+    d, k = mean[0] - mean[1], len(mean[0])
+
+    def kl(S: np.ndarray, T: np.ndarray) -> float:
+        logs = np.linalg.slogdet(T)[1] - np.linalg.slogdet(S)[1]
+        return 0.5 * (np.trace(np.linalg.solve(T, S)) + d @ np.linalg.solve(T, d) - k + logs)
+
+    return 0.5 * (kl(cov[0], cov[1]) + kl(cov[1], cov[0]))
+
+
+def test_gains_add_up_to_the_expected_log_bayes_factor() -> None:
+    rng = np.random.default_rng(0)
+    a, b = (_Prediction(rng.normal(size=(6, 3)), rng.normal(size=(6, 3, 4))) for _ in range(2))
+    noise = np.stack([np.eye(3) + 0.3 * v[:, None] * v for v in rng.normal(size=(6, 3))])
+    picked: list[int] = []
+    total = 0.0
+    for pose in (4, 0, 2, 5):
+        total += float(_gain(a, b, noise, picked)[pose])
+        picked.append(pose)
+        assert total == pytest.approx(divergence(a, b, noise, picked), rel=1e-9)
+
+
+def test_table_can_be_taken_to_the_robot(doubtful) -> None:
+    table = next_poses(doubtful, ["nonlinear_stiffness@2", "backlash@2"], 6, seed=1, pool=200)
+    again = next_poses(doubtful, ["nonlinear_stiffness@2", "backlash@2"], 6, seed=1, pool=200)
+    pd.testing.assert_frame_equal(table, again)
+    assert {"order", "payload_kg", "approach2", "repeats", "separation", "time_s", "x_mm"} <= set(table)
+    assert "approach3" not in table  # neither cause asks for it
+    assert set(table["approach2"]) == {-1, 1}
+    assert set(table["payload_kg"]) <= {0.0, 10.0}
+    assert (table["separation"].diff().dropna() > 0).all()
+    q = np.deg2rad(table[[f"q{i}_deg" for i in range(1, 7)]].to_numpy())
+    own = doubtful.m.q
+    assert (q >= own.min(axis=0) - 1e-6).all()
+    assert (q <= own.max(axis=0) + 1e-6).all()
+    text = io.StringIO(table.to_csv(index=False))
+    filled = pd.read_csv(text).assign(x_mm=1.0, y_mm=2.0, z_mm=3.0, time_s=np.arange(6.0), temperature_degC=21.0)
+    assert len(from_table(filled, 6)) == 6
+
+
+@pytest.mark.parametrize(
+    "labels", [["nonlinear_stiffness@2", "backlash@2"], ["frame_drift", "thermal_growth"], ["backlash@2", "none"]]
+)
+def test_chosen_poses_tell_more_than_random_ones(doubtful, labels: list[str]) -> None:
+    best = next_poses(doubtful, labels, 8, pool=400)["separation"].iloc[-1]
+    causes = _causes(doubtful, labels)
+    effects = tuple(e for variant, _ in causes for e in variant)
+    pool = _draw(doubtful, effects, 400, 5).m
+    a, b = (_predict(doubtful, variant, causes[0][1], pool) for variant, _ in causes)
+    noise = _noise_at(doubtful, causes[0][1], pool)
+    rng = np.random.default_rng(0)
+    drawn = [divergence(a, b, noise, rng.choice(len(pool), 8, replace=False).tolist()) for _ in range(40)]
+    assert best > 1.5 * np.mean(drawn)
+    assert best > np.max(drawn)
+
+
+def test_backlash_is_told_near_zero_torque(doubtful) -> None:
+    """Joint 2 of the UR10e carries nothing when the arm stands upright: there the flank changes."""
+    table = next_poses(doubtful, ["nonlinear_stiffness@2", "backlash@2"], 6, pool=400)
+    r = robot("ur10e")
+    w = np.stack([table["payload_kg"].to_numpy()])
+    q = np.deg2rad(table[[f"q{i}_deg" for i in range(1, 7)]].to_numpy())
+    tau = r.model.function("torque", ("tau",)).map(len(q))(q.T, w, r.parameters.values).full()[1]
+    assert np.abs(tau / r.torque_scale[1]).mean() < 0.15
+
+
+def test_three_causes_and_a_thermal_state(doubtful) -> None:
+    table = next_poses(doubtful, ["frame_drift", "thermal_growth", "gear_eccentricity@2"], 5, pool=200)
+    assert set(table["state"]) <= {"cold", "warm"}
+    assert table["separation"].iloc[-1] > 0
+
+
+def test_loop_stays_as_open_as_it_was() -> None:
+    c = case("hh800-P01", "backlash", "friction_windup")
+    table = next_poses(c, ["backlash@5", "friction_windup@5"], 5, pool=300)
+    margin = c.robot.model.at_declared("loop", ("margin",))
+    values = c.robot.parameters.values
+    q = np.deg2rad(table[[f"q{i}_deg" for i in range(1, 7)]].to_numpy())
+    least = margin.map(len(c.m))(c.m.q.T, values).full().min()
+    assert margin.map(len(q))(q.T, values).full().min() >= least - 1e-4
+
+
+@pytest.mark.parametrize("labels", [["backlash@2"], ["backlash@2", "backlash@2"], ["backlash@2", "hose"]])
+def test_bad_labels(doubtful, labels: list[str]) -> None:
+    with pytest.raises(InputError):
+        next_poses(doubtful, labels, 3)

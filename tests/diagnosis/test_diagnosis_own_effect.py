@@ -1,0 +1,74 @@
+"""A user's own effect: twenty lines, no change to the package."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
+import pytest
+from cases import robot, simulated
+from rich.console import Console
+
+from casadical import InputError, diagnose, identify
+from casadical.diagnosis.answer import as_json, report
+from casadical.effects import Context, Effect
+
+
+@dataclass(frozen=True)
+class SaggingCable(Effect):
+    """A cable pulls the joint towards its middle, stiffly at the ends of its range."""
+
+    power: float = 3.0
+
+    name: ClassVar[str] = "sagging_cable"
+    physics: ClassVar[str] = "A loop of cable is shortest in the middle of its range."
+    confused_with: ClassVar[str] = "joint_scale"
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        return {"pull": (20e-6, "rad")}
+
+    def angle(self, context: Context, q: ca.SX) -> ca.SX:
+        return -self.value(context, "pull") * ca.sign(q) * ca.fabs(q) ** self.power
+
+
+def with_cable(pull: float):
+    m = simulated("ur10e", 51, n=80)
+    q = m.q.copy()
+    q[:, 4] -= pull * q[:, 4] ** 3  # to first order in the reading, as the cable does
+    r = robot("ur10e")
+    f = r.position.map(len(m))
+    moved = (f(q.T, r.parameters.values) - f(m.q.T, r.parameters.values)).full().T
+    return replace(m, position=m.position + moved)
+
+
+def test_own_effect_is_diagnosed_beside_the_listed() -> None:
+    m = with_cable(50e-6)
+    d = diagnose(robot("ur10e"), m, effects=[SaggingCable(5), "backlash", "friction_windup"])
+    assert d.verdict == "explained"
+    assert [c.label for c in d.causes] == ["sagging_cable@5"]
+    value, error, unit = d.causes[0].estimates["pull"]
+    assert unit == "rad"
+    assert abs(value - 50e-6) < 4 * error + 3e-6
+    assert as_json(d, "own")["causes"][0]["effect"] == "sagging_cable"
+    console = Console(width=160)
+    with console.capture() as got:
+        console.print(report(d, "own"))
+    assert "A loop of cable is shortest" in got.get()
+
+
+def test_own_effect_is_part_of_the_robot() -> None:
+    effect = SaggingCable(5)
+    r = robot("ur10e").with_effect(effect)
+    found = identify(r, with_cable(50e-6), ("kinematic", "compliance", effect.label), priors=True)
+    table = found.parameters.set_index("name").loc["sagging_cable@5.pull"]
+    assert table["status"] == "identified"
+    estimate = dict(zip(found.names, found.estimate, strict=True))["sagging_cable@5.pull"]
+    assert np.isclose(estimate, 50e-6, rtol=0.15)
+
+
+def test_unknown_name_lists_those_that_exist() -> None:
+    with pytest.raises(InputError, match="no effect 'backlsh'") as error:
+        diagnose(robot("ur10e"), with_cable(0.0), effects=["backlsh"])
+    for name in ("backlash", "hose_drag", "standard", "extended"):
+        assert name in str(error.value)

@@ -1,0 +1,42 @@
+"""Indices against their definitions, and slopes against finite differences."""
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from casadical import InputError
+from casadical.pose_selection import observability
+from casadical.pose_selection.criteria import SPECTRAL, checked
+
+
+def test_indices_are_those_of_sun_and_hollerbach() -> None:
+    J = np.random.default_rng(0).normal(size=(30, 5)) * [1, 3, 0.2, 1, 7]
+    s = linalg.svdvals(J)
+    found = observability(J, 10)
+    assert found["O1"] == pytest.approx(linalg.det(J.T @ J) ** (1 / 10) / np.sqrt(10), rel=1e-10)
+    assert found["O2"] == pytest.approx(1 / np.linalg.cond(J), rel=1e-10)
+    assert found["O3"] == pytest.approx(1 / linalg.norm(linalg.pinv(J), 2), rel=1e-10)
+    assert found["O4"] == pytest.approx(s.min() ** 2 / s.max(), rel=1e-10)
+    assert found["O5"] == pytest.approx(1 / linalg.svdvals(linalg.pinv(J)).sum(), rel=1e-10)
+
+
+def test_indices_of_too_few_poses_are_zero() -> None:
+    J = np.random.default_rng(0).normal(size=(6, 7))
+    assert set(observability(J, 2).values()) == {0.0}
+    assert set(observability(np.column_stack([J[:, :2], J[:, :1]]), 2).values()) == {0.0}
+
+
+@pytest.mark.parametrize("index", SPECTRAL)
+def test_logarithms_and_slopes(index: str) -> None:
+    J = np.random.default_rng(1).normal(size=(20, 4)) * [1, 3, 0.2, 7]
+    w = np.linalg.eigvalsh(J.T @ J)
+    log, slope = SPECTRAL[index]
+    assert np.exp(log(w)) == pytest.approx(observability(J, 1)[index], rel=1e-10)
+    h = 1e-6 * w
+    numeric = [(log(w + h * e) - log(w - h * e)) / (2 * hk) for e, hk in zip(np.eye(4), h, strict=True)]
+    np.testing.assert_allclose(slope(w), numeric, rtol=1e-6, atol=1e-9)
+
+
+def test_an_unknown_criterion_is_refused_with_those_there_are() -> None:
+    with pytest.raises(InputError, match="'E' is not known; allowed: O1, O2"):
+        checked("E")

@@ -1,0 +1,109 @@
+"""Searches against all sets of a tiny problem; updates against computing anew."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from casadical import InputError
+from casadical.pose_selection.designs import Determinant, Linear, Spectral
+from casadical.pose_selection.exchange import search
+
+N, M, P = 11, 2, 4
+
+
+def rows(seed, n=N, m=M, p=P):
+    return np.random.default_rng(seed).normal(size=(n, m, p)) * np.linspace(0.3, 3, p)
+
+
+def design(kind, A, fixed=None, weight=None, apart=0.0, places=None):
+    places = np.arange(len(A))[:, None].astype(float) if places is None else places
+    p = A.shape[2]
+    common = (A, np.zeros((p, p)) if fixed is None else fixed, places, apart, places[:0])
+    if kind == "D":
+        return Determinant(*common)
+    if kind in ("A", "V"):
+        return Linear(np.eye(p) if weight is None else weight, *common)
+    return Spectral(kind, *common)
+
+
+def worth(kind, A, chosen, fixed, weight):
+    """Each criterion by its definition."""
+    M_ = sum(A[k].T @ A[k] for k in chosen) + fixed
+    s = np.sqrt(np.linalg.eigvalsh(M_))
+    return {
+        "D": lambda: np.linalg.det(M_) ** 0.5,
+        "A": lambda: -np.trace(np.linalg.inv(M_)),
+        "V": lambda: -np.trace(weight @ np.linalg.inv(M_)),
+        "O2": lambda: s[0] / s[-1],
+        "O3": lambda: s[0],
+        "O4": lambda: s[0] ** 2 / s[-1],
+        "O5": lambda: 1 / np.sum(1 / s),
+    }[kind]()
+
+
+@pytest.mark.parametrize("kind", ["D", "A", "V", "O2", "O3", "O4", "O5"])
+@pytest.mark.parametrize("seed", range(6))
+def test_the_best_of_all_sets_is_found(kind, seed) -> None:
+    A = rows(seed)
+    B = rows(seed + 100)[:3].reshape(-1, P)
+    weight = B.T @ B if kind == "V" else np.eye(P)
+    fixed = np.zeros((P, P)) if seed % 2 else 0.1 * B.T @ B
+    found = search(design(kind, A, fixed, weight), 5, 20, seed)
+    best = max(worth(kind, A, c, fixed, weight) for c in combinations(range(N), 5))
+    assert len(set(found.tolist())) == 5
+    assert worth(kind, A, found, fixed, weight) == pytest.approx(best, rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["D", "V"])
+@pytest.mark.parametrize("m", [1, 3, 6])
+def test_updates_are_what_computing_anew_gives(kind, m) -> None:
+    A = rows(3, n=40, m=m, p=8)
+    weight = np.diag(np.arange(1.0, 9))
+    updated = design(kind, A, weight=weight)
+    rng = np.random.default_rng(0)
+    updated.start(list(range(15)))
+    for _ in range(30):
+        updated.remove(int(rng.integers(len(updated.chosen))))
+        updated.add(int(rng.choice(np.flatnonzero(updated.closed == 0))))
+    anew = design(kind, A, weight=weight)
+    anew.start(updated.chosen)
+    assert updated.value == pytest.approx(anew.value, rel=1e-9)
+    np.testing.assert_allclose(updated.C, anew.C, rtol=1e-7, atol=1e-12)
+    np.testing.assert_allclose(updated.D, anew.D, rtol=1e-7, atol=1e-10)
+    np.testing.assert_array_equal(updated.closed, anew.closed)
+    if kind == "V":
+        np.testing.assert_allclose(updated.L, anew.L, rtol=1e-7, atol=1e-10)
+
+
+@pytest.mark.parametrize("kind", ["D", "V", "O5"])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_gains_are_differences_of_values(kind, sign) -> None:
+    A, weight = rows(4, n=20), np.diag([1.0, 2.0, 3.0, 4.0])
+    d = design(kind, A, weight=weight)
+    d.start(list(range(8)))
+    which = np.arange(8, 20) if sign > 0 else np.arange(8)
+    gains = d._gains(which, sign)
+    for k in which:
+        other = design(kind, A, weight=weight)
+        other.start([*range(8), k] if sign > 0 else [i for i in range(8) if i != k])
+        step = other.value - d.value
+        assert gains[k] == pytest.approx(step * (2 * P if kind == "D" else 1), rel=1e-6, abs=1e-9)
+
+
+def test_poses_keep_their_distance_from_each_other() -> None:
+    places = np.linspace(0, 1, 30)[:, None]
+    found = search(design("D", rows(5, n=30), apart=0.1, places=places), 6, 2, 0)
+    assert np.diff(np.sort(places[found, 0])).min() > 0.1
+
+
+def test_a_distance_that_leaves_too_few_is_said() -> None:
+    places = np.linspace(0, 1, 30)[:, None]
+    with pytest.raises(InputError, match=r"only \d of 9 poses can be chosen"):
+        search(design("D", rows(5, n=30), apart=0.2, places=places), 9, 1, 0)
+
+
+def test_a_set_too_small_to_tell_anything_can_still_grow() -> None:
+    A = rows(6, n=30, m=3, p=20)
+    found = search(design("D", A), 8, 2, 0)
+    assert np.linalg.matrix_rank(A[found].reshape(-1, 20)) == 20

@@ -1,0 +1,89 @@
+"""The command: what it writes, prints and refuses."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from pose_arms import elbow, positions, readings
+
+from casadical import cli, read_measurements, write_robot
+from casadical.pose_selection.order import travel
+
+pytest.importorskip("networkx", reason="casadical plan orders poses with networkx (extra 'plan')")
+
+
+def run(monkeypatch, *words) -> int:
+    monkeypatch.setattr(sys, "argv", ["casadical", "plan", *map(str, words)])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    return stop.value.code or 0
+
+
+@pytest.fixture
+def robot_file(tmp_path) -> Path:
+    path = tmp_path / "arm.toml"
+    write_robot(elbow(), path)
+    return path
+
+
+def test_a_plan_is_written_and_can_be_measured(monkeypatch, tmp_path, capsys, robot_file) -> None:
+    out = tmp_path / "plans" / "next.csv"
+    room = tmp_path / "room.toml"
+    room.write_text("casadical = 1\nfloor_mm = 0\n", encoding="utf-8")
+    words = (robot_file, "-n", 22, "--for", "backlash@2", "--room", room, "--target-mm", "0.05", "--out", out)
+    assert run(monkeypatch, *words) == 0
+    text = capsys.readouterr().out
+    assert "22 measurements for elbow" in text
+    assert "enough for 0.05 mm" in text
+    assert "backlash@2.half" in text
+    plan = pd.read_csv(out)
+    assert plan["pose"].tolist() == list(range(1, 23))
+    assert set(plan["approach2"]) == {-1, 1}
+    assert plan["nominal_z_mm"].min() >= 0
+    errors = pd.read_csv(out.with_suffix(".expected.csv"))
+    assert errors.expected_std_error.notna().sum() > 20
+    error_map = pd.read_csv(out.with_suffix(".map.csv"))
+    figures = json.loads(out.with_suffix(".json").read_text(encoding="utf-8"))
+    rms = np.sqrt(np.mean(error_map.expected_error_mm**2))
+    assert figures["expected_error_mm"] == pytest.approx(rms, rel=1e-4)
+    # Measured at these readings, the file goes straight into an identification.
+    robot = elbow()
+    q = np.deg2rad(plan[[f"q{j}_deg" for j in range(1, 7)]].to_numpy())
+    xyz = 1e3 * positions(robot, q, 0, 2e-5).position
+    plan[["x_mm", "y_mm", "z_mm"]] = xyz
+    plan.to_csv(tmp_path / "measured.csv", index=False)
+    assert len(read_measurements(tmp_path / "measured.csv", 6)) == 22
+    shuffled = np.random.default_rng(0).permutation(22)
+    assert travel(robot, q) < travel(robot, q[shuffled])
+
+
+def test_a_plan_continues_from_a_file(monkeypatch, tmp_path, capsys, robot_file) -> None:
+    q = readings(elbow(), 15, 3)
+    table = pd.DataFrame(np.rad2deg(q), columns=[f"q{j}_deg" for j in range(1, 7)])
+    table[["x_mm", "y_mm", "z_mm"]] = 1e3 * positions(elbow(), q, 0, 5e-5).position
+    table.to_csv(tmp_path / "measured.csv", index=False)
+    out = tmp_path / "next.csv"
+    assert run(monkeypatch, robot_file, "-n", 6, "--measured", tmp_path / "measured.csv", "--out", out) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "6 measurements for elbow, after 15 measured ones" in text
+    noise = float(text.split("from noise of ")[1].split(" mm")[0])
+    assert 0.02 < noise < 0.1  # 0.05 was planted; few degrees of freedom
+    assert len(pd.read_csv(out)) == 6
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("-n", "3"), "3 poses give 9 numbers"),
+        (("-n", "20", "--criterion", "best"), "criterion 'best' is not known; allowed: O1"),
+        (("-n", "20", "--for", "rust"), "no effect 'rust'"),
+        (("-n", "20", "--payloads", "1;2"), "allowed: numbers by commas"),
+    ],
+)
+def test_faults_end_in_a_message(monkeypatch, tmp_path, capsys, robot_file, words, message) -> None:
+    assert run(monkeypatch, robot_file, *words, "--out", tmp_path / "x.csv") == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "x.csv").exists()

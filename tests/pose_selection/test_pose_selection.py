@@ -1,0 +1,242 @@
+"""Selections: what they promise against identifications, their circumstances, and their order."""
+
+import importlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pose_arms import elbow, positions, readings
+
+from casadical import InputError, identify
+from casadical.effects import Backlash, FrameDrift, PayloadError, ThermalGrowth
+from casadical.pose_selection import Circumstances, Noise, Workspace, forecast, select_poses
+from casadical.pose_selection.candidates import circumstanced, draw_uniform, expected
+from casadical.pose_selection.information import noise_covariance, scaled_jacobian, whitened
+from casadical.pose_selection.order import distances, travel
+from casadical.pose_selection.stopping import Forecast
+
+SIGMA = 3e-5
+QUICK = {"pool": 200, "restarts": 1}
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return elbow()
+
+
+@pytest.fixture(scope="module")
+def chosen(robot):
+    return select_poses(robot, 25, noise=Noise(SIGMA), **QUICK)
+
+
+def test_expected_standard_errors_are_those_that_an_identification_reports(robot, chosen) -> None:
+    results = [identify(robot, replace(positions(robot, chosen.q, s, SIGMA), sigma=SIGMA)) for s in range(3)]
+    for result in results:
+        assert result.names == chosen.names
+        scale = np.sqrt(result.variance)
+        np.testing.assert_allclose(result.standard_errors / scale, chosen.standard_errors, rtol=0.02)
+    q = readings(robot, 20, 9)
+    _, covariance = results[0].predict(q)
+    mean = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / results[0].variance)
+    np.testing.assert_allclose(chosen.expected_error(expected(robot, q, {}, "test")), mean, rtol=0.02)
+
+
+def test_expected_standard_errors_are_realised(robot, chosen) -> None:
+    n = 30
+    tip = [k for k, name in enumerate(chosen.names) if not name.startswith("base_")]
+    names = [chosen.names[k] for k in tip]
+    found = [identify(robot, positions(robot, chosen.q, 50 + s, SIGMA)).robot.parameters for s in range(n)]
+    values = np.array([[p[name].value for name in names] for p in found])
+    ratio = values.std(axis=0, ddof=1) / chosen.standard_errors[tip]
+    # Each ratio scatters by 1 / sqrt(2 n) = 13 %; their mean square by far less.
+    assert np.abs(ratio - 1).max() < 4 / np.sqrt(2 * n)
+    assert np.sqrt(np.mean(ratio**2)) == pytest.approx(1, abs=0.1)
+
+
+def test_noise_of_joints_is_that_of_moved_readings(robot) -> None:
+    q = readings(robot, 2, 3)
+    m = expected(robot, q, {}, "test")
+    rng = np.random.default_rng(0)
+    jitter = 1e-5 * rng.normal(size=(4000, *q.shape))
+    moved = 1e3 * expected(robot, (q + jitter).reshape(-1, 6), {}, "moved").position.reshape(-1, 2, 3)
+    spread = np.array([np.cov(moved[:, k].T) for k in range(2)])
+    found = noise_covariance(robot, m, Noise(1e-9, 1e-5))
+    np.testing.assert_allclose(found, spread, atol=0.06 * np.abs(spread).max())
+    J = scaled_jacobian(robot, ("d4", "theta5"), m)
+    W = np.linalg.inv(found)
+    A = whitened(J, found)
+    np.testing.assert_allclose(A.transpose(0, 2, 1) @ A, J.transpose(0, 2, 1) @ W @ J, rtol=1e-9)
+
+
+def test_scaled_jacobian_against_finite_differences(robot) -> None:
+    names = ("a2", "theta3", "c2", "tool_x", "base_rz")
+    q = readings(robot, 4, 1)
+    J = scaled_jacobian(robot, names, expected(robot, q, {}, "test"))
+    for k, name in enumerate(names):
+        p = robot.parameters[name]
+        h = 1e-3 * p.scale
+        ends = [robot.with_values({name: p.value + s * h}) for s in (1, -1)]
+        high, low = (expected(end, q, {}, "test").position for end in ends)
+        np.testing.assert_allclose(J[:, :, k], 1e3 * (high - low) / 2e-3, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("criterion", ["V", "O1", "A", "O5"])
+def test_chosen_poses_are_better_than_random_ones_by_their_own_measure(robot, criterion) -> None:
+    found = select_poses(robot, 20, criterion, **QUICK)
+
+    def worth(s):
+        return {"V": 1 / s.accuracy, "A": 1 / np.trace(s._covariance)}.get(criterion) or s.observability[criterion]
+
+    rng = np.random.default_rng(5)
+    random = [
+        replace(found, m=expected(robot, draw_uniform(robot, 20, Workspace(), rng), {}, "random")) for _ in range(20)
+    ]
+    assert worth(found) > max(worth(s) for s in random)
+
+
+def test_the_same_seed_chooses_the_same(robot, chosen) -> None:
+    again = select_poses(robot, 25, noise=Noise(SIGMA), **QUICK)
+    other = select_poses(robot, 25, noise=Noise(SIGMA), **QUICK, seed=1)
+    np.testing.assert_array_equal(again.q, chosen.q)
+    assert not np.array_equal(other.q, chosen.q)
+    assert other.accuracy == pytest.approx(chosen.accuracy, rel=0.05)
+
+
+def test_given_candidates_are_chosen_from(robot) -> None:
+    q = readings(robot, 60, 2)
+    found = select_poses(robot, 20, "D", candidates=q)
+    assert {tuple(v) for v in found.q} <= {tuple(v) for v in q}
+    assert len({tuple(v) for v in found.q}) == 20
+
+
+def test_measured_poses_count_and_are_not_measured_again(robot) -> None:
+    before = positions(robot, readings(robot, 15, 3), 0, SIGMA)
+    found = select_poses(robot, 10, measured=before, candidates=np.concatenate([before.q, readings(robot, 80, 4)]))
+    distance = np.abs(found.q[:, None] - before.q[None]).max(axis=2)
+    assert distance.min() > 1e-6
+    alone = replace(found, measured=None)
+    assert found.accuracy < alone.accuracy
+    sigma = Noise().sigma
+    both = identify(robot, replace(positions(robot, np.concatenate([found.q, before.q]), 1, sigma), sigma=sigma))
+    assert both.names == found.names
+    np.testing.assert_allclose(both.standard_errors / np.sqrt(both.variance), found.standard_errors, rtol=0.02)
+
+
+def test_effects_get_the_circumstances_that_tell_them(robot) -> None:
+    arm = robot.with_effect(Backlash(2), PayloadError())
+    found = select_poses(arm, 25, interest=["backlash@2", "payload_error"], **QUICK)
+    assert set(found.m.conditions["approach2"]) == {-1.0, 1.0}
+    assert set(found.m.conditions["payload_kg"]) == {0.0, 10.0}
+    assert "backlash@2.half" in found.names
+    assert {"approach2", "payload_kg"} <= set(found.table.columns)
+
+
+def test_interest_makes_its_parameters_sharper(robot) -> None:
+    arm = robot.with_effect(Backlash(2))
+    plain, keen = (select_poses(arm, 20, "A" if i else "V", interest=i, **QUICK) for i in ((), ("backlash@2",)))
+    k = plain.names.index("backlash@2.half")
+    assert keen.standard_errors[k] < plain.standard_errors[k]
+
+
+def test_groups_measure_each_reading_in_every_way(robot) -> None:
+    arm = robot.with_effect(Backlash(2), Backlash(3))
+    ways = Circumstances(payloads=(0.0, 4.0, 10.0), every_payload=True, both_approaches=True, repeats=2)
+    found = select_poses(arm, 12, circumstances=ways, pool=40, restarts=1)
+    assert len(found) == 12 * 3 * 2 * 2
+    _, group = np.unique(found.q, axis=0, return_inverse=True)
+    for k in range(12):
+        mine = group.ravel() == k
+        seen = [tuple(v) for v in zip(*(found.m.conditions[c][mine] for c in ("payload_kg", "approach2")), strict=True)]
+        assert sorted(set(seen)) == [(kg, side) for kg in (0.0, 4.0, 10.0) for side in (-1.0, 1.0)]
+        assert len(seen) == 12
+        both = found.m.conditions["approach2"][mine] * found.m.conditions["approach3"][mine]
+        assert len(set(both)) == 1  # all joints turn round together
+    # A payload is mounted once a pass.
+    assert np.count_nonzero(np.diff(found.m.conditions["payload_kg"])) == 5
+
+
+def test_time_goes_with_the_order(robot) -> None:
+    arm = robot.with_effect(FrameDrift(), ThermalGrowth(None, 600.0))
+    found = select_poses(arm, 30, circumstances=Circumstances(warmup_K=5.0), **QUICK)
+    np.testing.assert_allclose(found.m.conditions["progress"], np.arange(30) / 29)
+    assert (np.diff(found.m.conditions["warmth_600s"]) > 0).all()
+    assert "progress" not in found.table
+
+
+def test_a_column_that_cannot_be_planned_is_named(robot) -> None:
+    class Damp(Backlash):
+        @property
+        def conditions(self):
+            return ("humidity",)
+
+    arm = robot.with_effect(Damp(2))
+    with pytest.raises(InputError, match="'humidity' is needed by an effect and cannot be planned"):
+        circumstanced(arm, readings(arm, 3, 0), Circumstances(), 3, np.random.default_rng(0))
+
+
+def test_too_few_poses_are_refused(robot) -> None:
+    with pytest.raises(InputError, match=r"5 poses give 15 numbers, but \d+ parameters"):
+        select_poses(robot, 5, **QUICK)
+    with pytest.raises(InputError, match="at least one pose"):
+        select_poses(robot, 0)
+    with pytest.raises(InputError, match=r"candidates of shape \(4, 5\)"):
+        select_poses(robot, 20, candidates=np.zeros((4, 5)))
+    with pytest.raises(InputError, match="none of the 4 candidates is allowed"):
+        select_poses(robot, 20, candidates=np.full((4, 6), 3.0))
+
+
+def test_an_order_of_little_travel(robot, chosen) -> None:
+    pytest.importorskip("networkx", reason="the order needs networkx (extra 'plan')")
+    ordered = chosen.ordered()
+    assert {tuple(v) for v in ordered.q} == {tuple(v) for v in chosen.q}
+    assert travel(robot, ordered.q) < 0.75 * travel(robot, chosen.q)
+    assert ordered.accuracy == pytest.approx(chosen.accuracy, rel=1e-9)
+
+
+def test_travel_is_of_the_joint_that_turns_most(robot) -> None:
+    q = np.zeros((3, 6))
+    q[1, 2], q[1, 4], q[2, 0] = 0.5, -0.7, 1.0
+    assert travel(robot, q) == pytest.approx(0.7 + 1.0)
+    np.testing.assert_allclose(distances(robot, q), [[0, 0.7, 1], [0.7, 0, 1], [1, 1, 0]])
+
+
+def test_without_networkx_the_message_says_what_to_install(chosen, monkeypatch) -> None:
+    real = importlib.import_module
+
+    def missing(name):
+        if name == "networkx":
+            raise ImportError(name)
+        return real(name)
+
+    monkeypatch.setattr(importlib, "import_module", missing)
+    with pytest.raises(InputError, match=r"pip install 'casadical\[plan\]'"):
+        chosen.ordered()
+
+
+def test_a_forecast_begins_with_what_was_measured(robot) -> None:
+    before = positions(robot, readings(robot, 20, 3), 0, SIGMA)
+    seen = forecast(robot, 40, measured=before, noise=Noise(SIGMA), pool=200)
+    assert seen.poses[0] == 20
+    assert seen.poses[-1] == 40
+    assert (np.diff(seen.error) < 0).all()
+    # Its first value: what an identification of the measured poses says of poses like these.
+    result = identify(robot, replace(before, sigma=SIGMA))
+    _, covariance = result.predict(readings(robot, 500, 7))
+    now = np.sqrt(np.trace(covariance, axis1=1, axis2=2).mean() / result.variance)
+    assert seen.error[0] == pytest.approx(now, rel=0.05)
+
+
+def test_choosing_at_once_is_at_least_as_good_as_one_by_one(robot) -> None:
+    seen = forecast(robot, 30, noise=Noise(SIGMA), pool=200)
+    whole = select_poses(robot, 30, noise=Noise(SIGMA), pool=200)
+    assert whole.accuracy < 1.01 * np.interp(30, seen.poses, seen.error)
+
+
+def test_stopping_rules() -> None:
+    poses = np.arange(20, 100)
+    seen = Forecast(poses, 1e-4 * np.sqrt(20 / poses))
+    assert seen.enough(5e-5) == 80
+    assert seen.enough(1e-6) is None
+    # sqrt(n / (n + 10)) > 0.9 from n = 42.6 on.
+    assert seen.stop(0.1, 10) == 43
+    assert seen.stop(0.001, 10) is None
