@@ -116,9 +116,13 @@ def correct(
     out: Annotated[Path, typer.Option(metavar="FILE.csv", help="Where the corrected program goes.")],
     nominal: _Nominal = None,
     compensator: _Compensator = None,
-    steps: _Steps = 2,
+    steps: Annotated[
+        int | None, typer.Option(min=1, max=10, help="Least-squares steps of the correction; default: 2.")
+    ] = None,
     payload: _Payload = None,
-    tool: _Tool = "shared",
+    tool: Annotated[
+        str | None, typer.Option(metavar="shared|own", help="As of `casadical export c`; default: shared.")
+    ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FILE.csv if it is there.")] = False,
 ) -> None:
     """Rewrite the joint targets of an offline program so that the real tool goes where the nominal one would.
@@ -138,14 +142,20 @@ def correct(
     if not model.exists():
         raise InputError(f"{model}: no such folder or robot file")
     if model.is_dir():
-        given = {"--nominal": nominal, "--compensator": compensator, "--payload": payload}
+        given = {
+            "--nominal": nominal,
+            "--compensator": compensator,
+            "--payload": payload,
+            "--steps": steps,
+            "--tool": tool,
+        }
         for option, value in given.items():
             if value is not None:
                 raise InputError(f"{option} was decided when {model} was exported; give it with a robot file only")
         corrector = kernel_corrector(model)
     else:
-        sources = Sources(model, nominal, compensator, payload, tool)  # type: ignore[arg-type]
-        corrector = model_corrector(command_of(sources, steps))
+        sources = Sources(model, nominal, compensator, payload, tool or "shared")  # type: ignore[arg-type]
+        corrector = model_corrector(command_of(sources, steps or 2))
     result = corrected(corrector, read_program(program, corrector.joints))
     write_whole(out, result.to_csv())
     typer.echo(str(result))

@@ -229,6 +229,7 @@ WRONG = {
     "no model": (["correct", "nowhere", "job.csv"], "no such folder"),
     "no export": (["correct", "FOLDER", "job.csv"], "no manifest.json"),
     "nominal twice": (["correct", "FOLDER", "job.csv", "--nominal", "NOMINAL"], "when"),
+    "steps twice": (["correct", "FOLDER", "job.csv", "--steps", "3"], "--steps was decided when"),
     "no program": (["correct", "ROBOT", "job.csv", "--nominal", "NOMINAL"], "job.csv: no such file"),
 }
 
