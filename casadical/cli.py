@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
 from . import __version__
+from .controller.commands import correct, export_app
 from .errors import ConvergenceError, InputError
 
 if TYPE_CHECKING:
@@ -302,6 +303,10 @@ def _numbers(text: str | None) -> tuple[float, ...]:
         return tuple(float(word) for word in text.split(",")) if text else ()
     except ValueError:
         raise InputError(f"--payloads {text}: allowed: numbers by commas, such as 0,120") from None
+
+
+app.add_typer(export_app, name="export")
+app.command()(correct)
 
 
 def _progress(quiet: bool) -> Progress:

@@ -200,6 +200,7 @@ def identify(
     method: Method | None = None,
     loss: Loss = "linear",
     priors: bool = False,
+    screen: bool = True,
     progress: Progress | None = None,
 ) -> Identification:
     """Identify parameters of a robot from measurements.
@@ -209,6 +210,7 @@ def identify(
     method : the paper's KM (kinematics only, joints rigid) or SKCM (with compliance), instead of `free`
     loss : linear, huber or soft_l1; the robust ones leave poses that noise explains once in 100 000 out of a last solve
     priors : whether departures from nominal are held back by the robot's prior widths
+    screen : whether a robust loss leaves far poses out of further solves, or only gives them less weight
     progress : called with iteration number and cost
 
     Raises InputError where the measurements do not fit the robot, ConvergenceError where Ipopt finds no optimum.
@@ -229,7 +231,7 @@ def identify(
         )
     sigmas = tuple((m.sigma or SIGMA_GUESS, m.sigma_angle or SIGMA_ANGLE_GUESS) for m in sets)
     problem = LeastSquares(start, sets, names, loss, priors, sigmas)
-    (reduced, solution, found), outliers = _screened(problem, progress)
+    (reduced, solution, found), outliers = _screened(problem, SCREENINGS if screen else 0, progress)
     return Identification(
         given=robot,
         start=start,
@@ -304,14 +306,16 @@ def _deviation(problem: LeastSquares, r: Array, freedom: Array) -> float:
     return float(np.sqrt(square / max(float(np.mean(freedom)), 1 / r.size)))
 
 
-def _screened(problem: LeastSquares, progress: Progress | None) -> tuple[Settled, tuple[tuple[int, int], ...]]:
+def _screened(
+    problem: LeastSquares, rounds: int, progress: Progress | None
+) -> tuple[Settled, tuple[tuple[int, int], ...]]:
     """Solve; with a robust loss, leave outliers out and solve again until there are no more of them.
 
     In rounds, because outliers widen the spread by which they are judged.
     """
     kept = [np.arange(len(m)) for m in problem.sets]
     settled = _with_sigmas(problem, progress)
-    for _ in range(SCREENINGS if problem.loss != "linear" else 0):
+    for _ in range(rounds if problem.loss != "linear" else 0):
         far = _far(settled[0], settled[1])
         if not any(mask.any() for mask in far):
             break

@@ -13,6 +13,7 @@ from ..conditions import derive
 from ..effects import Effect
 from ..errors import InputError
 from ..identification import Identification
+from ..least_squares import spread
 from ..measurements import Measurements
 from ..robot import Robot
 from ..transforms import Array
@@ -22,6 +23,8 @@ from .signatures import signatures
 
 # Compliances are known from data sheets to about half of themselves.
 COMPLIANCE_SHARE = 0.5
+# A pose is left out at first if its residual is beyond so many spreads (scaled median absolute deviations).
+GROSS = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +91,6 @@ def make_case(identification: Identification, candidates: Sequence[Candidate]) -
             "a diagnosis needs one set of measured positions; distances and contacts do not say where it lies"
         )
     m = measured[0]
-    kept = np.ones(len(m), dtype=bool)
-    kept[[i for _, i in identification.outliers]] = False
     possible, missing = choose(candidates, m)
     effects = tuple(dict.fromkeys(e for c in possible for v in c.variants for e in v))
     m, _ = derive(m, [c for e in effects for c in e.conditions])
@@ -100,7 +101,10 @@ def make_case(identification: Identification, candidates: Sequence[Candidate]) -
     assert m.position is not None
     delta0 = _prior_mean(identification) - values
     delta0[[n.startswith("base_") for n in robot.parameters.names]] = 0.0
-    whole = Evidence(m.position - p, J, Jq, delta0, base_prior(robot), E * widths(effects))
+    r = m.position - p
+    # Gross only: an effect that leaves the points in two clouds must not lose one of them as outliers.
+    kept = np.linalg.norm(r, axis=1) / np.sqrt(3) <= GROSS * spread(r)
+    whole = Evidence(r, J, Jq, delta0, base_prior(robot), E * widths(effects))
     columns = column_numbers(effects, 0)
     return Case(identification.robot, robot, values, m, possible, missing, whole, kept, columns)
 

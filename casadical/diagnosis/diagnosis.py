@@ -130,7 +130,7 @@ def diagnose(
     Raises InputError where the measurements cannot carry a diagnosis.
     """
     show("calibrating the base model")
-    identification = identify(robot, m, ("kinematic", "compliance"), loss="huber", priors=True)
+    identification = identify(robot, m, ("kinematic", "compliance"), loss="huber", priors=True, screen=False)
     return diagnose_identification(identification, effects, seed=seed, show=show)
 
 

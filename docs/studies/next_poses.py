@@ -1,4 +1,4 @@
-"""python docs/studies/next_poses.py [CAMPAIGNS] > docs/studies/next_poses.txt
+"""python docs/studies/next_poses.py 150 > docs/studies/next_poses.txt
 
 What fifteen more poses are worth where a campaign of fifty could not tell two causes apart: chosen by next_poses, or
 drawn at random. Truth comes from the simulator, whose physics is not the candidates'; campaigns are of two

@@ -146,8 +146,9 @@ def campaigns(name, robot, plant):
         alike = np.mean([accuracy_of(plain, q) for q in chance])
         least = least_error(robot, plain.names, n, plain.task)
         print(
-            f"{name:6s} {n:4d}  {mean['random']:.4f}  {mean['V']:.4f} {1 - mean['V'] / mean['random']:6.1%} {wins:4.0%}"
-            f"   {1 - chosen.accuracy / by_formula:6.1%}   {1 - plain.accuracy / alike:6.1%}  {1 - least / alike:6.1%}",
+            f"{name:6s} {n:4d}  {mean['random']:.4f}  {mean['V']:.4f} {1 - mean['V'] / mean['random']:6.1%}  "
+            f"{wins:4.0%}   {1 - chosen.accuracy / by_formula:6.1%}   {1 - plain.accuracy / alike:6.1%}  "
+            f"{1 - least / alike:6.1%}",
             flush=True,
         )
 
@@ -189,7 +190,8 @@ def standard_errors(name, robot, plant):
     real = perturb(plant, 99)
     chosen = select_poses(robot, 50, "V", noise=NOISE)
     results = [identify(robot, measured(real, chosen.q, k, robot.payload.mass)[0]) for k in range(REPETITIONS)]
-    assert all(set(r.names) == set(chosen.names) for r in results)
+    # A base that leans a little lets gravity load joint 1, which the drawing does not know.
+    assert all(set(r.names) ^ set(chosen.names) <= {"c1"} for r in results)
     # The base frame is placed anew each time; its parameters count from there.
     kept = [k for k, n in enumerate(chosen.names) if not n.startswith("base_")]
     values = np.array([[r.robot.parameters[chosen.names[k]].value for k in kept] for r in results])
@@ -214,12 +216,8 @@ def main() -> None:
     for name, robot in robots.items():
         standard_errors(name, robot, plants[name])
     print(f"\nHeld-out mean error [mm], {CAMPAIGNS} real robots, each measured once at random and at chosen poses.")
-    print(
-        "'wins': campaigns in which V is better. 'by formula': what V gains on random poses in expectation, with this"
-    )
-    print(
-        "noise; 'alike': with noise alike in all poses; 'at most': what the best conceivable poses could (a bound).\n"
-    )
+    print("'wins': campaigns in which V is better. 'by formula': what V gains on random poses in expectation, with")
+    print("this noise; 'alike': with noise alike in all poses; 'at most': what no poses could better (a bound).\n")
     print("robot     n  random  V        less  wins   by formula   alike at most")
     for name, robot in robots.items():
         campaigns(name, robot, plants[name])
@@ -233,7 +231,7 @@ def main() -> None:
         at = [f"{n}: {1e3 * np.interp(n, seen.poses, seen.error):.4f}" for n in (20, 30, 40, 60, 100)]
         print(f"{name:6s}  {', '.join(at)}; ten more gain under 10 % from {seen.stop()} poses on")
     if len(sys.argv) > 1:
-        print(f"\nO1 [mm] and CPU seconds, {POOL} candidates for all; 'free': ours draws its own and refines them.")
+        print(f"\nO1 [mm] and CPU seconds, {POOL} candidates for all; 'free': ours drawing its own and refining them.")
         print("Detmax may take a pose twice: 'twice' counts these. Ours includes Jacobians and choosing parameters.\n")
         print("robot     n  random   SOCP top n [s]  Detmax    [s] twice   ours      [s]  free      [s]")
         for name, robot in robots.items():

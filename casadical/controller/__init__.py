@@ -1,0 +1,1 @@
+"""A calibrated robot and its controller: the correction as C, and joint targets of offline programs corrected."""

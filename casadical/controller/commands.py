@@ -1,0 +1,184 @@
+"""The commands `casadical export c` and `casadical correct`."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..errors import InputError
+
+if TYPE_CHECKING:
+    from .models import Sources
+
+export_app = typer.Typer(
+    help="Turn a calibrated robot into code for its controller.",
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+)
+
+_Nominal = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="NOMINAL.toml", help="The robot as its controller computes it: the file from before the calibration."
+    ),
+]
+_Compensator = Annotated[
+    Path | None, typer.Option(metavar="NET.json", help="A trained compensator, as save_compensator writes it.")
+]
+_Payload = Annotated[
+    float | None, typer.Option(metavar="KG", help="Mass on the flange; default: as the robot file declares.")
+]
+_Tool = Annotated[
+    str,
+    typer.Option(
+        metavar="shared|own",
+        help="shared: nominal and real robot carry the calibrated file's tool. own: each its file's, for a measured "
+        "point that is the controller's tool centre point.",
+    ),
+]
+_Steps = Annotated[int, typer.Option(min=1, max=10, help="Least-squares steps of the correction.")]
+
+
+@export_app.callback()
+def _group() -> None:
+    pass
+
+
+@export_app.command("c")
+def export_c(
+    robot: Annotated[Path, typer.Argument(metavar="ROBOT.toml", help="A calibrated robot file.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files; what is in it already stays.")],
+    what: Annotated[
+        str, typer.Option(metavar="network|command", help="The network alone, or the correction of joint commands.")
+    ] = "command",
+    nominal: _Nominal = None,
+    compensator: _Compensator = None,
+    real: Annotated[str, typer.Option(metavar="float|double", help="Number type of the C.")] = "double",
+    steps: _Steps = 2,
+    payload: _Payload = None,
+    tool: _Tool = "shared",
+    name: Annotated[
+        str | None, typer.Option(metavar="PREFIX", help="Of C functions and files; default: from the robot's name.")
+    ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace files that casadical did not write or that were changed.")
+    ] = False,
+) -> None:
+    """Write guarded C99 for a controller, compiled and compared with its source before it is kept.
+
+    Precondition: the controller's own absolute-accuracy option is off.
+
+    Exit codes: 0 done, 2 bad input, 70 a bug of ours.
+    """
+    from ..export import write_c
+    from ..robot_file import read_robot
+    from .models import Sources, command_of, network_of
+
+    if what not in ("network", "command"):
+        raise InputError(f"--what {what}: not known; allowed: network, command")
+    if real not in ("float", "double"):
+        raise InputError(f"--real {real}: not known; allowed: float, double")
+    if what == "network" and (nominal or payload is not None):
+        raise InputError("--nominal and --payload have no part in a network alone; leave them out, or --what command")
+    sources = Sources(robot, nominal, compensator, payload, tool)  # type: ignore[arg-type]
+    product = command_of(sources, steps) if what == "command" else network_of(sources)
+    written = write_c(
+        product,
+        out,
+        name=name or prefix_of(read_robot(robot).name),
+        real=real,
+        model_sha256=_sha256(robot),
+        data_sha256=_sha256(compensator) if compensator else "not given",
+        overwrite=overwrite,
+    )
+    typer.echo(f"{what} of {robot}, {real}")
+    for line in _about(sources, what, getattr(product, "network", product) is not None):
+        typer.echo(line)
+    typer.echo(str(written))
+    typer.echo("precondition: the controller's own absolute-accuracy option is off")
+
+
+def correct(
+    model: Annotated[
+        Path, typer.Argument(metavar="DIR_OR_MODEL", help="A folder that `casadical export c` wrote, or a robot file.")
+    ],
+    program: Annotated[
+        Path, typer.Argument(metavar="PROGRAM.csv", help="Joint targets q1_deg .. (or q1_rad ..), and other columns.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="FILE.csv", help="Where the corrected program goes.")],
+    nominal: _Nominal = None,
+    compensator: _Compensator = None,
+    steps: _Steps = 2,
+    payload: _Payload = None,
+    tool: _Tool = "shared",
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FILE.csv if it is there.")] = False,
+) -> None:
+    """Rewrite the joint targets of an offline program so that the real tool goes where the nominal one would.
+
+    Every row gets a status; a row whose status is not OK keeps its targets and is listed. With a folder, the options
+    of the model are those of its export; with a robot file, give --nominal and what else `casadical export c` takes.
+
+    Exit codes: 0 written, with or without refused rows; 2 bad input; 70 a bug of ours.
+    """
+    from ..files import write_whole
+    from .correct import corrected, kernel_corrector, model_corrector
+    from .models import Sources, command_of
+    from .program import read_program
+
+    if out.exists() and not overwrite:
+        raise InputError(f"{out} is there already; give another file, or --overwrite")
+    if not model.exists():
+        raise InputError(f"{model}: no such folder or robot file")
+    if model.is_dir():
+        given = {"--nominal": nominal, "--compensator": compensator, "--payload": payload}
+        for option, value in given.items():
+            if value is not None:
+                raise InputError(f"{option} was decided when {model} was exported; give it with a robot file only")
+        corrector = kernel_corrector(model)
+    else:
+        sources = Sources(model, nominal, compensator, payload, tool)  # type: ignore[arg-type]
+        corrector = model_corrector(command_of(sources, steps))
+    result = corrected(corrector, read_program(program, corrector.joints))
+    write_whole(out, result.to_csv())
+    typer.echo(str(result))
+    if model.is_dir():
+        typer.echo(_stated(model))
+    typer.echo(f"wrote {out}")
+
+
+def prefix_of(name: str) -> str:
+    """A C prefix from a robot's name: lower case, at most 24 characters."""
+    words = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+    return (words if words[:1].isalpha() else f"robot_{words}")[:24].rstrip("_")
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _about(sources: Sources, what: str, networked: bool) -> list[str]:
+    """What went in, with hashes."""
+    files = {"robot": sources.robot, "nominal": sources.nominal, "compensator": sources.compensator}
+    used = ["robot", "compensator"] if what == "network" else list(files)
+    lines = [f"{label}: {path}, sha256 {_sha256(path)}" for label, path in files.items() if path and label in used]
+    if sources.compensator and not networked:
+        lines.append("the compensator was refused when it was trained: it corrects nothing and is left out")
+    if what == "command":
+        mass = "as declared" if sources.payload_kg is None else f"{sources.payload_kg:g} kg"
+        lines.append(f"payload: {mass}; tool: {sources.tool}; positions in the robot's own base frame")
+    return lines
+
+
+def _stated(folder: Path) -> str:
+    """The remaining error that was measured when a folder was exported."""
+    figures = json.loads((folder / "manifest.json").read_text(encoding="utf-8")).get("figures", {})
+    stated = {key: figures[key] for key in ("rest_um_median", "rest_um_worst") if key in figures}
+    if not stated:
+        return "remaining error: not measured"
+    median, worst = stated["rest_um_median"], stated["rest_um_worst"]
+    return f"remaining error, measured at export on random poses: median {median:g} um, worst {worst:g} um"
