@@ -87,15 +87,18 @@ def export_c(
         raise InputError("--nominal and --payload have no part in a network alone; leave them out, or --what command")
     sources = Sources(robot, nominal, compensator, payload, tool)  # type: ignore[arg-type]
     product = command_of(sources, steps) if what == "command" else network_of(sources)
-    written = write_c(
-        product,
-        out,
-        name=name or prefix_of(read_robot(robot).name),
-        real=real,
-        model_sha256=_sha256(robot),
-        data_sha256=_sha256(compensator) if compensator else "not given",
-        overwrite=overwrite,
-    )
+    try:
+        written = write_c(
+            product,
+            out,
+            name=name or prefix_of(read_robot(robot).name),
+            real=real,
+            model_sha256=_sha256(robot),
+            data_sha256=_sha256(compensator) if compensator else "not given",
+            overwrite=overwrite,
+        )
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written: {error.strerror}") from error
     typer.echo(f"{what} of {robot}, {real}")
     for line in _about(sources, what, getattr(product, "network", product) is not None):
         typer.echo(line)
