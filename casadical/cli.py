@@ -70,7 +70,8 @@ def calibrate(
         typer.Option(
             metavar="METHOD",
             help="KM (kinematics only), SKCM (with joint compliance), or a network on what SKCM leaves: NN-SKCM "
-            "(back-propagation), IWO-NN-SKCM (the paper's), LM-NN-SKCM or IWO-LM-NN-SKCM; default: the problem's.",
+            "(back-propagation), IWO-NN-SKCM (the paper's), LM-NN-SKCM, IWO-LM-NN-SKCM or "
+            "GP-NN-SKCM; default: the problem's.",
         ),
     ] = None,
     loss: Annotated[

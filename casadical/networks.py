@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .accuracy import Accuracy, predicted, summarise
-from .compensator import Backprop, Compensator, Iwo, IwoThenLm, LevenbergMarquardt, Trainer
+from .compensator import Backprop, Compensator, Iwo, IwoThenLm, LevenbergMarquardt, Taught, Trainer
 from .compensator.training import Progress
 from .identification import Identification
 from .measurements import Measurements
@@ -22,6 +22,7 @@ TRAINERS: Mapping[NetworkMethod, tuple[Trainer, float | None]] = {
     "IWO-NN-SKCM": (Iwo(), 1.0),
     "LM-NN-SKCM": (LevenbergMarquardt(restarts=20), None),
     "IWO-LM-NN-SKCM": (IwoThenLm(), None),
+    "GP-NN-SKCM": (Taught(), None),
 }
 
 # A problem without a set to train on lends the poses that identified the robot, where they are so many that the

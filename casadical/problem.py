@@ -19,7 +19,7 @@ from .robot_file import read_robot
 from .schema import FaultError, check, load_toml
 
 BaseMethod = Literal["KM", "SKCM"]
-NetworkMethod = Literal["NN-SKCM", "IWO-NN-SKCM", "LM-NN-SKCM", "IWO-LM-NN-SKCM"]
+NetworkMethod = Literal["NN-SKCM", "IWO-NN-SKCM", "LM-NN-SKCM", "IWO-LM-NN-SKCM", "GP-NN-SKCM"]
 NETWORK_METHODS: tuple[NetworkMethod, ...] = get_args(NetworkMethod)
 ALL_METHODS: tuple[BaseMethod | NetworkMethod, ...] = (*get_args(BaseMethod), *NETWORK_METHODS)
 

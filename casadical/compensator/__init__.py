@@ -7,7 +7,7 @@ from casadical.compensator.network import Network
 from casadical.compensator.report import BeforeAfter, Errors
 from casadical.compensator.saving import compensator_text, load_compensator, save_compensator
 from casadical.compensator.task import Loss, Task, make_task
-from casadical.compensator.trainers import TRAINERS, Backprop, Iwo, IwoThenLm, LevenbergMarquardt, Trainer
+from casadical.compensator.trainers import TRAINERS, Backprop, Iwo, IwoThenLm, LevenbergMarquardt, Taught, Trainer
 from casadical.compensator.training import Progress, Training, train, train_all
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "Network",
     "Progress",
     "Task",
+    "Taught",
     "Trainer",
     "Training",
     "compensator_text",

@@ -27,6 +27,7 @@ from casadical.compensator import (
     Layout,
     LevenbergMarquardt,
     Loss,
+    Taught,
     Trainer,
     make_task,
     train,
@@ -45,6 +46,7 @@ TRAINERS: dict[str, tuple[Trainer, float | None]] = {
     "lm, best of 20, no ridge": (LevenbergMarquardt(restarts=20, ridges=(0.0,)), None),
     "lm, ridge by CV": (LevenbergMarquardt(), None),
     "iwo then lm, ridge by CV": (IwoThenLm(), None),
+    "taught by a process": (Taught(), None),
 }
 
 Arrays = tuple[np.ndarray, np.ndarray]

@@ -65,6 +65,7 @@ def same_experiment() -> dict[str, np.ndarray]:
         ("iwo, as in the paper", "lm, ridge by CV"),
         ("iwo, as in the paper", "no network"),
         ("lm, ridge by CV", "no network"),
+        ("taught by a process", "no network"),
     ):
         trainers.compare(found, one, other)
     sys.stdout.flush()

@@ -53,7 +53,7 @@ def test_all_four_methods_of_the_paper_and_the_best_trainer_run(hh800) -> None:
     (problem, _, errors), networks = hh800
     assert problem.methods == ("KM", "SKCM")
     assert tuple(networks.results) == NETWORK_METHODS == tuple(TRAINERS)
-    assert [r.compensator.trainer for r in networks.results.values()] == ["backprop", "iwo", "lm", "iwo-lm"]
+    assert [r.compensator.trainer for r in networks.results.values()] == ["backprop", "iwo", "lm", "iwo-lm", "taught"]
     for r in networks.results.values():
         c = r.compensator
         assert (c.training.before.poses, c.choice.before.poses, c.validation.before.poses) == (50, 50, 50)

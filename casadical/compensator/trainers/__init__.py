@@ -5,15 +5,27 @@ from casadical.compensator.trainers.base import Run, Trainer
 from casadical.compensator.trainers.iwo import Iwo
 from casadical.compensator.trainers.iwo_lm import IwoThenLm
 from casadical.compensator.trainers.lm import LevenbergMarquardt
+from casadical.compensator.trainers.taught import Taught
 from casadical.errors import InputError
 
-__all__ = ["TRAINERS", "Backprop", "Iwo", "IwoThenLm", "LevenbergMarquardt", "Run", "Trainer", "trainer_named"]
+__all__ = [
+    "TRAINERS",
+    "Backprop",
+    "Iwo",
+    "IwoThenLm",
+    "LevenbergMarquardt",
+    "Run",
+    "Taught",
+    "Trainer",
+    "trainer_named",
+]
 
 TRAINERS: dict[str, type[Trainer]] = {
     "iwo": Iwo,
     "backprop": Backprop,
     "lm": LevenbergMarquardt,
     "iwo-lm": IwoThenLm,
+    "taught": Taught,
 }
 
 
