@@ -1,7 +1,7 @@
 """python docs/studies/hh800_twin_effects.py > docs/studies/hh800_twin_effects.txt
 
-What the HH800 twin is made of: how far each unmodelled effect alone moves the reflector (nothing is fitted, so most would
-vanish in an identification), and how much of all of them does not repeat at the same joint readings.
+What the HH800 twin is made of: how far each unmodelled effect alone moves the reflector (nothing is fitted, so most
+would vanish in an identification), and how much of all of them does not repeat at the same joint readings.
 """
 
 import numpy as np
