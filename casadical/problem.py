@@ -21,7 +21,8 @@ from .schema import FaultError, check, load_toml
 BaseMethod = Literal["KM", "SKCM"]
 NetworkMethod = Literal["NN-SKCM", "IWO-NN-SKCM", "LM-NN-SKCM", "IWO-LM-NN-SKCM", "GP-NN-SKCM"]
 NETWORK_METHODS: tuple[NetworkMethod, ...] = get_args(NetworkMethod)
-ALL_METHODS: tuple[BaseMethod | NetworkMethod, ...] = (*get_args(BaseMethod), *NETWORK_METHODS)
+AnyMethod = Literal[BaseMethod, NetworkMethod]
+ALL_METHODS: tuple[AnyMethod, ...] = get_args(AnyMethod)
 
 Three = Annotated[list[float], Field(min_length=3, max_length=3)]
 
@@ -99,7 +100,7 @@ class _ProblemFile(_Strict):
     robot: str = "robot.toml"
     campaign_robot: str | None = None
     urdf: _Urdf | None = None
-    methods: list[BaseMethod | NetworkMethod] = ["KM", "SKCM"]
+    methods: list[AnyMethod] = ["KM", "SKCM"]
     loss: Loss = "linear"
     paper: _Paper | None = None
     measurements: list[_Data] = Field(min_length=1)
