@@ -32,6 +32,7 @@ SIGNATURES = {
     "base_compliance": "a foot that tilts under the overturning moment",
     "frame_drift": "a measuring frame that creeps with time",
     "outliers": "single points that are wrong",
+    "bearing_play": "a bearing or flange that rocks under the weight beyond it",
     "load_hysteresis": "a lag behind the last motion that grows with the load",
     "gear_mesh": "periodic error once and twice a turn of the motor or wave generator",
     "cross_coupling": "a joint that gives way to another one's torque (parallelogram, link bending)",
