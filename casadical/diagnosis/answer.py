@@ -102,8 +102,15 @@ def _gap_line(d: Diagnosis) -> str:
     there = "nothing detected" if d.verdict == "none" else "detected"
     return (
         f"GAP    {1e3 * d.gap.before:.4f} mm mean, held out (noise floor {1e3 * d.gap.floor:.4f}; "
-        f"{int(d.case.kept.sum())} poses); {there}, P(nothing) = {d.rankings[0].none:.2g}"
+        f"{int(d.case.kept.sum())} poses); {there}, P(nothing) = {d.rankings[0].none:.2g}{_chance(d.p_nothing)}"
     )
+
+
+def _chance(p: float | None) -> str:
+    """A bootstrap's p-value."""
+    if p is None:
+        return ""
+    return f", p < {p:.1g}" if p < 1e-3 else f", p = {p:.2g}"
 
 
 def _where_line(d: Diagnosis) -> str:

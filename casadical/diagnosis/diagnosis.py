@@ -14,6 +14,7 @@ from ..identification import Identification, identify
 from ..measurements import Measurements
 from ..robot import Robot
 from ..transforms import Array
+from .bootstrap import p_value
 from .case import Case, make_case
 from .gap import Noise, estimates, held_out_errors, random_folds, remainders, shrink_interval
 from .library import Candidate, candidates_of
@@ -26,8 +27,11 @@ Show = Callable[[str], None]
 
 # A cause is claimed alone from this probability on.
 CLAIM = 0.90
-# Something is there if "nothing" is less probable than this, at first and once a cause was found.
-DETECT, DETECT_FURTHER = 0.05, 0.05
+# Something is there if "nothing" is less probable than this, at first and once a cause was found. Noise alone falls below
+# the first in 0.1 to 1 % of 2000 bootstrap draws, by robot (practice campaigns without an effect).
+DETECT, DETECT_FURTHER = 0.02, 0.05
+# With a bootstrap: something is there if noise alone looks as much like it this often at most.
+FALSE_ALARMS = 0.01
 # Squared Mahalanobis distance of three coordinates beyond which a pose is an outlier, and below which it is none.
 OUT, IN = 75.0, 40.0
 # A further cause is taken up from this probability on, among those that are there.
@@ -82,6 +86,7 @@ class Diagnosis:
     unknown_rest : share of the gap that is there to be explained and that no named cause explains
     rankings : what each step saw; outliers : rows of the table that were left out
     missing : label -> columns that would be needed to speak about it
+    p_nothing : how often noise alone would look as much like some cause; None without a bootstrap
     """
 
     verdict: Verdict
@@ -94,6 +99,7 @@ class Diagnosis:
     missing: dict[str, tuple[str, ...]]
     case: Case
     identification: Identification
+    p_nothing: float | None = None
 
     @property
     def in_question(self) -> tuple[str, ...]:
@@ -121,19 +127,21 @@ def diagnose(
     effects: Sequence[str | Effect] | Literal["standard", "extended"] = "standard",
     *,
     seed: int = 0,
+    bootstrap: int = 0,
     show: Show = lambda _text: None,
 ) -> Diagnosis:
     """Calibrate the base model on a campaign and diagnose what is left.
 
     robot : nominal model, with the compliances that it should have; m : one set of measured positions
     effects : "standard" or "extended", or names (backlash), labels (backlash@5) and own effects
-    seed : of the partitions into folds; show : called with a line of progress
+    seed : of the partitions into folds and of the bootstrap; show : called with a line of progress
+    bootstrap : draws of noise alone that calibrate whether something is there (2000 take some seconds); 0 for none
 
     Raises InputError where the measurements cannot carry a diagnosis.
     """
     show("calibrating the base model")
     identification = identify(robot, m, ("kinematic", "compliance"), loss="huber", priors=True, screen=False)
-    return diagnose_identification(identification, effects, seed=seed, show=show)
+    return diagnose_identification(identification, effects, seed=seed, bootstrap=bootstrap, show=show)
 
 
 def diagnose_identification(
@@ -141,13 +149,14 @@ def diagnose_identification(
     effects: Sequence[str | Effect] | Literal["standard", "extended"] = "standard",
     *,
     seed: int = 0,
+    bootstrap: int = 0,
     show: Show = lambda _text: None,
 ) -> Diagnosis:
     """Diagnose what an identification left on its own measurements; arguments as of `diagnose`."""
     robot = identification.given
     show("signatures of the candidates")
     case = make_case(identification, candidates_of(robot, effects))
-    return _Investigation(identification, case, seed, show).conclude()
+    return _Investigation(identification, case, seed, bootstrap, show).conclude()
 
 
 @dataclass
@@ -162,8 +171,10 @@ class _Step:
 class _Investigation:
     """The steps of one diagnosis."""
 
-    def __init__(self, identification: Identification, case: Case, seed: int, show: Show) -> None:
+    def __init__(self, identification: Identification, case: Case, seed: int, bootstrap: int, show: Show) -> None:
         self.identification, self.case, self.seed, self.show = identification, case, seed, show
+        self.bootstrap = bootstrap
+        self.p_nothing: float | None = None
         self.steps: list[_Step] = []
         self.rankings: list[Ranking] = []
 
@@ -217,7 +228,7 @@ class _Investigation:
 
     def _next(self, ranking: Ranking) -> tuple[str, tuple[str, ...]]:
         """The next cause and what looks like it; or no label and why not: none, ambiguous, unknown."""
-        if ranking.none > (DETECT_FURTHER if self.steps else DETECT):
+        if not self._detected(ranking):
             return "none", ()
         listed = [label for label in ranking.order if self.by_label[label].listed]
         there = 1 - ranking.none
@@ -227,6 +238,13 @@ class _Investigation:
         if self.steps and ranking.probability[listed[0]] < LEAST_FURTHER * there:
             return "ambiguous", ()
         return "claimed", self._alike(ranking, listed)
+
+    def _detected(self, ranking: Ranking) -> bool:
+        """Whether there is a (further) cause, listed or not."""
+        if self.steps or not self.bootstrap:
+            return ranking.none <= (DETECT_FURTHER if self.steps else DETECT)
+        self.p_nothing = p_value(self.case, ranking, self.bootstrap, self.seed, self.show)
+        return self.p_nothing <= FALSE_ALARMS
 
     def _alike(self, ranking: Ranking, listed: Sequence[str]) -> tuple[str, ...]:
         """The most probable cause alone if it is certain, else with those that share the probability."""
@@ -267,6 +285,7 @@ class _Investigation:
             missing=self.case.missing,
             case=self.case,
             identification=self.identification,
+            p_nothing=self.p_nothing,
         )
 
     def _final_noise(self, end: str) -> Noise:

@@ -56,7 +56,7 @@ def rank(case: Case, chosen: Array, skip: frozenset[str] = frozenset()) -> Ranki
     log_variant = log_sum(grids.reshape(len(grids), -1), axis=1) - base
     owner = np.array([c for c, _ in case.variants])
     prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
-    weights = _prior_weights(case, prior, skip)
+    weights = prior_weights(case, prior, skip)
     factor, variant, noise = {}, {}, {"": likely_noise(base_grid)}
     for c, candidate in enumerate(case.candidates):
         if candidate.label in weights:
@@ -70,7 +70,7 @@ def rank(case: Case, chosen: Array, skip: frozenset[str] = frozenset()) -> Ranki
     return Ranking(float(share[0]), dict(zip(factor, share[1:].tolist(), strict=True)), factor, variant, noise)
 
 
-def _prior_weights(case: Case, prior: Mapping[str, float], skip: frozenset[str]) -> dict[str, float]:
+def prior_weights(case: Case, prior: Mapping[str, float], skip: frozenset[str]) -> dict[str, float]:
     """Listed effects share alike, then each its joints; so do the rarer ones, and all smooth forms have as much."""
     open_ = [c for c in case.candidates if c.label not in skip]
     taken = {c.joint for c in case.candidates if c.label in skip and c.joint is not None}
