@@ -12,6 +12,7 @@ from .correct import correct
 from .diagnose import diagnose
 from .export import export_app
 from .plan import plan
+from .withheld import withheld_app
 
 app = typer.Typer(
     name="casadical",
@@ -45,3 +46,4 @@ def _root(
 for command in (calibrate, diagnose, plan, correct):
     app.command()(command)
 app.add_typer(export_app, name="export")
+app.add_typer(withheld_app, name="withheld")
