@@ -8,6 +8,7 @@ import typer
 
 from .. import __version__
 from .calibrate import calibrate
+from .check import check
 from .correct import correct
 from .diagnose import diagnose
 from .export import export_app
@@ -42,6 +43,6 @@ def _root(
     pass
 
 
-for command in (calibrate, diagnose, plan, correct):
+for command in (check, calibrate, diagnose, plan, correct):
     app.command()(command)
 app.add_typer(export_app, name="export")
