@@ -96,7 +96,7 @@ def _by_f(left: Regression, case: Case) -> _Choice:
     try:
         from scipy.stats import f
     except ImportError:
-        raise InputError("--by f-test needs scipy: pip install 'casadical[baselines]'") from None
+        raise InputError("--by f-test needs scipy: pip install 'casadical[withheld]'") from None
     total, widths = float(left.y @ left.y), np.array([len(g) for g in case.groups])
     gain = np.minimum(left.gains(case.groups), total * (1 - 1e-12))
     freedom = left.freedom - widths

@@ -68,7 +68,7 @@ def _fitted(X: Array, y: Array) -> Any:
         from sklearn.gaussian_process import GaussianProcessRegressor
         from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
     except ImportError:
-        raise InputError("--by gp needs scikit-learn: pip install 'casadical[baselines]'") from None
+        raise InputError("--by gp needs scikit-learn: pip install 'casadical[withheld]'") from None
     shape = ConstantKernel(0.5, (1e-3, 1e2)) * RBF(np.full(X.shape[1], 3.0), (0.3, 1e3))
     kernel = shape + WhiteKernel(0.5, (1e-3, 1e1))
     with warnings.catch_warnings():
