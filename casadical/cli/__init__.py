@@ -10,8 +10,7 @@ import traceback
 
 from ..errors import ConvergenceError, InputError
 from .root import app as app
-
-BAD_INPUT, NO_CONVERGENCE, OUR_BUG = 2, 3, 70
+from .terminal import BAD_INPUT, NO_CONVERGENCE, OUR_BUG
 
 
 def main() -> None:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
 from ..errors import InputError
-from .terminal import Quiet, progress
+from .terminal import Json, Problems, Quiet, as_text, progress
+from .words import losses, methods
 
 
 def calibrate(
-    problems: Annotated[list[Path], typer.Argument(metavar="PROBLEM_DIR...", help="One or more problem folders.")],
+    problems: Problems,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -24,11 +24,12 @@ def calibrate(
             "(METHOD.compensator.json) and result.json here; with several problems, in a folder for each.",
         ),
     ] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Keep all figures as JSON.")] = None,
+    json_file: Json = None,
     method: Annotated[
         str | None,
         typer.Option(
             metavar="METHOD",
+            autocompletion=methods,
             help="KM (kinematics only), SKCM (with joint compliance), or a network on what SKCM leaves: NN-SKCM "
             "(back-propagation), IWO-NN-SKCM (the paper's), LM-NN-SKCM, IWO-LM-NN-SKCM or "
             "GP-NN-SKCM; default: the problem's.",
@@ -38,6 +39,7 @@ def calibrate(
         str | None,
         typer.Option(
             metavar="LOSS",
+            autocompletion=losses,
             help="linear, or with outliers huber or soft_l1, which leave them out; default: the problem's.",
         ),
     ] = None,
@@ -62,7 +64,7 @@ def calibrate(
     from ..tables import as_json, report
 
     console = Console(quiet=quiet, soft_wrap=False)
-    found: dict[str, object] = {}
+    found: dict[str, Any] = {}
     texts: dict[Path, str] = {}
     for name, folder in _by_name(problems).items():
         with progress(quiet) as bar:
@@ -79,8 +81,7 @@ def calibrate(
         if out:
             texts |= result_files(out if len(problems) == 1 else out / name, *run, networks)
     if json_file:
-        whole = found if len(found) > 1 else next(iter(found.values()))
-        texts[json_file] = json.dumps(whole, indent=1, allow_nan=False) + "\n"
+        texts[json_file] = as_text(found if len(found) > 1 else next(iter(found.values())))
     write_together(texts)
     for path in texts:
         console.print(f"wrote {path}", soft_wrap=True)

@@ -8,10 +8,13 @@ import typer
 
 from .. import __version__
 from .calibrate import calibrate
+from .check import check
 from .correct import correct
 from .diagnose import diagnose
 from .export import export_app
+from .new import new
 from .plan import plan
+from .withheld import withheld_app
 
 app = typer.Typer(
     name="casadical",
@@ -42,6 +45,7 @@ def _root(
     pass
 
 
-for command in (calibrate, diagnose, plan, correct):
+for command in (new, check, calibrate, diagnose, plan, correct):
     app.command()(command)
 app.add_typer(export_app, name="export")
+app.add_typer(withheld_app, name="withheld")

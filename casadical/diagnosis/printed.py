@@ -142,10 +142,10 @@ def _estimate(name: str, value: float, error: float, unit: str) -> str:
 def _how_far(d: Diagnosis, e: Extras) -> Iterator[str]:
     steps = [c for c in d.causes if c.effects]
     if steps:
-        last = d.course.iloc[-1]
+        last, added = d.course.iloc[-1], "with it" if len(steps) == 1 else "with all of them"
         yield from _block(
             "AFTER",
-            f"{last['gap_mm']:.3f} mm with {'it' if len(steps) == 1 else 'all of them'} ({last['low_mm']:.3f} to {last['high_mm']:.3f}), poses left out "
+            f"{last['gap_mm']:.3f} mm {added} ({last['low_mm']:.3f} to {last['high_mm']:.3f}), poses left out "
             f"one by one {last['loo_mm']:.3f}; the model is then wrong by {last['model_mm']:.3f} mm rms "
             f"({last['model_low_mm']:.3f} to {last['model_high_mm']:.3f})",
         )
