@@ -14,6 +14,7 @@ from .diagnose import diagnose
 from .export import export_app
 from .new import new
 from .plan import plan
+from .withheld import withheld_app
 
 app = typer.Typer(
     name="casadical",
@@ -47,3 +48,4 @@ def _root(
 for command in (new, check, calibrate, diagnose, plan, correct):
     app.command()(command)
 app.add_typer(export_app, name="export")
+app.add_typer(withheld_app, name="withheld")
