@@ -21,7 +21,7 @@ def model(machine: Plant, payload_kg: float) -> pin.Model:
 
 
 def rest(machine: Plant, payload_kg: float, q: np.ndarray) -> np.ndarray:
-    """The reflector (3,) [m] at rest: every motor's spring carries the weights, those beyond the loop by virtual work."""
+    """The reflector (3,) [m] at rest: the motors' springs carry the weights, through the loop by virtual work."""
     built = model(machine, payload_kg)
     data, turned = built.createData(), q
     for _ in range(40):
@@ -38,7 +38,7 @@ def rest(machine: Plant, payload_kg: float, q: np.ndarray) -> np.ndarray:
 
 
 def _tree(machine: Plant, built: pin.Model, data: pin.Data, angles: np.ndarray) -> np.ndarray:
-    """Angles of the tree's joints at those of the motors: with a loop, the elbow is where the coupler keeps its length."""
+    """Angles of the tree's joints at those of the motors; a loop's elbow is where the coupler keeps its length."""
     bar = machine.four_bar
     if bar is None:
         return angles
