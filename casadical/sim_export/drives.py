@@ -15,16 +15,25 @@ from ..effects import (
     BaseCompliance,
     CubicStiffness,
     Effect,
+    FrameDrift,
     FrictionWindup,
     JointScale,
     LinkFlexure,
     MissingCompliance,
     NonlinearStiffness,
     PayloadError,
+    Refraction,
+    SmrOffset,
+    TargetShift,
+    TrackerScale,
 )
 from ..robot import Body, Robot
 from ..transforms import Array
 
+OF_THE_MEASUREMENT = (FrameDrift, Refraction, SmrOffset, TargetShift, TrackerScale)
+HAVE_ONE = (Backlash, FrictionWindup, MissingCompliance, NonlinearStiffness)
+# tanh(x) is nearest to SLOPE x that stops at STOP, off by OFF at most.
+SLOPE, STOP, OFF = 0.76, 0.92, 0.083
 # Of a joint that does not give way [N m/rad or N/m]: 10 kN m turn it by 1e-8 rad.
 RIGID = 1e12
 
@@ -33,14 +42,17 @@ RIGID = 1e12
 class Drive:
     """One actuated joint.
 
-    compliance : of its linear spring [rad/(N m)], 0 for none; bend : of a joint that hardens, deflection against torque
-        at `torques` (what is not linear, compliance included), empty where it is linear
+    compliance : of its spring [rad/(N m)], 0 for none
+    k1, k3 : of a spring k1 d + k3 d^3 in its place [N m/rad, N m/rad^3]
+    give, give_stiffness : half range [rad] and stiffness [N m/rad] of a second spring in series that ends at stops
     ratio : turn of the joint per turn commanded; play : half of it [rad]; play_friction, friction : dry [N m]
     """
 
     compliance: float = 0.0
-    torques: tuple[float, ...] = ()
-    bend: tuple[float, ...] = ()
+    k1: float = 0.0
+    k3: float = 0.0
+    give: float = 0.0
+    give_stiffness: float = 0.0
     ratio: float = 1.0
     play: float = 0.0
     play_friction: float = 0.0
@@ -49,16 +61,7 @@ class Drive:
     @property
     def stiffness(self) -> float:
         """Of the actuator [N m/rad]; a joint that hardens has its spring beside the actuator."""
-        return RIGID if self.bend or not self.compliance else 1 / self.compliance
-
-    @property
-    def hardening(self) -> tuple[float, float]:
-        """k1, k3 of the spring torque k1 d + k3 d^3 that comes nearest to the bend, k3 >= 0."""
-        d, tau = np.array(self.bend), np.array(self.torques)
-        A = np.column_stack([d, d**3])
-        scale = np.linalg.norm(A, axis=0)
-        k1, k3 = np.linalg.lstsq(A / scale, tau, rcond=None)[0] / scale
-        return (float(k1), float(k3)) if k3 > 0 else (float(d @ tau / (d @ d)), 0.0)
+        return RIGID if self.k1 or not self.compliance else 1 / self.compliance
 
 
 @dataclass(frozen=True)
@@ -111,8 +114,13 @@ def _added(found: Counterparts, robot: Robot, effect: Effect) -> Counterparts:
         case MissingCompliance() if v["deflection"] > 0:
             found = found.with_drive(j, compliance=drive.compliance + v["deflection"] / great)
             return found.noted(f"{effect.label}: spring of joint {j}")
-        case NonlinearStiffness() | CubicStiffness():
-            return _bent(found, effect, v["bend"], great)
+        case NonlinearStiffness() if v["bend"] > 0:
+            give, stiffness = STOP * v["bend"], effect.knee * great / (SLOPE * v["bend"])
+            found = found.with_drive(j, give=give, give_stiffness=stiffness)
+            off = 1e6 * OFF * v["bend"]
+            return found.noted(f"{effect.label}: joint{j}_bed, a soft spring between stops, within {off:.1f} urad")
+        case CubicStiffness():
+            return _hardened(found, effect, v["bend"], great)
         case Backlash() if v["half"] > 0:
             found = found.with_drive(j, play=v["half"], play_friction=effect.friction * great)
             return found.noted(f"{effect.label}: joint{j}_play with limits of +-{1e6 * v['half']:.1f} urad")
@@ -130,24 +138,25 @@ def _added(found: Counterparts, robot: Robot, effect: Effect) -> Counterparts:
             return _springs(found, effect.label, v, great, 0)
         case LinkFlexure():
             return _springs(found, effect.label, v, great, effect.member)
-    return found.without(f"{effect.label}: no counterpart in MuJoCo, or a sign that no spring has")
+    if isinstance(effect, OF_THE_MEASUREMENT):
+        return found.without(f"{effect.label}: an effect of the measurement, not of the robot")
+    if any(isinstance(effect, kind) for kind in HAVE_ONE):
+        return found.without(f"{effect.label}: no counterpart, for its value or its spring has the wrong sign")
+    return found.without(f"{effect.label}: no counterpart in MuJoCo")
 
 
-def _bent(found: Counterparts, effect: Effect, bend: float, great: float) -> Counterparts:
-    assert effect.joint is not None
-    drive = found.drives[effect.joint - 1]
+def _hardened(found: Counterparts, effect: Effect, bend: float, great: float) -> Counterparts:
+    """The spring torque k1 d + k3 d^3 that comes nearest to the deflection c tau - b (tau / great)^3."""
+    drive = found.drives[(effect.joint or 1) - 1]
     load = np.linspace(-1.2, 1.2, 97)
-    shape = np.tanh(load / effect.knee) if isinstance(effect, NonlinearStiffness) else -(load**3)
-    d = drive.compliance * great * load + bend * shape
+    d = drive.compliance * great * load - bend * load**3
     if (np.diff(d) <= 0).any():
         return found.without(f"{effect.label}: the joint would give way the less the more it is loaded")
-    made = replace(drive, torques=tuple(great * load), bend=tuple(d))
-    k1, k3 = made.hardening
-    off = float(np.abs(great * load - k1 * d - k3 * d**3).max() / k1)
-    found = found.with_drive(effect.joint, torques=made.torques, bend=made.bend)
-    return found.noted(
-        f"{effect.label}: joint{effect.joint}_give with the spring k1 d + k3 d^3, within {1e6 * off:.1f} urad"
-    )
+    scale = np.array([np.abs(d).max(), np.abs(d).max() ** 3])
+    k1, k3 = np.linalg.lstsq(np.column_stack([d, d**3]) / scale, great * load, rcond=None)[0] / scale
+    off = 1e6 * float(np.abs(great * load - k1 * d - k3 * d**3).max() / k1)
+    found = found.with_drive(effect.joint, k1=float(k1), k3=float(k3))
+    return found.noted(f"{effect.label}: joint{effect.joint}_give with the spring k1 d + k3 d^3, within {off:.1f} urad")
 
 
 def _mean_load(robot: Robot, effect: Effect) -> float:

@@ -42,10 +42,10 @@ def add_mass(body: ET.Element, mass: float, com: Array) -> None:
     ET.SubElement(body, "inertial", pos=numbers(*com), mass=numbers(mass), diaginertia=numbers(moment, moment, moment))
 
 
-def add_spring(body: ET.Element, name: str, axis: str, stiffness: float, cubic: float = 0.0) -> None:
+def add_spring(body: ET.Element, name: str, axis: str, stiffness: float, cubic: float = 0.0) -> ET.Element:
     """A hinge held by a spring."""
     text = numbers(stiffness, 0.0, cubic) if cubic else numbers(stiffness)
-    ET.SubElement(body, "joint", {"name": name, "axis": axis, "stiffness": text, **inert(stiffness)})
+    return ET.SubElement(body, "joint", {"name": name, "axis": axis, "stiffness": text, **inert(stiffness)})
 
 
 def inert(stiffness: float) -> dict[str, str]:

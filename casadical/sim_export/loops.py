@@ -6,7 +6,7 @@ The loop lies in the plane of the carrier's axis, as in `casadical.fourbar`; the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from xml.etree import ElementTree as ET
 
@@ -16,34 +16,39 @@ from ..axes import row_matrix
 from ..robot import FourBar, Joint, Robot
 from ..transforms import Array
 from .drives import Drive
-from .elements import add_body, add_mass, numbers
+from .elements import SLOW, add_body, add_mass, numbers
 
-# Inertia of a bar about its pin [kg m^2]; bars carry no weight.
-BAR_INERTIA = 1.0
+# Armature of a bar as a share of the drive's: less would make the constraints soft. Bars carry no weight.
+BAR = 0.1
 
 
 def add_loop(
     robot: Robot,
     loop: FourBar,
+    ends: Sequence[tuple[ET.Element, Array]],
     links: Mapping[str, ET.Element],
     drive: Drive,
     drive_joints: Callable[[ET.Element, str, Joint, Drive], None],
 ) -> None:
-    """The bars of a loop, and the free hinge of the driven link; links : bodies by name, up to the driven one."""
+    """The bars of a loop, and the free hinge of the driven link; links : bodies by name, up to the driven one.
+
+    ends : of base and links, the body on which the next joint stands, and the link's frame in it, shape (4, 4)
+    """
     carrier, row = robot.joints[loop.carrier - 1], robot.joints[loop.driven - 1]
     d = loop.driven
-    before = links["base" if loop.carrier == 1 else f"link{loop.carrier - 1}"]
-    crank = add_body(before, f"crank{d}", row_matrix(replace(carrier, theta=row.theta)))
+    before, behind = ends[loop.carrier - 1]
+    crank = add_body(before, f"crank{d}", behind @ row_matrix(replace(carrier, theta=row.theta)))
     drive_joints(crank, f"joint{d}", row, drive)
     coupler = add_body(crank, f"coupler{d}", _along(loop.crank))
     rocker = add_body(links[f"link{loop.carrier}"], f"rocker{d}", _along(row.a))
+    heavy = numbers(BAR * drive.stiffness * SLOW**2)
     for body, name in ((coupler, "coupler"), (rocker, "rocker")):
-        ET.SubElement(body, "joint", name=f"{name}{d}", axis="0 0 1", armature=numbers(BAR_INERTIA))
+        ET.SubElement(body, "joint", name=f"{name}{d}", axis="0 0 1", armature=heavy)
     for body in (crank, coupler, rocker):
         add_mass(body, 0.0, np.zeros(3))
     ET.SubElement(coupler, "site", name=f"coupler{d}_end", pos=numbers(loop.coupler, 0, 0))
     ET.SubElement(rocker, "site", name=f"rocker{d}_end", pos=numbers(loop.rocker, 0, 0))
-    hinge = {"name": f"joint{d}_driven", "axis": "0 0 1", "armature": numbers(BAR_INERTIA)}
+    hinge = {"name": f"joint{d}_driven", "axis": "0 0 1", "armature": heavy}
     ET.SubElement(links[f"link{d}"], "joint", hinge)
 
 

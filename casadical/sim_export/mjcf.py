@@ -90,13 +90,14 @@ def _bodies(world: ET.Element, robot: Robot, found: Counterparts) -> ET.Element:
                 add_spring(base, f"base_{axis}", words, k)
     driven = {loop.driven: loop for loop in robot.loops}
     parent, behind = base, np.eye(4)
+    ends = [(parent, behind)]  # of each link: the piece on which the next joint stands, and the link's frame in it
     for i, (row, drive) in enumerate(zip(robot.joints, found.drives, strict=True), 1):
         loop = driven.get(i)
         # A loop's theta turns the crank; the link it drives turns with the rocker, from the offset on.
         place = row_matrix(replace(row, theta=loop.offset) if loop else row)
         body = add_body(parent, f"link{i}", behind @ place)
         if loop is not None:
-            add_loop(robot, loop, _links(world), drive, _drive_joints)
+            add_loop(robot, loop, ends, _links(world), drive, _drive_joints)
         else:
             _drive_joints(body, f"joint{i}", row, drive)
         mass = row.body or Body(0.0, np.zeros(3))
@@ -106,6 +107,7 @@ def _bodies(world: ET.Element, robot: Robot, found: Counterparts) -> ET.Element:
             parent, behind = add_pieces(body, f"link{i}", mass, end, found.flexures[i])
         else:
             add_mass(body, mass.mass, mass.com)
+        ends.append((parent, behind))
     return parent
 
 
@@ -121,9 +123,10 @@ def _drive_joints(body: ET.Element, name: str, row: Joint, drive: Drive) -> None
     joint.set("range", numbers(row.lower - margin, row.upper + margin))
     if drive.friction:
         joint.set("frictionloss", numbers(drive.friction))
-    if drive.bend:
-        k1, k3 = drive.hardening
-        add_spring(body, f"{name}_give", "0 0 1", k1, k3)
+    if drive.k1:
+        add_spring(body, f"{name}_give", "0 0 1", drive.k1, drive.k3)
+    if drive.give:
+        add_spring(body, f"{name}_bed", "0 0 1", drive.give_stiffness).set("range", numbers(-drive.give, drive.give))
     if drive.play:
         also = {"name": f"{name}_play", "type": kind, "axis": "0 0 1", **inert(drive.stiffness)}
         play = ET.SubElement(body, "joint", also)

@@ -7,7 +7,8 @@ found. All are identified from one part of the poses and replayed on the others.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,7 +16,6 @@ import pandas as pd
 from ..accuracy import Accuracy, predicted, summarise
 from ..conditions import derive
 from ..diagnosis.diagnosis import Diagnosis, diagnose
-from ..effects import Effect
 from ..errors import InputError
 from ..identification import Identification, identify
 from ..measurements import Measurements
@@ -24,6 +24,7 @@ from ..transforms import Array
 from .drives import counterparts
 from .mjcf import MjcfExport, mjcf
 from .rest import positions
+from .sources import with_causes
 
 Show = Callable[[str], None]
 
@@ -100,11 +101,8 @@ def replay_campaign(
     found = diagnose(robot, fitted, effects, seed=seed, show=show)
     stages = [replay(placed.robot, held_out, "nominal"), replay(plain.robot, held_out, "geometry and stiffness")]
     show("replaying")
-    causes: list[Effect] = [e for c in found.causes for e in c.effects]
-    if causes:
-        fitted_all, _ = derive(fitted, [c for e in causes for c in e.conditions])
-        whole = _fit(robot.with_effect(*causes), fitted_all, ("kinematic", "compliance", *(e.label for e in causes)))
-        stages.append(replay(whole.robot, held_out, " and ".join(c.label for c in found.causes)))
+    if found.causes:
+        stages.append(replay(with_causes(robot, fitted, found), held_out, " and ".join(c.label for c in found.causes)))
     return Replay(m.source, robot.name, tuple(stages), found)
 
 
@@ -112,6 +110,11 @@ def _fit(robot: Robot, m: Measurements, free: tuple[str, ...]) -> Identification
     return identify(robot, m, free, loss="huber", priors=free != ("placement",), screen=False)
 
 
-def without_effects(robot: Robot) -> Robot:
-    """The same geometry and springs alone."""
-    return replace(robot, effects=(), effect_values={})
+def as_json(found: Replay) -> dict[str, Any]:
+    """A replay as plain data."""
+    return {
+        "robot": found.robot,
+        "stages": found.table.to_dict("records"),
+        "written": list(found.stages[-1].export.written),
+        "left_out": list(found.stages[-1].export.left_out),
+    }

@@ -6,6 +6,7 @@ divide them by the stiffness of the coordinate, which converges fast because wei
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -58,11 +59,14 @@ class _Model:
         loose = ("coupler", "rocker")
         self.free = [k for k, n in enumerate(names) if n.startswith(loose) or n.endswith("_driven")]
         self.play = [k for k, n in enumerate(names) if n.endswith("_play")]
+        self.stopped = [k for k, n in enumerate(names) if n.endswith("_bed")]
         # Which drive's last motion a joint feels.
         self.way = {k: i for i, j in enumerate(self.drives) for k, n in enumerate(names) if n.startswith(names[j])}
         self.sprung = [k for k in range(self.m.njnt) if k not in (*self.free, *self.play)]
         self._payload = next((b for b in range(self.m.nbody) if self.m.body(b).name == "payload"), None)
+        self._loops = [names[k][6:] for k in self.free if names[k].startswith("rocker")]
         self._start: Array | None = None
+        self._sides: Array | None = None
 
     def carry(self, mass: float) -> None:
         """Mount this payload [kg]."""
@@ -85,6 +89,8 @@ class _Model:
             for k in self.sprung:
                 push = force[k] - m.dof_frictionloss[k] * self._way(approach, k)
                 step[k] = push / self._slope(k)
+                if k in self.stopped:
+                    step[k] = np.clip(d.qpos[k] + step[k], *m.jnt_range[k]) - d.qpos[k]
             for k in self.play:
                 push = force[k] - m.dof_frictionloss[k] * self._way(approach, k)
                 step[k] = m.jnt_range[k, 1] * np.sign(push) - d.qpos[k]
@@ -126,26 +132,53 @@ class _Model:
         return self.d.efc_J.reshape(n, self.m.nv).copy(), self.d.efc_pos[:n].copy()
 
     def _assemble(self, command: Array) -> None:
-        """Close the loops: from the last pose, else by going round the circle until they close uncrossed."""
-        starts = [self._start] if self._start is not None else []
-        rng = np.random.default_rng(0)
-        starts += [rng.uniform(-np.pi, np.pi, len(self.free)) for _ in range(200)]
-        for start in starts:
-            self.d.qpos[self.free] = start
-            if self._close(gentle=True) and self._uncrossed():
+        """Close the loops as they are assembled: on the side on which they stand uncrossed at mid range."""
+        if self._sides is None:
+            lower, upper = self.m.actuator_ctrlrange.T
+            self.d.qpos[self.drives] = (lower + upper) / 2
+            closed = [c for c in self._closures() if self._close_from(c)]
+            if not closed:
+                raise InputError("the four-bar of this model does not close at the middle of its joints' ranges")
+            best = max(closed, key=self._parallel)
+            self._start, self._sides = best, self._side(best)
+            self.d.qpos[self.drives] = command / self.m.actuator_gear[:, 0]
+        for start in self._closures():
+            if self._close_from(start) and (self._side(self.d.qpos[self.free].copy()) == self._sides).all():
                 self._start = self.d.qpos[self.free].copy()
                 return
         raise ConvergenceError(f"the four-bar does not close at the readings {np.round(command, 4).tolist()} rad")
 
-    def _uncrossed(self) -> bool:
-        """Whether crank and rocker point to the same side of the ground bar."""
-        for k in self.free:
-            name = self.m.joint(k).name
-            if name.startswith("rocker"):
-                crank, rocker = (self.d.body(f"{w}{name[6:]}").xmat.reshape(3, 3)[:, 0] for w in ("crank", "rocker"))
-                if crank @ rocker < 0:
-                    return False
-        return True
+    def _closures(self) -> Iterator[Array]:
+        """Free hinges to start from: those of the last pose, then any."""
+        if self._start is not None:
+            yield self._start
+        rng = np.random.default_rng(0)
+        for _ in range(100):
+            yield rng.uniform(-np.pi, np.pi, len(self.free))
+
+    def _close_from(self, start: Array) -> bool:
+        self.d.qpos[self.free] = start
+        done = self._close(gentle=True)
+        start[:] = self.d.qpos[self.free]
+        return done
+
+    def _bars(self, free: Array) -> list[tuple[Array, Array, Array, Array]]:
+        """Of each loop: direction of crank and rocker, from the rocker's pin to the crank's end, axis; each (3,)."""
+        self.d.qpos[self.free] = free
+        self.mujoco.mj_kinematics(self.m, self.d)
+        found = []
+        for number in self._loops:
+            crank, coupler, rocker = (self.d.body(f"{w}{number}") for w in ("crank", "coupler", "rocker"))
+            turns = [body.xmat.reshape(3, 3) for body in (crank, rocker)]
+            found.append((turns[0][:, 0], turns[1][:, 0], coupler.xpos - rocker.xpos, turns[0][:, 2]))
+        return found
+
+    def _parallel(self, free: Array) -> float:
+        return float(min(crank @ rocker for crank, rocker, _, _ in self._bars(free)))
+
+    def _side(self, free: Array) -> Array:
+        """On which side of the diagonal each rocker stands."""
+        return np.array([np.sign(np.cross(along, rocker) @ axis) for _, rocker, along, axis in self._bars(free)])
 
     def _close(self, gentle: bool = False) -> bool:
         """Newton steps of the free hinges onto the constraints; whether they hold."""
