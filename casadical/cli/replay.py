@@ -32,7 +32,7 @@ def replay(
 ) -> None:
     """Drive measured poses again in MuJoCo: the gap before, after geometry, after the diagnosed effect.
 
-    Needs MuJoCo: pip install 'casadical[withheld]'.
+    Needs MuJoCo: pip install 'casadical[mujoco]'.
 
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug of ours.
     """

@@ -15,6 +15,7 @@ from .export import export_app
 from .new import new
 from .plan import plan
 from .replay import replay
+from .withheld import withheld_app
 
 app = typer.Typer(
     name="casadical",
@@ -48,3 +49,4 @@ def _root(
 for command in (new, check, calibrate, diagnose, plan, replay, correct):
     app.command()(command)
 app.add_typer(export_app, name="export")
+app.add_typer(withheld_app, name="withheld")

@@ -1,6 +1,6 @@
 """A calibrated robot, and what a diagnosis found of it, as a model for a simulator (MJCF, URDF), and its replay there.
 
-MuJoCo itself is needed only to replay: `pip install 'casadical[withheld]'`.
+MuJoCo itself is needed only to replay: `pip install 'casadical[mujoco]'`.
 """
 
 from .mjcf import MjcfExport, mjcf

@@ -197,5 +197,5 @@ def load_mujoco() -> Any:
     try:
         import mujoco
     except ModuleNotFoundError:
-        raise InputError("this needs MuJoCo; install it with: pip install 'casadical[withheld]'") from None
+        raise InputError("this needs MuJoCo; install it with: pip install 'casadical[mujoco]'") from None
     return mujoco

@@ -69,7 +69,7 @@ def test_a_users_mistake_ends_in_a_message_and_2(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     if name == "no such campaign":
-        pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra withheld)")
+        pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra mujoco)")
     arguments, words = WRONG[name]
     monkeypatch.chdir(tmp_path)
     assert main(monkeypatch, *arguments) == 2
@@ -82,13 +82,13 @@ def test_without_mujoco_replay_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
     assert main(monkeypatch, "replay", PLANAR, "x.csv") == 2
-    assert "pip install 'casadical[withheld]'" in capfd.readouterr().err
+    assert "pip install 'casadical[mujoco]'" in capfd.readouterr().err
 
 
 def test_a_diagnosed_effect_goes_into_the_model_and_the_gap_closes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra withheld)")
+    pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra mujoco)")
     campaign = ROOT / "data" / "campaigns" / "practice" / "kr210-P05.csv"
     few = ["--effects", "payload_error,joint_scale@3"]
     kr210 = ROOT / "problems" / "kr210"
