@@ -38,6 +38,8 @@ def diagnose(
 
     Raises InputError where the measurements cannot carry a diagnosis.
     """
+    if bootstrap < 0:
+        raise InputError(f"bootstrap is {bootstrap}; give the number of draws, 2000 say, or 0 for none")
     if isinstance(robot, Identification):
         identification = robot if m is None else _of(robot.given, m, show)
     elif m is None:
