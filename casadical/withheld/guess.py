@@ -91,11 +91,12 @@ def guess(by: str, name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFra
 
 def diagnosed(s: Session) -> dict[str, Any]:
     """What the diagnosis answers."""
-    from ..diagnosis.answer import as_json
+    from ..diagnosis.answer import Extras, as_json
     from ..diagnosis.diagnosis import diagnose
 
     found = diagnose(s.robot, s.measured)
-    answer = as_json(found, s.name)
+    # Nobody will measure on: the poses that would tell are left out.
+    answer = as_json(found, s.name, Extras(poses=pd.DataFrame()))
     first = found.rankings[0]
     posterior = {"none": first.none, "unknown": 0.0}
     for candidate in found.case.candidates:
@@ -104,7 +105,7 @@ def diagnosed(s: Session) -> dict[str, Any]:
     if any(c.effect == "outliers" for c in found.causes):
         # The screening has no probability; where it speaks, it is sure, and the ranking is of the poses that are left.
         posterior["outliers"] = next(c.confidence for c in found.causes if c.effect == "outliers")
-    out = np.array(found.outliers, dtype=int)
+    out = np.array([o.row for o in found.outliers], dtype=int)
     return answer | {
         "posterior": rounded(posterior),
         "unseen": foretold(s, found.identification.robot, found.apply(), out),
