@@ -28,7 +28,7 @@ class Backlash(Cause):
 
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
         name, rated = f"joint{self.joint}", rated_torque(plant)[self.joint - 1]
-        k = 0.01 * mechanism.joint(name).stiffness
+        k = 0.01 * float(plant.stiffness[self.joint - 1])
         play = Joint(f"play{self.joint}", limits=(-self.size, self.size), inertia=k * SLOW**2, damping=k * SLOW)
         rub = Shaft(f"bearing{self.joint}", {name: 1.0, play.name: 1.0}, friction=self.friction * rated)
         mechanism = mechanism.with_more(name, after=(play,))
