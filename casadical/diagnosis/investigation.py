@@ -23,8 +23,8 @@ from .which import Ranking, rank
 
 Show = Callable[[str], None]
 
-# A cause is claimed alone from this probability on.
-CLAIM = 0.90
+# A cause is claimed alone from this probability on: of claims, 98 in 100 are to be right, effects on no list included.
+CLAIM = 0.97
 # Something is there if "nothing" is less probable than this, at first and once a cause was found. Noise alone falls
 # below the first in 0.1 to 1 % of 2000 bootstrap draws, by robot (practice campaigns without an effect).
 DETECT, DETECT_FURTHER = 0.02, 0.05

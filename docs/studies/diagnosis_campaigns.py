@@ -22,8 +22,9 @@ import numpy as np
 from diagnosis_scores import Trial, near_rival, table, visible
 
 from casadical.diagnosis.case import Case, make_case
-from casadical.diagnosis.diagnosis import PARTITIONS, diagnose_identification
+from casadical.diagnosis.diagnosis import diagnose
 from casadical.diagnosis.gap import Noise, held_out_errors, likely_noise, random_folds
+from casadical.diagnosis.investigation import PARTITIONS
 from casadical.diagnosis.library import standard_candidates
 from casadical.identification import Identification, identify
 from casadical.measurements import Measurements, from_table
@@ -131,9 +132,9 @@ def trial(task: tuple[str, int, int]) -> Trial:
         m = replace(m, position=clean.position + shift)
     began = time.process_time()
     base = calibrated(robot, m)
-    found = diagnose_identification(base)
+    found = diagnose(base)
     seconds = time.process_time() - began
-    without = diagnose_identification(base, standard(robot_name)).verdict if part == "unlisted" else ""
+    without = diagnose(base, effects=standard(robot_name)).verdict if part == "unlisted" else ""
     truth = tuple(label(w, d) for w, d in secret.items()) if part != "unlisted" else ()
     first = found.rankings[0].probability
     rival = near_rival(found.case, shift, noise, truth[0]) if part in ("one", "forty") else 0.0
