@@ -113,7 +113,7 @@ def table(parts: dict[str, list[Trial]]) -> str:
     """Figure, value, target, theoretical limit: a line each, and what was claimed wrongly."""
     rows: list[tuple[str, str, str, str]] = []
     for part, trials in parts.items():
-        rows += _SCORES[part](trials)
+        rows += _SCORES[part](trials) if trials else []
     lines = [f"{'figure':<52} {'value (95 % interval; of)':<42} {'target':<14} limit"]
     lines += [f"{a:<52} {b:<42} {c:<14} {d}" for a, b, c, d in rows]
     every = [t for trials in parts.values() for t in trials]
