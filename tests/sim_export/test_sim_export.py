@@ -160,7 +160,7 @@ def test_mujocos_own_motion_comes_to_the_same_rest() -> None:
 
 
 def test_an_effect_of_the_measurement_is_added_to_what_mujoco_finds() -> None:
-    robot = robot_of("ur10e").with_effect(SmrOffset((3.0, 0.0, 1.0)))
+    robot = robot_of("ur10e").with_effect(SmrOffset())
     robot = robot.with_values({"smr_offset.along": 2e-5, "smr_offset.across": -3e-5})
     stage = replay(robot, poses(robot))
     assert stage.export.left_out == ("smr_offset: an effect of the measurement, not of the robot",)
