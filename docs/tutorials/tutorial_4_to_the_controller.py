@@ -183,7 +183,8 @@ units = sorted(map(str, (unpacked / "sources").glob("*.c")))
 flags = "-std=c99 -O2 -ffp-contract=off -shared -fPIC -fvisibility=hidden"
 subprocess.run(["gcc", *flags.split(), *units, "-o", str(binary)], check=True)
 
-inputs = np.zeros(1, dtype=[("time", float), ("enable", bool), *((f"q[{i}]", float) for i in range(1, 7))])
+inputs = np.zeros(2, dtype=[("time", float), ("enable", bool), *((f"q[{i}]", float) for i in range(1, 7))])
+inputs["time"] = (0, 2)
 inputs["enable"] = True
 for i in range(6):
     inputs[f"q[{i + 1}]"] = report.q[0, i]
