@@ -8,6 +8,7 @@ First with nothing but numpy, then with `casadical.identify`, which must find th
 Run it from anywhere: ``python docs/tutorials/tutorial_1_planar_arm.py``.
 """
 
+import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -16,7 +17,7 @@ import pandas as pd
 
 import casadical
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(sys.argv[0]).resolve().parents[2]  # of the repository, in which this file is docs/tutorials/...
 
 # %%
 # The data

@@ -7,6 +7,7 @@ A Universal Robots UR10, 2773 random poses measured with a laser tracker (Landgr
 have taken.
 """
 
+import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,7 @@ import pandas as pd
 import casadical
 from casadical.accuracy import errors
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(sys.argv[0]).resolve().parents[2]  # of the repository, in which this file is docs/tutorials/...
 CSV = ROOT / "data/ur10_laser_tracker/series_C_random_poses.csv"
 
 # %%

@@ -8,6 +8,7 @@ so that KM and SKCM come near the paper's figures (``problems/hh800/README.md``)
 What can be compared is what the four methods do on the same data: how much each gains over the one before.
 """
 
+import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -19,7 +20,7 @@ from casadical.calibration import calibrate_problem, problem_networks
 from casadical.compensator import Backprop, Box, Iwo, Layout, Network, make_task, train
 from casadical.networks import residual_mm
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(sys.argv[0]).resolve().parents[2]  # of the repository, in which this file is docs/tutorials/...
 
 # %%
 # The experiment

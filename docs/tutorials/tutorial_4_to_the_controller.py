@@ -9,6 +9,7 @@ the (simulated) robot to see what they are worth. Needs gcc and, for the FMU, fm
 
 import ctypes
 import subprocess
+import sys
 import tempfile
 from collections import Counter
 from pathlib import Path
@@ -30,7 +31,7 @@ from casadical.robot_file import write_robot
 from casadical.simulation import campaign, hh800_true
 from casadical.simulation.twin import UNMODELLED, WARMUP
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(sys.argv[0]).resolve().parents[2]  # of the repository, in which this file is docs/tutorials/...
 folder = Path(tempfile.mkdtemp())
 
 # %%

@@ -8,6 +8,7 @@ model (`data/campaigns/practice`); its hidden cause is revealed at the end.
 """
 
 import json
+import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -19,7 +20,7 @@ from casadical.conditions import derive
 from casadical.diagnosis.isolability import isolability
 from casadical.problem import read_campaign_robot
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(sys.argv[0]).resolve().parents[2]  # of the repository, in which this file is docs/tutorials/...
 CAMPAIGNS = ROOT / "data/campaigns/practice"
 
 # %%

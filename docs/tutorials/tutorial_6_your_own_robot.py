@@ -18,7 +18,7 @@ import pandas as pd
 
 import casadical
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(sys.argv[0]).resolve().parents[2]  # of the repository, in which this file is docs/tutorials/...
 folder = Path(tempfile.mkdtemp()) / "my_ur10"
 folder.mkdir()
 

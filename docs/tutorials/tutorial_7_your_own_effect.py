@@ -8,6 +8,7 @@ listed? And does it keep quiet where it is not the cause?
 """
 
 import json
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -23,7 +24,7 @@ from casadical.measurements import from_table
 from casadical.problem import read_campaign_robot
 from casadical.simulation import Disturbance, Plant, campaign, disturbances, perturb
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(sys.argv[0]).resolve().parents[2]  # of the repository, in which this file is docs/tutorials/...
 robot = read_campaign_robot(ROOT / "problems/ur10e")
 
 # %%
