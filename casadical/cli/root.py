@@ -12,7 +12,9 @@ from .check import check
 from .correct import correct
 from .diagnose import diagnose
 from .export import export_app
+from .new import new
 from .plan import plan
+from .withheld import withheld_app
 
 app = typer.Typer(
     name="casadical",
@@ -43,6 +45,7 @@ def _root(
     pass
 
 
-for command in (check, calibrate, diagnose, plan, correct):
+for command in (new, check, calibrate, diagnose, plan, correct):
     app.command()(command)
 app.add_typer(export_app, name="export")
+app.add_typer(withheld_app, name="withheld")
