@@ -58,6 +58,7 @@ sphinx_gallery_conf = {
     "show_memory": False,
     "show_signature": False,
     "notebook_extensions": set(),
+    "write_computation_times": False,
     "remove_config_comments": True,
     "copyfile_regex": r".*\.rst",
     "junit": "gallery-junit.xml",
@@ -103,7 +104,16 @@ def _to_gallery(*arguments: Any) -> None:
     source[0] = re.sub(r"\(tutorials/(tutorial_\w+)\.py\)", r"(gallery/\1.rst)", source[0])
 
 
-def setup(app) -> None:
+def _all_pages(_app: Any, name: str, source: list[str]) -> None:
+    """Pages that the index does not name come last, so that none is lost."""
+    if name == "index":
+        named = re.findall(r"^   (?:.*<)?([\w-]+)>?$", source[0], re.MULTILINE)
+        more = sorted({page.stem for page in Path(__file__).parent.glob("*.md")} - {*named, "README"})
+        lines = ["", ".. toctree::", "   :hidden:", "   :caption: More", "", *(f"   {page}" for page in more)]
+        source[0] += "\n".join(lines) if more else ""
+
+
+def setup(app: Any) -> None:
     """Sphinx calls it."""
     app.connect("source-read", _to_gallery)
     app.connect("source-read", _all_pages)

@@ -20,6 +20,7 @@ def test_there_are_seven() -> None:
 def test_it_runs_in_the_docs_and_in_under_a_minute(name: str, site) -> None:
     if name.startswith("tutorial_4") and not shutil.which("gcc"):
         pytest.skip("no gcc on this machine (apt-get install gcc)")
+    assert name in site.tutorials, site.log[-3000:]
     seconds, wrong = site.tutorials[name]
     assert wrong == ""
     assert seconds < 60
@@ -37,6 +38,8 @@ def test_it_asserts_numbers_of_its_own(name: str) -> None:
 def test_it_is_a_plain_file_that_runs_anywhere(tmp_path) -> None:
     path = ROOT / "docs" / "tutorials" / TUTORIALS[0]
     environment = {**os.environ, "MPLBACKEND": "Agg"}
-    done = subprocess.run([sys.executable, path], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, path], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
     assert (done.returncode, done.stderr) == (0, "")
     assert "0.0249 mm" in done.stdout
