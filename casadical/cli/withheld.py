@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
@@ -12,7 +11,7 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 
 from ..errors import InputError
-from .terminal import Quiet, progress
+from .terminal import Json, Quiet, keep_json, progress
 
 withheld_app = typer.Typer(
     help="Check the diagnosis blindly: on campaigns of another engine, whose hidden effect is kept apart.",
@@ -51,12 +50,15 @@ def make_command(
     ] = "mujoco",
     project: Annotated[Path, typer.Option(metavar="DIR", help="Folder with problems/ and data/.")] = Path(),
     workers: Workers = None,
+    json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
     """Write campaigns with hidden effects, and the key to another place; the key's SHA-256 goes with the campaigns.
 
     A quarter hides nothing, 45 % one effect, 15 % two or three, 15 % one that is on no list; 40, 100 or 200 poses of
     three robots; a third lacks a column. With a seed that is known, anyone can make the key again.
+
+    Exit codes: 0 done, 2 bad input, 70 a bug of ours.
     """
     from ..withheld.make import make
     from ..withheld.running import workers as pool
@@ -69,6 +71,8 @@ def make_command(
     console = Console(quiet=quiet)
     console.print(f"wrote {len(made.campaigns)} campaigns to {out}, their key to {place}", soft_wrap=True)
     console.print(f"sha256 of the key: {made.key_sha256}", soft_wrap=True)
+    kept = {"campaigns": list(made.campaigns), "folder": str(out), "key": str(place), "key_sha256": made.key_sha256}
+    keep_json(json_file, kept, console)
 
 
 def _whole(text: str) -> tuple[int, ...]:
@@ -90,11 +94,14 @@ def predict_command(
         str, typer.Option(metavar="diagnosis|f-test|bic|gp", help="The diagnosis, or what it is measured against.")
     ] = "diagnosis",
     workers: Workers = None,
+    json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
     """Diagnose every campaign from what lies in DIR alone, and foretell positions at its unseen poses.
 
     Answers that are in the file already are kept: a run that was cut goes on where it ended.
+
+    Exit codes: 0 done, 2 bad input, 70 a bug of ours.
     """
     from ..withheld.predict import predict
     from ..withheld.running import workers as pool
@@ -102,7 +109,9 @@ def predict_command(
     with progress(quiet) as bar, pool(None, workers) as executor:
         show = _counting(bar, bar.add_task("reading", total=None))
         path = predict(folder, out, by=by, executor=executor, show=show)
-    Console(quiet=quiet).print(f"wrote {path}", soft_wrap=True)
+    console = Console(quiet=quiet)
+    console.print(f"wrote {path}", soft_wrap=True)
+    keep_json(json_file, {"answers": str(path), "by": by}, console)
 
 
 @withheld_app.command("score")
@@ -110,16 +119,16 @@ def score_command(
     folder: Folder,
     key: Annotated[Path, typer.Argument(metavar="KEYDIR", help="Folder with the key.")],
     answers: Annotated[list[Path], typer.Argument(metavar="ANSWERS...", help="One or more files of answers.")],
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Keep all figures and trials; of several, a list.")
-    ] = None,
+    json_file: Json = None,
     figure: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Draw the confusion matrix of the first answers.")
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Open the key, check that it is the one whose hash was published, and count: every figure with its interval."""
-    from ..files import write_whole
+    """Open the key, check that it is the one whose hash was published, and count: every figure with its interval.
+
+    Exit codes: 0 done, 2 bad input, 70 a bug of ours.
+    """
     from ..withheld.report import draw, report
     from ..withheld.score import score
 
@@ -127,11 +136,7 @@ def score_command(
     console = Console(quiet=quiet)
     # Wide tables are for files and wide windows; they are never folded.
     Console(quiet=quiet, width=max(console.width, 240)).print(report(scores), soft_wrap=True)
-    if json_file:
-        whole = [s.as_json() for s in scores]
-        text = json.dumps(whole if len(whole) > 1 else whole[0], indent=1, allow_nan=False)
-        write_whole(json_file, text + "\n")
-        console.print(f"wrote {json_file}", soft_wrap=True)
+    keep_json(json_file, [s.as_json() for s in scores], console)
     if figure:
         draw(scores[0], figure)
         console.print(f"wrote {figure}", soft_wrap=True)

@@ -25,6 +25,7 @@ def needs(page: Path) -> str:
 RUNNABLE = [
     page for page in PAGES if page.name not in ELSEWHERE and {b.language for b in blocks(page)} & {"sh", "python"}
 ]
+NUMBER = re.compile(r"(?<![\w@])\d+(?:\.\d+)?(?:e-?\d+)?")
 
 
 @pytest.mark.parametrize("page", RUNNABLE, ids=lambda p: p.name)
