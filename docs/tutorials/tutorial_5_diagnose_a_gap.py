@@ -87,6 +87,16 @@ assert found.verdict == "explained"
 assert [c.label for c in found.causes] == ["thermal_growth"]
 
 # %%
+# Where it lies, and how far the gap falls
+# ----------------------------------------
+# Before any cause is named: seen as growing links, the gap lies in the three long ones; seen as joint errors, nowhere.
+
+print(found.where.links[["part", "share", "low", "high"]].round(2).to_string(index=False))
+print(found.course[["model", "gap_mm", "low_mm", "high_mm", "loo_mm"]].round(4).to_string(index=False))
+shares = found.where.links.set_index("part").share
+assert shares[["link 1", "link 2", "link 4"]].sum() > 0.95
+
+# %%
 # Who else was in question
 # ------------------------
 # Probabilities of the first step. They hold among the hypotheses compared, no further.
@@ -101,7 +111,7 @@ for label in first.order[:5]:
 # A cause is worth what it predicts. Identify from the first 45 poses, with and without the effect, and predict the
 # last 15. They are the warm end of the campaign, so this asks for more than folds drawn at random.
 
-better = found.apply()
+better = robot.with_effect(*found.effects())
 logged, _ = derive(m, better.conditions)
 early, late = logged[:45], logged[45:]
 with_effect = identify(better, early, ("kinematic", "compliance", *(e.label for e in better.effects)), priors=True)

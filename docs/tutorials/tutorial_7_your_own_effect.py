@@ -112,7 +112,7 @@ assert own.gap.after < 1.3 * own.gap.floor
 # with the effect in the model, both are right.
 
 free = ("kinematic", "compliance")
-refit = identify(own.apply(), with_hose, (*free, cause.label), priors=True)
+refit = own.refit()
 table = refit.parameters.set_index("name").loc[["c5", "slack_dress_pack@5.spring"]]
 print(table[["value", "std_error", "unit"]].round(2).to_string())
 print(f"true: c5 {1e6 / plant.stiffness[4]:.1f} urad/(N m), spring 12 N m/rad")
@@ -133,7 +133,11 @@ def left_mm(model):
     return 1e3 * errors(fitted.robot, late).mean()
 
 
-left = {"base": left_mm(robot), "standard list": left_mm(listed.apply()), "own effect": left_mm(own.apply())}
+left = {
+    "base": left_mm(robot),
+    "standard list": left_mm(robot.with_effect(*listed.effects())),
+    "own effect": left_mm(robot.with_effect(*own.effects())),
+}
 for name, value in left.items():
     print(f"{name:14s} {value:.3f} mm")
 assert left["own effect"] < 0.6 * left["standard list"] < left["base"]
