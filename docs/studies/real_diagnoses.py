@@ -119,7 +119,7 @@ def refusals() -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
-    parser.add_argument("--poses", type=int, default=500)
+    parser.add_argument("--poses", type=int, default=150)
     parser.add_argument("--only", default="")
     given = parser.parse_args()
     print(f"{given.poses} poses diagnosed a series, seed 0\n")
