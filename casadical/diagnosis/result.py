@@ -83,6 +83,7 @@ class Diagnosis:
     rankings : what each step saw; outliers : poses that were left out
     missing : label -> columns that would be needed to speak about it
     case, identification : what it was computed from; seed : of all chance
+    p_nothing : how often noise alone would look as much like some cause; None without a bootstrap
     """
 
     verdict: Verdict
@@ -98,6 +99,7 @@ class Diagnosis:
     case: Case
     identification: Identification
     seed: int = 0
+    p_nothing: float | None = None
 
     @cached_property
     def where(self) -> Where:

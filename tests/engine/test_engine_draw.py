@@ -60,7 +60,7 @@ def test_poses_circumstances_and_noise_do_not_depend_on_what_is_hidden():
 
 def test_given_poses_are_measured_as_in_the_campaign():
     machine = built("kr210")
-    hidden = (engine.Hidden("backlash", 3, {"size": 8e-5, "friction": 0.03}),)
+    hidden = (engine.Hidden("backlash", 3, {"size": 8e-5, "friction": 0.1}),)
     table = engine.campaign(machine, hidden, 6, 5, noise_mm=0.0, repeatability_urad=0.0)
     again = engine.measure(machine, hidden, table.drop(columns=XYZ), noise_mm=0.0, repeatability_urad=0.0, seed=1)
     assert list(again) == list(table)
