@@ -155,6 +155,6 @@ class Diagnosis:
 
     @property
     def columns(self) -> Array:
-        """Columns of all causes in the case's evidence."""
+        """Columns of all causes in the case's evidence, shape (k,), as whole numbers without unit; see `case`."""
         effects = self.effects()
         return np.unique(self.case.group(effects)) if effects else np.zeros(0, dtype=np.int64)
