@@ -227,8 +227,16 @@ def _print_isolability(
 @app.command()
 def plan(
     problem: Annotated[Path, typer.Argument(metavar="PROBLEM", help="Folder with the robot, or a robot file.")],
-    n: Annotated[int, typer.Option("-n", min=1, help="Number of joint readings to measure.")],
-    out: Annotated[Path, typer.Option(metavar="FILE.csv", help="The poses in order; expected figures beside it.")],
+    n: Annotated[
+        int | None,
+        typer.Option(
+            "-n", min=1, help="Number of joint readings to measure; without it, say only how many are enough."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="The poses in order, expected figures beside it; default: plan.csv."),
+    ] = None,
     effects: Annotated[
         str | None,
         typer.Option("--for", metavar="NAMES", help="Effects to be told: names or labels (backlash@5), by commas."),
@@ -260,40 +268,56 @@ def plan(
     seed: Annotated[int, typer.Option(min=0, help="Of all chance.")] = 0,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
 ) -> None:
-    """Choose which poses to measure, and say what accuracy to expect of them before measuring."""
+    """Choose which poses to measure, and say what accuracy to expect of them before measuring.
+
+    Without -n it is the stopping rule alone: the accuracy to expect against the number of poses, with what was
+    measured so far.
+    """
     from .diagnosis.library import named
     from .files import write_together
     from .pose_selection.candidates import Circumstances
     from .pose_selection.criteria import checked
     from .pose_selection.information import Noise
+    from .pose_selection.planning import look_ahead, robot_of
     from .pose_selection.planning import plan as run
-    from .pose_selection.planning import robot_of
-    from .pose_selection.report import plan_files, report
+    from .pose_selection.report import how_many, plan_files, report
     from .pose_selection.room import read_room
 
     robot = robot_of(problem)
     wanted = [c for c in named(robot, effects.split(",")) if c.listed] if effects else []
+    # Of settings on a grid, the middle one.
+    added = [e for c in wanted for e in c.variants[len(c.variants) // 2]]
     given = noise_mm is not None or measured is None
+    noise = Noise(1e-3 * (0.02 if noise_mm is None else noise_mm), 1e-6 * joint_noise_urad) if given else None
+    target = None if target_mm is None else 1e-3 * target_mm
+    workspace = read_room(room, robot) if room else None
+    circumstances = Circumstances(_numbers(payloads), every_payload, both_approaches, repeats)
+    word = checked(criterion)
+    console = Console(quiet=quiet)
     with _progress(quiet) as bar:
         bar.add_task("choosing poses", total=None)
-        found, ahead = run(
-            robot,
-            n,
-            # Of settings on a grid, the middle one.
-            [e for c in wanted for e in c.variants[len(c.variants) // 2]],
-            criterion=checked(criterion),
-            workspace=read_room(room, robot) if room else None,
-            circumstances=Circumstances(_numbers(payloads), every_payload, both_approaches, repeats),
-            measured=measured,
-            noise=Noise(1e-3 * (0.02 if noise_mm is None else noise_mm), 1e-6 * joint_noise_urad) if given else None,
-            min_distance=min_distance,
-            order=order,
-            seed=seed,
-        )
-    texts = plan_files(out, found, ahead)
+        if n is None:
+            ahead = look_ahead(
+                robot,
+                added,
+                workspace=workspace,
+                circumstances=circumstances,
+                measured=measured,
+                noise=noise,
+                seed=seed,
+            )
+        else:
+            found, ahead = run(
+                robot, n, added, criterion=word, workspace=workspace, circumstances=circumstances, measured=measured,
+                noise=noise, min_distance=min_distance, order=order, seed=seed,
+            )  # fmt: skip
+    if n is None:
+        console.print(how_many(ahead, target))
+        texts = {out: ahead.table.to_csv(index=False, float_format="%.6g")} if out else {}
+    else:
+        console.print(report(found, ahead, target))
+        texts = plan_files(out or Path("plan.csv"), found, ahead)
     write_together(texts)
-    console = Console(quiet=quiet)
-    console.print(report(found, ahead, None if target_mm is None else 1e-3 * target_mm))
     for path in texts:
         console.print(f"wrote {path}", soft_wrap=True)
 

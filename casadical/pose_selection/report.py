@@ -50,7 +50,7 @@ def report(plan: Selection, forecast: Forecast, target: float | None = None) -> 
     parts: list[RenderableType] = [
         Text(head, style="bold"),
         Text(f"Criterion {plan.criterion}; observability {indices}; travel {_degrees(plan)} deg."),
-        Text(_how_many(forecast, target)),
+        Text(how_many(forecast, target)),
         Text(),
         _map(plan),
         Text(),
@@ -63,13 +63,16 @@ def _degrees(plan: Selection) -> str:
     return f"{np.rad2deg(travel(plan.robot, plan.q)):.0f}"
 
 
-def _how_many(forecast: Forecast, target: float | None) -> str:
+def how_many(forecast: Forecast, target: float | None) -> str:
+    """How many poses are enough, in sentences; target : accuracy that is wanted [m]."""
     at = np.unique(np.linspace(0, len(forecast.poses) - 1, 6).astype(int))
     course = ", ".join(f"{forecast.poses[k]}: {1e3 * forecast.error[k]:.4f}" for k in at)
     text = f"Expected error [mm] against poses: {course}. "
     stop = forecast.stop()
     if stop is not None:
         text += f"From {stop} poses on, ten more gain less than 10 %. "
+    else:
+        text += "Ten more poses still gain more than 10 % everywhere. "
     if target is not None:
         enough = forecast.enough(target)
         text += (
