@@ -124,7 +124,7 @@ class Measurements:
         contact point may fall in two.
         """
         ends = np.concatenate([self.q] if self.other is None else [self.q, self.other])
-        reading = _same(ends)
+        reading = same_readings(ends)
         near, far = reading[: len(self)], reading[-len(self) :]
         counts = np.array([s * len(self) if s < 1 else s for s in sizes.values()])
         edges = np.cumsum([0.0, *counts]).round().astype(int)
@@ -146,7 +146,7 @@ class Measurements:
         return replace(self, separations=tuple(known), separation_sigma=sigma)
 
 
-def _same(q: Array) -> Array:
+def same_readings(q: Array) -> Array:
     """A number for each distinct reading, shape (n,): joint by joint, a new cell begins behind each gap."""
     cells = np.empty(q.shape, dtype=int)
     for j, column in enumerate(q.T):

@@ -147,10 +147,7 @@ def read_problem(folder: str | Path, seed: int | None = None) -> Problem:
     Raises InputError that names the file and what is wrong in it.
     """
     folder = Path(folder)
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such problem folder; it must hold problem.toml and a robot file")
-    path = folder / "problem.toml"
-    file = check(_ProblemFile, load_toml(path), str(path))
+    file, path = _problem_file(folder), folder / "problem.toml"
     robot = _read_robot(folder / file.robot, file.urdf or _Urdf())
     sets = file.sets if seed is None else file.sets.model_copy(update={"seed": seed})
     split: dict[str, list[Measurements]] = {}
@@ -187,17 +184,30 @@ def _paper(table: _Paper | None) -> Paper | None:
     return Paper(table.source, *both)
 
 
+def read_problem_robot(folder: str | Path) -> Robot:
+    """The robot of a problem folder, its measurements left aside. Raises InputError."""
+    return _robot_of(Path(folder), campaign=False)
+
+
 def read_campaign_robot(folder: str | Path) -> Robot:
     """The robot of a problem folder as a diagnosis takes it: its `campaign_robot`, else its robot.
 
     Raises InputError.
     """
-    folder = Path(folder)
+    return _robot_of(Path(folder), campaign=True)
+
+
+def _robot_of(folder: Path, campaign: bool) -> Robot:
+    file = _problem_file(folder)
+    name = file.campaign_robot if campaign and file.campaign_robot else file.robot
+    return _read_robot(folder / name, file.urdf or _Urdf())
+
+
+def _problem_file(folder: Path) -> _ProblemFile:
     if not folder.is_dir():
         raise InputError(f"{folder}: no such problem folder; it must hold problem.toml and a robot file")
     path = folder / "problem.toml"
-    file = check(_ProblemFile, load_toml(path), str(path))
-    return _read_robot(folder / (file.campaign_robot or file.robot), file.urdf or _Urdf())
+    return check(_ProblemFile, load_toml(path), str(path))
 
 
 def _urdf_source(path: Path, urdf: _Urdf) -> tuple[Path, str | None, str | None] | None:

@@ -14,8 +14,8 @@ from controller_arms import NAMES, nominal_path, planted, poses, positions, rigi
 import casadical.export.kernel as kernel_module
 import casadical.export.write as write_module
 from casadical import cli
+from casadical.cli.export import prefix_of
 from casadical.compensator import Compensator, save_compensator
-from casadical.controller.commands import prefix_of
 from casadical.export import load
 from casadical.export.toolchain import compilers
 from casadical.robot_file import read_robot, write_robot

@@ -1,0 +1,32 @@
+"""The command line: casadical COMMAND PROBLEM_DIR.
+
+Exit codes: 0 done; 2 bad input; 3 the solver found no optimum; 70 a bug of ours.
+"""
+
+from __future__ import annotations
+
+import sys
+import traceback
+
+from ..errors import ConvergenceError, InputError
+from .root import app as app
+from .terminal import BAD_INPUT, NO_CONVERGENCE, OUR_BUG
+
+
+def main() -> None:
+    """Run the command line; a user's mistake ends in a message and an exit code, never in a traceback."""
+    try:
+        app()
+    except InputError as error:
+        print(f"casadical: {error}", file=sys.stderr)  # noqa: T201
+        sys.exit(BAD_INPUT)
+    except ConvergenceError as error:
+        print(f"casadical: no optimum found, nothing was written: {error}", file=sys.stderr)  # noqa: T201
+        sys.exit(NO_CONVERGENCE)
+    except KeyboardInterrupt:
+        print("casadical: interrupted, nothing was written", file=sys.stderr)  # noqa: T201
+        sys.exit(130)
+    except Exception:
+        traceback.print_exc()
+        print("casadical: this is a bug of ours; please report it with the lines above", file=sys.stderr)  # noqa: T201
+        sys.exit(OUR_BUG)

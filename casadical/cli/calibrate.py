@@ -1,0 +1,98 @@
+"""The command `casadical calibrate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import Progress, TaskID
+
+from ..errors import InputError
+from .terminal import Json, Problems, Quiet, as_text, progress
+from .words import losses, methods
+
+
+def calibrate(
+    problems: Problems,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Keep the calibrated robots (METHOD.robot.toml), parameters (METHOD.parameters.csv), networks "
+            "(METHOD.compensator.json) and result.json here; with several problems, in a folder for each.",
+        ),
+    ] = None,
+    json_file: Json = None,
+    method: Annotated[
+        str | None,
+        typer.Option(
+            metavar="METHOD",
+            autocompletion=methods,
+            help="KM (kinematics only), SKCM (with joint compliance), or a network on what SKCM leaves: NN-SKCM "
+            "(back-propagation), IWO-NN-SKCM (the paper's), LM-NN-SKCM, IWO-LM-NN-SKCM or "
+            "GP-NN-SKCM; default: the problem's.",
+        ),
+    ] = None,
+    loss: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LOSS",
+            autocompletion=losses,
+            help="linear, or with outliers huber or soft_l1, which leave them out; default: the problem's.",
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="Of the random split into sets; default: the problem's. No effect where a column names the sets.",
+        ),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Identify a robot's parameters and say what they are worth on poses that were held out.
+
+    Prints, for each problem, the position errors before and after, every parameter with its standard error, and what
+    could not be identified and why. Results are written when all problems are done: all of them or none.
+
+    Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug of ours.
+    """
+    from ..calibration import calibrate_problem, problem_networks, result_files
+    from ..files import write_together
+    from ..tables import as_json, report
+
+    console = Console(quiet=quiet, soft_wrap=False)
+    found: dict[str, Any] = {}
+    texts: dict[Path, str] = {}
+    for name, folder in _by_name(problems).items():
+        with progress(quiet) as bar:
+            task = bar.add_task(f"{name}: reading", total=None)
+
+            def show(text: str, name: str = name, bar: Progress = bar, task: TaskID = task) -> None:
+                bar.update(task, description=f"{name}: {text}")
+
+            run = calibrate_problem(folder, method=method, loss=loss, seed=seed, show=show)
+            networks = problem_networks(run[0], run[1], show)
+        found[name] = as_json(*run, networks)
+        console.print(report(*run, networks))
+        console.print()
+        if out:
+            texts |= result_files(out if len(problems) == 1 else out / name, *run, networks)
+    if json_file:
+        texts[json_file] = as_text(found if len(found) > 1 else next(iter(found.values())))
+    write_together(texts)
+    for path in texts:
+        console.print(f"wrote {path}", soft_wrap=True)
+
+
+def _by_name(folders: list[Path]) -> dict[str, Path]:
+    """Problem folders by the names that their results get. Raises InputError."""
+    found: dict[str, Path] = {}
+    for folder in folders:
+        name = folder.resolve().name
+        if name in found:
+            raise InputError(f"{folder}: a second problem of the name {name!r}; calibrate them one after the other")
+        found[name] = folder
+    return found

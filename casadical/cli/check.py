@@ -1,0 +1,48 @@
+"""The command `casadical check`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from .terminal import BAD_INPUT, Json, Problems, Quiet, keep_json, progress
+
+
+def check(
+    problems: Problems,
+    noise_mm: Annotated[
+        float | None,
+        typer.Option(
+            min=0,
+            metavar="MM",
+            help="Of a measured coordinate, one sigma; default: as the problem states, or repeated readings show, or "
+            "0.02.",
+        ),
+    ] = None,
+    strict: Annotated[bool, typer.Option("--strict", help="Warnings end in exit code 2 too.")] = False,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Say what is wrong with a problem and its data before a solve, and what accuracy to expect.
+
+    Looks for faults of the files, units, signs and zeros that the nominal model contradicts, joints that hardly move,
+    too few poses, a four-bar near its end; tells which parameters the poses can tell apart and how well.
+
+    Exit codes: 0 ready, 2 something is wrong, 70 a bug of ours.
+    """
+    from ..precheck import precheck
+    from ..precheck.report import as_json, report
+
+    console = Console(quiet=quiet)
+    found = []
+    for folder in problems:
+        with progress(quiet) as bar:
+            bar.add_task(f"{folder.name}: checking", total=None)
+            found.append(precheck(folder, None if noise_mm is None else 1e-3 * noise_mm))
+        console.print(report(found[-1]))
+        console.print()
+    keep_json(json_file, [as_json(f) for f in found], console)
+    if not all(f.ok and not (strict and f.of("warning")) for f in found):
+        raise typer.Exit(BAD_INPUT)

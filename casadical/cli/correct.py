@@ -1,0 +1,85 @@
+"""The command `casadical correct`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..errors import InputError
+from .sources import Compensator, Nominal, Payload
+from .terminal import Json, Quiet, keep_json, plain
+
+
+def correct(
+    model: Annotated[
+        Path, typer.Argument(metavar="DIR_OR_MODEL", help="A folder that `casadical export c` wrote, or a robot file.")
+    ],
+    program: Annotated[
+        Path, typer.Argument(metavar="PROGRAM.csv", help="Joint targets q1_deg .. (or q1_rad ..), and other columns.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="FILE.csv", help="Where the corrected program goes.")],
+    nominal: Nominal = None,
+    compensator: Compensator = None,
+    steps: Annotated[
+        int | None, typer.Option(min=1, max=10, help="Least-squares steps of the correction; default: 2.")
+    ] = None,
+    payload: Payload = None,
+    tool: Annotated[
+        str | None, typer.Option(metavar="shared|own", help="As of `casadical export c`; default: shared.")
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FILE.csv if it is there.")] = False,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Rewrite the joint targets of an offline program so that the real tool goes where the nominal one would.
+
+    Every row gets a status; a row whose status is not OK keeps its targets and is listed. With a folder, the options
+    of the model are those of its export; with a robot file, give --nominal and what else `casadical export c` takes.
+
+    Exit codes: 0 written, with or without refused rows; 2 bad input; 70 a bug of ours.
+    """
+    from ..controller.correct import corrected, kernel_corrector, model_corrector
+    from ..controller.models import Sources, command_of
+    from ..controller.program import read_program
+    from ..files import write_whole
+
+    if out.exists() and not overwrite:
+        raise InputError(f"{out} is there already; give another file, or --overwrite")
+    if not model.exists():
+        raise InputError(f"{model}: no such folder or robot file")
+    if model.is_dir():
+        given = {
+            "--nominal": nominal,
+            "--compensator": compensator,
+            "--payload": payload,
+            "--steps": steps,
+            "--tool": tool,
+        }
+        for option, value in given.items():
+            if value is not None:
+                raise InputError(f"{option} was decided when {model} was exported; give it with a robot file only")
+        corrector = kernel_corrector(model)
+    else:
+        sources = Sources(model, nominal, compensator, payload, tool or "shared")  # type: ignore[arg-type]
+        corrector = model_corrector(command_of(sources, steps or 2))
+    result = corrected(corrector, read_program(program, corrector.joints))
+    write_whole(out, result.to_csv())
+    console = plain(quiet)
+    console.print(str(result))
+    if model.is_dir():
+        console.print(_stated(model))
+    console.print(f"wrote {out}")
+    keep_json(json_file, result.figures, console)
+
+
+def _stated(folder: Path) -> str:
+    """The remaining error that was measured when a folder was exported."""
+    figures = json.loads((folder / "manifest.json").read_text(encoding="utf-8")).get("figures", {})
+    stated = {key: figures[key] for key in ("rest_um_median", "rest_um_worst") if key in figures}
+    if not stated:
+        return "remaining error: not measured"
+    median, worst = stated["rest_um_median"], stated["rest_um_worst"]
+    return f"remaining error, measured at export on random poses: median {median:g} um, worst {worst:g} um"

@@ -1,0 +1,96 @@
+"""The command `casadical diagnose`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import Progress, TaskID
+
+from . import words
+from .terminal import Json, Quiet, keep_json, progress
+
+if TYPE_CHECKING:
+    from ..robot import Robot
+
+
+def diagnose(
+    problem: Annotated[Path, typer.Argument(metavar="PROBLEM_DIR", help="Folder with the robot.")],
+    campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.csv...", help="Measured positions.")],
+    json_file: Json = None,
+    effects: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES",
+            autocompletion=words.effects,
+            help="standard (the default), extended, or only these: names (backlash) or labels (backlash@5), by commas.",
+        ),
+    ] = None,
+    measure_next: Annotated[
+        Path | None,
+        typer.Option("--next", metavar="FILE", help="Poses that would tell apart what one campaign cannot, as CSV."),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the partitions into folds.")] = 0,
+    isolability: Annotated[
+        bool,
+        typer.Option(
+            "--isolability",
+            help="Before any data: what these poses could show of each effect, and which look alike. Measured "
+            "positions are not needed; nothing is diagnosed.",
+        ),
+    ] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Say why there is still a gap: where it lies, which effect causes it, how far it shrinks without it.
+
+    Exit codes: 0 done, 2 bad input, 70 a bug of ours.
+    """
+    from ..diagnosis.answer import as_json, report
+    from ..diagnosis.diagnosis import diagnose as run
+    from ..files import write_whole
+    from ..measurements import read_measurements
+    from ..problem import read_campaign_robot
+
+    console = Console(quiet=quiet)
+    robot = read_campaign_robot(problem)
+    if isolability:
+        _print_isolability(robot, campaigns, effects, json_file, console)
+        return
+    answers = []
+    for path in campaigns:
+        m = read_measurements(path, [j.kind for j in robot.joints])
+        with progress(quiet) as bar:
+            task = bar.add_task(path.stem, total=None)
+
+            def show(text: str, bar: Progress = bar, task: TaskID = task, name: str = path.stem) -> None:
+                bar.update(task, description=f"{name}: {text}")
+
+            found = run(robot, m, effects.split(",") if effects else "standard", seed=seed, show=show)
+        answers.append(as_json(found, path.stem))
+        console.print(report(found, f"{path.stem} ({robot.name})"))
+        console.print()
+        if measure_next and len(campaigns) == 1:
+            poses = found.next_poses(15)
+            write_whole(measure_next, poses.to_csv(index=False))
+            what = f"to tell {' from '.join(found.in_question)}" if len(poses) else "none: nothing is in question"
+            console.print(f"wrote {measure_next} ({len(poses)} poses, {what})")
+    keep_json(json_file, answers, console)
+
+
+def _print_isolability(
+    robot: Robot, campaigns: list[Path], effects: str | None, json_file: Path | None, console: Console
+) -> None:
+    from ..diagnosis.isolability import isolability
+    from ..diagnosis.isolability_report import as_json, report
+    from ..measurements import read_readings
+
+    answers = []
+    for path in campaigns:
+        m = read_readings(path, [j.kind for j in robot.joints])
+        found = isolability(robot, m, effects.split(",") if effects else "standard")
+        answers.append(as_json(found, path.stem))
+        console.print(report(found, f"{path.stem} ({robot.name}), {len(m)} poses"))
+        console.print()
+    keep_json(json_file, answers, console)

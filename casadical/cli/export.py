@@ -1,0 +1,115 @@
+"""The commands `casadical export ...`."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..errors import InputError
+from .sources import Compensator, Nominal, Payload, Tool
+from .terminal import Json, Quiet, keep_json, plain
+
+if TYPE_CHECKING:
+    from ..controller.models import Sources
+
+export_app = typer.Typer(
+    help="Turn a calibrated robot into code for its controller.",
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+)
+
+_Steps = Annotated[int, typer.Option(min=1, max=10, help="Least-squares steps of the correction.")]
+
+
+@export_app.callback()
+def _group() -> None:
+    pass
+
+
+@export_app.command("c")
+def export_c(
+    robot: Annotated[Path, typer.Argument(metavar="ROBOT.toml", help="A calibrated robot file.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files; what is in it already stays.")],
+    what: Annotated[
+        str, typer.Option(metavar="network|command", help="The network alone, or the correction of joint commands.")
+    ] = "command",
+    nominal: Nominal = None,
+    compensator: Compensator = None,
+    real: Annotated[str, typer.Option(metavar="float|double", help="Number type of the C.")] = "double",
+    steps: _Steps = 2,
+    payload: Payload = None,
+    tool: Tool = "shared",
+    name: Annotated[
+        str | None, typer.Option(metavar="PREFIX", help="Of C functions and files; default: from the robot's name.")
+    ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace files that casadical did not write or that were changed.")
+    ] = False,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Write guarded C99 for a controller, compiled and compared with its source before it is kept.
+
+    Precondition: the controller's own absolute-accuracy option is off.
+
+    Exit codes: 0 done, 2 bad input, 70 a bug of ours.
+    """
+    from ..controller.models import Sources, command_of, network_of
+    from ..export import write_c
+    from ..robot_file import read_robot
+
+    if what not in ("network", "command"):
+        raise InputError(f"--what {what}: not known; allowed: network, command")
+    if real not in ("float", "double"):
+        raise InputError(f"--real {real}: not known; allowed: float, double")
+    if what == "network" and (nominal or payload is not None):
+        raise InputError("--nominal and --payload have no part in a network alone; leave them out, or --what command")
+    sources = Sources(robot, nominal, compensator, payload, tool)  # type: ignore[arg-type]
+    product = command_of(sources, steps) if what == "command" else network_of(sources)
+    try:
+        written = write_c(
+            product,
+            out,
+            name=name or prefix_of(read_robot(robot).name),
+            real=real,
+            model_sha256=_sha256(robot),
+            data_sha256=_sha256(compensator) if compensator else "not given",
+            overwrite=overwrite,
+        )
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written: {error.strerror}") from error
+    console = plain(quiet)
+    console.print(f"{what} of {robot}, {real}")
+    for line in _about(sources, what, getattr(product, "network", product) is not None):
+        console.print(line)
+    console.print(str(written))
+    console.print("precondition: the controller's own absolute-accuracy option is off")
+    kept = {"folder": str(out), "files": list(written.files), "verified": written.verified, "figures": written.figures}
+    keep_json(json_file, kept, console)
+
+
+def prefix_of(name: str) -> str:
+    """A C prefix from a robot's name: lower case, at most 24 characters."""
+    words = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+    return (words if words[:1].isalpha() else f"robot_{words}")[:24].rstrip("_")
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _about(sources: Sources, what: str, networked: bool) -> list[str]:
+    """What went in, with hashes."""
+    files = {"robot": sources.robot, "nominal": sources.nominal, "compensator": sources.compensator}
+    used = ["robot", "compensator"] if what == "network" else list(files)
+    lines = [f"{label}: {path}, sha256 {_sha256(path)}" for label, path in files.items() if path and label in used]
+    if sources.compensator and not networked:
+        lines.append("the compensator was refused when it was trained: it corrects nothing and is left out")
+    if what == "command":
+        mass = "as declared" if sources.payload_kg is None else f"{sources.payload_kg:g} kg"
+        lines.append(f"payload: {mass}; tool: {sources.tool}; positions in the robot's own base frame")
+    return lines

@@ -1,0 +1,108 @@
+"""The command `casadical plan`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from ..errors import InputError
+from . import words
+from .terminal import Json, Quiet, progress
+
+
+def plan(
+    problem: Annotated[Path, typer.Argument(metavar="PROBLEM", help="Folder with the robot, or a robot file.")],
+    n: Annotated[int, typer.Option("-n", min=1, help="Number of joint readings to measure.")],
+    out: Annotated[Path, typer.Option(metavar="FILE.csv", help="The poses in order; expected figures beside it.")],
+    effects: Annotated[
+        str | None,
+        typer.Option(
+            "--for",
+            metavar="NAMES",
+            autocompletion=words.effects,
+            help="Effects to be told: names or labels (backlash@5), by commas.",
+        ),
+    ] = None,
+    criterion: Annotated[
+        str,
+        typer.Option(
+            metavar="WORD", autocompletion=words.criteria, help="V (accuracy over all poses), D, A, or O1 to O5."
+        ),
+    ] = "V",
+    room: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml", help="Limits, floor, boxes, tracker; see docs/plan.md.")
+    ] = None,
+    measured: Annotated[
+        Path | None, typer.Option(metavar="FILE.csv", help="Poses measured already, which the choice adds to.")
+    ] = None,
+    payloads: Annotated[
+        str | None, typer.Option(metavar="KG,KG", help="Payloads that can be mounted, by commas.")
+    ] = None,
+    every_payload: Annotated[bool, typer.Option(help="Measure each reading with all payloads.")] = False,
+    both_approaches: Annotated[bool, typer.Option(help="Approach each reading from either side.")] = False,
+    repeats: Annotated[int, typer.Option(min=1, help="Passes over all poses.")] = 1,
+    noise_mm: Annotated[
+        float | None, typer.Option(min=0, help="Of a coordinate, one sigma; default: 0.02, or what was measured shows.")
+    ] = None,
+    joint_noise_urad: Annotated[float, typer.Option(min=0, help="Repeatability of a joint, one sigma.")] = 0.0,
+    min_distance: Annotated[
+        float, typer.Option(min=0, max=1, help="Between poses, in the joint that differs most, share of its range.")
+    ] = 0.0,
+    target_mm: Annotated[float | None, typer.Option(min=0, help="Accuracy wanted: how many poses are enough?")] = None,
+    order: Annotated[bool, typer.Option("--order/--no-order", help="Order for little travel (needs networkx).")] = True,
+    seed: Annotated[int, typer.Option(min=0, help="Of all chance.")] = 0,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Choose which poses to measure, and say what accuracy to expect of them before measuring.
+
+    Exit codes: 0 done, 2 bad input, 70 a bug of ours.
+    """
+    from ..diagnosis.library import named
+    from ..files import write_together
+    from ..pose_selection.candidates import Circumstances
+    from ..pose_selection.criteria import checked
+    from ..pose_selection.information import Noise
+    from ..pose_selection.planning import plan as run
+    from ..pose_selection.planning import robot_of
+    from ..pose_selection.report import plan_files, report
+    from ..pose_selection.room import read_room
+
+    robot = robot_of(problem)
+    wanted = [c for c in named(robot, effects.split(",")) if c.listed] if effects else []
+    given = noise_mm is not None or measured is None
+    with progress(quiet) as bar:
+        bar.add_task("choosing poses", total=None)
+        found, ahead = run(
+            robot,
+            n,
+            # Of settings on a grid, the middle one.
+            [e for c in wanted for e in c.variants[len(c.variants) // 2]],
+            criterion=checked(criterion),
+            workspace=read_room(room, robot) if room else None,
+            circumstances=Circumstances(_numbers(payloads), every_payload, both_approaches, repeats),
+            measured=measured,
+            noise=Noise(1e-3 * (0.02 if noise_mm is None else noise_mm), 1e-6 * joint_noise_urad) if given else None,
+            min_distance=min_distance,
+            order=order,
+            seed=seed,
+        )
+    texts = plan_files(out, found, ahead)
+    if json_file:
+        texts[json_file] = texts[out.with_suffix(".json")]
+    write_together(texts)
+    console = Console(quiet=quiet)
+    console.print(report(found, ahead, None if target_mm is None else 1e-3 * target_mm))
+    for path in texts:
+        console.print(f"wrote {path}", soft_wrap=True)
+
+
+def _numbers(text: str | None) -> tuple[float, ...]:
+    """Payloads by commas. Raises InputError."""
+    try:
+        return tuple(float(word) for word in text.split(",")) if text else ()
+    except ValueError:
+        raise InputError(f"--payloads {text}: allowed: numbers by commas, such as 0,120") from None

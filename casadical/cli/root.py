@@ -1,0 +1,49 @@
+"""The command line as one tree: each command from its own module."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from .. import __version__
+from .calibrate import calibrate
+from .check import check
+from .correct import correct
+from .diagnose import diagnose
+from .export import export_app
+from .new import new
+from .plan import plan
+
+app = typer.Typer(
+    name="casadical",
+    help=(
+        "Calibrate robots from measured poses.\n\n"
+        "A PROBLEM_DIR is a folder with problem.toml, a robot file (TOML or URDF) and measurements (CSV). Start with "
+        "one of the folders in problems/, for example:\n\n    casadical calibrate problems/ur10 --out results/ur10"
+    ),
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"casadical {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and stop.")
+    ] = False,
+) -> None:
+    pass
+
+
+for command in (new, check, calibrate, diagnose, plan, correct):
+    app.command()(command)
+app.add_typer(export_app, name="export")

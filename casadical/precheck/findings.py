@@ -1,0 +1,17 @@
+"""One thing that was found: how bad, about what, in words that say what to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Level = Literal["error", "warning", "note"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """level : error (no use to go on), warning (look at it), note (good to know); topic : one word or two"""
+
+    level: Level
+    topic: str
+    text: str
