@@ -27,7 +27,7 @@ from .gap import Noise, covariance, likely_noise
 from .pose_pool import Pool, draw_pool, news
 from .signatures import signatures
 
-POOL = 1500
+POOL = 800
 # One sigma, in sizes, of a cause's parameters before the data.
 WIDE = 2.0
 # Settings of a cause that are looked at, and by how much their log likelihood may be less than the best one's.
@@ -52,6 +52,7 @@ def next_poses(
     n: int,
     seed: int = 0,
     *,
+    beside: Sequence[str] = (NONE,),
     workspace: Workspace | None = None,
     payloads: Sequence[float] = (),
     pool: int = POOL,
@@ -59,6 +60,7 @@ def next_poses(
     """The next n poses to measure, the most telling first.
 
     labels : causes to tell apart, as the case's candidates name them; "none" for no cause at all
+    beside : others from which each of them is to be told as well, but not from each other
     workspace : where poses may lie; by default the robot's own ranges, loops as open as they were in the campaign
     payloads : states [kg] that can be mounted; by default none, the declared one and the campaign's
     pool : how many poses are drawn to choose from; the campaign's own are added
@@ -69,12 +71,14 @@ def next_poses(
     factor in favour of the truth, of this pose and those before it, for the truth that is told least; and, empty, the
     columns to be logged. Raises InputError for fewer than two labels or one that the case does not know.
     """
-    causes = _causes(case, labels)
+    causes = _causes(case, labels, beside)
     noise = causes[0].noise
     effects = tuple(dict.fromkeys(e for cause in causes for e in cause.variant))
     drawn = draw_pool(case, effects, pool, seed, workspace, payloads)
-    predictions = [(cause.label, _predict(case, cause.variant, noise, drawn.m)) for cause in causes]
-    picked, gained = _pick(predictions, _noise_at(case, noise, drawn.m), min(n, len(drawn.m)))
+    noise_there = _noise_at(case, noise, drawn.m)
+    models = [(c.label, _Model(_predict(case, c.variant, noise, drawn.m), noise_there)) for c in causes]
+    rivals = [(p, r) for (a, p), (b, r) in combinations(models, 2) if a != b and (a in labels or b in labels)]
+    picked, gained = _pick(rivals, min(n, len(drawn.m)))
     return _table(case, effects, drawn, picked, gained)
 
 
@@ -87,13 +91,13 @@ class _Cause:
     noise: Noise
 
 
-def _causes(case: Case, labels: Sequence[str]) -> list[_Cause]:
-    """Each label with its most likely settings and some others that the data allow as well."""
+def _causes(case: Case, labels: Sequence[str], beside: Sequence[str] = ()) -> list[_Cause]:
+    """Each label with its most likely settings and another that the data allow as well; of those beside, one each."""
     if len(set(labels)) < 2:
         raise InputError(f"causes {list(labels)}; give two or more that are to be told apart")
     known = {c.label: c for c in case.candidates}
     found: list[_Cause] = []
-    for label in dict.fromkeys(labels):
+    for label in dict.fromkeys((*labels, *beside)):
         if label == NONE:
             found.append(_Cause(NONE, (), likely_noise(case.evidence.log_base())))
             continue
@@ -104,7 +108,8 @@ def _causes(case: Case, labels: Sequence[str]) -> list[_Cause]:
         likely = log_sum(grids.reshape(len(variants), -1), axis=1)
         allowed = np.flatnonzero(likely > likely.max() - LIKELY)
         spread = allowed[np.linspace(0, len(allowed) - 1, MOST_VARIANTS).astype(int)]
-        for k in dict.fromkeys([int(np.argmax(likely)), *spread.tolist()]):
+        others = spread.tolist() if label in labels else []
+        for k in dict.fromkeys([int(np.argmax(likely)), *others]):
             found.append(_Cause(label, variants[k], likely_noise(grids[k])))
     # The cause that leaves the least noise comes first: its noise is taken for all.
     return sorted(found, key=lambda cause: cause.noise.sigma)
@@ -137,53 +142,63 @@ def _noise_at(case: Case, noise: Noise, m: Measurements) -> Array:
     return covariance(Evidence(np.zeros((len(m), 3)), J, Jq, np.zeros(0), np.ones(0), empty), noise)
 
 
+class _Model:
+    """A cause's predictive distribution at all poses, as it learns from the data at those picked.
+
+    own : covariance of the data at each pose, shape (K, 3, 3); inverse, volume : of it, and log determinant
+    """
+
+    def __init__(self, prediction: _Prediction, noise: Array) -> None:
+        self.first, self.noise = prediction, noise
+        self._known: Array = np.eye(prediction.spread.shape[2])
+        self._set(prediction.spread @ prediction.spread.transpose(0, 2, 1) + noise)
+
+    def _set(self, own: Array) -> None:
+        self.own, self.inverse = own, np.linalg.inv(own)
+        self.volume: Array = np.linalg.slogdet(own)[1]
+
+    def learn(self, pose: int) -> Array:
+        """Take in the data at a pose, as a Kalman filter does; its gain at all poses, shape (K, 3, 3)."""
+        spread = self.first.spread
+        toward = self._known @ spread[pose].T
+        gain = np.asarray((spread.reshape(-1, len(toward)) @ toward).reshape(-1, 3, 3) @ self.inverse[pose])
+        self._known = self._known - toward @ self.inverse[pose] @ toward.T
+        self._set(self.own - gain @ self.own[pose] @ gain.transpose(0, 2, 1))
+        return gain
+
+
 class _Duel:
-    """One model's predictions against data from another one, given the poses picked so far.
+    """What the data of a truth differ by from a model's prediction: mean, shape (K, 3), and root of the covariance less
+    the pose's own noise, shape (K, 3, any)."""
 
-    own : covariance of the model's predictive distribution at each pose, shape (K, 3, 3)
-    miss : mean, shape (K, 3), and root of the covariance, shape (K, 3, any), less the pose's own noise, of what the
-        truth's data differ from the model's prediction by
-    """
+    def __init__(self, model: _Model, truth: _Model) -> None:
+        self.model, self.truth = model, truth
+        self.mean: Array = truth.first.mean - model.first.mean
+        self.root: Array = truth.first.spread
 
-    def __init__(self, model: _Prediction, truth: _Prediction, noise: Array) -> None:
-        self._spread, self._noise = model.spread, noise
-        self._known: Array = np.eye(model.spread.shape[2])
-        self.own: Array = model.spread @ model.spread.transpose(0, 2, 1) + noise
-        self.miss: tuple[Array, Array] = (truth.mean - model.mean, truth.spread)
+    def gains(self) -> Array:
+        """What each pose adds to the expected log Bayes factor in favour of the truth, shape (K,): a divergence."""
+        square = self.model.noise + self.root @ self.root.transpose(0, 2, 1)
+        square += self.mean[:, :, None] * self.mean[:, None, :]
+        far = (self.model.inverse * square).sum(axis=(1, 2)) - 3
+        return np.asarray(0.5 * (far + self.model.volume - self.truth.volume))
 
-    def distance(self) -> Array:
-        """Expected squared Mahalanobis distance of the truth's data from the prediction, shape (K,)."""
-        mean, root = self.miss
-        square = self._noise + root @ root.transpose(0, 2, 1) + mean[:, :, None] * mean[:, None, :]
-        return np.asarray(np.trace(np.linalg.solve(self.own, square), axis1=1, axis2=2))
-
-    def volume(self) -> Array:
-        """Logarithm of the determinant of the predictive covariance, shape (K,)."""
-        return np.asarray(np.linalg.slogdet(self.own)[1])
-
-    def pick(self, pose: int) -> None:
-        """Let the model learn from the data at a pose (as a Kalman filter does)."""
-        toward = self._known @ self._spread[pose].T
-        gain = np.linalg.solve(self.own[pose], (self._spread @ toward).transpose(0, 2, 1)).transpose(0, 2, 1)
-        self._known = self._known - toward @ np.linalg.solve(self.own[pose], toward.T)
-        self.own = self.own - gain @ self.own[pose] @ gain.transpose(0, 2, 1)
-        mean, root = self.miss
-        heard = np.linalg.cholesky(self._noise[pose])
-        self.miss = (mean - gain @ mean[pose], np.concatenate([root - gain @ root[pose], -gain @ heard], axis=2))
+    def follow(self, pose: int, gain: Array) -> None:
+        """The model has learnt at a pose, with this gain."""
+        heard = np.linalg.cholesky(self.model.noise[pose])
+        self.mean = self.mean - gain @ self.mean[pose]
+        self.root = np.concatenate([self.root - gain @ self.root[pose], -gain @ heard], axis=2)
 
 
-def _pick(predictions: Sequence[tuple[str, _Prediction]], noise: Array, n: int) -> tuple[list[int], list[float]]:
-    """Greedy choice of n poses and what they separate, summed as they are added: of the truth told least.
-
-    predictions : with the label of each; of one label, they are not told apart
-    """
-    rivals = [(p, r) for (a, p), (b, r) in combinations(predictions, 2) if a != b]
-    pairs = [(_Duel(p, r, noise), _Duel(r, p, noise)) for p, r in rivals]
+def _pick(rivals: Sequence[tuple[_Model, _Model]], n: int) -> tuple[list[int], list[float]]:
+    """Greedy choice of n poses and what they separate, summed as they are added: of the truth told least."""
+    duels = [d for a, b in rivals for d in (_Duel(a, b), _Duel(b, a))]
+    models = list(dict.fromkeys(m for pair in rivals for m in pair))
     picked: list[int] = []
-    gained = np.zeros(2 * len(pairs))
+    gained = np.zeros(len(duels))
     course = []
     for _ in range(n):
-        gains = np.concatenate([_gains(one, other) for one, other in pairs])
+        gains = np.stack([d.gains() for d in duels])
         # The truth that is told least so far matters most.
         score = (gains / (1 + gained[:, None])).sum(axis=0)
         score[picked] = -np.inf
@@ -191,19 +206,10 @@ def _pick(predictions: Sequence[tuple[str, _Prediction]], noise: Array, n: int) 
         gained = gained + gains[:, best]
         picked.append(best)
         course.append(float(gained.min()))
-        for one, other in pairs:
-            one.pick(best)
-            other.pick(best)
+        learnt = {m: m.learn(best) for m in models}
+        for duel in duels:
+            duel.follow(best, learnt[duel.model])
     return picked, course
-
-
-def _gains(one: _Duel, other: _Duel) -> Array:
-    """What each pose adds to the expected log Bayes factor in favour of the truth, shape (2, K).
-
-    First where the truth is the other's model, then where it is the one's own: Kullback and Leibler's divergences.
-    """
-    half = 0.5 * (one.volume() - other.volume())
-    return np.stack([0.5 * (one.distance() - 3) + half, 0.5 * (other.distance() - 3) - half])
 
 
 def _table(

@@ -92,7 +92,7 @@ def against_figaroh(name, robot, python):
         rows, out = Path(folder) / "rows.npy", Path(folder) / "out.json"
         np.save(rows, J)
         helper = HERE / "pose_selection_figaroh.py"
-        subprocess.run([python, helper, rows, out, *map(str, SIZES)], check=True, stderr=subprocess.DEVNULL)
+        subprocess.run([python, helper, rows, out, *map(str, SIZES)], check=True)
         found = json.loads(out.read_text(encoding="utf-8"))
     for theirs in found:
         n = theirs["n"]

@@ -9,7 +9,7 @@ from cases import case, robot
 from scipy.linalg import block_diag
 
 from casadical import InputError
-from casadical.diagnosis.next_poses import _causes, _Duel, _gains, _noise_at, _predict, _Prediction, next_poses
+from casadical.diagnosis.next_poses import _causes, _Duel, _Model, _noise_at, _predict, _Prediction, next_poses
 from casadical.diagnosis.pose_pool import draw_pool
 from casadical.measurements import from_table
 
@@ -42,12 +42,14 @@ def test_gains_add_up_to_the_expected_log_bayes_factor() -> None:
     a, b = (_Prediction(rng.normal(size=(6, 3)), rng.normal(size=(6, 3, k))) for k in (4, 5))
     noise = np.stack([np.eye(3) + 0.3 * v[:, None] * v for v in rng.normal(size=(6, 3))])
     picked: list[int] = []
-    one, other = _Duel(a, b, noise), _Duel(b, a, noise)
+    one, other = _Model(a, noise), _Model(b, noise)
+    duels = (_Duel(one, other), _Duel(other, one))
     total = np.zeros(2)
     for pose in (4, 0, 2, 5):
-        total += _gains(one, other)[:, pose]
-        one.pick(pose)
-        other.pick(pose)
+        total += [duel.gains()[pose] for duel in duels]
+        gains = {model: model.learn(pose) for model in (one, other)}
+        for duel in duels:
+            duel.follow(pose, gains[duel.model])
         picked.append(pose)
         np.testing.assert_allclose(total, divergences(a, b, noise, picked), rtol=1e-9)
 
@@ -74,7 +76,7 @@ def test_table_can_be_taken_to_the_robot(doubtful) -> None:
     "labels", [["nonlinear_stiffness@2", "backlash@2"], ["frame_drift", "thermal_growth"], ["backlash@2", "none"]]
 )
 def test_chosen_poses_tell_more_than_random_ones(doubtful, labels: list[str]) -> None:
-    best = next_poses(doubtful, labels, 8, pool=400)["separation"].iloc[-1]
+    best = next_poses(doubtful, labels, 8, beside=(), pool=400)["separation"].iloc[-1]
     causes = _causes(doubtful, labels)
     least = causes[0].noise
     effects = tuple(dict.fromkeys(e for cause in causes for e in cause.variant))
