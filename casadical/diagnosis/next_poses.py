@@ -68,8 +68,9 @@ def next_poses(
     Columns: order; q1_deg ...; payload_kg and approach1 ... where they matter; repeats, the row of the campaign that
     the pose repeats, if any; state, cold or warm, where a cause follows the temperature; new, what the campaign had
     not (a wider range of a joint, another payload, approach or thermal state); separation, the expected log Bayes
-    factor in favour of the truth, of this pose and those before it, for the truth that is told least; and, empty, the
-    columns to be logged. Raises InputError for fewer than two labels or one that the case does not know.
+    factor in favour of the truth among the labels, of this pose and those before it, for the truth that is told least;
+    and, empty, the columns to be logged. Raises InputError for fewer than two labels or one that the case does not
+    know.
     """
     causes = _causes(case, labels, beside)
     noise = causes[0].noise
@@ -77,8 +78,10 @@ def next_poses(
     drawn = draw_pool(case, effects, pool, seed, workspace, payloads)
     noise_there = _noise_at(case, noise, drawn.m)
     models = [(c.label, _Model(_predict(case, c.variant, noise, drawn.m), noise_there)) for c in causes]
-    rivals = [(p, r) for (a, p), (b, r) in combinations(models, 2) if a != b and (a in labels or b in labels)]
-    picked, gained = _pick(rivals, min(n, len(drawn.m)))
+    rivals = [(a in labels, b in labels, p, r) for (a, p), (b, r) in combinations(models, 2) if a != b]
+    asked = [(p, r) for first, second, p, r in rivals if first and second]
+    also = [(p, r) for first, second, p, r in rivals if first != second]
+    picked, gained = _pick(asked, also, min(n, len(drawn.m)))
     return _table(case, effects, drawn, picked, gained)
 
 
@@ -190,10 +193,17 @@ class _Duel:
         self.root = np.concatenate([self.root - gain @ self.root[pose], -gain @ heard], axis=2)
 
 
-def _pick(rivals: Sequence[tuple[_Model, _Model]], n: int) -> tuple[list[int], list[float]]:
-    """Greedy choice of n poses and what they separate, summed as they are added: of the truth told least."""
-    duels = [d for a, b in rivals for d in (_Duel(a, b), _Duel(b, a))]
-    models = list(dict.fromkeys(m for pair in rivals for m in pair))
+_Pairs = Sequence[tuple[_Model, _Model]]
+
+
+def _pick(asked: _Pairs, also: _Pairs, n: int) -> tuple[list[int], list[float]]:
+    """Greedy choice of n poses and what they separate, summed as they are added: of the truth told least.
+
+    asked, also : pairs to be told apart; only the former count as what is separated
+    """
+    pairs = [*asked, *also]
+    duels = [d for a, b in pairs for d in (_Duel(a, b), _Duel(b, a))]
+    models = list(dict.fromkeys(m for pair in pairs for m in pair))
     picked: list[int] = []
     gained = np.zeros(len(duels))
     course = []
@@ -205,7 +215,7 @@ def _pick(rivals: Sequence[tuple[_Model, _Model]], n: int) -> tuple[list[int], l
         best = int(np.argmax(score))
         gained = gained + gains[:, best]
         picked.append(best)
-        course.append(float(gained.min()))
+        course.append(float(gained[: 2 * len(asked)].min()))
         learnt = {m: m.learn(best) for m in models}
         for duel in duels:
             duel.follow(best, learnt[duel.model])

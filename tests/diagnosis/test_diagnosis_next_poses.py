@@ -1,6 +1,7 @@
 """Next poses: the gain against densities written out, better than chance, and a table to take to the robot."""
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -8,10 +9,15 @@ import pytest
 from cases import case, robot
 from scipy.linalg import block_diag
 
-from casadical import InputError
+from casadical import InputError, identify
+from casadical.accuracy import predicted
+from casadical.diagnosis.case import make_case
+from casadical.diagnosis.library import candidates_of
 from casadical.diagnosis.next_poses import _causes, _Duel, _Model, _noise_at, _predict, _Prediction, next_poses
 from casadical.diagnosis.pose_pool import draw_pool
-from casadical.measurements import from_table
+from casadical.measurements import Measurements, from_table
+from casadical.pose_selection import Workspace
+from casadical.pose_selection.candidates import draw_uniform
 
 EFFECTS = ("nonlinear_stiffness@2", "backlash@2", "gear_eccentricity@2", "frame_drift", "thermal_growth")
 
@@ -89,6 +95,43 @@ def test_chosen_poses_tell_more_than_random_ones(doubtful, labels: list[str]) ->
     drawn = [min(min(divergences(p, r, noise, poses)) for p, r in pairs) for poses in chance]
     assert best > 1.5 * np.mean(drawn)
     assert best > np.max(drawn)
+
+
+@pytest.fixture(scope="module")
+def poor():
+    """A campaign without payload, joint 1 in a small range, approached from one side, the arm hardly warm."""
+    rng = np.random.default_rng(3)
+    r = robot("ur10e")
+    q = draw_uniform(r, 40, Workspace(*np.deg2rad([[-30, -170, -90, -90, -90, -90], [30, -20, 90, 90, 90, 90]])), rng)
+    columns = {f"approach{j}": np.ones(40) for j in range(1, 7)}
+    columns |= {"payload_kg": np.zeros(40), "time_s": 30.0 * np.arange(40), "temperature_degC": np.linspace(20, 21, 40)}
+    m = Measurements(q=q, kind="position", position=np.zeros((40, 3)), conditions=columns)
+    seen, _ = predicted(r, m)
+    table = replace(m, position=seen + 2e-5 * rng.normal(size=seen.shape))
+    names = ("joint_scale@1", "gear_eccentricity@1", "backlash@2", "friction_windup@2", "thermal_growth", "frame_drift")
+    return make_case(identify(r, table, priors=True), candidates_of(r, names))
+
+
+@pytest.mark.parametrize(
+    ("labels", "news"),
+    [
+        (["joint_scale@1", "gear_eccentricity@1"], "range of q1"),
+        (["backlash@2", "friction_windup@2"], "approach2 -1"),
+        (["backlash@2", "friction_windup@2"], "payload 10 kg"),
+        (["thermal_growth", "frame_drift"], "arm warmed up by 5 K"),
+    ],
+)
+def test_what_the_campaign_had_not_is_asked_for(poor, labels: list[str], news: str) -> None:
+    table = next_poses(poor, labels, 6, pool=300)
+    assert table["new"].str.contains(news, regex=False).any()
+
+
+def test_only_what_the_room_and_the_payloads_allow(poor) -> None:
+    room = Workspace(*np.deg2rad([[-60, -170, -90, -90, -90, -90], [60, -20, 90, 90, 90, 90]]))
+    table = next_poses(poor, ["joint_scale@1", "gear_eccentricity@1"], 6, workspace=room, payloads=(0.0, 2.0), pool=300)
+    assert table["q1_deg"].abs().between(30, 60).any()
+    assert table["q1_deg"].abs().max() <= 60
+    assert set(table["payload_kg"]) <= {0.0, 2.0}
 
 
 def test_backlash_is_told_near_zero_torque(doubtful) -> None:
