@@ -23,6 +23,7 @@ from casadical.effects import (
     MissingCompliance,
     NonlinearStiffness,
     PayloadError,
+    SmrOffset,
 )
 from casadical.errors import ConvergenceError, InputError
 from casadical.measurements import Measurements, read_measurements
@@ -156,6 +157,14 @@ def test_mujocos_own_motion_comes_to_the_same_rest() -> None:
         mujoco.mj_forward(model, data)
         assert before > 1e-4
         assert np.linalg.norm(data.site("measured").xpos - there[k]) < 2e-6
+
+
+def test_an_effect_of_the_measurement_is_added_to_what_mujoco_finds() -> None:
+    robot = robot_of("ur10e").with_effect(SmrOffset())
+    robot = robot.with_values({"smr_offset.along": 2e-5, "smr_offset.across": -3e-5})
+    stage = replay(robot, poses(robot))
+    assert stage.export.left_out == ("smr_offset: an effect of the measurement, not of the robot",)
+    assert stage.apart.max() < 5e-7
 
 
 def test_what_has_no_counterpart_is_said() -> None:
