@@ -18,6 +18,7 @@ from casadical.effects import (
     FrameDrift,
     FrictionWindup,
     GearEccentricity,
+    GravityCompensator,
     JointScale,
     LinkFlexure,
     MissingCompliance,
@@ -104,6 +105,7 @@ COUNTERPARTS: list[tuple[Effect, dict[str, float], float]] = [
     (PayloadError(), {"mass": 0.06, "x": 0.02, "y": -0.01, "z": 0.03}, 1e-6),
     (JointScale(3), {"k": 1e-4}, 2e-6),
     (FrictionWindup(3), {"constant": 4e-5, "load": 0.0}, 1e-6),
+    (GravityCompensator(2, 2.0, 0.5), {"sin": 0.2, "cos": -0.1, "preload": 0.15}, 15e-6),
     (NonlinearStiffness(2, 0.2), {"bend": 6e-5}, 25e-6),
     (CubicStiffness(2), {"bend": 4e-5}, 10e-6),
 ]
