@@ -169,7 +169,7 @@ class Robot:
 
     @cached_property
     def declared(self) -> Array:
-        """Values of `conditions` where nothing was logged: the declared payload, else zero."""
+        """Values of `conditions` where nothing was logged, shape (k,) [of the column]: declared payload, else zero."""
         return np.array([self.payload.mass if c == "payload_kg" and self.payload else 0.0 for c in self.conditions])
 
     @cached_property
