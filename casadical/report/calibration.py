@@ -1,0 +1,265 @@
+"""The report of a calibration: its figures, and the part of a page that they make with words and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
+
+from ..accuracy import Accuracy
+from ..diagnosis.case import make_case
+from ..diagnosis.gap import Noise
+from ..diagnosis.where import Where, where
+from ..identification import Identification
+from ..networks import Networks
+from ..problem import Problem
+from ..tables import SetAccuracies
+from .error_figures import error_distribution, errors_by_pose
+from .error_tables import error_tables, network_table
+from .look import mm
+from .page import Block, Drawing, Part, Section, Table, Tile, Words
+from .parameter_figures import parameter_figures
+from .parameter_tables import confounded, correlated, parameter_table
+from .pose_errors import PoseErrors, pose_errors
+from .share_figures import where_figure
+from .training import training_history
+from .workspace import workspace
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+Results = Mapping[str, Identification]
+
+
+def calibration_figures(problem: Problem, results: Results, networks: Networks | None = None) -> dict[str, go.Figure]:
+    """Every figure of a calibration's report, by name.
+
+    problem, results, networks : as `calibrate_problem` and `problem_networks` give them
+
+    errors/SET and distribution/SET for each set of poses; workspace; where/TABLE as `Diagnosis.where` names them (of
+    measured positions); parameters/lengths, /angles, /compliance; training. What the data do not hold is not there.
+    Raises InputError where plotly is not installed.
+    """
+    poses = pose_errors(problem, results, networks)
+    found: dict[str, go.Figure] = {}
+    for name, of_set in poses.items():
+        found[f"errors/{name}"] = errors_by_pose(of_set)
+        found[f"distribution/{name}"] = error_distribution(of_set)
+    last = _last(results)
+    spatial = _in_space(poses)
+    if spatial is not None:
+        found["workspace"] = workspace(spatial, last.robot)
+    gap = where_left(last)
+    if gap is not None:
+        found |= {f"where/{name}": where_figure(name, table) for name, table in gap.tables()}
+    found |= {f"parameters/{kind}": figure for kind, figure in parameter_figures(last).items()}
+    if networks and any(r.compensator for r in networks.results.values()):
+        found["training"] = training_history(networks)
+    return found
+
+
+def where_left(result: Identification) -> Where | None:
+    """Where the error that an identification left lies; None unless it is of one set of measured positions."""
+    if len(result.measurements) != 1 or result.measurements[0].position is None:
+        return None
+    return where(make_case(result, ()), Noise(result.sigmas[0][0], 0.0))
+
+
+def calibration_part(
+    problem: Problem, results: Results, errors: Mapping[str, SetAccuracies], networks: Networks | None = None
+) -> Part:
+    """One problem's part of a page. Raises InputError where plotly is not installed."""
+    figures = calibration_figures(problem, results, networks)
+    last = _last(results)
+    sections = [
+        Section("Verdict", [*_verdict(problem, results, errors, networks)]),
+        Section("Errors before and after", [*error_tables(errors, networks), *_paper(problem)]),
+        Section("Error of each pose", [*_pose_blocks(figures, networks)]),
+        Section("In the workspace", [*_space_blocks(figures, problem)]),
+        Section("Where the gap lies", [*_where_blocks(figures, last)]),
+        Section("Which causes", [*_cause_blocks(problem)]),
+        Section("Parameters", [*_parameter_blocks(figures, last)]),
+        Section("Training of the networks", [*_network_blocks(figures, networks)]),
+        Section("What to measure next", [*_next_blocks(problem, last)]),
+    ]
+    badges = ["synthetic data"] if problem.data == "synthetic" else []
+    subtitle = f"{problem.robot.name}, {problem.data} data"
+    return Part(problem.title, subtitle, sections, [*_tiles(errors, networks)], badges)
+
+
+def _last(results: Results) -> Identification:
+    return list(results.values())[-1]
+
+
+def _in_space(poses: Mapping[str, PoseErrors]) -> PoseErrors | None:
+    return next((p for p in poses.values() if p.position is not None), None)
+
+
+def _shown_set(errors: Mapping[str, SetAccuracies]) -> tuple[str, bool]:
+    """The set by which the result is judged, and whether it was held out."""
+    names = list(next(iter(errors.values())))
+    held = [n for n in names if n.startswith("report")]
+    return (held or names)[0], bool(held)
+
+
+def _judged(errors: Mapping[str, SetAccuracies]) -> tuple[str, Accuracy, Accuracy, str, bool]:
+    """Method, before, after, set, held out."""
+    name, held = _shown_set(errors)
+    method, states = list(errors.items())[-1]
+    return method, states[name]["placed"], states[name]["calibrated"], name, held
+
+
+def _tiles(errors: Mapping[str, SetAccuracies], networks: Networks | None) -> Iterator[Tile]:
+    method, before, after, name, held = _judged(errors)
+    where_ = f"{after.n} held-out poses" if held else f"{after.n} poses, not held out"
+    yield Tile("Mean error before", mm(before.mean), "mm", "base and tool fitted")
+    yield Tile(f"Mean error after {method}", mm(after.mean), "mm", where_)
+    yield Tile("95 % of the poses below", mm(after.p95), "mm", f"{method}; before {mm(before.p95)} mm")
+    yield Tile("Largest error", mm(after.max), "mm", f"{method}; before {mm(before.max)} mm")
+
+
+def _verdict(
+    problem: Problem, results: Results, errors: Mapping[str, SetAccuracies], networks: Networks | None
+) -> Iterator[Block]:
+    method, before, after, name, held = _judged(errors)
+    change = 100 * (1 - after.mean / before.mean)
+    poses = f"On {after.n} poses that were held out" if held else f"On the {after.n} poses it was identified from"
+    yield Words(
+        f"{poses}, the mean position error {'falls' if change > 0 else 'grows'} from {mm(before.mean)} mm to "
+        f"{mm(after.mean)} mm with {method} ({change:.0f} % less). Before means: with only base and tool frames fitted.",
+        "verdict",
+    )
+    if not held:
+        yield Words("No poses were held out: on new poses the error will be greater.", "warning")
+    if problem.data == "synthetic":
+        yield Words("The data are synthetic: they show that the method works, not how accurate a real robot is.", "note")
+    for result in results.values():
+        bad = result.at_bounds or "DOES NOT FIT" in result.verdict
+        yield Words(result.verdict, "warning" if bad else "text")
+    yield Words(how_sure(_last(results)))
+    for trained in networks.results.values() if networks else ():
+        if trained.helps:
+            yield Words(trained.verdict)
+    refused = [r.method for r in networks.results.values() if r.compensator and not r.helps] if networks else []
+    if refused:
+        yield Words(f"Networks that make other poses worse or no better, and were refused: {', '.join(refused)}.")
+    yield from (Words(note, "note") for note in problem.robot.notes)
+
+
+def how_sure(result: Identification) -> str:
+    """Scatter of the residuals, condition and optimality in a sentence."""
+    noise = ", ".join(f"{1e3 * sigma:.3f} mm a coordinate" for sigma, _ in result.sigmas)
+    optimal = "confirmed" if result.is_optimal() else "NOT confirmed"
+    return (
+        f"Residual scatter {noise}; condition number {result.identifiability.condition:.0f}; optimum {optimal} by "
+        f"recomputation; {result.degrees_of_freedom} degrees of freedom."
+    )
+
+
+def _paper(problem: Problem) -> Iterator[Block]:
+    if problem.paper is None:
+        return
+    rows = [
+        (name, method, *(f"{v:.4f}" for v in row))
+        for name, published in (("calibration", problem.paper.calibration), ("validation", problem.paper.validation))
+        for method, row in published.items()
+    ]
+    columns = ("poses", "method", "mean", "max", "std")
+    yield Table(f"For comparison, {problem.paper.source}, mm", columns, rows, frozenset({2, 3, 4}), folded=True)
+
+
+def _pose_blocks(figures: Mapping[str, go.Figure], networks: Networks | None) -> Iterator[Block]:
+    captions = {
+        "report": "Held-out poses: no model saw them (Fig. 7 of the paper).",
+        "identify": "Poses that identified the parameters; errors here are smaller than on new poses (Fig. 6).",
+        "train": "Poses that the networks learnt from.",
+        "choose": "Poses by which the networks were kept or refused.",
+    }
+    more = "Click a name in the legend to show or hide it."
+    if networks and any(r.compensator and not r.helps for r in networks.results.values()):
+        more += " Refused networks are drawn as they were trained; they are not in use."
+    for name, figure in figures.items():
+        kind, _, of_set = name.partition("/")
+        caption = captions.get(of_set.split("/")[0], "")
+        if kind == "errors":
+            yield Drawing(name, figure, f"{caption} {more}")
+        elif kind == "distribution" and of_set.startswith("report"):
+            yield Drawing(name, figure, "The farther left, the better; grey lines at 50 and 95 %.")
+
+
+def _space_blocks(figures: Mapping[str, go.Figure], problem: Problem) -> Iterator[Block]:
+    if "workspace" in figures:
+        caption = (
+            "Turn it with the mouse; point at the end of a vector for its error. Each line runs from the measured point "
+            "in the direction of the error (measured less computed) and is longer than it by the factor in the legend."
+        )
+        yield Drawing("workspace", figures["workspace"], caption)
+    else:
+        kinds = ", ".join(sorted({m.kind for parts in problem.sets.values() for m in parts}))
+        yield Words(f"The data are of the kind {kinds}: they do not say where each point is, so there is no map.", "note")
+
+
+def _where_blocks(figures: Mapping[str, go.Figure], result: Identification) -> Iterator[Block]:
+    found = {k.partition("/")[2]: f for k, f in figures.items() if k.startswith("where/")}
+    if not found:
+        yield Words("Where the gap lies can be told from one set of measured positions only.", "note")
+        return
+    yield Words(f"Of what {result.method} leaves at the poses it was identified from. Bars are 95 % intervals.", "note")
+    yield from where_drawings(found)
+
+
+def where_drawings(figures: Mapping[str, go.Figure]) -> Iterator[Drawing]:
+    """Figures of where the gap lies, each with how to read it."""
+    captions = {
+        "joints": "Share of the gap that smooth errors of each joint would bring forth; with the rest they sum to 100 %.",
+        "links": "The same for links, loop, base and tool frame.",
+        "directions": "Each frame's three directions sum to 100 %, noise included; evenly spread would be 33 % each.",
+        "regions": "Poses in thirds of each joint's readings, of the distance from joint 1 and of the height.",
+    }
+    for name, figure in figures.items():
+        yield Drawing(f"where/{name}", figure, captions.get(name, ""))
+
+
+def _cause_blocks(problem: Problem) -> Iterator[Block]:
+    yield Words(
+        "A calibration does not ask which unmodelled effects are behind what is left. A diagnosis does, given the poses "
+        "in the order of measuring, with payload and temperature where they were logged:",
+        code=f"casadical diagnose {problem.folder} CAMPAIGN.csv --report diagnosis.html",
+    )
+
+
+def _parameter_blocks(figures: Mapping[str, go.Figure], result: Identification) -> Iterator[Block]:
+    for name, figure in figures.items():
+        if name.startswith("parameters/"):
+            yield Drawing(name, figure, "Bars are 95 % intervals. Base and tool frames are in the table only.")
+    yield parameter_table(result)
+    if result.at_bounds:
+        bounds = ", ".join(result.at_bounds)
+        yield Words(f"At a bound: {bounds}. Widen the bounds or doubt the model; no interval can be given.", "warning")
+    yield confounded(result)
+    yield correlated(result)
+
+
+def _network_blocks(figures: Mapping[str, go.Figure], networks: Networks | None) -> Iterator[Block]:
+    if networks is None:
+        return
+    yield Words(networks.trained_on)
+    table = network_table(networks)
+    if table and "training" in figures:
+        yield table
+        yield Drawing("training", figures["training"], "A low loss on the training poses alone is worth nothing: see what "
+                      "the poses say that each network was judged on.")  # fmt: skip
+
+
+def _next_blocks(problem: Problem, result: Identification) -> Iterator[Block]:
+    table = result.parameters
+    known = table[table.status == "identified"]
+    unsure = known[(known.low - known.nominal) * (known.high - known.nominal) < 0]
+    if len(unsure):
+        yield Words(
+            f"{len(unsure)} of {len(known)} identified parameters do not differ from nominal for certain: "
+            f"{', '.join(unsure.name)}."
+        )
+    yield Words(
+        "Poses that would add most to what these data tell, and the accuracy to expect of them:",
+        code=f"casadical plan {problem.folder} -n 20 --measured MEASURED.csv --out next.csv",
+    )
