@@ -11,6 +11,7 @@ from rich.progress import Progress, TaskID
 
 from ..errors import InputError
 from .terminal import Json, Problems, Quiet, as_text, progress
+from .words import losses, methods
 
 
 def calibrate(
@@ -28,6 +29,7 @@ def calibrate(
         str | None,
         typer.Option(
             metavar="METHOD",
+            autocompletion=methods,
             help="KM (kinematics only), SKCM (with joint compliance), or a network on what SKCM leaves: NN-SKCM "
             "(back-propagation), IWO-NN-SKCM (the paper's), LM-NN-SKCM, IWO-LM-NN-SKCM or "
             "GP-NN-SKCM; default: the problem's.",
@@ -37,6 +39,7 @@ def calibrate(
         str | None,
         typer.Option(
             metavar="LOSS",
+            autocompletion=losses,
             help="linear, or with outliers huber or soft_l1, which leave them out; default: the problem's.",
         ),
     ] = None,

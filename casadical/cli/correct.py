@@ -10,6 +10,7 @@ import typer
 
 from ..errors import InputError
 from .sources import Compensator, Nominal, Payload
+from .terminal import Json, Quiet, keep_json, plain
 
 
 def correct(
@@ -30,6 +31,8 @@ def correct(
         str | None, typer.Option(metavar="shared|own", help="As of `casadical export c`; default: shared.")
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FILE.csv if it is there.")] = False,
+    json_file: Json = None,
+    quiet: Quiet = False,
 ) -> None:
     """Rewrite the joint targets of an offline program so that the real tool goes where the nominal one would.
 
@@ -64,10 +67,12 @@ def correct(
         corrector = model_corrector(command_of(sources, steps or 2))
     result = corrected(corrector, read_program(program, corrector.joints))
     write_whole(out, result.to_csv())
-    typer.echo(str(result))
+    console = plain(quiet)
+    console.print(str(result))
     if model.is_dir():
-        typer.echo(_stated(model))
-    typer.echo(f"wrote {out}")
+        console.print(_stated(model))
+    console.print(f"wrote {out}")
+    keep_json(json_file, result.figures, console)
 
 
 def _stated(folder: Path) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +9,8 @@ import typer
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
-from .terminal import Quiet, progress
+from . import words
+from .terminal import Json, Quiet, keep_json, progress
 
 if TYPE_CHECKING:
     from ..robot import Robot
@@ -19,14 +19,12 @@ if TYPE_CHECKING:
 def diagnose(
     problem: Annotated[Path, typer.Argument(metavar="PROBLEM_DIR", help="Folder with the robot.")],
     campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.csv...", help="Measured positions.")],
-    json_file: Annotated[
-        Path | None,
-        typer.Option("--json", metavar="FILE", help="Keep the answer as JSON; with several campaigns, a list."),
-    ] = None,
+    json_file: Json = None,
     effects: Annotated[
         str | None,
         typer.Option(
             metavar="NAMES",
+            autocompletion=words.effects,
             help="standard (the default), extended, or only these: names (backlash) or labels (backlash@5), by commas.",
         ),
     ] = None,
@@ -45,7 +43,10 @@ def diagnose(
     ] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Say why there is still a gap: where it lies, which effect causes it, how far it shrinks without it."""
+    """Say why there is still a gap: where it lies, which effect causes it, how far it shrinks without it.
+
+    Exit codes: 0 done, 2 bad input, 70 a bug of ours.
+    """
     from ..diagnosis.answer import as_json, report
     from ..diagnosis.diagnosis import diagnose as run
     from ..files import write_whole
@@ -75,10 +76,7 @@ def diagnose(
             write_whole(measure_next, poses.to_csv(index=False))
             what = f"to tell {' from '.join(found.in_question)}" if len(poses) else "none: nothing is in question"
             console.print(f"wrote {measure_next} ({len(poses)} poses, {what})")
-    if json_file:
-        whole = answers if len(answers) > 1 else answers[0]
-        write_whole(json_file, json.dumps(whole, indent=1, allow_nan=False) + "\n")
-        console.print(f"wrote {json_file}")
+    keep_json(json_file, answers, console)
 
 
 def _print_isolability(
@@ -86,7 +84,6 @@ def _print_isolability(
 ) -> None:
     from ..diagnosis.isolability import isolability
     from ..diagnosis.isolability_report import as_json, report
-    from ..files import write_whole
     from ..measurements import read_readings
 
     answers = []
@@ -96,7 +93,4 @@ def _print_isolability(
         answers.append(as_json(found, path.stem))
         console.print(report(found, f"{path.stem} ({robot.name}), {len(m)} poses"))
         console.print()
-    if json_file:
-        whole = answers if len(answers) > 1 else answers[0]
-        write_whole(json_file, json.dumps(whole, indent=1, allow_nan=False) + "\n")
-        console.print(f"wrote {json_file}")
+    keep_json(json_file, answers, console)

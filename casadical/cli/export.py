@@ -11,6 +11,7 @@ import typer
 
 from ..errors import InputError
 from .sources import Compensator, Nominal, Payload, Tool
+from .terminal import Json, Quiet, keep_json, plain
 
 if TYPE_CHECKING:
     from ..controller.models import Sources
@@ -48,6 +49,8 @@ def export_c(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace files that casadical did not write or that were changed.")
     ] = False,
+    json_file: Json = None,
+    quiet: Quiet = False,
 ) -> None:
     """Write guarded C99 for a controller, compiled and compared with its source before it is kept.
 
@@ -79,11 +82,14 @@ def export_c(
         )
     except OSError as error:
         raise InputError(f"{out}: cannot be written: {error.strerror}") from error
-    typer.echo(f"{what} of {robot}, {real}")
+    console = plain(quiet)
+    console.print(f"{what} of {robot}, {real}")
     for line in _about(sources, what, getattr(product, "network", product) is not None):
-        typer.echo(line)
-    typer.echo(str(written))
-    typer.echo("precondition: the controller's own absolute-accuracy option is off")
+        console.print(line)
+    console.print(str(written))
+    console.print("precondition: the controller's own absolute-accuracy option is off")
+    kept = {"folder": str(out), "files": list(written.files), "verified": written.verified, "figures": written.figures}
+    keep_json(json_file, kept, console)
 
 
 def prefix_of(name: str) -> str:

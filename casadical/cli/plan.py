@@ -9,7 +9,8 @@ import typer
 from rich.console import Console
 
 from ..errors import InputError
-from .terminal import Quiet, progress
+from . import words
+from .terminal import Json, Quiet, progress
 
 
 def plan(
@@ -18,10 +19,18 @@ def plan(
     out: Annotated[Path, typer.Option(metavar="FILE.csv", help="The poses in order; expected figures beside it.")],
     effects: Annotated[
         str | None,
-        typer.Option("--for", metavar="NAMES", help="Effects to be told: names or labels (backlash@5), by commas."),
+        typer.Option(
+            "--for",
+            metavar="NAMES",
+            autocompletion=words.effects,
+            help="Effects to be told: names or labels (backlash@5), by commas.",
+        ),
     ] = None,
     criterion: Annotated[
-        str, typer.Option(metavar="WORD", help="V (accuracy over all poses), D, A, or O1 to O5.")
+        str,
+        typer.Option(
+            metavar="WORD", autocompletion=words.criteria, help="V (accuracy over all poses), D, A, or O1 to O5."
+        ),
     ] = "V",
     room: Annotated[
         Path | None, typer.Option(metavar="FILE.toml", help="Limits, floor, boxes, tracker; see docs/plan.md.")
@@ -45,9 +54,13 @@ def plan(
     target_mm: Annotated[float | None, typer.Option(min=0, help="Accuracy wanted: how many poses are enough?")] = None,
     order: Annotated[bool, typer.Option("--order/--no-order", help="Order for little travel (needs networkx).")] = True,
     seed: Annotated[int, typer.Option(min=0, help="Of all chance.")] = 0,
+    json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """Choose which poses to measure, and say what accuracy to expect of them before measuring."""
+    """Choose which poses to measure, and say what accuracy to expect of them before measuring.
+
+    Exit codes: 0 done, 2 bad input, 70 a bug of ours.
+    """
     from ..diagnosis.library import named
     from ..files import write_together
     from ..pose_selection.candidates import Circumstances
@@ -78,6 +91,8 @@ def plan(
             seed=seed,
         )
     texts = plan_files(out, found, ahead)
+    if json_file:
+        texts[json_file] = texts[out.with_suffix(".json")]
     write_together(texts)
     console = Console(quiet=quiet)
     console.print(report(found, ahead, None if target_mm is None else 1e-3 * target_mm))

@@ -12,6 +12,7 @@ from .check import check
 from .correct import correct
 from .diagnose import diagnose
 from .export import export_app
+from .new import new
 from .plan import plan
 
 app = typer.Typer(
@@ -43,6 +44,6 @@ def _root(
     pass
 
 
-for command in (check, calibrate, diagnose, plan, correct):
+for command in (new, check, calibrate, diagnose, plan, correct):
     app.command()(command)
 app.add_typer(export_app, name="export")

@@ -14,7 +14,9 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 BAD_INPUT, NO_CONVERGENCE, OUR_BUG = 2, 3, 70
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
-Json = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Keep all figures as JSON.")]
+Json = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Keep all figures as JSON; of several inputs, of each.")
+]
 Problems = Annotated[list[Path], typer.Argument(metavar="PROBLEM_DIR...", help="One or more problem folders.")]
 
 
@@ -22,6 +24,11 @@ def as_text(figures: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> str:
     """Figures as JSON; of one that was listed alone, itself."""
     whole = figures[0] if isinstance(figures, Sequence) and len(figures) == 1 else figures
     return json.dumps(whole, indent=1, allow_nan=False) + "\n"
+
+
+def plain(quiet: bool) -> Console:
+    """Where a command prints lines that are neither wrapped nor coloured."""
+    return Console(quiet=quiet, soft_wrap=True, highlight=False, markup=False, emoji=False)
 
 
 def keep_json(path: Path | None, figures: Mapping[str, Any] | Sequence[Mapping[str, Any]], console: Console) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -74,6 +75,19 @@ class Corrected:
 
     def __str__(self) -> str:
         return "\n".join([*_refused(self), *_moved(self)])
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """The summary as plain data: rows, refused ones by line of the file, how far the tool moves."""
+        refused = {str(self.program.line[k]): self.status[k] for k in np.flatnonzero(~self.fine)}
+        moved = self.moved_mm[self.fine]
+        found: dict[str, Any] = {"rows": len(self.status), "corrected": int(self.fine.sum()), "refused": refused}
+        if len(moved):
+            found["moved_mm"] = {"mean": float(moved.mean()), "max": float(moved.max())}
+        if self.rest_mm is not None and len(moved):
+            before, after = self.rest_mm[self.fine].max(axis=0)
+            found["off_nominal_mm_max"] = {"before": float(before), "after": float(after)}
+        return found
 
 
 def kernel_corrector(folder: Path) -> Corrector:

@@ -1,0 +1,57 @@
+"""The command `casadical new`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from .terminal import Json, Quiet, keep_json
+
+
+def new(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder to be made; nothing is overwritten.")],
+    urdf: Annotated[Path | None, typer.Option(metavar="FILE", help="The robot from a URDF.")] = None,
+    base_link: Annotated[
+        str | None, typer.Option(metavar="LINK", help="Of the URDF, where the arm begins; default: its root.")
+    ] = None,
+    tip_link: Annotated[
+        str | None, typer.Option(metavar="LINK", help="Where it ends; default: the only end that moves.")
+    ] = None,
+    dh: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv", help="The robot from a table, a row a joint: a_mm, alpha_deg, d_mm, theta_deg, ..."
+        ),
+    ] = None,
+    convention: Annotated[
+        str, typer.Option(metavar="WORD", help="Of the DH table: modified (Craig) or standard.")
+    ] = "modified",
+    data: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv", help="Measured poses: q1_deg .., x_mm, y_mm, z_mm; default: made-up ones, marked so."
+        ),
+    ] = None,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Write a commented problem folder that runs: from a URDF, a DH table, or as an example.
+
+    Exit codes: 0 written, 2 bad input (then nothing was written), 70 a bug of ours.
+    """
+    from ..starter import new_problem
+
+    problem = new_problem(
+        folder, urdf=urdf, base_link=base_link, tip_link=tip_link, dh=dh, convention=convention, data=data
+    )
+    console = Console(quiet=quiet)
+    files = sorted(str(p) for p in folder.iterdir() if p.is_file())
+    console.print(f"{folder}: {problem.robot.name}, {problem.robot.n} joints, {problem.data} data", soft_wrap=True)
+    for path in files:
+        console.print(f"wrote {path}", soft_wrap=True)
+    console.print(f"next: casadical check {folder}; casadical calibrate {folder}", soft_wrap=True)
+    figures = {"problem": problem.folder.name, "robot": problem.robot.name, "data": problem.data, "files": files}
+    keep_json(json_file, figures, console)

@@ -1,0 +1,130 @@
+"""Causes that the load brings about in the joints: play, friction, hardening, springs, hoses."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from casadical.engine.cause import Cause
+from casadical.engine.mechanism import Array, Body, Cord, Joint, Mechanism, Shaft
+from casadical.engine.robot import SLOW, spring
+from casadical.simulation.machine import rated_torque
+from casadical.simulation.plant import Plant
+
+
+@dataclass(frozen=True)
+class Backlash(Cause):
+    """Play of +-``size`` [rad] between gear and link: a hinge between hard stops.
+
+    The link's bearing rubs with the share ``friction`` of the rated torque: where its load is less, the link is left
+    behind where the motion took it; elsewhere the load takes up the play.
+    """
+
+    travels: ClassVar[bool] = True
+
+    joint: int
+    size: float
+    friction: float
+
+    def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
+        name, rated = f"joint{self.joint}", rated_torque(plant)[self.joint - 1]
+        k = 0.01 * mechanism.joint(name).stiffness
+        play = Joint(f"play{self.joint}", limits=(-self.size, self.size), inertia=k * SLOW**2, damping=k * SLOW)
+        rub = Shaft(f"bearing{self.joint}", {name: 1.0, play.name: 1.0}, friction=self.friction * rated)
+        mechanism = mechanism.with_more(name, after=(play,))
+        return replace(mechanism, shafts=(*mechanism.shafts, rub))
+
+
+@dataclass(frozen=True)
+class FrictionWindup(Cause):
+    """Dry friction in the joint: its spring stays wound by up to ``size`` [rad] against the last motion."""
+
+    travels: ClassVar[bool] = True
+
+    joint: int
+    size: float
+
+    def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
+        joint = mechanism.joint(f"joint{self.joint}")
+        return mechanism.with_joint(replace(joint, friction=self.size * plant.stiffness[self.joint - 1]))
+
+
+@dataclass(frozen=True)
+class NonlinearStiffness(Cause):
+    """A strain-wave gear, soft at small torques: with ``knee`` > 0 a second spring grips beyond that share of the rated
+    torque, else the gear has a flexible wheel in series with torque a x + b x^3.
+
+    ``size`` [rad] is what it gives at the rated torque beyond the joint's own spring; ``linear`` the share of that
+    torque which the flexible wheel carries linearly there.
+    """
+
+    joint: int
+    size: float
+    knee: float
+    linear: float
+
+    def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
+        name, rated = f"joint{self.joint}", rated_torque(plant)[self.joint - 1]
+        held = mechanism.joint(name)
+        if self.knee > 0:
+            k, at = held.stiffness, self.knee * rated
+            soft = at * k / (self.size * k + at)
+            second = Shaft(f"second{self.joint}", {name: 1.0}, k - soft, motor=self.joint, slack=at / soft)
+            mechanism = mechanism.with_joint(replace(held, stiffness=soft))
+            return replace(mechanism, shafts=(*mechanism.shafts, second))
+        a, b = self.linear * rated / self.size, (1 - self.linear) * rated / self.size**3
+        wheel = spring(f"flexible{self.joint}", a, hardening=b, inertia_of=3 * a)
+        return mechanism.with_more(name, after=(wheel,))
+
+
+@dataclass(frozen=True)
+class GravityCompensator(Cause):
+    """A spring from a post above joint 2 to the upper arm; it carries up to the share ``size`` of the rated torque."""
+
+    size: float
+    lean: float
+
+    def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
+        shoulder, arm = plant.centres[1], plant.centres[2] - plant.centres[1]
+        reach = 0.3 * float(np.linalg.norm(arm))
+        axis = plant.axes[1]
+        back = np.cross(axis, [0.0, 0.0, 1.0])
+        post = shoulder + reach * (np.cos(self.lean) * np.array([0, 0, 1.0]) + np.sin(self.lean) * back)
+        mechanism = mark(mechanism, plant, 1, "post", post)
+        mechanism = mark(mechanism, plant, 2, "lug", shoulder + 0.3 * arm)
+        stiffness = self.size * rated_torque(plant)[1] / reach**2
+        return replace(
+            mechanism, cords=(*mechanism.cords, Cord("balancer", "post", "lug", stiffness, (0.0, 0.15 * reach)))
+        )
+
+
+@dataclass(frozen=True)
+class HosePull(Cause):
+    """A hose from the forearm to the tool, slack at first, pulls when it is drawn out; on no list.
+
+    ``size`` [rad] is about the windup of joint 5 when the hose is drawn out by a third of its length.
+    """
+
+    size: float
+
+    def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
+        wrist, end = plant.centres[4], plant.at_home(6, plant.reflector)
+        forearm = plant.centres[2] - wrist
+        clip = wrist + 0.3 * forearm + 0.15 * float(np.linalg.norm(forearm)) * plant.axes[2]
+        mechanism = mark(mechanism, plant, 3, "clip", clip)
+        mechanism = mechanism.with_body(
+            replace(mechanism.body("tool"), marks={**mechanism.body("tool").marks, "hose_end": 1.1 * plant.reflector})
+        )
+        usual, lever = float(np.linalg.norm(end - clip)), float(np.linalg.norm(end - wrist))
+        stiffness = self.size * plant.stiffness[4] / (lever * usual / 3)
+        hose = Cord("hose", "clip", "hose_end", stiffness, (0.0, 0.85 * usual))
+        return replace(mechanism, cords=(*mechanism.cords, hose))
+
+
+def mark(mechanism: Mechanism, plant: Plant, link: int, name: str, home: Array) -> Mechanism:
+    """The mechanism with a mark on ``link``, given where it is (3,) [m] in the base at zero readings."""
+    body: Body = mechanism.body(f"link{link}")
+    frame = plant.home[link - 1]
+    return mechanism.with_body(
+        replace(body, marks={**body.marks, name: frame[:3, :3].T @ (np.asarray(home) - frame[:3, 3])})
+    )

@@ -1,0 +1,166 @@
+"""The texts of a new problem folder, with comments that say what may be changed."""
+
+from __future__ import annotations
+
+EXAMPLE_ROBOT = """\
+# An example arm with six joints: change the numbers to those of yours. Every key: docs/robot-file.md.
+# Units stand in the keys (_mm or _m, _deg or _rad); a wrong or missing one is refused with a message.
+casadical = 1
+name = "Example arm"
+convention = "modified"            # rows: Rx(alpha) Tx(a) Rz(theta + q) Tz(d); "standard" is converted on reading
+notes = ["Every number of this arm is made up."]
+
+[base]                             # where the robot stands in the measuring frame
+unknown = "pose"                   # identified; "none" where it is known
+
+[tool]                             # the measured point (a reflector, say) in the last link's frame
+xyz_mm = [40, 20, 120]
+unknown = "position"
+
+[gravity]
+frame = "measuring"                # the instrument is levelled; "base": the robot stands upright
+vector_m_per_s2 = [0, 0, -9.81]
+
+[payload]                          # on the flange; leave it out if there is none
+mass_kg = 8
+com_mm = [10, 0, 60]
+
+[[joint]]                          # one row a joint, from the base to the flange
+d_mm = 400
+limits_deg = [-160, 160]           # range of the reading
+body = { mass_kg = 40, com_mm = [60, 0, -80] }   # mass and mass centre of the link that the joint moves
+
+[[joint]]
+alpha_deg = -90
+a_mm = 180
+limits_deg = [-150, -20]
+compliant = true                   # its drive gives under load: the compliance is identified too (method SKCM)
+body = { mass_kg = 28, com_mm = [300, 0, 90] }
+
+[[joint]]                          # an axis parallel to the one before: Hayati's beta is put in by itself
+a_mm = 600
+theta_deg = -90                    # added to the reading: where the controller's zero is
+limits_deg = [-60, 120]
+compliant = true
+body = { mass_kg = 18, com_mm = [60, 30, 0] }
+
+[[joint]]
+alpha_deg = -90
+a_mm = 120
+d_mm = 620
+limits_deg = [-170, 170]
+compliant = true
+body = { mass_kg = 8, com_mm = [0, 0, -200] }
+
+[[joint]]
+alpha_deg = 90
+limits_deg = [-115, 115]
+compliant = true
+body = { mass_kg = 5, com_mm = [0, -20, 0] }
+
+[[joint]]
+alpha_deg = -90
+d_mm = 115
+limits_deg = [-170, 170]
+body = { mass_kg = 2, com_mm = [0, 0, -30] }
+"""
+
+ROBOT_HEAD = """\
+# Made from {table}. Every key: docs/robot-file.md. Units stand in the keys (_mm or _m, _deg or _rad).
+casadical = 1
+name = "{name}"
+convention = "{convention}"            # modified: Rx(alpha) Tx(a) Rz(theta + q) Tz(d); standard is converted
+
+[base]                             # where the robot stands in the measuring frame
+unknown = "pose"                   # identified; "none" where it is known
+
+[tool]                             # the measured point (a reflector, say) in the last link's frame
+xyz_mm = [0, 0, 0]                 # TO DO: roughly where it is
+unknown = "position"
+
+[gravity]                          # it matters where joints are compliant
+frame = "measuring"                # the instrument is levelled; "base": the robot stands upright
+vector_m_per_s2 = [0, 0, -9.81]
+
+# [payload]                        # on the flange, if there is one
+# mass_kg = 10
+# com_mm = [0, 0, 50]
+"""
+
+_PROBLEM = """\
+# What is calibrated, from what. Every key: docs/measurements.md.
+casadical = 1
+title = "{title}"
+data = "{data}"{mark}
+robot = "{robot}"
+methods = [{methods}]{why}
+# loss = "huber"                   # where single measurements are far off
+{urdf}
+[[measurements]]                   # several of these tables go into one fit
+file = "poses.csv"
+# columns = {{ x_mm = "X" }}         # our name = the file's name, where headers differ
+# sigma_mm = 0.02                  # of one coordinate; left out, it is estimated from the fit
+
+[sets]                             # no pose is in two sets
+{sets}
+"""
+
+
+def problem_text(
+    robot: str,
+    real: bool,
+    links: tuple[str | None, str | None] | None,
+    compliant: bool,
+    named_sets: bool,
+    seed: int,
+    poses: int,
+) -> str:
+    """problem.toml; links : base and tip link of a URDF, None for a robot file."""
+    title = robot.replace('"', "'").replace("\\", "/")
+    mark = f"                 # poses.csv is MADE UP: {poses} poses of the model itself (seed {seed}); put yours there"
+    share = "identify = 0.7                     # used in the fit\nreport = 0.3                       # held out\n"
+    return _PROBLEM.format(
+        title=title if real else f"{title}: SYNTHETIC poses, for a first run",
+        data="real" if real else "synthetic",
+        mark="" if real else mark,
+        robot="robot.urdf" if links else "robot.toml",
+        methods='"KM", "SKCM"' if compliant else '"KM"',
+        why="             # geometry; geometry and joint compliance"
+        if compliant
+        else '                   # geometry; add "SKCM" once joints are compliant',
+        urdf=_urdf(links) if links else "",
+        sets='column = "set"                     # of poses.csv: names every pose\'s set' if named_sets
+        else f"seed = {seed}\n{share}".rstrip(),
+    )  # fmt: skip
+
+
+def _urdf(links: tuple[str | None, str | None]) -> str:
+    lines = ["", "[urdf]"]
+    for key, link in zip(("base_link", "tip_link"), links, strict=True):
+        lines.append(f'{key} = "{link}"' if link else f'# {key} = "..."             # default: the only one there is')
+    return "\n".join([*lines, "# compliant = [2, 3]               # joints whose compliance is identified too", ""])
+
+
+def readme_text(name: str, robot: str, data: str | None, urdf: str | None, dh: str | None) -> str:
+    """README.md: what is real, and what to do next."""
+    origin = f"from `{urdf}`" if urdf else f"from the DH table `{dh}`" if dh else "an example, every number made up"
+    poses = (
+        f"measured; a copy of `{data}`"
+        if data
+        else "**synthetic**: made up by the model itself. Results say nothing about a real robot. Replace the table by "
+        'your measurements and write `data = "real"` in `problem.toml`'
+    )
+    return f"""\
+# {robot}
+
+| file | what it is |
+|---|---|
+| `robot.{"urdf" if urdf else "toml"}` | the nominal robot, {origin} |
+| `poses.csv` | joint readings and positions: {poses} |
+| `problem.toml` | what is calibrated, from what |
+
+Next:
+
+    casadical check {name}
+    casadical calibrate {name} --out results
+"""

@@ -1,0 +1,154 @@
+"""All commands behave alike: the same flags in the same words, completion that works, progress only on a terminal."""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import pytest
+import typer
+
+from casadical.cli import app
+
+ROOT = Path(__file__).parents[2]
+BIN = Path(sys.executable).parent
+
+
+def commands() -> Iterator[tuple[str, click.Command]]:
+    """Every command that does something, by its words."""
+
+    def walk(words: str, command: click.Command) -> Iterator[tuple[str, click.Command]]:
+        inner = getattr(command, "commands", None)
+        if inner is None:
+            yield words, command
+        for name, sub in (inner or {}).items():
+            yield from walk(f"{words} {name}".strip(), sub)
+
+    yield from walk("", typer.main.get_command(app))
+
+
+ALL = dict(commands())
+
+
+def options(command: click.Command) -> dict[str, click.Parameter]:
+    return {name: p for p in command.params for name in p.opts if name.startswith("--")}
+
+
+def test_the_commands_are_found() -> None:
+    assert {"new", "check", "calibrate", "diagnose", "plan", "correct", "export c"} <= ALL.keys()
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_every_command_can_be_quiet_and_keep_json_and_tells_all_about_itself(name: str) -> None:
+    command = ALL[name]
+    found = options(command)
+    assert {"--quiet", "--json"} <= found.keys()
+    assert "-q" in found["--quiet"].opts
+    assert "Exit codes:" in (command.help or "")
+    for option, parameter in found.items():
+        assert getattr(parameter, "help", None), f"{name} {option} has no help"
+
+
+def test_an_option_means_the_same_everywhere() -> None:
+    words: dict[str, set[str]] = {}
+    for command in ALL.values():
+        for option, parameter in options(command).items():
+            if option in ("--quiet", "--json", "--nominal", "--compensator", "--payload"):
+                words.setdefault(option, set()).add(f"{parameter.metavar}: {parameter.help}")
+    assert {option for option, texts in words.items() if len(texts) > 1} == set()
+
+
+@pytest.fixture(scope="module")
+def script() -> str:
+    command = [BIN / "casadical", "--show-completion", "bash"]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+def completed(script: str, words: str, tmp_path: Path) -> list[str]:
+    """What bash, a real one, offers after these words."""
+    parts = words.split(" ")
+    lines = [
+        f"PATH={BIN}:$PATH",
+        script,
+        f"COMP_WORDS=({' '.join(repr(p) if p else chr(39) * 2 for p in parts)})",
+        f"COMP_CWORD={len(parts) - 1}",
+        "_casadical_completion casadical",
+        'printf "%s\\n" "${COMPREPLY[@]}"',
+    ]
+    done = subprocess.run(
+        ["bash", "--norc", "-c", "\n".join(lines)], capture_output=True, text=True, cwd=tmp_path, check=True
+    )
+    assert done.stderr == ""
+    return [line.strip() for line in done.stdout.splitlines() if line.strip()]
+
+
+COMPLETIONS = {
+    "casadical che": ["check"],
+    "casadical calibrate --me": ["--method"],
+    "casadical calibrate x --method IWO": ["IWO-NN-SKCM", "IWO-LM-NN-SKCM"],
+    "casadical calibrate x --loss h": ["huber"],
+    "casadical diagnose x y --effects backlash,gear_e": ["backlash,gear_eccentricity"],
+    "casadical plan x --criterion O": ["O1", "O2", "O3", "O4", "O5"],
+    "casadical export ": ["c"],
+}
+
+
+@pytest.mark.parametrize("words", COMPLETIONS)
+def test_bash_completes(words: str, script: str, tmp_path: Path) -> None:
+    if shutil.which("bash") is None:
+        pytest.skip("no bash here")
+    assert set(COMPLETIONS[words]) <= set(completed(script, words, tmp_path))
+
+
+def test_completion_can_be_installed(tmp_path: Path) -> None:
+    environment = {**os.environ, "HOME": str(tmp_path)}
+    done = subprocess.run(
+        [BIN / "casadical", "--install-completion", "bash"],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "casadical" in (tmp_path / ".bashrc").read_text()
+
+
+def on_terminal(*arguments: str) -> tuple[str, str]:
+    """Standard output, and what a terminal on standard error shows."""
+    main, side = pty.openpty()
+    environment = {k: v for k, v in os.environ.items() if k not in ("NO_COLOR", "CI")} | {"TERM": "xterm"}
+    with subprocess.Popen(
+        [BIN / "casadical", *arguments], cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=side
+    ) as process:
+        os.close(side)
+        shown = b""
+        while True:
+            try:
+                part = os.read(main, 4096)
+            except OSError:  # the other end is closed
+                break
+            if not part:
+                break
+            shown += part
+        out = process.stdout.read().decode() if process.stdout else ""
+    os.close(main)
+    return out, shown.decode()
+
+
+def test_progress_is_shown_on_a_terminal_and_nowhere_else() -> None:
+    out, shown = on_terminal("calibrate", "problems/planar")
+    assert "planar: KM iteration" in re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown)
+    assert "iteration" not in out
+    done = subprocess.run(
+        [BIN / "casadical", "calibrate", "problems/planar"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stderr == ""
+    assert "iteration" not in done.stdout
+    assert on_terminal("calibrate", "problems/planar", "--quiet") == ("", "")
