@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from .diagnosis import diagnosis_figures as diagnosis_figures
     from .diagnosis import diagnosis_part as diagnosis_part
     from .look import dark as dark
-    from .page import page as page
-    from .provenance import provenance as provenance
+    from .page import report_html as report_html
+    from .provenance import provenance_of as provenance_of
 
 _HOME = {
     "calibration_figures": "calibration",
@@ -20,8 +20,8 @@ _HOME = {
     "dark": "look",
     "diagnosis_figures": "diagnosis",
     "diagnosis_part": "diagnosis",
-    "page": "page",
-    "provenance": "provenance",
+    "report_html": "page",
+    "provenance_of": "provenance",
 }
 __all__ = [*_HOME]  # noqa: PLE0604
 

@@ -174,7 +174,7 @@ def _pose_blocks(figures: Mapping[str, go.Figure], networks: Networks | None) ->
         "train": "Poses that the networks learnt from.",
         "choose": "Poses by which the networks were kept or refused.",
     }
-    more = "Click a name in the legend to show or hide it."
+    more = "Before: with base and tool fitted. Click a name in the legend to show or hide it."
     if networks and any(r.compensator and not r.helps for r in networks.results.values()):
         more += " Refused networks are drawn as they were trained; they are not in use."
     for name, figure in figures.items():
@@ -189,8 +189,8 @@ def _pose_blocks(figures: Mapping[str, go.Figure], networks: Networks | None) ->
 def _space_blocks(figures: Mapping[str, go.Figure], problem: Problem) -> Iterator[Block]:
     if "workspace" in figures:
         caption = (
-            "Turn it with the mouse; point at the end of a vector for its error. Each line runs from the measured point "
-            "in the direction of the error (measured less computed) and is longer than it by the factor in the legend."
+            "Turn it with the mouse; point at the dot that ends a vector for its error. Each line runs from the measured "
+            "point in the direction of the error (measured less computed), longer than it by the factor in the legend."
         )
         yield Drawing("workspace", figures["workspace"], caption)
     else:
@@ -228,9 +228,8 @@ def _cause_blocks(problem: Problem) -> Iterator[Block]:
 
 
 def _parameter_blocks(figures: Mapping[str, go.Figure], result: Identification) -> Iterator[Block]:
-    for name, figure in figures.items():
-        if name.startswith("parameters/"):
-            yield Drawing(name, figure, "Bars are 95 % intervals. Base and tool frames are in the table only.")
+    yield Words(f"Of {result.method}. Bars are 95 % intervals. Base and tool frames are in the table only.", "note")
+    yield from (Drawing(name, figure) for name, figure in figures.items() if name.startswith("parameters/"))
     yield parameter_table(result)
     if result.at_bounds:
         bounds = ", ".join(result.at_bounds)
@@ -246,8 +245,9 @@ def _network_blocks(figures: Mapping[str, go.Figure], networks: Networks | None)
     table = network_table(networks)
     if table and "training" in figures:
         yield table
-        yield Drawing("training", figures["training"], "A low loss on the training poses alone is worth nothing: see what "
-                      "the poses say that each network was judged on.")  # fmt: skip
+        yield Drawing("training", figures["training"], "A low loss on the training poses alone is worth nothing: the poses "
+                      "that each network was judged on decide. Trainers that choose a penalty on the weights may end at a "
+                      "greater loss on purpose.")  # fmt: skip
 
 
 def _next_blocks(problem: Problem, result: Identification) -> Iterator[Block]:

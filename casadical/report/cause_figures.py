@@ -28,7 +28,7 @@ def posteriors(d: Diagnosis, step: int = 0) -> go.Figure:
     unknown = sum(p for label, p in ranking.probability.items() if label not in listed)
     rows += [("something on no list", unknown, ORANGE), ("nothing", ranking.none, GREY)]
     title = "Probability of each cause" if step == 0 else f"Probability of a further cause, step {step + 1}"
-    figure = new_figure(title, "probability", height=96 + ROW * len(rows))
+    figure = new_figure(title, "probability", height=110 + ROW * len(rows))
     figure.add_bar(
         x=[p for _, p, _ in rows],
         y=list(range(len(rows))),

@@ -63,7 +63,7 @@ def held_out_poses(d: Diagnosis) -> PoseErrors:
     models = [Left(BEFORE, errors(none, d.rankings[0].noise[""]))]
     if columns.size:
         models.append(Left(WITH, errors(columns, d.noise)))
-    return _poses(d, tuple(models), "held out")
+    return _poses(d, tuple(models), "Held-out poses")
 
 
 def fitted_poses(d: Diagnosis) -> PoseErrors:
@@ -74,7 +74,7 @@ def fitted_poses(d: Diagnosis) -> PoseErrors:
     if columns.size:
         rest = left_by_fit(d.case.whole, columns, d.noise, k)[k]
         models.append(Left(WITH, np.linalg.norm(rest, axis=1), rest))
-    return _poses(d, tuple(models), "all poses fitted")
+    return _poses(d, tuple(models), "All poses fitted")
 
 
 def _columns(d: Diagnosis) -> Array:
@@ -86,7 +86,7 @@ def _columns(d: Diagnosis) -> Array:
 def _poses(d: Diagnosis, models: tuple[Left, ...], name: str) -> PoseErrors:
     m, k = d.case.m, d.case.kept
     assert m.position is not None
-    return PoseErrors(name, name == "held out", m.row[k], m.q[k], m.position[k], models)
+    return PoseErrors(name, name.startswith("Held"), m.row[k], m.q[k], m.position[k], models)
 
 
 def diagnosis_part(d: Diagnosis, name: str) -> Part:
@@ -111,7 +111,7 @@ _GAP = (
 )
 _EACH = "Every pose is judged by a fit to others; outliers are left out. Click a name in the legend to show or hide it."
 _SPACE = (
-    "Turn it with the mouse; point at the end of a vector for its error. Each line runs from the measured point in the "
+    "Turn it with the mouse; point at the dot that ends a vector for its error. Each line runs from the measured point in the "
     "direction of the error (measured less computed), after a fit to all poses, and is longer by the factor in the legend."
 )
 _WORDS = {
@@ -206,10 +206,12 @@ def _estimates(c: Cause) -> Iterator[tuple[str, ...]]:
 
 
 def _parameter_blocks(d: Diagnosis, figures: Mapping[str, go.Figure]) -> Iterator[Block]:
-    yield Words("With priors from the robot file, outliers held back, and without the causes.", "note")
-    for name, figure in figures.items():
-        if name.startswith("parameters/"):
-            yield Drawing(name, figure, "Bars are 95 % intervals. Base and tool frames are in the table only.")
+    yield Words(
+        "With priors from the robot file, outliers held back, and without the causes. Bars are 95 % intervals. Base and "
+        "tool frames are in the table only.",
+        "note",
+    )
+    yield from (Drawing(name, figure) for name, figure in figures.items() if name.startswith("parameters/"))
     yield parameter_table(d.identification)
     yield confounded(d.identification)
     yield correlated(d.identification)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .look import GRID, MUTED, new_figure, plain, style
+from .look import GRID, MUTED, PAPER, new_figure, plain, style
 from .pose_errors import BEFORE, Left, PoseErrors
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def errors_by_pose(poses: PoseErrors) -> go.Figure:
     some = poses.thinned(MOST_DRAWN)
     drawn = "" if len(some) == len(poses) else f", {len(some)} of {len(poses)} drawn"
     figure = new_figure(
-        f"Error of each pose: {plain(poses.name)}",
+        f"{plain(poses.words)}: error of each",
         f"pose of the set, in the order of the file{drawn}",
         "position error [mm]",
         height=380,
@@ -55,7 +55,7 @@ def _marker(left: Left, size: float) -> dict[str, object]:
 def error_distribution(poses: PoseErrors) -> go.Figure:
     """Share of the poses [%] with an error below x [mm], of all poses of the set."""
     figure = new_figure(
-        f"Poses below an error: {plain(poses.name)}",
+        f"{plain(poses.words)}: share below an error",
         "position error [mm]",
         "share of poses [%]",
         height=340,
@@ -70,7 +70,7 @@ def error_distribution(poses: PoseErrors) -> go.Figure:
             name=plain(left.words),
             mode="lines",
             line={"width": 2, "dash": dash, "color": colour},
-            visible=True if left.shown else "legendonly",
+            visible=True if left.shown and not left.note else "legendonly",
             hovertemplate="%{x:.3f} mm",
         )
     figure.update_xaxes(rangemode="tozero")
@@ -83,7 +83,6 @@ def error_distribution(poses: PoseErrors) -> go.Figure:
 def before_after(poses: PoseErrors, floor: float | None = None) -> go.Figure:
     """Held-out error of each pose [mm] without and with the causes; floor : of the noise [m], drawn as a line."""
     figure = errors_by_pose(poses)
-    figure.update_layout(title_text="Error of each pose, held out")
     for trace in figure.data:
         trace.visible = True
         if trace.name.startswith(BEFORE):
@@ -92,6 +91,6 @@ def before_after(poses: PoseErrors, floor: float | None = None) -> go.Figure:
         figure.add_hline(y=1e3 * floor, line={"color": MUTED, "width": 1, "dash": "dot"})
         figure.add_annotation(
             text=f"mean of noise alone {1e3 * floor:.3f} mm", x=1, xref="x domain", xanchor="right", y=1e3 * floor,
-            yanchor="bottom", showarrow=False, font={"size": 11, "color": MUTED},
+            yanchor="bottom", showarrow=False, font={"size": 11, "color": MUTED}, bgcolor=PAPER, opacity=0.85,
         )  # fmt: skip
     return figure

@@ -10,7 +10,7 @@ from ..tables import SetAccuracies
 from .look import mm
 from .page import Table
 
-COLUMNS = ("poses, model", "n", "mean", "max", "std", "rms", "95 %")
+COLUMNS = ("model", "mean", "max", "std", "rms", "95 %")
 NUMBERS = frozenset(range(1, len(COLUMNS)))
 USES = {
     "identify": "used to identify",
@@ -34,11 +34,10 @@ def error_tables(errors: Mapping[str, SetAccuracies], networks: Networks | None 
 
 def _of_set(name: str, errors: Mapping[str, SetAccuracies], networks: Networks | None) -> Table:
     states = list(errors.values())[-1][name]
-    n = str(states["nominal"].n)
     rows = [
-        ("before: as given", n, *figures(states["nominal"])),
-        ("before: base and tool fitted", n, *figures(states["placed"])),
-        *((f"after {method}", n, *figures(by_set[name]["calibrated"])) for method, by_set in errors.items()),
+        ("before: as given", *figures(states["nominal"])),
+        ("before: base and tool fitted", *figures(states["placed"])),
+        *((f"after {method}", *figures(by_set[name]["calibrated"])) for method, by_set in errors.items()),
     ]
     strong = {len(rows) - 1}
     faint = {0}
@@ -48,9 +47,9 @@ def _of_set(name: str, errors: Mapping[str, SetAccuracies], networks: Networks |
         # A refused network corrects nothing; its line would repeat that of SKCM.
         if result.helps:
             strong.add(len(rows))
-            rows.append((f"after {result.method}", n, *figures(result.errors[name])))
+            rows.append((f"after {result.method}", *figures(result.errors[name])))
     use = USES.get(name.split("/")[0], "")
-    return Table(f"{name}: {use}, errors in mm", COLUMNS, rows, NUMBERS, frozenset(strong), frozenset(faint))
+    return Table(f"{name}: {states['nominal'].n} poses, {use}, errors in mm", COLUMNS, rows, NUMBERS, frozenset(strong), frozenset(faint))
 
 
 def network_table(networks: Networks) -> Table | None:
@@ -67,7 +66,7 @@ def network_table(networks: Networks) -> Table | None:
             for x in (c.training, c.choice, c.validation)
         )
         trained, judged, report = pairs
-        gain = f"{100 * c.choice.gain:+.0f} ± {100 * c.choice.gain_error:.0f} %"
+        gain = f"{100 * c.choice.gain:+.1f} ± {100 * c.choice.gain_error:.1f} %"
         rows.append((name, "kept" if c.helps else "refused", trained, judged, gain, report))
     columns = ("network", "", "trained on", "judged on", "gain there", "report")
     return Table("Mean error without → with each network as trained, mm", columns, rows, frozenset({2, 3, 4, 5}),

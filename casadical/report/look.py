@@ -29,7 +29,7 @@ COLOURS: dict[str, tuple[str, str]] = {
     "grey": ("#868f9a", "#78838f"),
 }
 DARK = dict(COLOURS.values())
-INK, MUTED, LINE, GRID = (COLOURS[k][0] for k in ("ink", "muted", "line", "grid"))
+PAPER, INK, MUTED, LINE, GRID = (COLOURS[k][0] for k in ("paper", "ink", "muted", "line", "grid"))
 BLUE, ORANGE, GREEN, RED, GREY = (COLOURS[k][0] for k in ("blue", "orange", "green", "red", "grey"))
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
 
@@ -66,20 +66,20 @@ def mm(metres: float) -> str:
 def new_figure(title: str, x: str = "", y: str = "", height: int = 360, **layout: Any) -> go.Figure:
     """An empty figure in the house's look; x, y : what the axes show, with units."""
     figure = plotly().Figure()
-    axis = {"gridcolor": GRID, "zeroline": False, "linecolor": LINE, "automargin": True, "title": {"standoff": 10}}
+    axis = {"gridcolor": GRID, "zeroline": False, "linecolor": LINE, "automargin": True, "title": {"standoff": 10, "font": {"size": 13}}}
     figure.update_layout(
         template=None,
         height=height,
-        title={"text": title, "x": 0, "xref": "paper", "y": 1, "yref": "container", "yanchor": "top", "pad": {"t": 12}},
+        title={"text": title, "x": 0, "xref": "container", "y": 1, "yref": "container", "yanchor": "top", "pad": {"t": 14}},
         title_font={"size": 15, "color": INK, "weight": 600},
         font={"family": FONT, "size": 12.5, "color": MUTED},
-        paper_bgcolor=COLOURS["paper"][0],
-        plot_bgcolor=COLOURS["paper"][0],
+        paper_bgcolor=PAPER,
+        plot_bgcolor=PAPER,
         margin={"l": 8, "r": 12, "t": 48, "b": 8},
         hoverlabel={"font": {"family": FONT, "size": 12.5, "color": INK}, "align": "left", "namelength": -1},
-        hoverlabel_bgcolor=COLOURS["paper"][0],
+        hoverlabel_bgcolor=PAPER,
         hoverlabel_bordercolor=LINE,
-        legend={"orientation": "h", "x": 0, "xref": "paper", "y": 0, "yref": "container", "yanchor": "bottom"},
+        legend={"orientation": "h", "x": 0, "xref": "container", "y": 0, "yref": "container", "yanchor": "bottom"},
         xaxis={**axis, "showline": True, "title_text": x},
         yaxis={**axis, "title_text": y},
         dragmode="zoom",

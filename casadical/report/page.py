@@ -83,7 +83,7 @@ class Part:
     badges: Sequence[str] = field(default=())
 
 
-def page(title: str, parts: Sequence[Part], provenance: Provenance) -> str:
+def report_html(title: str, parts: Sequence[Part], provenance: Provenance) -> str:
     """The whole file as text. Raises InputError where plotly or jinja2 is not installed."""
     environment = jinja().Environment(
         loader=jinja().FileSystemLoader(TEMPLATES),

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..identification import Identification
-from .look import RED, new_figure, plain
+from .look import MUTED, RED, plain
 from .share_figures import intervals
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-KINDS = {"mm": ("Lengths", "mm"), "deg": ("Angles", "deg"), "urad/(N m)": ("Joint compliance", "urad/(N m)")}
+KINDS = {"mm": ("lengths", "Lengths"), "deg": ("angles", "Angles"), "urad/(N m)": ("compliance", "Joint compliance")}
 
 
 def parameter_figures(result: Identification) -> dict[str, go.Figure]:
@@ -24,21 +24,23 @@ def parameter_figures(result: Identification) -> dict[str, go.Figure]:
     table = result.parameters
     table = table[table.status.isin(["identified", "at bound"]) & ~table.group.isin(["base", "tool"])]
     found = {}
-    for unit, rows in table.groupby("unit", sort=False):
-        words, shown = KINDS.get(str(unit), (f"Parameters in {unit}", str(unit)))
+    units = sorted(set(table["unit"]), key=lambda unit: (list(KINDS).index(unit) if unit in KINDS else len(KINDS), unit))
+    for unit in units:
+        rows = table[table["unit"] == unit]
+        name, words = KINDS.get(unit, (unit, f"Parameters in {unit}"))
         value, low, high = (np.nan_to_num((rows[c] - rows["nominal"]).to_numpy()) for c in ("value", "low", "high"))
         sure = rows["std_error"].notna().to_numpy()
         low, high = np.where(sure, low, value), np.where(sure, high, value)
         notes = [
-            f"{r.nominal:.5g} -> {r.value:.6g} {shown}" + ("" if r.status == "identified" else ", AT BOUND")
+            f"{r.nominal:.5g} -> {r.value:.6g} {unit}" + ("" if r.status == "identified" else ", AT BOUND")
             for r in rows.itertuples()
         ]
         figure = intervals(
-            f"{words}: departure from nominal", f"value less nominal [{shown}]", list(rows["name"]), value.tolist(),
-            low.tolist(), high.tolist(), notes, f"%{{x:+.4g}} {plain(shown)}",
+            f"{words}: departure from nominal", f"value less nominal [{unit}]", list(rows["name"]), value.tolist(),
+            low.tolist(), high.tolist(), notes, f"%{{x:+.4g}} {plain(unit)}",
         )  # fmt: skip
         colours = [RED if s == "at bound" else c for s, c in zip(rows.status, figure.data[0].marker.color, strict=True)]
         figure.data[0].marker.color = colours
-        figure.update_xaxes(zeroline=True, zerolinewidth=1.5)
-        found[{"mm": "lengths", "deg": "angles", "urad/(N m)": "compliance"}.get(str(unit), str(unit))] = figure
+        figure.update_xaxes(zeroline=True, zerolinewidth=1.5, zerolinecolor=MUTED)
+        found[name] = figure
     return found

@@ -16,6 +16,12 @@ from ..robot import Robot
 from ..transforms import Array
 
 BEFORE = "before"
+SETS = {
+    "report": "Held-out poses",
+    "identify": "Poses that identified",
+    "train": "Poses networks learnt",
+    "choose": "Poses that judged networks",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +41,7 @@ class Left:
     @property
     def words(self) -> str:
         """How a legend names it."""
-        name = "before (base and tool fitted)" if self.model == BEFORE else self.model
-        return f"{name}, {self.note}" if self.note else name
+        return f"{self.model}, {self.note}" if self.note else self.model
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +61,12 @@ class PoseErrors:
 
     def __len__(self) -> int:
         return len(self.row)
+
+    @property
+    def words(self) -> str:
+        """How a title names the set."""
+        name, _, kind = self.name.partition("/")
+        return SETS.get(name, name) + (f" ({kind})" if kind else "")
 
     def thinned(self, most: int) -> PoseErrors:
         """At most so many of the poses, evenly spaced in their order."""

@@ -27,7 +27,7 @@ class Provenance:
     date: str
 
 
-def provenance(files: Iterable[Path], command: Sequence[str] = (), now: datetime | None = None) -> Provenance:
+def provenance_of(files: Iterable[Path], command: Sequence[str] = (), now: datetime | None = None) -> Provenance:
     """Of files, read now; now : instead of the clock. Raises InputError where a file cannot be read."""
     return Provenance(
         files=tuple((str(path), sha256(path)) for path in dict.fromkeys(files)),

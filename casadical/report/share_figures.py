@@ -44,7 +44,7 @@ def _of_parts(title: str, table: pd.DataFrame) -> go.Figure:
 
 def _of_data(title: str, table: pd.DataFrame) -> go.Figure:
     """Root mean square error of the poses in each part; the line is that of all poses."""
-    labels = [f"{b}: {p}" for b, p in zip(table["by"], table["part"], strict=True)]
+    labels = part_labels(table)
     notes = [f"{n} poses, {100 * s:.0f} % of the squared error" for n, s in zip(table["poses"], table["share"], strict=True)]
     figure = intervals(title, "rms error [mm]", labels, table["rms_mm"], table["rms_low_mm"], table["rms_high_mm"], notes,
                    "%{x:.3f} mm")  # fmt: skip
@@ -58,6 +58,13 @@ def _of_data(title: str, table: pd.DataFrame) -> go.Figure:
     return figure.update_xaxes(range=[0, 1.05 * float(table["rms_high_mm"].max())])
 
 
+def part_labels(table: pd.DataFrame) -> list[str]:
+    """How a reader calls the parts of the data; what they are divided by only where that differs."""
+    parts = [str(p).replace("..", "to").replace("degC", "°C") for p in table["part"]]
+    by = [str(b).replace("approach of joint", "joint") for b in table["by"]]
+    return parts if len(set(by)) == 1 else [f"{b}: {p}" for b, p in zip(by, parts, strict=True)]
+
+
 def intervals(
     title: str,
     x: str,
@@ -69,7 +76,7 @@ def intervals(
     shown: str,
 ) -> go.Figure:
     """A row for each label: a dot with the interval low .. high; shown : the value in the tooltip, as plotly's %{x}."""
-    figure = new_figure(title, x, height=96 + ROW * len(labels))
+    figure = new_figure(title, x, height=118 + ROW * len(labels))
     places = list(range(len(labels)))
     figure.add_scatter(
         x=np.round(value, 5),
@@ -82,7 +89,7 @@ def intervals(
             "array": np.maximum(np.subtract(high, value), 0).round(5),
             "arrayminus": np.maximum(np.subtract(value, low), 0).round(5),
             "color": GREY,
-            "thickness": 1.6,
+            "thickness": 2,
             "width": 0,
         },
         customdata=[[plain(n), lo, hi, plain(note)] for n, lo, hi, note in zip(labels, low, high, notes, strict=True)],
@@ -90,5 +97,5 @@ def intervals(
         "%{customdata[2]:.3g}<br>%{customdata[3]}<extra></extra>",
         showlegend=False,
     )
-    figure.update_yaxes(tickvals=places, ticktext=[plain(n) for n in labels], range=[len(labels) - 0.4, -0.6])
+    figure.update_yaxes(tickvals=places, ticktext=[plain(n) for n in labels], range=[len(labels) - 0.4, -0.6], showgrid=False)
     return figure

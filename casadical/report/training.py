@@ -37,4 +37,5 @@ def training_history(networks: Networks) -> go.Figure:
             hovertemplate=f"<b>{plain(name)}</b><br>step %{{customdata:d}}: %{{y:.4g}} mm²<extra></extra>",
         )
     figure.update_xaxes(range=[-2, 102])
-    return figure.update_yaxes(type="log", dtick="D2", exponentformat="none")
+    ticks = [step * 10.0**power for power in range(-9, 4) for step in (1, 2, 5)]
+    return figure.update_yaxes(type="log", tickvals=ticks, ticktext=[f"{v:g}" for v in ticks])

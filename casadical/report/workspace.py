@@ -11,7 +11,7 @@ from ..kinematics import link_frames
 from ..model import base_frame
 from ..robot import Robot
 from ..transforms import Array
-from .look import COLOURS, GRID, INK, LINE, MUTED, new_figure, plain, style
+from .look import COLOURS, GRID, INK, LINE, MUTED, STYLES, new_figure, plain, style
 from .pose_errors import BEFORE, Left, PoseErrors
 
 if TYPE_CHECKING:
@@ -19,28 +19,36 @@ if TYPE_CHECKING:
 
 MOST_DRAWN = 500
 # An error of the 95th percentile is drawn as long as this share of the workspace.
-LENGTH = 0.12
+LENGTH = 0.16
+# Of the first view, in lengths of the drawn box.
+EYE = (1.15, 1.3, 0.55)
 
 
 def workspace(poses: PoseErrors, robot: Robot | None = None) -> go.Figure:
     """Measured points with what each model leaves there, to be turned and hovered over.
 
     Each model's vectors are drawn longer by its own factor, which its name in the legend states. robot : drawn as a
-    skeleton at the middle one of the poses, and its base frame. Needs measured positions.
+    skeleton at one of the poses. Needs measured positions.
     """
     some = poses.thinned(MOST_DRAWN)
     assert some.position is not None
-    figure = new_figure(f"Error vectors in the workspace: {plain(poses.name)}", height=560)
+    figure = new_figure(f"{plain(poses.words)}: error vectors", height=560)
     figure.update_layout(scene=_scene(), margin={"l": 0, "r": 0, "t": 44, "b": 0})
-    shown = next((x.model for x in reversed(some.models) if x.shown and not x.note and x.model != BEFORE), BEFORE)
+    shown = _main(some)
     extent = float(np.linalg.norm(np.ptp(some.position, axis=0)))
     for left in some.models:
-        if left.vector is not None and (left.shown or left.model in (BEFORE, shown)):
+        if left.vector is not None and not left.note:
             factor = round_factor(LENGTH * extent / max(float(np.quantile(left.length, 0.95)), 1e-12))
             _add_vectors(figure, some, left, factor, left.model == shown)
     if robot is not None:
         _add_robot(figure, robot, some)
     return figure
+
+
+def _main(poses: PoseErrors) -> str:
+    """The model that is drawn at first: the last that is no network."""
+    names = [x.model for x in poses.models if x.model == BEFORE or x.model in STYLES and "NN" not in x.model]
+    return names[-1] if names else poses.models[-1].model
 
 
 def round_factor(factor: float) -> float:
@@ -58,7 +66,7 @@ def _add_vectors(figure: go.Figure, poses: PoseErrors, left: Left, factor: float
     lines = np.stack([poses.position, tip, gap], axis=1).reshape(-1, 3)
     colour = style(left.model)[0]
     visible: bool | str = True if shown else "legendonly"
-    name = f"{plain(left.words)}: errors {factor:g} x longer"
+    name = f"{plain(left.words)}, drawn {factor:g} × longer"
     shared: dict[str, Any] = {"legendgroup": left.model, "visible": visible}
     figure.add_scatter3d(
         **_xyz(lines), mode="lines", line={"color": colour, "width": 3}, hoverinfo="skip", name=name, **shared
@@ -69,7 +77,7 @@ def _add_vectors(figure: go.Figure, poses: PoseErrors, left: Left, factor: float
         mode="markers",
         showlegend=False,
         name=name,
-        marker={"size": 3.2, "color": colour, "line": {"width": 0}},
+        marker={"size": 2.6, "color": colour, "line": {"width": 0}},
         customdata=np.column_stack([poses.row, size, 1e3 * left.vector, poses.position]).round(5),
         hovertemplate=(
             f"<b>%{{customdata[1]:.3f}} mm</b>, {plain(left.model)}, row %{{customdata[0]:d}}<br>"
@@ -81,11 +89,11 @@ def _add_vectors(figure: go.Figure, poses: PoseErrors, left: Left, factor: float
 
 
 def _add_robot(figure: go.Figure, robot: Robot, poses: PoseErrors) -> None:
-    points = skeleton(robot, poses.q[_middle(poses.q)])
+    points = skeleton(robot, poses.q[_from_the_side(robot, poses)])
     figure.add_scatter3d(
         **_xyz(points),
         mode="lines+markers",
-        name="robot at one of the poses",
+        name="robot, at one pose",
         line={"color": COLOURS["grey"][0], "width": 9},
         marker={"size": 4.5, "color": INK},
         hoverinfo="skip",
@@ -102,10 +110,11 @@ def skeleton(robot: Robot, q: Array) -> Array:
     return np.array([*origins, tool[:, 0]])
 
 
-def _middle(q: Array) -> int:
-    """The reading nearest to the middle of all."""
-    scaled = (q - q.mean(axis=0)) / np.maximum(q.std(axis=0), 1e-9)
-    return int(np.argmin((scaled**2).sum(axis=1)))
+def _from_the_side(robot: Robot, poses: PoseErrors) -> int:
+    """The pose that the first view shows most from the side."""
+    assert poses.position is not None
+    out = poses.position - robot.base.T[:3, 3]
+    return int(np.argmax(out[:, 0] * EYE[1] - out[:, 1] * EYE[0]))
 
 
 def _xyz(points: Array) -> dict[str, Array]:
@@ -115,5 +124,5 @@ def _xyz(points: Array) -> dict[str, Array]:
 def _scene() -> dict[str, Any]:
     axis = {"gridcolor": GRID, "zerolinecolor": LINE, "showbackground": False, "linecolor": LINE, "color": MUTED}
     axes = {f"{c}axis": {**axis, "title": {"text": f"{c} [m]"}, "nticks": 6, "showspikes": False} for c in "xyz"}
-    camera = {"eye": {"x": 1.25, "y": 1.25, "z": 0.65}, "center": {"x": 0, "y": 0, "z": -0.08}}
+    camera = {"eye": dict(zip("xyz", EYE, strict=True)), "center": {"x": 0, "y": 0, "z": -0.22}}
     return {**axes, "aspectmode": "data", "camera": camera, "dragmode": "turntable"}

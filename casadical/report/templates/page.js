@@ -2,8 +2,9 @@
 (async () => {
   const darkOf = JSON.parse(document.getElementById("dark").textContent);
   const night = matchMedia("(prefers-color-scheme: dark)");
+  const touched = matchMedia("(pointer: coarse)").matches;
   const config = {
-    responsive: true, displaylogo: false, displayModeBar: "hover",
+    responsive: true, displaylogo: false, displayModeBar: touched ? false : "hover",
     modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d", "zoomIn2d", "zoomOut2d", "orbitRotation", "resetCameraLastSave3d"],
     toImageButtonOptions: { format: "png", scale: 2 },
   };
@@ -17,13 +18,17 @@
   // A figure is written in light colours; each has its dark counterpart.
   const parsed = (text, dark) => {
     const figure = JSON.parse(dark ? text.replace(/#[0-9a-f]{6}\b/g, (c) => darkOf[c] ?? c) : text);
-    // Vectors of three-dimensional figures are moved with a mouse; a finger on them would hold the page.
     figure.layout.autosize = true;
-    if (matchMedia("(pointer: coarse)").matches) figure.layout.dragmode = false;
+    // A finger on a plane figure moves the page.
+    if (touched) figure.layout.dragmode = false;
     return figure;
   };
   const draw = (figure) => {
     const { data, layout } = parsed(figure.text, night.matches);
+    // On a narrow screen the names of the legend stand beneath each other.
+    const named = data.filter((trace) => trace.showlegend !== false).length;
+    if (figure.plot.clientWidth < 600 && named > 2) layout.height += 19 * (named - 2);
+    figure.plot.style.height = `${layout.height}px`;
     return Plotly.react(figure.plot, data, layout, config);
   };
   const drawAll = async () => { for (const figure of figures) await draw(figure); };
