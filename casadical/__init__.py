@@ -14,7 +14,7 @@ _HOME = {
     "Body": "casadical.robot",
     "CasadicalError": "casadical.errors",
     "ConvergenceError": "casadical.errors",
-    "Diagnosis": "casadical.diagnosis.diagnosis",
+    "Diagnosis": "casadical.diagnosis.result",
     "Effect": "casadical.effects",
     "FourBar": "casadical.robot",
     "Identification": "casadical.identification",

@@ -13,6 +13,10 @@ from . import words
 from .terminal import Json, Quiet, keep_json, progress
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from ..diagnosis.answer import Extras
+    from ..diagnosis.result import Diagnosis
     from ..robot import Robot
 
 
@@ -32,7 +36,11 @@ def diagnose(
         Path | None,
         typer.Option("--next", metavar="FILE", help="Poses that would tell apart what one campaign cannot, as CSV."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the partitions into folds.")] = 0,
+    network: Annotated[
+        bool,
+        typer.Option("--network", help="Also train a 6-5-3 network, instead of the causes and after them (slow)."),
+    ] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Of all chance.")] = 0,
     isolability: Annotated[
         bool,
         typer.Option(
@@ -47,8 +55,9 @@ def diagnose(
 
     Exit codes: 0 done, 2 bad input, 70 a bug of ours.
     """
-    from ..diagnosis.answer import as_json, report
+    from ..diagnosis.answer import as_json
     from ..diagnosis.diagnosis import diagnose as run
+    from ..diagnosis.printed import report
     from ..files import write_whole
     from ..measurements import read_measurements
     from ..problem import read_campaign_robot
@@ -68,15 +77,27 @@ def diagnose(
                 bar.update(task, description=f"{name}: {text}")
 
             found = run(robot, m, effects.split(",") if effects else "standard", seed=seed, show=show)
-        answers.append(as_json(found, path.stem))
-        console.print(report(found, f"{path.stem} ({robot.name})"))
+            file = measure_next if len(campaigns) == 1 else None
+            extras = _extras(found, file, network, show)
+        answers.append(as_json(found, path.stem, extras))
+        console.print(report(found, f"{path.stem} ({robot.name})", extras), soft_wrap=True)
         console.print()
-        if measure_next and len(campaigns) == 1:
-            poses = found.next_poses(15)
-            write_whole(measure_next, poses.to_csv(index=False))
-            what = f"to tell {' from '.join(found.in_question)}" if len(poses) else "none: nothing is in question"
-            console.print(f"wrote {measure_next} ({len(poses)} poses, {what})")
+        if file and extras.poses is not None:
+            write_whole(file, extras.poses.to_csv(index=False))
+            console.print(f"wrote {file}" if len(extras.poses) else f"wrote {file}: no pose, nothing is in question")
     keep_json(json_file, answers, console)
+
+
+def _extras(found: Diagnosis, file: Path | None, network: bool, show: Callable[[str], None]) -> Extras:
+    """The parts that take longer."""
+    from ..diagnosis.answer import NEXT, Extras
+
+    show("where it lies")
+    _ = found.where
+    check = found.check_refit(show) if found.effects() else None
+    networks = found.with_network(show=show) if network else None
+    show("poses to measure next")
+    return Extras(check, networks, found.next_poses(NEXT), file.name if file else "")
 
 
 def _print_isolability(

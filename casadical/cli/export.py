@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import InputError
+from .export_model import export_mjcf, export_urdf
 from .sources import Compensator, Nominal, Payload, Tool
 from .terminal import Json, Quiet, keep_json, plain
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from ..controller.models import Sources
 
 export_app = typer.Typer(
-    help="Turn a calibrated robot into code for its controller.",
+    help="Turn a calibrated robot into code for its controller, or into a model for a simulator.",
     no_args_is_help=True,
     rich_markup_mode="markdown",
 )
@@ -113,3 +114,7 @@ def _about(sources: Sources, what: str, networked: bool) -> list[str]:
         mass = "as declared" if sources.payload_kg is None else f"{sources.payload_kg:g} kg"
         lines.append(f"payload: {mass}; tool: {sources.tool}; positions in the robot's own base frame")
     return lines
+
+
+export_app.command("mjcf")(export_mjcf)
+export_app.command("urdf")(export_urdf)

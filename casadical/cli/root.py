@@ -14,6 +14,8 @@ from .diagnose import diagnose
 from .export import export_app
 from .new import new
 from .plan import plan
+from .replay import replay
+from .withheld import withheld_app
 
 app = typer.Typer(
     name="casadical",
@@ -44,6 +46,7 @@ def _root(
     pass
 
 
-for command in (new, check, calibrate, diagnose, plan, correct):
+for command in (new, check, calibrate, diagnose, plan, replay, correct):
     app.command()(command)
 app.add_typer(export_app, name="export")
+app.add_typer(withheld_app, name="withheld")

@@ -1,15 +1,16 @@
-"""A diagnosis as a table to read and as plain data to keep."""
+"""A diagnosis as plain data to keep."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
-from rich.console import Group, RenderableType
-from rich.table import Table
-from rich.text import Text
+import pandas as pd
 
-from .diagnosis import Cause, Diagnosis
-from .where import where
+from .advice import told_apart
+from .network import NetworkGap
+from .refit import Check
+from .result import Cause, Diagnosis
 
 # Mechanical causes that leave the same signature in joint space.
 SIGNATURES = {
@@ -43,25 +44,56 @@ SIGNATURES = {
 }
 
 
-def as_json(d: Diagnosis, campaign: str) -> dict[str, Any]:
+# Poses to measure next.
+NEXT = 15
+
+
+@dataclass(frozen=True, eq=False)
+class Extras:
+    """What takes longer than the diagnosis: held-out gap of the refit, of networks, and poses to measure next."""
+
+    check: Check | None = None
+    networks: tuple[NetworkGap, NetworkGap] | None = None
+    poses: pd.DataFrame | None = None
+    file: str = ""
+
+
+def as_json(d: Diagnosis, campaign: str, extras: Extras | None = None) -> dict[str, Any]:
     """The answer in the campaigns' format; lengths in mm, readable by any tool."""
+    e = extras or Extras()
+    poses = d.next_poses(NEXT) if e.poses is None else e.poses
     return {
         "campaign": campaign,
         "verdict": d.verdict,
         "gap_mm": {"before": _mm(d.gap.before), "after": _mm(d.gap.after), "floor": _mm(d.gap.floor)},
         "causes": [_cause(c) for c in d.causes],
         "unknown_rest": round(d.unknown_rest, 4),
-        "where": where(d.case),
+        "course": _records(d.course),
+        "where": {name: _records(table) for name, table in d.where.tables()},
         "noise": {"sigma_mm": _mm(d.noise.sigma), "repeatability_urad": round(1e6 * d.noise.repeatability, 2)},
-        "outlier_rows": list(d.outliers),
-        "next_measurements": _next(d),
+        "replicates": {"sigma_mm": _mm(d.replicates.sigma), "poses": d.replicates.poses, "used": d.replicates.enough},
+        "outliers": [{"row": o.row, "distance_mm": _mm(o.distance), "sigmas": round(o.sigmas, 2)} for o in d.outliers],
+        "outlier_rows": [o.row for o in d.outliers],
+        "next_measurements": _next(poses),
+        **({"told_rightly": [round(p, 4) for p in told_apart(d, poses)]} if len(poses) else {}),
+        **({"refit_mm": {"held_out": _mm(e.check.refit), "linearised": _mm(e.check.linearised)}} if e.check else {}),
+        **({"network_mm": [_network(n) for n in e.networks]} if e.networks else {}),
     }
 
 
-def _next(d: Diagnosis, n: int = 10) -> list[dict[str, Any]]:
+def _next(poses: pd.DataFrame) -> list[dict[str, Any]]:
     """Poses that would tell apart what this data cannot."""
-    rows = d.next_poses(n).to_dict("records")
+    rows = poses.to_dict("records")
     return [{str(k): v for k, v in row.items() if v == v and v is not None} for row in rows]
+
+
+def _network(n: NetworkGap) -> dict[str, Any]:
+    return {"before": _mm(n.before), "used": _mm(n.used), "forced": _mm(n.forced), "refused": n.refused}
+
+
+def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows of a table as plain data."""
+    return [{str(k): v for k, v in row.items()} for row in table.round(5).to_dict("records")]
 
 
 def _mm(value: float) -> float:
@@ -81,72 +113,3 @@ def _cause(c: Cause) -> dict[str, Any]:
             for name, (value, error, unit) in (c.estimates or {}).items()
         },
     }
-
-
-def report(d: Diagnosis, title: str) -> RenderableType:
-    """The layout that a person reads: gap, where, which, cannot tell, unknown."""
-    parts: list[RenderableType] = [
-        Text(title, style="bold underline"),
-        Text(_gap_line(d)),
-        Text(_where_line(d)),
-        Text(_verdict_line(d), style="bold"),
-    ]
-    if d.causes:
-        parts += [Text(), _cause_table(d)]
-    parts += [Text(line) for line in _doubts(d)]
-    return Group(*parts)
-
-
-def _gap_line(d: Diagnosis) -> str:
-    there = "nothing detected" if d.verdict == "none" else "detected"
-    return (
-        f"GAP    {1e3 * d.gap.before:.4f} mm mean, held out (noise floor {1e3 * d.gap.floor:.4f}; "
-        f"{int(d.case.kept.sum())} poses); {there}, P(nothing) = {d.rankings[0].none:.2g}"
-    )
-
-
-def _where_line(d: Diagnosis) -> str:
-    shares = where(d.case)
-    joints = ", ".join(f"{k} {100 * v:.0f} %" for k, v in shares["joints"].items() if v >= 0.1)
-    directions = ", ".join(f"{k} {100 * v:.0f} %" for k, v in shares["directions"].items())
-    return f"WHERE  as joint errors: {joints or 'spread over all'}; direction: {directions}"
-
-
-def _verdict_line(d: Diagnosis) -> str:
-    sentence = {
-        "none": "NONE: what is left is noise; no cause can be claimed.",
-        "explained": "EXPLAINED",
-        "ambiguous": "CANNOT TELL: something is there, but these causes look alike in this data.",
-        "unknown": "UNKNOWN: something is there that no listed cause explains.",
-    }[d.verdict]
-    return f"WHICH  {sentence}"
-
-
-def _cause_table(d: Diagnosis) -> Table:
-    table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False)
-    for column, side in (("cause", "left"), ("posterior", "right"), ("gap shrinks by", "right"), ("95 %", "right")):
-        table.add_column(column, justify=side, no_wrap=True)  # type: ignore[arg-type]
-    table.add_column("signature")
-    for c in d.causes:
-        low, high = (100 * v for v in c.shrink_interval)
-        table.add_row(
-            c.label,
-            f"{c.confidence:.3f}",
-            f"{100 * c.shrink:.0f} %",
-            f"{low:.0f} .. {high:.0f} %",
-            SIGNATURES.get(c.effect) or (c.effects[0].physics if c.effects else ""),
-        )
-    return table
-
-
-def _doubts(d: Diagnosis) -> list[str]:
-    lines = [f"CANNOT TELL  {c.label} from {', '.join(c.indistinguishable)}" for c in d.causes if c.indistinguishable]
-    if d.unknown_rest > 0.05:
-        lines.append(f"UNKNOWN REST  {100 * d.unknown_rest:.0f} % of the gap is above the noise floor and unexplained")
-    if d.outliers:
-        shown = ", ".join(map(str, d.outliers[:10])) + (" ..." if len(d.outliers) > 10 else "")
-        lines.append(f"OUTLIERS  {len(d.outliers)} poses left out: rows {shown}")
-    if d.missing:
-        columns = sorted({c for lacking in d.missing.values() for c in lacking})
-        lines.append(f"NOT LOGGED  {', '.join(columns)}: nothing can be said about {', '.join(sorted(d.missing))}")
-    return lines

@@ -43,9 +43,13 @@ class _Normal:
 
     def solve(self, use: Array) -> Array:
         """The fit to the poses in a mask."""
-        normal = self.H[use].sum(axis=0) + np.diag(self.prior**-2)
+        return self.solution(self.H[use].sum(axis=0), self.g[use].sum(axis=0))
+
+    def solution(self, H: Array, g: Array) -> Array:
+        """The fit to poses whose normal equations sum to these."""
+        normal = H + np.diag(self.prior**-2)
         scale = np.sqrt(np.diag(normal))
-        right = self.g[use].sum(axis=0) + self.mean / self.prior**2
+        right = g + self.mean / self.prior**2
         return np.asarray(np.linalg.solve(normal / np.outer(scale, scale), right / scale) / scale)
 
 
@@ -72,11 +76,19 @@ def held_out_errors(e: Evidence, columns: Array, noise: Noise, folds: Array) -> 
     columns : of the causes in the model; folds : number of the fold of each pose, shape (n,)
     """
     problem = _normal(e, columns, noise)
+    H, g = problem.H.sum(axis=0), problem.g.sum(axis=0)
     errors = np.empty(len(e.r))
     for fold in np.unique(folds):
         test = folds == fold
-        errors[test] = np.linalg.norm(e.r[test] - problem.A[test] @ problem.solve(~test), axis=1)
+        x = problem.solution(H - problem.H[test].sum(axis=0), g - problem.g[test].sum(axis=0))
+        errors[test] = np.linalg.norm(e.r[test] - problem.A[test] @ x, axis=1)
     return errors
+
+
+def fitted_without(e: Evidence, columns: Array, noise: Noise, test: Array) -> Array:
+    """What a fit to the poses outside of a mask leaves at every pose, shape (n, 3) [m]."""
+    problem = _normal(e, columns, noise)
+    return np.asarray(e.r - problem.A @ problem.solve(~test))
 
 
 def remainders(e: Evidence, columns: Array, noise: Noise, kept: Array) -> tuple[Array, Array]:

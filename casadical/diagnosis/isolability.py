@@ -9,7 +9,7 @@ noise, has noncentrality 3 n r^2.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -20,7 +20,7 @@ from ..effects import Effect
 from ..measurements import Measurements
 from ..robot import Robot
 from ..transforms import Array
-from .case import base_prior, column_numbers, widths
+from .case import Case, base_prior, column_numbers, widths
 from .evidence import Evidence
 from .gap import Noise
 from .library import Candidate, candidates_of, choose
@@ -83,6 +83,13 @@ def isolability(
     named = _whole(possible) if whole else {c.label: c.variants for c in possible}
     groups = {k: [np.concatenate([columns[e] for e in v]) for v in variants] for k, variants in named.items()}
     return _judged(evidence, groups, noise, missing)
+
+
+def isolability_of(case: Case, noise: Noise) -> Isolability:
+    """Isolability of a case's candidates at its own poses, calibrated geometry and noise."""
+    listed = [c for c in case.candidates if c.listed]
+    groups = {c.label: [case.group(v) for v in c.variants] for c in listed}
+    return _judged(replace(case.evidence, reference=noise.sigma), groups, noise, case.missing)
 
 
 def _whole(candidates: Sequence[Candidate]) -> dict[str, tuple[tuple[Effect, ...], ...]]:

@@ -37,16 +37,22 @@ class Backlash(Cause):
 
 @dataclass(frozen=True)
 class FrictionWindup(Cause):
-    """Dry friction in the joint: its spring stays wound by up to ``size`` [rad] against the last motion."""
+    """Dry friction in the joint: its spring stays wound by up to ``size`` [rad] against the last motion.
+
+    The rated torque adds the share ``load_share`` to the friction of the idle joint.
+    """
 
     travels: ClassVar[bool] = True
 
     joint: int
     size: float
+    load_share: float
 
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
-        joint = mechanism.joint(f"joint{self.joint}")
-        return mechanism.with_joint(replace(joint, friction=self.size * plant.stiffness[self.joint - 1]))
+        j, held = self.joint - 1, mechanism.joint(f"joint{self.joint}")
+        idle = self.size * float(plant.stiffness[j])
+        rubbing = self.load_share * idle / float(rated_torque(plant)[j])
+        return mechanism.with_joint(replace(held, friction=idle, rubbing=rubbing))
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,10 @@ from casadical.simulation.stops import Stops
 
 @dataclass(frozen=True)
 class LinkFlexure(Cause):
-    """Link ``link`` is a beam: cut at a quarter and at three quarters of its length, three hinges on springs each.
+    """Link ``link`` is a beam: cut at a quarter and at three quarters of its length, with three sprung hinges each.
 
-    ``size`` [rad] is the slope of its end if all beyond hung at full stretch; ``torsion`` is twist over bend stiffness.
+    ``size`` [rad] is the slope of its end by the moment there if all beyond hung at full stretch; ``torsion`` is twist
+    over bend stiffness.
     """
 
     link: int
@@ -33,7 +34,7 @@ class LinkFlexure(Cause):
         name = f"link{self.link}"
         whole, length = mechanism.body(name), _length(plant, self.link)
         e, across, aside = _beam(length)
-        bend = sum(plant_stretch(plant, self.link)) / self.size
+        bend = 2 * plant_stretch(plant, self.link)[0] / self.size
         hinges = [("up", across, bend), ("side", aside, bend), ("twist", e, self.torsion * bend)]
         for cut, at in (("b", 0.75), ("a", 0.25)):
             joints = tuple(spring(f"{name}{cut}_{n}", k, axis=_tuple(axis)) for n, axis, k in hinges)

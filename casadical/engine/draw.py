@@ -71,7 +71,7 @@ def _size(
         "joint_scale": {"size": 60e-6 * usual * sign},
         "joint_coupling": {"source": 5 if joint == 4 else (joint or 5) - 1, "size": 80e-6 * usual * sign},
         "joint_zero_step": {"size": 40e-6 * usual * sign, "at_s": middle},
-        "thermal_growth": {"size": 11.5e-6 * np.clip(usual, 0.8, 2.0), "lag_minutes": float(rng.uniform(4, 12))},
+        "thermal_growth": {"size": 11.5e-6 * float(np.clip(usual, 0.8, 2.0)), "lag_minutes": float(rng.uniform(4, 12))},
         "thermal_zero_drift": {"size": 5e-6 * usual * sign, "lag_minutes": float(rng.uniform(4, 15))},
         "target_shift": {"shift_m": _direction(rng, 50e-6 * usual), "at_s": middle},
         "payload_error": {"size": 0.05 * usual * sign, "shift_m": _direction(rng, 0.03 * usual)},
@@ -88,7 +88,7 @@ def _size(
             "linear": float(rng.uniform(0.1, 0.3)),
         },
         "backlash": {"size": 60e-6 * usual, "friction": float(rng.uniform(0.01, 0.06))},
-        "friction_windup": {"size": 40e-6 * usual},
+        "friction_windup": {"size": 40e-6 * usual, "load_share": float(rng.uniform(0, 0.8))},
         "link_flexure": {
             "link": int(rng.choice([2, 3])),
             "size": 60e-6 * usual,

@@ -24,7 +24,7 @@ class Joint:
     ref : coordinate [rad or m] at which the body is where its ``place`` says
     stiffness, hardening : spring torque ``stiffness x + hardening x^3`` [N m, N] at the deflection ``x`` from its rest
     motor : 1-based number of the motor whose angle is the spring's rest; without one the rest is 0
-    friction : dry friction [N m, N]
+    friction, rubbing : dry friction [N m, N], and what each unit of the spring's torque adds to it
     limits : coordinates at which hard stops are, or None
     inertia, damping : of the joint itself (a rotor behind its gear) [kg m^2, kg] and [N m s/rad, N s/m]
     keeps : the coordinate at one pose is where the motion to the next begins
@@ -39,6 +39,7 @@ class Joint:
     hardening: float = 0.0
     motor: int | None = None
     friction: float = 0.0
+    rubbing: float = 0.0
     limits: tuple[float, float] | None = None
     inertia: float = 0.0
     damping: float = 0.0

@@ -75,6 +75,9 @@ class Engine:
         self._shafts = [(m.tendon(s.name).id, s.motor - 1, s.slack) for s in mechanism.shafts if s.motor]
         self._moves = np.array([int(m.joint(j.name).dofadr[0]) for j in joints if not j.keeps])
         self._keeps = [self._row[j.name] for j in joints if j.keeps]
+        self._rubs = [
+            (self._row[j.name], int(m.joint(j.name).dofadr[0]), j.rubbing * j.stiffness) for j in joints if j.rubbing
+        ]
         self._payload = m.body("payload").id
         names = ("body_pos", "body_quat", "site_pos", "dof_frictionloss", "tendon_frictionloss")
         self._built = {name: getattr(m, name).copy() for name in names}
@@ -141,6 +144,8 @@ class Engine:
         self._until_still(BESIDE)
         for name in ("dof_frictionloss", "tendon_frictionloss"):
             getattr(m, name)[:] = self._built[name]
+        for row, dof, torque in self._rubs:
+            m.dof_frictionloss[dof] += torque * abs(m.qpos_spring[row] - self.data.qpos[row])
         for share in 0.5 - 0.5 * np.cos(np.pi * np.arange(1, MOVING + 1) / MOVING):
             self._drive(back + share * (stop.motors - back))
             self.mujoco.mj_step(m, self.data)

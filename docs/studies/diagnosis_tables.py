@@ -6,7 +6,7 @@ Writes the tables of docs/diagnosis.md anew from the effect classes and the thre
 import re
 from pathlib import Path
 
-from casadical.diagnosis import diagnosis, which
+from casadical.diagnosis import investigation, which
 from casadical.diagnosis.answer import SIGNATURES
 from casadical.diagnosis.library import Candidate, extended_candidates, standard_candidates
 from casadical.problem import read_campaign_robot
@@ -85,7 +85,7 @@ def _physics(candidates: list[Candidate]) -> str:
 
 
 def _thresholds() -> str:
-    d = diagnosis
+    d = investigation
     first, further = which.PRIOR_FIRST, which.PRIOR_FURTHER
     rows = [
         ("prior of nothing / a listed effect / the unknown, first cause", _shares(first)),

@@ -103,7 +103,8 @@ def test_outliers_are_a_cause_of_their_own() -> None:
     d = diagnose(robot("ur10e"), replace(m, position=position))
     assert d.verdict == "explained"
     assert named(d) == {("outliers", None)}
-    assert d.outliers == tuple(m.row[[7, 30, 61]])
+    assert [o.row for o in d.outliers] == list(m.row[[7, 30, 61]])
+    assert [o.distance for o in d.outliers] == pytest.approx([np.sqrt(3) * x for x in (1e-3, 8e-4, 5e-4)], rel=0.15)
 
 
 def test_missing_columns_are_reported_and_never_fatal() -> None:
@@ -125,10 +126,8 @@ def test_distances_cannot_be_diagnosed() -> None:
     far = np.array([3.0, 0.0, 0.0])
     length = np.linalg.norm(m.position - far, axis=1)
     d = Measurements(q=m.q, kind="distance", distance=length, target=np.tile(far, (len(m), 1)), conditions=m.conditions)
-    from casadical.diagnosis.diagnosis import diagnose_identification
-
     with pytest.raises(InputError, match="measured positions"):
-        diagnose_identification(identify(robot("ur10e"), d, ("geometry",)))
+        diagnose(identify(robot("ur10e"), d, ("geometry",)))
 
 
 def test_applied_cause_can_be_identified() -> None:

@@ -24,6 +24,6 @@ def test_without_effects_the_engine_agrees_with_the_independent_simulator(name, 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_the_same_rest_is_reached_by_a_simulated_move(name):
     machine = built(name)
-    idle = engine.Hidden("friction_windup", 2, {"size": 1e-12})
+    idle = engine.Hidden("friction_windup", 2, {"size": 1e-12, "load_share": 0.0})
     moved, still = (engine.campaign(machine, h, 8, 4, truth=True) for h in ((idle,), ()))
     assert np.abs(moved[TRUE] - still[TRUE]).to_numpy().max() < 1e-5

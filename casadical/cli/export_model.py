@@ -1,0 +1,111 @@
+"""The commands `casadical export mjcf` and `casadical export urdf`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..errors import InputError
+from . import words
+from .terminal import Json, Quiet, keep_json, plain, progress
+
+_Source = Annotated[
+    Path,
+    typer.Argument(
+        metavar="PROBLEM_DIR_OR_ROBOT.toml", help="A problem folder, which is calibrated, or a calibrated robot file."
+    ),
+]
+_Out = Annotated[Path, typer.Option(metavar="FILE", help="Where the model goes.")]
+_Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace FILE if it is there.")]
+
+
+def export_mjcf(
+    source: _Source,
+    out: _Out,
+    campaign: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CAMPAIGN.csv",
+            help="Measured positions: the robot is calibrated from them and diagnosed, and the "
+            "causes that are found go into the model.",
+        ),
+    ] = None,
+    effects: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES",
+            autocompletion=words.effects,
+            help="standard (the default), extended, or only these: names (backlash) or labels (backlash@5), by commas.",
+        ),
+    ] = None,
+    overwrite: _Overwrite = False,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Write a calibrated robot as a MuJoCo model: geometry, masses, joint springs, closed loops, diagnosed effects.
+
+    Exit codes: 0 written, 2 bad input, 3 no optimum found, 70 a bug of ours.
+    """
+    from ..files import write_whole
+    from ..sim_export.mjcf import mjcf
+    from ..sim_export.sources import robot_to_write
+
+    _refuse_taken(out, overwrite)
+    with progress(quiet) as bar:
+        task = bar.add_task("calibrating", total=None)
+        robot, _ = robot_to_write(source, campaign, effects, lambda text: bar.update(task, description=text))
+    made = mjcf(robot)
+    write_whole(out, made.text)
+    console = plain(quiet)
+    for text in made.written:
+        console.print(f"effect {text}")
+    for text in made.left_out:
+        console.print(f"LEFT OUT {text}")
+    console.print(f"wrote {out}: {robot.name}, {robot.n} joints")
+    kept = {"file": str(out), "robot": robot.name, "written": list(made.written), "left_out": list(made.left_out)}
+    keep_json(json_file, kept, console)
+
+
+def export_urdf(
+    source: _Source,
+    out: _Out,
+    overwrite: _Overwrite = False,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Write a calibrated robot as a URDF: into the problem's own one where it came from one, else a new one.
+
+    A URDF holds geometry and masses; springs and effects have no place in it. Closed loops: see `export mjcf`.
+
+    Exit codes: 0 written, 2 bad input, 3 no optimum found, 70 a bug of ours.
+    """
+    from ..files import write_whole
+    from ..sim_export.sources import calibrated, robot_to_write
+    from ..sim_export.urdf import urdf
+
+    _refuse_taken(out, overwrite)
+    into = None
+    with progress(quiet) as bar:
+        bar.add_task("calibrating", total=None)
+        if source.is_dir():
+            problem, result = calibrated(source)
+            robot, into = result.robot, problem.urdf
+        else:
+            robot, _ = robot_to_write(source)
+    if into is None:
+        text = urdf(robot)
+    else:
+        from ..urdf_export import calibrated_urdf_text
+
+        text = calibrated_urdf_text(problem.robot, robot, *into, measured_link="casadical_measured_point")
+    write_whole(out, text)
+    console = plain(quiet)
+    console.print(f"wrote {out}: {robot.name}, {robot.n} joints" + (f", after {into[0].name}" if into else ""))
+    keep_json(json_file, {"file": str(out), "robot": robot.name, "into": into[0].name if into else None}, console)
+
+
+def _refuse_taken(out: Path, overwrite: bool) -> None:
+    if out.exists() and not overwrite:
+        raise InputError(f"{out} is there already; give another file, or --overwrite")

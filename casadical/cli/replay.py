@@ -1,0 +1,69 @@
+"""The command `casadical replay`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.progress import Progress, TaskID
+
+from . import words
+from .terminal import Json, Quiet, keep_json, plain, progress
+
+
+def replay(
+    problem: Annotated[Path, typer.Argument(metavar="PROBLEM_DIR", help="Folder with the robot.")],
+    campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.csv...", help="Measured positions.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Keep the models here, CAMPAIGN.STAGE.xml (0 is the nominal).")
+    ] = None,
+    effects: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES",
+            autocompletion=words.effects,
+            help="standard (the default), extended, or only these: names (backlash) or labels (backlash@5), by commas.",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the split: two thirds are fitted, the others replayed.")] = 0,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Drive measured poses again in MuJoCo: the gap before, after geometry, after the diagnosed effect.
+
+    Needs MuJoCo: pip install 'casadical[mujoco]'.
+
+    Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug of ours.
+    """
+    from ..files import write_together
+    from ..measurements import read_measurements
+    from ..problem import read_campaign_robot
+    from ..sim_export.replay import as_json, replay_campaign
+    from ..sim_export.rest import load_mujoco
+
+    load_mujoco()
+    console = plain(quiet)
+    robot = read_campaign_robot(problem)
+    answers: list[dict[str, Any]] = []
+    texts: dict[Path, str] = {}
+    for path in campaigns:
+        m = read_measurements(path, [j.kind for j in robot.joints])
+        with progress(quiet) as bar:
+            task = bar.add_task(path.stem, total=None)
+
+            def show(text: str, bar: Progress = bar, task: TaskID = task, name: str = path.stem) -> None:
+                bar.update(task, description=f"{name}: {text}")
+
+            found = replay_campaign(robot, m, effects.split(",") if effects else "standard", seed=seed, show=show)
+        console.print(f"{path.stem} ({robot.name}), held-out poses replayed in MuJoCo")
+        console.print(found.table.to_string(index=False, float_format=lambda v: f"{v:.4f}"))
+        for text in found.stages[-1].export.left_out:
+            console.print(f"LEFT OUT {text}")
+        answers.append({"campaign": path.stem, **as_json(found)})
+        if out:
+            texts |= {out / f"{path.stem}.{k}.xml": s.export.text for k, s in enumerate(found.stages)}
+    write_together(texts)
+    for path in texts:
+        console.print(f"wrote {path}")
+    keep_json(json_file, answers, console)

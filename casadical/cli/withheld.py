@@ -1,0 +1,142 @@
+"""The commands `casadical withheld ...`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import Progress, TaskID
+
+from ..errors import InputError
+from .terminal import Json, Quiet, keep_json, progress
+
+withheld_app = typer.Typer(
+    help="Check the diagnosis blindly: on campaigns of another engine, whose hidden effect is kept apart.",
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+)
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder with the campaigns.")]
+Workers = Annotated[int | None, typer.Option(min=1, help="Processes; default: one a core.")]
+
+
+@withheld_app.callback()
+def _group() -> None:
+    pass
+
+
+def _counting(bar: Progress, task: TaskID) -> Callable[[str, int, int], None]:
+    def show(name: str, done: int, count: int) -> None:
+        bar.update(task, description=f"{done} of {count} ({name})")
+
+    return show
+
+
+@withheld_app.command("make")
+def make_command(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the campaigns.")],
+    key: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for the key, apart; default: DIR with -key behind it.")
+    ] = None,
+    n: Annotated[int, typer.Option("--n", "-n", min=4, help="Number of campaigns.")] = 60,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Of all chance; default: one that nobody knows, kept in the key.")
+    ] = None,
+    poses: Annotated[str, typer.Option(metavar="N,N", help="Of a campaign, one of these.")] = "40,100,200",
+    reality: Annotated[
+        str, typer.Option(metavar="mujoco|numpy", help="The physics: MuJoCo, or the project's own simulator.")
+    ] = "mujoco",
+    project: Annotated[Path, typer.Option(metavar="DIR", help="Folder with problems/ and data/.")] = Path(),
+    workers: Workers = None,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Write campaigns with hidden effects, and the key to another place; the key's SHA-256 goes with the campaigns.
+
+    A quarter hides nothing, 45 % one effect, 15 % two or three, 15 % one that is on no list; 40, 100 or 200 poses of
+    three robots; a third lacks a column. With a seed that is known, anyone can make the key again.
+
+    Exit codes: 0 done, 2 bad input, 70 a bug of ours.
+    """
+    from ..withheld.make import make
+    from ..withheld.running import workers as pool
+
+    sizes = _whole(poses)
+    place = key or out.with_name(f"{out.resolve().name}-key")
+    with progress(quiet) as bar, pool(None, workers) as executor:
+        show = _counting(bar, bar.add_task("drawing campaigns", total=None))
+        made = make(out, place, n, seed, poses=sizes, engine=reality, project=project, executor=executor, show=show)
+    console = Console(quiet=quiet)
+    console.print(f"wrote {len(made.campaigns)} campaigns to {out}, their key to {place}", soft_wrap=True)
+    console.print(f"sha256 of the key: {made.key_sha256}", soft_wrap=True)
+    kept = {"campaigns": list(made.campaigns), "folder": str(out), "key": str(place), "key_sha256": made.key_sha256}
+    keep_json(json_file, kept, console)
+
+
+def _whole(text: str) -> tuple[int, ...]:
+    """Whole numbers by commas. Raises InputError."""
+    try:
+        return tuple(int(word) for word in text.split(","))
+    except ValueError:
+        raise InputError(f"--poses {text}: allowed: whole numbers by commas, such as 40,100") from None
+
+
+@withheld_app.command("predict")
+def predict_command(
+    folder: Folder,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="Answers, a line of JSON each; default: DIR/answers.METHOD.jsonl."),
+    ] = None,
+    by: Annotated[
+        str, typer.Option(metavar="diagnosis|f-test|bic|gp", help="The diagnosis, or what it is measured against.")
+    ] = "diagnosis",
+    workers: Workers = None,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Diagnose every campaign from what lies in DIR alone, and foretell positions at its unseen poses.
+
+    Answers that are in the file already are kept: a run that was cut goes on where it ended.
+
+    Exit codes: 0 done, 2 bad input, 70 a bug of ours.
+    """
+    from ..withheld.predict import predict
+    from ..withheld.running import workers as pool
+
+    with progress(quiet) as bar, pool(None, workers) as executor:
+        show = _counting(bar, bar.add_task("reading", total=None))
+        path = predict(folder, out, by=by, executor=executor, show=show)
+    console = Console(quiet=quiet)
+    console.print(f"wrote {path}", soft_wrap=True)
+    keep_json(json_file, {"answers": str(path), "by": by}, console)
+
+
+@withheld_app.command("score")
+def score_command(
+    folder: Folder,
+    key: Annotated[Path, typer.Argument(metavar="KEYDIR", help="Folder with the key.")],
+    answers: Annotated[list[Path], typer.Argument(metavar="ANSWERS...", help="One or more files of answers.")],
+    json_file: Json = None,
+    figure: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Draw the confusion matrix of the first answers.")
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Open the key, check that it is the one whose hash was published, and count: every figure with its interval.
+
+    Exit codes: 0 done, 2 bad input, 70 a bug of ours.
+    """
+    from ..withheld.report import draw, report
+    from ..withheld.score import score
+
+    scores = [score(folder, key, path) for path in answers]
+    console = Console(quiet=quiet)
+    # Wide tables are for files and wide windows; they are never folded.
+    Console(quiet=quiet, width=max(console.width, 240)).print(report(scores), soft_wrap=True)
+    keep_json(json_file, [s.as_json() for s in scores], console)
+    if figure:
+        draw(scores[0], figure)
+        console.print(f"wrote {figure}", soft_wrap=True)

@@ -1,0 +1,243 @@
+"""The steps of one diagnosis: causes are added one by one until no further one can be claimed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+from ..effects import Effect
+from ..identification import Identification
+from ..transforms import Array
+from .case import Case
+from .gap import Noise, estimates, held_out_errors, random_folds, remainders, shrink_interval
+from .how_far import Stage, course, scatter
+from .refine import refined
+from .replicates import Replicates, replicates
+from .result import Cause, Diagnosis, Gap, Outlier, Verdict
+from .which import Ranking, rank
+
+Show = Callable[[str], None]
+
+# A cause is claimed alone from this probability on.
+CLAIM = 0.90
+# Something is there if "nothing" is less probable than this, at first and once a cause was found.
+DETECT, DETECT_FURTHER = 0.05, 0.02
+# Squared Mahalanobis distance of three coordinates beyond which a pose is an outlier, and below which it is none.
+OUT, IN = 75.0, 40.0
+MOST_CAUSES = 4
+SET_SHARE, SET_SIZE = 0.97, 3
+PARTITIONS = 5
+# Less than this share of what could be explained is no explanation.
+LEAST_SHARE = 0.5
+
+
+@dataclass
+class _Step:
+    """A cause that was accepted, or the set at which the search stopped."""
+
+    ranking: Ranking
+    labels: tuple[str, ...]
+    effects: tuple[Effect, ...]
+
+
+class Investigation:
+    """The steps of one diagnosis."""
+
+    def __init__(self, identification: Identification, case: Case, seed: int, show: Show) -> None:
+        self.identification, self.case, self.seed, self.show = identification, case, seed, show
+        self.by_label = {c.label: c for c in case.candidates}
+        self.steps: list[_Step] = []
+        self.rankings: list[Ranking] = []
+
+    def columns(self, steps: Sequence[_Step]) -> Array:
+        parts = [self.case.group(s.effects) for s in steps]
+        return np.unique(np.concatenate(parts)) if parts else np.zeros(0, dtype=np.int64)
+
+    def variant(self, ranking: Ranking, label: str) -> tuple[Effect, ...]:
+        return self.by_label[label].variants[ranking.variant[label]]
+
+    def accept(self, ranking: Ranking, labels: Sequence[str]) -> None:
+        """Take a cause (the first of the labels) into the model, with its settings refined."""
+        chosen = self.columns(self.steps)
+        self.case, effects = refined(self.case, labels[0], self.variant(ranking, labels[0]), chosen)
+        self.steps.append(_Step(ranking, tuple(labels), effects))
+        self._screen(ranking.noise[labels[0]])
+
+    def _screen(self, noise: Noise) -> None:
+        """Decide anew which poses are outliers, now that the model holds more."""
+        case = self.case
+        _, distance = remainders(case.whole, self.columns(self.steps), noise, case.kept)
+        self.case = replace(case, kept=np.where(case.kept, distance < OUT, distance < IN))
+
+    @property
+    def folds(self) -> list[Array]:
+        return [random_folds(int(self.case.kept.sum()), self.seed + k) for k in range(PARTITIONS)]
+
+    def errors(self, columns: Array, noise: Noise) -> Array:
+        """Held-out error of each pose, averaged over partitions."""
+        runs = [held_out_errors(self.case.evidence, columns, noise, folds) for folds in self.folds]
+        return np.asarray(np.mean(runs, axis=0))
+
+    def conclude(self) -> Diagnosis:
+        end = "none"
+        while len(self.steps) < MOST_CAUSES:
+            self.show(f"cause {len(self.steps) + 1}: evidence of {len(self.by_label)} candidates")
+            done = frozenset(s.labels[0] for s in self.steps)
+            ranking = rank(self.case, self.columns(self.steps), done)
+            self.rankings.append(ranking)
+            end = self._next(ranking)
+            if end != "claimed":
+                break
+        return self._result(end)
+
+    def _next(self, ranking: Ranking) -> str:
+        """Accept the next cause, or say why not: none, ambiguous, unknown."""
+        if ranking.none > (DETECT_FURTHER if self.steps else DETECT):
+            return "none"
+        listed = [label for label in ranking.order if self.by_label[label].listed]
+        unknown = sum(p for label, p in ranking.probability.items() if not self.by_label[label].listed)
+        if not listed or unknown > 0.5:
+            return "unknown"
+        top = listed[0]
+        certain = ranking.probability[top] / (1 - ranking.none)
+        if certain >= CLAIM:
+            self.accept(ranking, [top])
+            return "claimed"
+        total, labels = 0.0, []
+        for label in listed:
+            labels.append(label)
+            total += ranking.probability[label]
+            if total >= SET_SHARE * (1 - ranking.none) or len(labels) == SET_SIZE:
+                break
+        if not self.steps:
+            self.accept(ranking, labels)
+        return "ambiguous"
+
+    def _result(self, end: str) -> Diagnosis:
+        first = self.rankings[0]
+        before = self.errors(np.zeros(0, dtype=np.int64), first.noise[""])
+        noise = self._final_noise(end)
+        after = self.errors(self.columns(self.steps), noise) if self.steps else before
+        floor = self._floor(noise)
+        causes = [self._cause(step, before) for step in self.steps]
+        before_all, causes = self._with_outliers(before, noise, causes)
+        causes.sort(key=lambda c: -c.shrink)
+        course = self._course(noise)
+        gap = Gap(float(before_all.mean()), float(after.mean()), floor)
+        verdict, rest = self._verdict(end, gap, bool(causes))
+        return Diagnosis(
+            verdict=verdict,
+            causes=tuple(causes),
+            gap=gap,
+            noise=noise,
+            unknown_rest=rest,
+            course=course,
+            replicates=self.replicates,
+            rankings=tuple(self.rankings),
+            outliers=self._outliers(noise),
+            missing=self.case.missing,
+            case=self.case,
+            identification=self.identification,
+            seed=self.seed,
+        )
+
+    def _final_noise(self, end: str) -> Noise:
+        """The noise that the best model in sight leaves, the unknown included."""
+        last = self.rankings[-1]
+        if end == "none":
+            return last.noise[""]
+        return last.noise[last.order[0]]
+
+    @property
+    def replicates(self) -> Replicates:
+        return replicates(self.case.m, self.case.whole.r, self.case.kept)
+
+    def _course(self, noise: Noise) -> pd.DataFrame:
+        """The model grows cause by cause; each stage with the noise that it leaves."""
+        names = ["base", *(f"+ {step.labels[0]}" for step in self.steps)]
+        noises = [*(r.noise[""] for r in self.rankings[: len(self.steps)]), noise]
+        stages = [Stage(names[k], self.columns(self.steps[:k]), noises[k]) for k in range(len(names))]
+        return course(self.case, stages, self.folds, noise, self.seed)
+
+    def _outliers(self, noise: Noise) -> tuple[Outlier, ...]:
+        """Poses left out, the farthest first."""
+        case = self.case
+        length, square = remainders(case.whole, self.columns(self.steps), noise, case.kept)
+        out = sorted(np.flatnonzero(~case.kept), key=lambda i: -length[i])
+        return tuple(Outlier(int(case.m.row[i]), float(length[i]), float(np.sqrt(square[i]))) for i in out)
+
+    def _floor(self, noise: Noise) -> float:
+        """Mean held-out error if only noise were left: simulated through the same fit.
+
+        The noise is that of repeated poses where there are enough of them.
+        """
+        case = self.case
+        if self.replicates.enough:
+            scale = self.replicates.sigma / scatter(case.evidence, noise)
+            noise = Noise(scale * noise.sigma, scale * noise.repeatability)
+        rng = np.random.default_rng(self.seed)
+        e = case.evidence
+        draws = []
+        for folds in self.folds:
+            white = noise.sigma * rng.standard_normal(e.r.shape)
+            joints = noise.repeatability * rng.standard_normal((len(e.r), e.Jq.shape[2], 1))
+            fake = replace(e, r=white + (e.Jq @ joints)[:, :, 0], delta0=np.zeros_like(e.delta0))
+            draws.append(held_out_errors(fake, np.zeros(0, dtype=np.int64), noise, folds).mean())
+        return float(np.mean(draws))
+
+    def _cause(self, step: _Step, before: Array) -> Cause:
+        label = step.labels[0]
+        candidate = self.by_label[label]
+        columns = self.case.group(step.effects)
+        alone = self.errors(columns, step.ranking.noise[label])
+        rivals = [k for k in step.ranking.order if k != label and self.by_label[k].listed]
+        alike = tuple(k for k in rivals if step.ranking.probability[k] > 0.02)[: SET_SIZE - 1]
+        return Cause(
+            effect=candidate.name,
+            joint=candidate.joint,
+            confidence=step.ranking.probability[label],
+            shrink=float(1 - alone.mean() / before.mean()),
+            shrink_interval=shrink_interval(before, alone, self.seed),
+            indistinguishable=step.labels[1:] or alike,
+            effects=step.effects,
+            estimates=self._estimates(step),
+        )
+
+    def _estimates(self, step: _Step) -> dict[str, tuple[float, float, str]]:
+        """Parameters of a cause, all causes fitted together."""
+        everything = self.columns(self.steps)
+        value, error = estimates(self.case.evidence, everything, step.ranking.noise[step.labels[0]])
+        found = {}
+        for effect in step.effects:
+            places = np.searchsorted(everything, self.case.columns[effect])
+            for place, (name, (size, unit)) in zip(places, effect.sizes().items(), strict=True):
+                found[name] = (float(value[place] * size), float(error[place] * size), unit)
+        return found
+
+    def _with_outliers(self, before: Array, noise: Noise, causes: list[Cause]) -> tuple[Array, list[Cause]]:
+        """Poses that were left out are themselves a cause; one alone only if it is far out."""
+        case = self.case
+        wrong, distance = remainders(case.whole, self.columns(self.steps), noise, case.kept)
+        out = ~case.kept
+        count = int(out.sum())
+        if count == 0 or (count == 1 and distance[out][0] < 2 * OUT):
+            return before, causes
+        whole = np.concatenate([before, wrong[out]])
+        shrink = float(1 - before.mean() / whole.mean())
+        interval = shrink_interval(whole, np.concatenate([before, np.full(count, before.mean())]), self.seed)
+        return whole, [*causes, Cause("outliers", None, 0.99, shrink, interval, ())]
+
+    def _verdict(self, end: str, gap: Gap, found: bool) -> tuple[Verdict, float]:
+        """The verdict, and the share of the gap that no named cause explains."""
+        rest = max(0.0, (gap.after - gap.floor) / gap.before)
+        if not found:
+            return ("unknown" if end in ("unknown", "ambiguous") else "none"), rest
+        share = (gap.before - gap.after) / max(gap.before - gap.floor, 1e-9)
+        if end == "unknown" and share < LEAST_SHARE:
+            return "unknown", rest
+        if self.steps and len(self.steps[0].labels) > 1:
+            return "ambiguous", rest
+        return "explained", rest

@@ -1,0 +1,221 @@
+"""The page that a person reads: gap, where, which, cannot tell, unknown, what to measure next."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator
+
+import pandas as pd
+from rich.console import RenderableType
+from rich.text import Text
+
+from .advice import kinds, told_apart
+from .answer import SIGNATURES, Extras
+from .how_far import of_time
+from .network import NetworkGap
+from .result import Cause, Diagnosis
+
+WIDTH = 112
+LABEL = 8
+TIED = "\u00a0"
+READABLE = {"rad": (1e6, "urad"), "m": (1e6, "um"), "m/m": (1e6, "um/m"), "rad/rad": (1e6, "urad/rad")}
+READABLE |= {"rad/K": (1e6, "urad/K"), "1/K": (1e6, "1e-6/K"), "1/m": (1e6, "um/m^2"), "kg/kg": (1e2, "%")}
+# An effect is invisible if the base absorbs so much of it, or if it must be so many times its usual size to be found.
+ABSORBED, OUT_OF_REACH = 0.98, 5.0
+
+
+def report(d: Diagnosis, title: str, extras: Extras | None = None) -> RenderableType:
+    """The page, its title underlined."""
+    page = Text(f"{title}\n", style="bold underline", no_wrap=True)
+    page.append(Text(page_of(d, extras), style="not bold not underline"))
+    return page
+
+
+def page_of(d: Diagnosis, extras: Extras | None = None) -> str:
+    """The page as plain text, at most `WIDTH` characters wide."""
+    e = extras or Extras()
+    lines = [*_gap(d), *_where(d), *_which(d), *_how_far(d, e), *_cannot_tell(d), *_unknown(d), *_outliers(d)]
+    return "\n".join([*lines, *_not_logged(d), *_next(d, e)])
+
+
+def _block(label: str, text: str) -> list[str]:
+    """A label and its text beside it, wrapped."""
+    return _wrapped(text, f"{label:<{LABEL}}", " " * LABEL)
+
+
+def _wrapped(text: str, first: str, further: str) -> list[str]:
+    lines = textwrap.wrap(text, WIDTH, initial_indent=first, subsequent_indent=further, break_on_hyphens=False)
+    return [line.replace(TIED, " ") for line in lines]
+
+
+def _tied(item: str) -> str:
+    """An item that is not broken over two lines."""
+    return item.replace(" ", TIED)
+
+
+def _mm(value: float) -> str:
+    return f"{1e3 * value:.3f}" if value >= 1e-5 else f"{1e3 * value:.4f}"
+
+
+def _gap(d: Diagnosis) -> Iterator[str]:
+    r = d.replicates
+    source = f"from {r.poses} repeated poses" if r.enough else "by the fit; too few poses are repeated"
+    there = "nothing detected" if d.verdict == "none" else "detected"
+    yield from _block(
+        "GAP",
+        f"{_mm(d.gap.before)} mm mean on poses held out; noise floor {_mm(d.gap.floor)} ({source}); "
+        f"{int(d.case.kept.sum())} poses; {there}, P(nothing) = {d.rankings[0].none:.2g}",
+    )
+    base = d.course.iloc[0]
+    yield from _block(
+        "",
+        f"without the noise the model is wrong by {base['model_mm']:.3f} mm rms "
+        f"({base['model_low_mm']:.3f} to {base['model_high_mm']:.3f})",
+    )
+
+
+def _where(d: Diagnosis) -> Iterator[str]:
+    parts = pd.concat([d.where.joints, d.where.links])
+    great = parts[(parts["share"] >= 0.05) & (parts["part"] != "elsewhere")].sort_values("share", ascending=False)
+    shares = [
+        _tied(f"{row['part']}: {100 * row['share']:.0f} % ({100 * row['low']:.0f}-{100 * row['high']:.0f})")
+        for _, row in great.head(5).iterrows()
+    ]
+    if d.verdict == "none":
+        yield from _block("WHERE", "nowhere in particular: what is left is noise")
+        return
+    yield from _block("WHERE", "   ".join(shares) or "spread over all parts")
+    worst = d.where.worst.head(3)
+    if len(worst):
+        regions = [f"{row['by']} {row['part']} ({row['rms_mm']:.3f} mm rms)" for _, row in worst.iterrows()]
+        yield from _block("", f"larger than elsewhere: {', '.join(regions)}")
+
+
+_VERDICT = {
+    "none": "no cause can be claimed: what is left is noise",
+    "explained": "",
+    "ambiguous": "no single cause can be claimed: something is there, and several causes explain it alike",
+    "unknown": "something is there that no listed cause explains",
+}
+
+
+def _which(d: Diagnosis) -> Iterator[str]:
+    if not d.causes:
+        yield from _block("WHICH", _VERDICT[d.verdict])
+        return
+    yield f"{'WHICH':<{LABEL}}{_VERDICT[d.verdict]}".rstrip()
+    yield f"   {'signature':<50} {'posterior':>9} {'gap if added':>16} {'shrinks by, 95 %':>18}"
+    before = 1e3 * d.gap.before
+    for k, c in enumerate(d.causes, 1):
+        words, _ = signature(c)
+        low, high = (100 * v for v in c.shrink_interval)
+        row = f"{before:.3f} -> {before * (1 - c.shrink):.3f}"
+        yield f"{k:>2} {words:<50} {c.confidence:>9.2f} {row:>16} {f'{low:.0f} to {high:.0f} %':>18}"
+        yield from _beneath(d, c)
+
+
+def _beneath(d: Diagnosis, c: Cause) -> Iterator[str]:
+    """The name by which the cause goes, what it may be mechanically, and its parameters."""
+    _, mechanical = signature(c)
+    may_be = f"; may be {mechanical}" if mechanical else ""
+    yield from _wrapped(f"{c.label}{may_be}", "     ", "     ")
+    values = [_estimate(name, *given) for name, given in (c.estimates or {}).items()]
+    if c.effect == "outliers":
+        values = [f"rows {', '.join(str(o.row) for o in d.outliers[:10])}{' ...' if len(d.outliers) > 10 else ''}"]
+    if values:
+        yield from _wrapped(", ".join(map(_tied, values)), "     ", "     ")
+
+
+def signature(c: Cause) -> tuple[str, str]:
+    """What the data show, and the mechanical causes that share it."""
+    words = SIGNATURES.get(c.effect) or (c.effects[0].physics if c.effects else c.effect)
+    shown, _, causes = words.partition(" (")
+    joint = "" if c.joint is None else f", joint {c.joint}"
+    return textwrap.shorten(shown, 50 - len(joint), placeholder="...") + joint, causes.rstrip(")")
+
+
+def _estimate(name: str, value: float, error: float, unit: str) -> str:
+    factor, word = READABLE.get(unit, (1.0, unit))
+    return f"{name} {factor * value:.3g} +- {factor * error:.2g} {word}".rstrip()
+
+
+def _how_far(d: Diagnosis, e: Extras) -> Iterator[str]:
+    steps = [c for c in d.causes if c.effects]
+    if steps:
+        last, added = d.course.iloc[-1], "with it" if len(steps) == 1 else "with all of them"
+        yield from _block(
+            "AFTER",
+            f"{last['gap_mm']:.3f} mm {added} ({last['low_mm']:.3f} to {last['high_mm']:.3f}), poses left out "
+            f"one by one {last['loo_mm']:.3f}; the model is then wrong by {last['model_mm']:.3f} mm rms "
+            f"({last['model_low_mm']:.3f} to {last['model_high_mm']:.3f})",
+        )
+        if any(of_time(c.effects) for c in steps):
+            first = d.course.iloc[0]
+            yield from _block(
+                "", f"with fifths of the time left out: {first['blocks_mm']:.3f} -> {last['blocks_mm']:.3f} mm"
+            )
+    if e.check:
+        said = "agrees with the linearised" if e.check.agree else "DISAGREES with the linearised"
+        yield from _block("", f"refitted by Ipopt: {_mm(e.check.refit)} mm held out, {said} {_mm(e.check.linearised)}")
+    if e.networks:
+        yield from _networks(e.networks, bool(steps))
+
+
+def _networks(networks: tuple[NetworkGap, NetworkGap], steps: bool) -> Iterator[str]:
+    for net, what in zip(networks[: 1 + steps], ("instead", "on the rest"), strict=False):
+        refused = f", refused in {net.refused} of 5 trainings" if net.refused else ""
+        yield from _block(
+            "",
+            f"6-5-3 network {what if steps else 'on the gap'}: {_mm(net.before)} -> {_mm(net.used)} mm{refused}"
+            + (f" (used all the same: {_mm(net.forced)})" if net.refused else ""),
+        )
+
+
+def _cannot_tell(d: Diagnosis) -> Iterator[str]:
+    for c in d.causes:
+        if c.indistinguishable:
+            alike = d.isolability.alike
+            known = [
+                f"{k} ({100 * float(alike.loc[c.label, k]):.0f} % alike here)"  # type: ignore[arg-type]
+                for k in c.indistinguishable
+                if c.label in alike.index and k in alike.columns
+            ]
+            yield from _block("CANNOT", f"tell {c.label} from {', '.join(known or c.indistinguishable)}")
+    seen = d.isolability.effects
+    hidden = seen[(seen["absorbed"] > ABSORBED) | (seen["findable_from"] > OUT_OF_REACH)]
+    if len(hidden):
+        words = [f"{label} ({100 * row['absorbed']:.0f} % absorbed)" for label, row in hidden.iterrows()]
+        more = f" and {len(words) - 5} more" if len(words) > 5 else ""
+        yield from _block("CANNOT", f"see in these poses: {', '.join(words[:5])}{more}")
+
+
+def _unknown(d: Diagnosis) -> Iterator[str]:
+    if d.verdict != "none" and d.unknown_rest > 0.05:
+        rest = d.course.iloc[-1]["model_mm"]
+        yield from _block("UNKNOWN", f"{rest:.3f} mm rms that no cause named here explains")
+
+
+def _outliers(d: Diagnosis) -> Iterator[str]:
+    if d.outliers:
+        shown = [f"row {o.row} ({1e3 * o.distance:.2f} mm)" for o in d.outliers[:6]]
+        more = f" and {len(d.outliers) - 6} more" if len(d.outliers) > 6 else ""
+        yield from _block("OUT", f"{len(d.outliers)} poses left out as outliers: {', '.join(shown)}{more}")
+
+
+def _not_logged(d: Diagnosis) -> Iterator[str]:
+    if d.missing:
+        columns = sorted({c for lacking in d.missing.values() for c in lacking})
+        names = sorted({label.split("@")[0] for label in d.missing})
+        yield from _block("MISSING", f"columns {', '.join(columns)}: nothing can be said about {', '.join(names)}")
+
+
+def _next(d: Diagnosis, e: Extras) -> Iterator[str]:
+    if e.poses is None or not len(e.poses):
+        return
+    before, after = told_apart(d, e.poses)
+    where = f" -> {e.file}" if e.file else ""
+    yield from _block(
+        "NEXT",
+        f"measure {len(e.poses)} poses{where} ({kinds(d.case, e.poses)}) to tell {' from '.join(d.in_question)}: "
+        f"P(told rightly) {before:.2f} -> {after:.2f}",
+    )

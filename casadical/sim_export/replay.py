@@ -1,0 +1,120 @@
+"""Closing the loop: measured poses driven again in MuJoCo, and how far the model's point is from the measured one.
+
+Three models: the nominal robot, only base and tool placed; the calibrated one; the calibrated one with what a diagnosis
+found. All are identified from one part of the poses and replayed on the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from ..accuracy import Accuracy, predicted, summarise
+from ..conditions import derive
+from ..diagnosis.diagnosis import Diagnosis, diagnose
+from ..errors import InputError
+from ..identification import Identification, identify
+from ..measurements import Measurements
+from ..robot import Robot
+from ..transforms import Array
+from .drives import counterparts
+from .mjcf import MjcfExport, mjcf
+from .rest import positions
+from .sources import with_causes
+
+Show = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """One model in the simulator: its distance from the measured points, shape (n,), and from casadical's own [m]."""
+
+    name: str
+    export: MjcfExport
+    errors: Array
+    apart: Array
+
+    @property
+    def accuracy(self) -> Accuracy:
+        return summarise(self.errors)
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """A campaign replayed: stages nominal, geometry, effect (if there is one); poses that were held out."""
+
+    source: str
+    robot: str
+    stages: tuple[Stage, ...]
+    diagnosis: Diagnosis | None = None
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """A row per stage: position error in the simulator [mm], and how far simulator and casadical are apart [um]."""
+        rows = [
+            {
+                "model": s.name, "n": s.accuracy.n, "mean_mm": 1e3 * s.accuracy.mean, "max_mm": 1e3 * s.accuracy.max,
+                "rms_mm": 1e3 * s.accuracy.rms, "p95_mm": 1e3 * s.accuracy.p95, "apart_um": 1e6 * float(s.apart.max()),
+            }
+            for s in self.stages
+        ]  # fmt: skip
+        return pd.DataFrame(rows)
+
+
+def replay(robot: Robot, m: Measurements, name: str = "model") -> Stage:
+    """Drive a robot's model to measured poses in MuJoCo. Raises InputError, ConvergenceError."""
+    if m.position is None:
+        raise InputError(f"{m.source}: of kind {m.kind}; positions are needed to replay")
+    m, _ = derive(m, [*robot.conditions, *(f"approach{i}" for i in range(1, robot.n + 1))])
+    export = mjcf(robot)
+    there = positions(export.text, m, counterparts(robot).payload_factor)
+    apart = np.linalg.norm(there - predicted(robot, m)[0], axis=1)
+    return Stage(name, export, np.linalg.norm(there - m.position, axis=1), apart)
+
+
+def replay_campaign(
+    robot: Robot,
+    m: Measurements,
+    effects: Sequence[str] | str = "standard",
+    *,
+    share: float = 2 / 3,
+    seed: int = 0,
+    show: Show = lambda _text: None,
+) -> Replay:
+    """Identify, diagnose and replay a campaign on poses that were held out.
+
+    robot : as `diagnose` takes it; share : of the poses that are fitted, the others are replayed
+    Raises InputError, ConvergenceError.
+    """
+    m, _ = derive(m, [f"approach{i}" for i in range(1, robot.n + 1)])
+    m, _ = derive(m, ["progress"])
+    parts = m.split({"identify": share, "report": round(0.999 - share, 3)}, seed)
+    fitted, held_out = parts["identify"], parts["report"]
+    show("calibrating")
+    rigid = robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0))
+    placed = _fit(rigid, fitted, ("placement",))
+    plain = _fit(robot, fitted, ("kinematic", "compliance"))
+    found = diagnose(robot, fitted, effects, seed=seed, show=show)
+    stages = [replay(placed.robot, held_out, "nominal"), replay(plain.robot, held_out, "geometry and stiffness")]
+    show("replaying")
+    if found.causes:
+        stages.append(replay(with_causes(robot, fitted, found), held_out, " and ".join(c.label for c in found.causes)))
+    return Replay(m.source, robot.name, tuple(stages), found)
+
+
+def _fit(robot: Robot, m: Measurements, free: tuple[str, ...]) -> Identification:
+    return identify(robot, m, free, loss="huber", priors=free != ("placement",), screen=False)
+
+
+def as_json(found: Replay) -> dict[str, Any]:
+    """A replay as plain data."""
+    return {
+        "robot": found.robot,
+        "stages": found.table.to_dict("records"),
+        "written": list(found.stages[-1].export.written),
+        "left_out": list(found.stages[-1].export.left_out),
+    }

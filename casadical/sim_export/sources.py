@@ -1,0 +1,54 @@
+"""Which robot is written: a robot file's, a problem's calibrated one, or a campaign's with its diagnosed effects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from ..conditions import derive
+from ..diagnosis.diagnosis import Diagnosis, diagnose
+from ..errors import InputError
+from ..identification import Identification, identify
+from ..measurements import Measurements, read_measurements
+from ..problem import Problem, read_campaign_robot, read_problem
+from ..robot import Robot
+from ..robot_file import read_robot
+
+Show = Callable[[str], None]
+
+
+def calibrated(folder: Path) -> tuple[Problem, Identification]:
+    """A problem and its identification by the last of its methods. Raises InputError, ConvergenceError."""
+    problem = read_problem(folder)
+    return problem, identify(problem.robot, problem.sets["identify"], method=problem.methods[-1], loss=problem.loss)
+
+
+def robot_to_write(
+    source: Path, campaign: Path | None = None, effects: str | None = None, show: Show = lambda _text: None
+) -> tuple[Robot, Diagnosis | None]:
+    """The robot, and the diagnosis where a campaign is given.
+
+    source : a robot file, taken as it is, or a problem folder, which is calibrated; campaign : measured positions from
+    which the folder's robot is calibrated and diagnosed; effects : as of `casadical diagnose`
+    Raises InputError, ConvergenceError.
+    """
+    if not source.exists():
+        raise InputError(f"{source}: no such problem folder or robot file")
+    if source.is_file():
+        if campaign is not None:
+            raise InputError(f"--campaign needs the problem folder, not {source}: it is calibrated from the campaign")
+        return read_robot(source), None
+    if campaign is None:
+        return calibrated(source)[1].robot, None
+    robot = read_campaign_robot(source)
+    m = read_measurements(campaign, [j.kind for j in robot.joints])
+    found = diagnose(robot, m, effects.split(",") if effects else "standard", show=show)
+    return with_causes(robot, m, found), found
+
+
+def with_causes(robot: Robot, m: Measurements, found: Diagnosis) -> Robot:
+    """The robot calibrated together with the effects that a diagnosis found. Raises InputError, ConvergenceError."""
+    causes = [e for c in found.causes for e in c.effects]
+    m, _ = derive(m, [c for e in causes for c in e.conditions])
+    free = ("kinematic", "compliance", *(e.label for e in causes))
+    return identify(robot.with_effect(*causes), m, free, loss="huber", priors=True, screen=False).robot

@@ -1,0 +1,103 @@
+"""casadical export mjcf, export urdf, replay: what they write, print and refuse."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+from casadical import cli
+
+ROOT = Path(__file__).parents[2]
+PLANAR = ROOT / "problems" / "planar"
+HH800 = ROOT / "problems" / "hh800"
+
+
+def main(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    """The command inside this process; its exit code."""
+    monkeypatch.setattr(sys, "argv", ["casadical", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    return int(stopped.value.code or 0)
+
+
+def test_a_problem_is_calibrated_and_written(tmp_path: Path) -> None:
+    command = [Path(sys.executable).parent / "casadical", "export", "mjcf", "problems/planar"]
+    file, kept = tmp_path / "arm.xml", tmp_path / "arm.json"
+    done = subprocess.run(
+        [*command, "--out", file, "--json", kept], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "Planar arm of two links, 2 joints" in done.stdout
+    root = ET.parse(file).getroot()
+    link2 = next(node for node in root.iter("body") if node.get("name") == "link2")
+    assert float(link2.get("pos", "").split()[0]) == pytest.approx(0.4006, abs=2e-5)  # as built, not as drawn
+    assert json.loads(kept.read_text())["left_out"] == []
+
+
+def test_a_robot_file_is_written_as_it_is_and_nothing_is_overwritten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "arm.urdf"
+    assert main(monkeypatch, "export", "urdf", PLANAR / "robot.toml", "--out", file, "-q") == 0
+    assert capfd.readouterr() == ("", "")
+    text = file.read_text()
+    assert 'xyz="0.4 0.0 0.0"' in text
+    assert main(monkeypatch, "export", "urdf", PLANAR / "robot.toml", "--out", file) == 2
+    assert "is there already" in capfd.readouterr().err
+    assert file.read_text() == text
+    assert main(monkeypatch, "export", "urdf", PLANAR / "robot.toml", "--out", file, "--overwrite") == 0
+
+
+WRONG = {
+    "no such source": (["export", "mjcf", "none", "--out", "x.xml"], "no such problem folder or robot file"),
+    "a loop as a URDF": (["export", "urdf", HH800 / "robot.toml", "--out", "x.urdf"], "casadical export mjcf"),
+    "a campaign without its folder": (
+        ["export", "mjcf", HH800 / "robot.toml", "--out", "x.xml", "--campaign", "c.csv"],
+        "--campaign needs the problem folder",
+    ),
+    "no such campaign": (["replay", PLANAR, "none.csv"], "none.csv: no such file"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_users_mistake_ends_in_a_message_and_2(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    if name == "no such campaign":
+        pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra mujoco)")
+    arguments, words = WRONG[name]
+    monkeypatch.chdir(tmp_path)
+    assert main(monkeypatch, *arguments) == 2
+    assert words in capfd.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_mujoco_replay_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    assert main(monkeypatch, "replay", PLANAR, "x.csv") == 2
+    assert "pip install 'casadical[mujoco]'" in capfd.readouterr().err
+
+
+def test_a_diagnosed_effect_goes_into_the_model_and_the_gap_closes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra mujoco)")
+    campaign = ROOT / "data" / "campaigns" / "practice" / "kr210-P05.csv"
+    few = ["--effects", "payload_error,joint_scale@3"]
+    kr210 = ROOT / "problems" / "kr210"
+    assert main(monkeypatch, "export", "mjcf", kr210, "--campaign", campaign, "--out", tmp_path / "a.xml", *few) == 0
+    assert "effect payload_error: 12" in capfd.readouterr().out
+    mass = next(n for n in ET.parse(tmp_path / "a.xml").getroot().iter("body") if n.get("name") == "payload")
+    assert float(mass.find("inertial").get("mass")) > 122  # type: ignore[union-attr,arg-type]
+    assert main(monkeypatch, "replay", kr210, campaign, "--out", tmp_path, "--json", tmp_path / "r.json", *few) == 0
+    stages = json.loads((tmp_path / "r.json").read_text())["stages"]
+    assert [s["model"] for s in stages] == ["nominal", "geometry and stiffness", "payload_error"]
+    assert stages[0]["mean_mm"] > 10 * stages[1]["mean_mm"] > 13 * stages[2]["mean_mm"]
+    assert {f"kr210-P05.{k}.xml" for k in range(3)} <= {p.name for p in tmp_path.iterdir()}

@@ -1,0 +1,114 @@
+"""Where the gap lies: planted causes are found at their joint, in their direction, time, payload and approach."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from cases import case, diagnosed, robot, simulated
+
+from casadical.diagnosis.case import Case, make_case
+from casadical.diagnosis.gap import Noise
+from casadical.diagnosis.library import candidates_of
+from casadical.diagnosis.where import BINS, DIRECTIONS, PARTS, Where, _directions, _payload, _Split, where
+from casadical.identification import identify
+from casadical.simulation import Disturbance, disturbances
+
+NOISE = Noise(15e-6, 6e-6)
+
+
+def planted(name: str, seed: int, *causes: Disturbance) -> Where:
+    r = robot(name)
+    found = identify(r, simulated(name, seed, *causes), loss="huber", priors=True, screen=False)
+    return where(make_case(found, candidates_of(r, ["joint_scale"])), NOISE)
+
+
+def share(table: pd.DataFrame, part: str) -> float:
+    return float(table.set_index("part").loc[part, "share"])
+
+
+PLACES = [
+    ("kr210", 11, disturbances.Backlash(2, 120e-6), "joint 2"),
+    ("ur10e", 12, disturbances.FrictionWindup(2, 90e-6), "joint 2"),
+    ("ur10e", 14, disturbances.JointZeroStep(3, 150e-6), "joint 3"),
+    ("ur10e", 3, disturbances.TransmissionRipple(3, size=80e-6, cycles=7), "joint 3"),
+    ("kr210", 13, disturbances.FrameDrift(120e-6, 40e-6), "base"),
+]
+
+
+@pytest.mark.parametrize(("name", "seed", "cause", "place"), PLACES, ids=lambda v: getattr(v, "__class__", v).__name__)
+def test_gap_is_found_where_it_was_planted(name: str, seed: int, cause: Disturbance, place: str) -> None:
+    w = planted(name, seed, cause)
+    table = w.joints if place.startswith("joint") else w.links
+    assert share(table, place) > 0.7
+    assert table["part"][table["share"].argmax()] == place
+    row = table.set_index("part").loc[place]
+    assert row["low"] <= row["share"] <= row["high"]
+
+
+def test_tables_have_stable_columns_and_sum_to_one() -> None:
+    w = diagnosed("ur10e-P06").where
+    assert list(w.joints) == list(w.links) == list(PARTS)
+    assert list(w.directions) == list(DIRECTIONS)
+    assert w.joints["share"].sum() == pytest.approx(1)
+    assert w.links["share"].sum() == pytest.approx(1)
+    np.testing.assert_allclose(w.directions.groupby("frame")["share"].sum(), 1)
+    for name in ("regions", "payload", "temperature", "time", "approach"):
+        table = getattr(w, name)
+        assert list(table) == list(BINS)
+        np.testing.assert_allclose(table.groupby("by")["share"].sum(), 1)
+        assert (table["low"] <= table["share"] + 1e-12).all()
+        assert (table["share"] <= table["high"] + 1e-12).all()
+        assert (table.groupby("by")["poses"].sum() == int(diagnosed("ur10e-P06").case.kept.sum())).all()
+    assert set(w.payload["part"]) == {"0 kg", "10 kg"}
+
+
+def doctored(change: np.ndarray) -> Case:
+    """A case whose residual is given."""
+    c = case("ur10e-P09", "joint_scale@2")
+    return replace(c, whole=replace(c.whole, r=change), kept=np.ones(len(c.m), dtype=bool))
+
+
+@pytest.fixture(scope="module")
+def any_case() -> Case:
+    return case("ur10e-P09", "joint_scale@2")
+
+
+def test_direction_of_a_vertical_error(any_case: Case) -> None:
+    up = any_case.robot.base.T[:3, 2]
+    c = doctored(1e-4 * np.random.default_rng(0).standard_normal((len(any_case.m), 1)) * up)
+    shares = _directions(c, _Split(c, 0)).set_index(["frame", "part"])["share"]
+    assert shares[("base", "z")] == pytest.approx(1)
+    assert shares[("axis", "vertical")] == pytest.approx(1)
+    assert shares[("tool", "z")] < 0.8
+
+
+def test_part_of_the_data_that_is_worse_is_named(any_case: Case) -> None:
+    """Errors twice as large with payload, and thrice as large where joint 2 rose, are the worst parts."""
+    rng, m = np.random.default_rng(1), any_case.m
+    factor = np.where(m.conditions["payload_kg"] > 5, 2.0, 1.0) * np.where(m.conditions["approach2"] > 0, 3.0, 1.0)
+    w = where(doctored(2e-5 * factor[:, None] * rng.standard_normal((len(m), 3))), NOISE)
+    assert tuple(w.worst.loc[0, ["by", "part"]]) == ("approach of joint 2", "rising")
+    assert "10 kg" in set(w.worst["part"])
+    rms = w.payload.set_index("part")["rms_mm"]
+    assert rms["10 kg"] / rms["0 kg"] == pytest.approx(2, rel=0.25)
+
+
+def test_intervals_cover(any_case: Case) -> None:
+    """Of 40 even residuals, each half of the payloads holds its share of the poses within 95 % nearly always."""
+    even = float((any_case.m.conditions["payload_kg"] > 5).mean())
+    hits = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        c = doctored(2e-5 * rng.standard_normal((len(any_case.m), 3)))
+        table = _Split(c, seed).table(*_payload(c)).set_index("part")
+        hits += table.loc["10 kg", "low"] <= even <= table.loc["10 kg", "high"]
+    assert hits >= 34
+
+
+def test_columns_that_were_not_logged_leave_empty_tables() -> None:
+    m = simulated("ur10e", 12, drop=("temp", "payload"))
+    found = identify(robot("ur10e"), m, loss="huber", priors=True)
+    w = where(make_case(found, candidates_of(robot("ur10e"), ["joint_scale"])), NOISE)
+    assert len(w.payload) == len(w.temperature) == 0
+    assert {name for name, _ in w.tables()} == {"joints", "links", "directions", "regions", "time", "approach"}

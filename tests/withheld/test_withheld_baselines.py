@@ -1,0 +1,40 @@
+"""The methods that the diagnosis is measured against do what textbooks say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from casadical.withheld.baselines import Regression, _left
+
+
+def test_gains_are_those_of_least_squares() -> None:
+    rng = np.random.default_rng(0)
+    A, E, y = rng.normal(size=(60, 4)), rng.normal(size=(60, 7)), rng.normal(size=60)
+    A = np.column_stack([A, A[:, 0]])  # a column twice: rank 4
+    E[:, 6] = E[:, 5]
+    left, columns, rank = _left(A, y, E)
+    assert rank == 4
+    found = Regression(left, columns, 60 - rank)
+
+    def squares(X: np.ndarray) -> float:
+        return float(np.sum((y - X @ np.linalg.lstsq(X, y)[0]) ** 2))
+
+    groups = [np.array([0]), np.array([1, 2]), np.array([5, 6])]
+    expected = [squares(A) - squares(np.column_stack([A, E[:, g]])) for g in groups]
+    assert found.gains(groups) == pytest.approx(expected)
+    more = found.without(groups[1])
+    assert more.freedom == 54
+    both = squares(np.column_stack([A, E[:, [1, 2]]])) - squares(np.column_stack([A, E[:, [0, 1, 2]]]))
+    assert more.gains(groups[:1]) == pytest.approx([both])
+
+
+def test_a_gaussian_process_learns_what_is_smooth() -> None:
+    pytest.importorskip("sklearn", reason="scikit-learn is not installed")
+    from casadical.withheld.gaussian_process import _fitted, _same
+
+    rng = np.random.default_rng(1)
+    X = rng.uniform(-2, 2, (120, 2))
+    y = np.column_stack([np.sin(X[:, 0]), np.zeros(120), np.cos(X[:, 1])]) + 0.01 * rng.normal(size=(120, 3))
+    process = _same(_fitted(X[:80], y[:80]), X[:80], y[:80])
+    assert np.abs(process.predict(X[80:]) - y[80:]).mean() < 0.05
