@@ -93,15 +93,10 @@ def fitted_without(e: Evidence, columns: Array, noise: Noise, test: Array) -> Ar
 
 def remainders(e: Evidence, columns: Array, noise: Noise, kept: Array) -> tuple[Array, Array]:
     """What a fit to the kept poses leaves at every pose: length [m] and squared Mahalanobis distance, shapes (n,)."""
-    left = left_by_fit(e, columns, noise, kept)
+    problem = _normal(e, columns, noise)
+    left = e.r - problem.A @ problem.solve(kept)
     distance = np.einsum("ni,nij,nj->n", left, np.linalg.inv(covariance(e, noise)), left)
     return np.linalg.norm(left, axis=1), distance
-
-
-def left_by_fit(e: Evidence, columns: Array, noise: Noise, kept: Array) -> Array:
-    """What a fit to the kept poses leaves at every pose, shape (n, 3) [m]."""
-    problem = _normal(e, columns, noise)
-    return np.asarray(e.r - problem.A @ problem.solve(kept))
 
 
 def estimates(e: Evidence, columns: Array, noise: Noise) -> tuple[Array, Array]:

@@ -1,67 +1,38 @@
-"""The report of a calibration: its figures, and the part of a page that they make with words and tables."""
+"""The report of a calibration: the parts of a page that its figures make with words and tables."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from ..accuracy import Accuracy
-from ..diagnosis.case import make_case
-from ..diagnosis.gap import Noise
-from ..diagnosis.where import Where, where
 from ..identification import Identification
 from ..networks import Networks
 from ..problem import Problem
 from ..tables import SetAccuracies
-from .error_figures import error_distribution, errors_by_pose
+from .calibration_figures import Results, calibration_figures, last_of
 from .error_tables import error_tables, network_table
 from .look import mm
-from .page import Block, Drawing, Part, Section, Table, Tile, Words
-from .parameter_figures import parameter_figures
+from .page import Block, Drawing, Part, Section, Table, Tile, Words, report_html
 from .parameter_tables import confounded, correlated, parameter_table
-from .pose_errors import PoseErrors, pose_errors
-from .share_figures import where_figure
-from .training import training_history
-from .workspace import workspace
+from .provenance import problem_files, provenance_of
+from .where_blocks import where_drawings
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-Results = Mapping[str, Identification]
 
+def calibration_report(
+    runs: Sequence[tuple[Problem, Results, Mapping[str, SetAccuracies], Networks | None]], command: Sequence[str] = ()
+) -> str:
+    """One HTML file of one or several calibrated problems.
 
-def calibration_figures(problem: Problem, results: Results, networks: Networks | None = None) -> dict[str, go.Figure]:
-    """Every figure of a calibration's report, by name.
-
-    problem, results, networks : as `calibrate_problem` and `problem_networks` give them
-
-    errors/SET and distribution/SET for each set of poses; workspace; where/TABLE as `Diagnosis.where` names them (of
-    measured positions); parameters/lengths, /angles, /compliance; training. What the data do not hold is not there.
-    Raises InputError where plotly is not installed.
+    runs : what `calibrate_problem` gives, and `problem_networks`; command : as it was typed. Raises InputError where
+    plotly or jinja2 is not installed, or a problem's file is gone.
     """
-    poses = pose_errors(problem, results, networks)
-    found: dict[str, go.Figure] = {}
-    for name, of_set in poses.items():
-        found[f"errors/{name}"] = errors_by_pose(of_set)
-        found[f"distribution/{name}"] = error_distribution(of_set)
-    last = _last(results)
-    spatial = _in_space(poses)
-    if spatial is not None:
-        found["workspace"] = workspace(spatial, last.robot)
-    gap = where_left(last)
-    if gap is not None:
-        found |= {f"where/{name}": where_figure(name, table) for name, table in gap.tables()}
-    found |= {f"parameters/{kind}": figure for kind, figure in parameter_figures(last).items()}
-    if networks and any(r.compensator for r in networks.results.values()):
-        found["training"] = training_history(networks)
-    return found
-
-
-def where_left(result: Identification) -> Where | None:
-    """Where the error that an identification left lies; None unless it is of one set of measured positions."""
-    if len(result.measurements) != 1 or result.measurements[0].position is None:
-        return None
-    return where(make_case(result, ()), Noise(result.sigmas[0][0], 0.0))
+    parts = [calibration_part(*run) for run in runs]
+    files = [path for problem, *_ in runs for path in problem_files(problem.folder)]
+    return report_html("Calibration", parts, provenance_of(files, command))
 
 
 def calibration_part(
@@ -69,7 +40,7 @@ def calibration_part(
 ) -> Part:
     """One problem's part of a page. Raises InputError where plotly is not installed."""
     figures = calibration_figures(problem, results, networks)
-    last = _last(results)
+    last = last_of(results)
     sections = [
         Section("Verdict", [*_verdict(problem, results, errors, networks)]),
         Section("Errors before and after", [*error_tables(errors, networks), *_paper(problem)]),
@@ -83,33 +54,19 @@ def calibration_part(
     ]
     badges = ["synthetic data"] if problem.data == "synthetic" else []
     subtitle = f"{problem.robot.name}, {problem.data} data"
-    return Part(problem.title, subtitle, sections, [*_tiles(errors, networks)], badges)
+    return Part(problem.title, subtitle, sections, [*_tiles(errors)], badges)
 
 
-def _last(results: Results) -> Identification:
-    return list(results.values())[-1]
-
-
-def _in_space(poses: Mapping[str, PoseErrors]) -> PoseErrors | None:
-    return next((p for p in poses.values() if p.position is not None), None)
-
-
-def _shown_set(errors: Mapping[str, SetAccuracies]) -> tuple[str, bool]:
-    """The set by which the result is judged, and whether it was held out."""
-    names = list(next(iter(errors.values())))
-    held = [n for n in names if n.startswith("report")]
-    return (held or names)[0], bool(held)
-
-
-def _judged(errors: Mapping[str, SetAccuracies]) -> tuple[str, Accuracy, Accuracy, str, bool]:
-    """Method, before, after, set, held out."""
-    name, held = _shown_set(errors)
+def _judged(errors: Mapping[str, SetAccuracies]) -> tuple[str, Accuracy, Accuracy, bool]:
+    """Method, errors before and after on the poses by which the result is judged, and whether they were held out."""
     method, states = list(errors.items())[-1]
-    return method, states[name]["placed"], states[name]["calibrated"], name, held
+    held = [name for name in states if name.startswith("report")]
+    of_set = states[(held or list(states))[0]]
+    return method, of_set["placed"], of_set["calibrated"], bool(held)
 
 
-def _tiles(errors: Mapping[str, SetAccuracies], networks: Networks | None) -> Iterator[Tile]:
-    method, before, after, name, held = _judged(errors)
+def _tiles(errors: Mapping[str, SetAccuracies]) -> Iterator[Tile]:
+    method, before, after, held = _judged(errors)
     where_ = f"{after.n} held-out poses" if held else f"{after.n} poses, not held out"
     yield Tile("Mean error before", mm(before.mean), "mm", "base and tool fitted")
     yield Tile(f"Mean error after {method}", mm(after.mean), "mm", where_)
@@ -120,22 +77,25 @@ def _tiles(errors: Mapping[str, SetAccuracies], networks: Networks | None) -> It
 def _verdict(
     problem: Problem, results: Results, errors: Mapping[str, SetAccuracies], networks: Networks | None
 ) -> Iterator[Block]:
-    method, before, after, name, held = _judged(errors)
+    method, before, after, held = _judged(errors)
     change = 100 * (1 - after.mean / before.mean)
     poses = f"On {after.n} poses that were held out" if held else f"On the {after.n} poses it was identified from"
     yield Words(
         f"{poses}, the mean position error {'falls' if change > 0 else 'grows'} from {mm(before.mean)} mm to "
-        f"{mm(after.mean)} mm with {method} ({change:.0f} % less). Before means: with only base and tool frames fitted.",
+        f"{mm(after.mean)} mm with {method} ({abs(change):.0f} % {'less' if change > 0 else 'more'}). Before means: with "
+        "only base and tool frames fitted.",
         "verdict",
     )
     if not held:
         yield Words("No poses were held out: on new poses the error will be greater.", "warning")
     if problem.data == "synthetic":
-        yield Words("The data are synthetic: they show that the method works, not how accurate a real robot is.", "note")
+        yield Words(
+            "The data are synthetic: they show that the method works, not how accurate a real robot is.", "note"
+        )
     for result in results.values():
         bad = result.at_bounds or "DOES NOT FIT" in result.verdict
         yield Words(result.verdict, "warning" if bad else "text")
-    yield Words(how_sure(_last(results)))
+    yield Words(_how_sure(last_of(results)))
     for trained in networks.results.values() if networks else ():
         if trained.helps:
             yield Words(trained.verdict)
@@ -145,7 +105,7 @@ def _verdict(
     yield from (Words(note, "note") for note in problem.robot.notes)
 
 
-def how_sure(result: Identification) -> str:
+def _how_sure(result: Identification) -> str:
     """Scatter of the residuals, condition and optimality in a sentence."""
     noise = ", ".join(f"{1e3 * sigma:.3f} mm a coordinate" for sigma, _ in result.sigmas)
     optimal = "confirmed" if result.is_optimal() else "NOT confirmed"
@@ -189,13 +149,16 @@ def _pose_blocks(figures: Mapping[str, go.Figure], networks: Networks | None) ->
 def _space_blocks(figures: Mapping[str, go.Figure], problem: Problem) -> Iterator[Block]:
     if "workspace" in figures:
         caption = (
-            "Turn it with the mouse; point at the dot that ends a vector for its error. Each line runs from the measured "
-            "point in the direction of the error (measured less computed), longer than it by the factor in the legend."
+            "Turn it with the mouse; point at the dot that ends a vector for its error. Each line runs from the "
+            "measured point in the direction of the error (measured less computed), longer than it by the factor in "
+            "the legend."
         )
         yield Drawing("workspace", figures["workspace"], caption)
     else:
         kinds = ", ".join(sorted({m.kind for parts in problem.sets.values() for m in parts}))
-        yield Words(f"The data are of the kind {kinds}: they do not say where each point is, so there is no map.", "note")
+        yield Words(
+            f"The data are of the kind {kinds}: they do not say where each point is, so there is no map.", "note"
+        )
 
 
 def _where_blocks(figures: Mapping[str, go.Figure], result: Identification) -> Iterator[Block]:
@@ -207,22 +170,10 @@ def _where_blocks(figures: Mapping[str, go.Figure], result: Identification) -> I
     yield from where_drawings(found)
 
 
-def where_drawings(figures: Mapping[str, go.Figure]) -> Iterator[Drawing]:
-    """Figures of where the gap lies, each with how to read it."""
-    captions = {
-        "joints": "Share of the gap that smooth errors of each joint would bring forth; with the rest they sum to 100 %.",
-        "links": "The same for links, loop, base and tool frame.",
-        "directions": "Each frame's three directions sum to 100 %, noise included; evenly spread would be 33 % each.",
-        "regions": "Poses in thirds of each joint's readings, of the distance from joint 1 and of the height.",
-    }
-    for name, figure in figures.items():
-        yield Drawing(f"where/{name}", figure, captions.get(name, ""))
-
-
 def _cause_blocks(problem: Problem) -> Iterator[Block]:
     yield Words(
-        "A calibration does not ask which unmodelled effects are behind what is left. A diagnosis does, given the poses "
-        "in the order of measuring, with payload and temperature where they were logged:",
+        "A calibration does not ask which unmodelled effects are behind what is left. A diagnosis does, given the "
+        "poses in the order of measuring, with payload and temperature where they were logged:",
         code=f"casadical diagnose {problem.folder} CAMPAIGN.csv --report diagnosis.html",
     )
 
@@ -245,9 +196,11 @@ def _network_blocks(figures: Mapping[str, go.Figure], networks: Networks | None)
     table = network_table(networks)
     if table and "training" in figures:
         yield table
-        yield Drawing("training", figures["training"], "A low loss on the training poses alone is worth nothing: the poses "
-                      "that each network was judged on decide. Trainers that choose a penalty on the weights may end at a "
-                      "greater loss on purpose.")  # fmt: skip
+        caption = (
+            "A low loss on the training poses alone is worth nothing: the poses that each network was judged on decide. "
+            "Trainers that choose a penalty on the weights may end at a greater loss on purpose."
+        )
+        yield Drawing("training", figures["training"], caption)
 
 
 def _next_blocks(problem: Problem, result: Identification) -> Iterator[Block]:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from ..diagnosis.answer import SIGNATURES
-from .look import BLUE, GREEN, GREY, INK, MUTED, ORANGE, new_figure, plain
+from .look import BLUE, GREEN, GREY, INK, ORANGE, new_figure, plain
 from .share_figures import intervals
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-    from ..diagnosis.diagnosis import Diagnosis
+    from ..diagnosis.network import NetworkGap
+    from ..diagnosis.result import Diagnosis
 
 MOST_SHOWN = 8
 ROW = 30
@@ -54,29 +56,55 @@ def _probability(p: float) -> str:
     return f"{p:.3f}" if 0.001 <= p <= 0.999 else ("< 0.001" if p < 0.001 else "> 0.999")
 
 
-def gap_ladder(d: Diagnosis) -> go.Figure:
-    """Mean position error on held-out poses [mm]: base model, with the causes in it, and what noise alone leaves."""
-    words = "with the causes in the model" if d.causes else "no cause added"
-    rows = [("base model", d.gap.before, GREY), (words, d.gap.after, BLUE), ("noise alone", d.gap.floor, GREEN)]
-    figure = new_figure("Gap on held-out poses", "mean position error [mm]", height=220)
+def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] | None = None) -> go.Figure:
+    """Mean position error on held-out poses [mm] as causes are added, beside what noise alone leaves.
+
+    The intervals are of 95 %, over poses; outliers are left out. networks : instead of the causes, and after them.
+    """
+    rows = [
+        (_stage(str(r.model)), r.gap_mm, r.low_mm, r.high_mm, GREY if k == 0 else BLUE)
+        for k, r in enumerate(d.course.itertuples())
+    ]
+    words = ("network instead", "network on the rest") if d.effects() else ("network",)
+    for name, net in zip(words, networks or (), strict=False):
+        note = ", refused" if net.refused else ""
+        rows.append((name + note, 1e3 * net.used, 1e3 * net.used, 1e3 * net.used, ORANGE))
+    floor = 1e3 * d.gap.floor
+    rows.append(("noise alone", floor, floor, floor, GREEN))
+    names, values, low, high, colours = zip(*rows, strict=True)
+    figure = new_figure("Gap on held-out poses", "mean position error [mm]", height=112 + 36 * len(rows))
     figure.add_bar(
-        x=[1e3 * v for _, v, _ in rows],
-        y=[0, 1, 2],
+        x=values,
+        y=list(range(len(rows))),
         orientation="h",
         width=0.6,
-        marker={"color": [colour for _, _, colour in rows], "line": {"width": 0}},
-        text=[f"{1e3 * v:.3f} mm" for _, v, _ in rows],
-        textposition="outside",
-        textfont={"color": INK, "size": 12},
-        cliponaxis=False,
-        customdata=[name for name, _, _ in rows],
-        hovertemplate="%{customdata}: %{x:.4f} mm<extra></extra>",
+        marker={"color": colours, "line": {"width": 0}},
+        error_x={
+            "type": "data",
+            "symmetric": False,
+            "array": [h - v for h, v in zip(high, values, strict=True)],
+            "arrayminus": [v - lo for lo, v in zip(low, values, strict=True)],
+            "color": INK,
+            "thickness": 1.4,
+            "width": 4,
+        },
+        customdata=[[plain(n), lo, hi] for n, lo, hi in zip(names, low, high, strict=True)],
+        hovertemplate="<b>%{customdata[0]}</b><br>%{x:.4f} mm, 95 %: %{customdata[1]:.4f} to %{customdata[2]:.4f}"
+        "<extra></extra>",
         showlegend=False,
     )
-    figure.update_xaxes(range=[0, 1.25e3 * max(v for _, v, _ in rows)])
+    for place, value in enumerate(values):
+        figure.add_annotation(x=high[place], y=place, text=f"{value:.3f} mm", xanchor="left", xshift=8, showarrow=False,
+                              font={"color": INK, "size": 12})  # fmt: skip
+    figure.update_xaxes(range=[0, 1.25 * max(high)])
     return figure.update_yaxes(
-        tickvals=[0, 1, 2], ticktext=[r[0] for r in rows], range=[2.6, -0.6], showgrid=False, color=MUTED
-    )
+        tickvals=list(range(len(rows))), ticktext=[plain(n) for n in names], range=[len(rows) - 0.4, -0.6],
+        showgrid=False,
+    )  # fmt: skip
+
+
+def _stage(model: str) -> str:
+    return "base model" if model == "base" else model
 
 
 def shrinks(d: Diagnosis) -> go.Figure:
@@ -84,8 +112,7 @@ def shrinks(d: Diagnosis) -> go.Figure:
     share = [100 * c.shrink for c in d.causes]
     low, high = ([100 * c.shrink_interval[k] for c in d.causes] for k in (0, 1))
     notes = [f"probability {c.confidence:.3f}" for c in d.causes]
-    figure = intervals(
-        "Gap shrinks by, each cause alone", "share of the held-out gap [%]", [c.label for c in d.causes], share, low, high,
-        notes, "%{x:.0f} %",
-    )  # fmt: skip
+    labels = [c.label for c in d.causes]
+    title, x = "Gap shrinks by, each cause alone", "share of the held-out gap [%]"
+    figure = intervals(title, x, labels, share, low, high, notes, "%{x:.0f} %")
     return figure.update_xaxes(range=[min(0.0, *low), 100])

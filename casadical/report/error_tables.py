@@ -49,12 +49,20 @@ def _of_set(name: str, errors: Mapping[str, SetAccuracies], networks: Networks |
             strong.add(len(rows))
             rows.append((f"after {result.method}", *figures(result.errors[name])))
     use = USES.get(name.split("/")[0], "")
-    return Table(f"{name}: {states['nominal'].n} poses, {use}, errors in mm", COLUMNS, rows, NUMBERS, frozenset(strong), frozenset(faint))
+    return Table(
+        f"{name}: {states['nominal'].n} poses, {use}, errors in mm",
+        COLUMNS,
+        rows,
+        NUMBERS,
+        frozenset(strong),
+        frozenset(faint),
+    )
 
 
 def network_table(networks: Networks) -> Table | None:
     """What each trained network does to the mean error, also where it was refused."""
-    rows, strong = [], set()
+    rows: list[tuple[str, ...]] = []
+    strong: set[int] = set()
     for name, result in networks.results.items():
         c = result.compensator
         if c is None:

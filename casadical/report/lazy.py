@@ -31,3 +31,9 @@ def _module(name: str) -> ModuleType:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is not installed; {_HOW}") from None
+
+
+def require() -> None:
+    """Refuse at once what would fail in the end. Raises InputError where a library of the extra is not installed."""
+    plotly()
+    jinja()

@@ -66,11 +66,25 @@ def mm(metres: float) -> str:
 def new_figure(title: str, x: str = "", y: str = "", height: int = 360, **layout: Any) -> go.Figure:
     """An empty figure in the house's look; x, y : what the axes show, with units."""
     figure = plotly().Figure()
-    axis = {"gridcolor": GRID, "zeroline": False, "linecolor": LINE, "automargin": True, "title": {"standoff": 10, "font": {"size": 13}}}
+    axis = {
+        "gridcolor": GRID,
+        "zeroline": False,
+        "linecolor": LINE,
+        "automargin": True,
+        "title": {"standoff": 10, "font": {"size": 13}},
+    }
     figure.update_layout(
         template=None,
         height=height,
-        title={"text": title, "x": 0, "xref": "container", "y": 1, "yref": "container", "yanchor": "top", "pad": {"t": 14}},
+        title={
+            "text": title,
+            "x": 0,
+            "xref": "container",
+            "y": 1,
+            "yref": "container",
+            "yanchor": "top",
+            "pad": {"t": 14},
+        },
         title_font={"size": 15, "color": INK, "weight": 600},
         font={"family": FONT, "size": 12.5, "color": MUTED},
         paper_bgcolor=PAPER,

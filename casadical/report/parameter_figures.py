@@ -24,7 +24,9 @@ def parameter_figures(result: Identification) -> dict[str, go.Figure]:
     table = result.parameters
     table = table[table.status.isin(["identified", "at bound"]) & ~table.group.isin(["base", "tool"])]
     found = {}
-    units = sorted(set(table["unit"]), key=lambda unit: (list(KINDS).index(unit) if unit in KINDS else len(KINDS), unit))
+    units = sorted(
+        set(table["unit"]), key=lambda unit: (list(KINDS).index(unit) if unit in KINDS else len(KINDS), unit)
+    )
     for unit in units:
         rows = table[table["unit"] == unit]
         name, words = KINDS.get(unit, (unit, f"Parameters in {unit}"))

@@ -15,7 +15,15 @@ def parameter_table(result: Identification) -> Table:
         sure = r["std_error"] == r["std_error"]
         interval = (f"{r['std_error']:.2g}", f"{r['low']:.4f}", f"{r['high']:.4f}") if sure else ("", "", "")
         rows.append(
-            (r["name"], r["group"], f"{r['nominal']:.4f}", f"{r['value']:.4f}", *interval, r["unit"], STATUS[r["status"]])
+            (
+                r["name"],
+                r["group"],
+                f"{r['nominal']:.4f}",
+                f"{r['value']:.4f}",
+                *interval,
+                r["unit"],
+                STATUS[r["status"]],
+            )
         )
         if r["status"] == "at bound":
             strong.add(k)

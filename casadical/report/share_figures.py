@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from ..transforms import Array
 from .look import BLUE, GREY, MUTED, new_figure, plain
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
+Values = Sequence[float] | Array | pd.Series
 ROW = 26
 TITLES = {
     "joints": "Gap by joint",
@@ -45,9 +47,11 @@ def _of_parts(title: str, table: pd.DataFrame) -> go.Figure:
 def _of_data(title: str, table: pd.DataFrame) -> go.Figure:
     """Root mean square error of the poses in each part; the line is that of all poses."""
     labels = part_labels(table)
-    notes = [f"{n} poses, {100 * s:.0f} % of the squared error" for n, s in zip(table["poses"], table["share"], strict=True)]
-    figure = intervals(title, "rms error [mm]", labels, table["rms_mm"], table["rms_low_mm"], table["rms_high_mm"], notes,
-                   "%{x:.3f} mm")  # fmt: skip
+    notes = [
+        f"{n} poses, {100 * s:.0f} % of the squared error" for n, s in zip(table["poses"], table["share"], strict=True)
+    ]
+    low, high = table["rms_low_mm"], table["rms_high_mm"]
+    figure = intervals(title, "rms error [mm]", labels, table["rms_mm"], low, high, notes, "%{x:.3f} mm")
     first = table[table["by"] == table["by"].iloc[0]]
     every = float(((first["rms_mm"] ** 2 * first["poses"]).sum() / first["poses"].sum()) ** 0.5)
     figure.add_vline(x=every, line={"color": MUTED, "width": 1, "dash": "dot"})
@@ -69,9 +73,9 @@ def intervals(
     title: str,
     x: str,
     labels: Sequence[str],
-    value: Sequence[float],
-    low: Sequence[float],
-    high: Sequence[float],
+    value: Values,
+    low: Values,
+    high: Values,
     notes: Sequence[str],
     shown: str,
 ) -> go.Figure:
@@ -97,5 +101,7 @@ def intervals(
         "%{customdata[2]:.3g}<br>%{customdata[3]}<extra></extra>",
         showlegend=False,
     )
-    figure.update_yaxes(tickvals=places, ticktext=[plain(n) for n in labels], range=[len(labels) - 0.4, -0.6], showgrid=False)
+    figure.update_yaxes(
+        tickvals=places, ticktext=[plain(n) for n in labels], range=[len(labels) - 0.4, -0.6], showgrid=False
+    )
     return figure

@@ -47,7 +47,7 @@ def workspace(poses: PoseErrors, robot: Robot | None = None) -> go.Figure:
 
 def _main(poses: PoseErrors) -> str:
     """The model that is drawn at first: the last that is no network."""
-    names = [x.model for x in poses.models if x.model == BEFORE or x.model in STYLES and "NN" not in x.model]
+    names = [x.model for x in poses.models if x.model == BEFORE or (x.model in STYLES and "NN" not in x.model)]
     return names[-1] if names else poses.models[-1].model
 
 
