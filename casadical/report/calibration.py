@@ -82,8 +82,8 @@ def _verdict(
     poses = f"On {after.n} poses that were held out" if held else f"On the {after.n} poses it was identified from"
     yield Words(
         f"{poses}, the mean position error {'falls' if change > 0 else 'grows'} from {mm(before.mean)} mm to "
-        f"{mm(after.mean)} mm with {method} ({abs(change):.0f} % {'less' if change > 0 else 'more'}). Before means: with "
-        "only base and tool frames fitted.",
+        f"{mm(after.mean)} mm with {method} ({abs(change):.0f} % {'less' if change > 0 else 'more'}). Before means: "
+        "with only base and tool frames fitted.",
         "verdict",
     )
     if not held:
@@ -197,8 +197,8 @@ def _network_blocks(figures: Mapping[str, go.Figure], networks: Networks | None)
     if table and "training" in figures:
         yield table
         caption = (
-            "A low loss on the training poses alone is worth nothing: the poses that each network was judged on decide. "
-            "Trainers that choose a penalty on the weights may end at a greater loss on purpose."
+            "A low loss on the training poses alone is worth nothing: the poses that each network was judged on "
+            "decide. Trainers that choose a penalty on the weights may end at a greater loss on purpose."
         )
         yield Drawing("training", figures["training"], caption)
 

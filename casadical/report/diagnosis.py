@@ -198,7 +198,8 @@ def _next_blocks(d: Diagnosis, e: Extras) -> Iterator[Block]:
     before, after = told_apart(d, poses)
     yield Words(
         f"Measure these {len(poses)} poses to tell {' from '.join(d.in_question)}: the probability to tell them "
-        f"rightly rises from {before:.2f} to {after:.2f}. {kinds(d.case, poses)}. The option --next FILE.csv writes them. "
+        f"rightly rises from {before:.2f} to {after:.2f}. {kinds(d.case, poses)}. The option --next FILE.csv writes "
+        "them. "
         "Separation is the expected log Bayes factor in favour of the truth, of a pose and those before it."
     )
     yield _pose_table(poses)

@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 class Reader(HTMLParser):
     """Headings, tags that load something, and whether all elements are closed."""
 
-    EMPTY = {"meta", "link", "img", "br"}
+    EMPTY = ("meta", "link", "img", "br")
 
     def __init__(self, text: str) -> None:
         super().__init__()
