@@ -14,7 +14,7 @@ from .accuracy import Accuracy, errors, predicted, summarise
 from .checks import check_against
 from .errors import InputError
 from .identifiability import Identifiability
-from .least_squares import SIGMA_ANGLE_GUESS, SIGMA_GUESS, LeastSquares, settle, spread, variance
+from .least_squares import POOR_FIT, SIGMA_ANGLE_GUESS, SIGMA_GUESS, LeastSquares, settle, spread, variance
 from .measurements import Measurements
 from .placement import place
 from .residuals import LOSSES, Loss, make_block
@@ -33,8 +33,6 @@ OUTLIER_CHI2 = {1: 19.51, 3: 25.90, 6: 33.11}
 LEAST_REDUNDANCY = 0.1
 SCREENINGS = 8
 SIGMA_ROUNDS = 6
-# Residuals of this share of the reach are no measuring error.
-POOR_FIT = 0.005
 # Where the data are free of noise, so that nothing is divided by zero.
 LEAST_SIGMA = 1e-9
 

@@ -27,6 +27,8 @@ from .transforms import Array
 
 # To be used where no sigma is given, until the residuals tell.
 SIGMA_GUESS, SIGMA_ANGLE_GUESS = 1e-4, 1e-4
+# Residuals of this share of the reach are no measuring error.
+POOR_FIT = 0.005
 
 # They move the robot as a whole.
 _WHOLE_ROBOT = (
@@ -314,18 +316,30 @@ def settle(problem: LeastSquares, progress: Progress | None) -> tuple[LeastSquar
             "(free=['placement', ...]), or use priors"
         )
     poor: list[Unidentifiable] = []
+    left = 0.0
     while reduced.names:
         solution = reduced.solve(progress)
+        left = left or _misfit(reduced, solution.v)
         worse = [] if problem.priors else _poor(reduced, solution.v)
         if not worse:
             return reduced, solution, replace(found, independent=reduced.names, held=(*found.held, *poor))
         poor += worse
         gone = {u.name for u in worse}
         reduced = reduced.with_names([n for n in reduced.names if n not in gone])
+    if left > POOR_FIT * problem.robot.reach:
+        raise InputError(
+            f"{problem.sets[0].source}: the model does not fit: {1e3 * left:.3g} mm a coordinate are left after the "
+            "best fit; check the signs and zeros of the joints, their order, units and the DH convention"
+        )
     reasons = "; ".join(f"{u.name}: {u.reason}" for u in (*found.held, *poor))
     raise InputError(
         f"{problem.sets[0].source}: these measurements tell nothing of what is to be identified. {reasons}"
     )
+
+
+def _misfit(problem: LeastSquares, v: Array) -> float:
+    """Standard deviation of a coordinate that a fit leaves, the greatest of all sets [m]."""
+    return float(np.sqrt(variance(problem, v))) * max(sigma for sigma, _ in problem.sigmas)
 
 
 def _poor(problem: LeastSquares, v: Array) -> list[Unidentifiable]:

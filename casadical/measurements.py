@@ -121,7 +121,7 @@ class Measurements:
 
         Poses at the same joint readings (replicates) stay together, so that no pose is ever in two sets; a set may hold
         some more or less than its size for that. A pair distance whose ends fall in two sets is left out; poses of one
-        contact point may fall in two.
+        contact point may fall in two. Raises InputError for sizes that cannot be had.
         """
         ends = np.concatenate([self.q] if self.other is None else [self.q, self.other])
         reading = same_readings(ends)
@@ -212,7 +212,7 @@ def from_table(
     sigma_deg: float | None = None,
     source: str = "table",
 ) -> Measurements:
-    """Measurements from a pandas table; arguments as of `read_measurements`."""
+    """Measurements from a pandas table; arguments and errors (Raises InputError) as of `read_measurements`."""
     reader = _Reader(_renamed(_tidy(table, source), columns or {}, source), source)
     kinds = ["revolute"] * joints if isinstance(joints, int) else list(joints)
     if not kinds or set(kinds) - {"revolute", "prismatic"}:

@@ -18,7 +18,7 @@ def place(robot: Robot, m: Measurements) -> Robot:
     For each pose y = R_B (p + R t) + p_B, with flange p, R in the base frame. Multiplied by M = R_B' it is linear in
     M (9 numbers), M p_B and t: solved by least squares, M made a rotation, then refined by Kabsch's method and t in
     turns. Only positions and full poses carry this information; other kinds, and robots whose base is known or is
-    row 1 of the table, are left as they are.
+    row 1 of the table, are left as they are. Source: Kabsch (1976) for the rotation.
     """
     m = m[m.weight > 0]
     if robot.base.unknown != "pose" or m.position is None or len(m) < 6:

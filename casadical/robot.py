@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 STANDARD_GRAVITY = 9.80665
 NEAR_PARALLEL = np.deg2rad(5.0)
 NEAR_PARALLELOGRAM = 0.02
+# Share of the greatest torque for which the smallest gear of a robot is made.
+SMALLEST_GEAR = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +169,7 @@ class Robot:
 
     @cached_property
     def declared(self) -> Array:
-        """Values of `conditions` where nothing was logged: the declared payload, else zero."""
+        """Values of `conditions` where nothing was logged, shape (k,) [of the column]: declared payload, else zero."""
         return np.array([self.payload.mass if c == "payload_kg" and self.payload else 0.0 for c in self.conditions])
 
     @cached_property
@@ -185,13 +187,16 @@ class Robot:
 
     @cached_property
     def torque_scale(self) -> Array:
-        """Great gravity torques on each joint, shape (n,) [N m or N]: 95 % quantile over its range, full payload."""
+        """Great gravity torques on each joint, shape (n,) [N m or N]: 95 % quantile over its range, full payload.
+
+        At least a twentieth of the greatest: a gear whose axis is upright is made for the forces of motion.
+        """
         bare = replace(self, effects=(), effect_values={})
         lower, upper = np.array([(j.lower, j.upper) for j in self.joints]).T
         q = np.random.default_rng(0).uniform(lower, upper, (512, self.n))
         tau = np.abs(bare.torque.map(512)(q.T, bare.parameters.values).full())
         great = np.nanquantile(tau, 0.95, axis=1)
-        return np.asarray(np.maximum(great, 1e-3 * max(1.0, float(np.nanmax(great)))))
+        return np.asarray(np.maximum(great, SMALLEST_GEAR * max(1e-9, float(np.nanmax(great)))))
 
     @cached_property
     def model(self) -> Model:

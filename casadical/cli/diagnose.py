@@ -41,6 +41,10 @@ def diagnose(
         bool,
         typer.Option("--network", help="Also train a 6-5-3 network, instead of the causes and after them (slow)."),
     ] = False,
+    bootstrap: Annotated[
+        int,
+        typer.Option(min=0, metavar="N", help="Draws of noise alone that calibrate whether something is there: 2000."),
+    ] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Of all chance.")] = 0,
     isolability: Annotated[
         bool,
@@ -81,7 +85,8 @@ def diagnose(
             def show(text: str, bar: Progress = bar, task: TaskID = task, name: str = path.stem) -> None:
                 bar.update(task, description=f"{name}: {text}")
 
-            found = run(robot, m, effects.split(",") if effects else "standard", seed=seed, show=show)
+            chosen = effects.split(",") if effects else "standard"
+            found = run(robot, m, chosen, seed=seed, bootstrap=bootstrap, show=show)
             file = measure_next if len(campaigns) == 1 else None
             extras = _extras(found, file, network, show)
         answers.append(as_json(found, path.stem, extras))

@@ -18,6 +18,8 @@ withheld_app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="markdown",
 )
+INTERRUPTED = 130
+
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder with the campaigns.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Processes; default: one a core.")]
 
@@ -106,9 +108,13 @@ def predict_command(
     from ..withheld.predict import predict
     from ..withheld.running import workers as pool
 
-    with progress(quiet) as bar, pool(None, workers) as executor:
-        show = _counting(bar, bar.add_task("reading", total=None))
-        path = predict(folder, out, by=by, executor=executor, show=show)
+    try:
+        with progress(quiet) as bar, pool(None, workers) as executor:
+            show = _counting(bar, bar.add_task("reading", total=None))
+            path = predict(folder, out, by=by, executor=executor, show=show)
+    except KeyboardInterrupt:
+        typer.echo("casadical: interrupted; the answers so far are kept, the same command goes on from there", err=True)
+        raise typer.Exit(INTERRUPTED) from None
     console = Console(quiet=quiet)
     console.print(f"wrote {path}", soft_wrap=True)
     keep_json(json_file, {"answers": str(path), "by": by}, console)
@@ -127,12 +133,14 @@ def score_command(
 ) -> None:
     """Open the key, check that it is the one whose hash was published, and count: every figure with its interval.
 
+    Several files of answers stand side by side, on the campaigns that all of them answer.
+
     Exit codes: 0 done, 2 bad input, 70 a bug of ours.
     """
     from ..withheld.report import draw, report
-    from ..withheld.score import score
+    from ..withheld.score import in_common, score
 
-    scores = [score(folder, key, path) for path in answers]
+    scores = in_common([score(folder, key, path) for path in answers])
     console = Console(quiet=quiet)
     # Wide tables are for files and wide windows; they are never folded.
     Console(quiet=quiet, width=max(console.width, 240)).print(report(scores), soft_wrap=True)

@@ -89,7 +89,7 @@ class IwoHistory:
 
 @dataclass(frozen=True, eq=False)
 class IwoResult:
-    """Outcome of a search: best point, shape (dimension,), its loss, why it stopped, and how it went."""
+    """Outcome of a search: best point, shape (dimension,) [as of the bounds], its loss, why it stopped, how it went."""
 
     x: Array
     loss: float
@@ -128,13 +128,16 @@ class InvasiveWeeds:
             raise InputError(f"start must have shape (k, {dimension}); its shape is {self._start.shape}")
 
     def ask(self) -> Array:
-        """Return the points to evaluate next, shape (k, dimension); the same ones until they are told."""
+        """Return the points to evaluate next, shape (k, dimension) [as of the bounds]; the same ones until told."""
         if self._asked is None:
             self._asked = self._first_colony() if self.iteration < 0 else self._children()
         return self._asked
 
     def tell(self, losses: ArrayLike) -> None:
-        """Take the losses of the asked points, shape (k,); parents compete. A NaN counts as an infinite loss."""
+        """Take the losses of the asked points, shape (k,); parents compete. A NaN counts as an infinite loss.
+
+        Raises InputError without an ask() before, and for another number of losses.
+        """
         if self._asked is None:
             raise InputError("tell() without ask(): call ask() first and tell the losses of its rows")
         new = np.array(losses, dtype=np.float64)
@@ -165,14 +168,14 @@ class InvasiveWeeds:
         return tuple(reasons)
 
     def result(self) -> IwoResult:
-        """Return the best point so far with the history."""
+        """Return the best point so far with the history. Raises InputError before anything was evaluated."""
         if self.iteration < 0:
             raise InputError("nothing has been evaluated yet: call ask() and tell() first")
         history = IwoHistory(*(tuple(column) for column in zip(*self._log, strict=True)))
         return IwoResult(self.members[0].copy(), float(self.losses[0]), self.stop(), self.evaluations, history)
 
     def state(self) -> dict[str, Any]:
-        """Return all that a search needs to go on, in JSON types; ask for it between tell() and ask()."""
+        """Return all that a search needs to go on, in JSON types. Raises InputError between ask() and tell()."""
         if self._asked is not None:
             raise InputError("state() between ask() and tell(): tell the losses first")
         return {
@@ -222,7 +225,7 @@ def iwo_minimise(
     """Minimise any objective by invasive weed optimisation.
 
     objective : takes points of shape (k, dimension) and returns k losses; with ``vectorised=False`` takes one point of
-    shape (dimension,) and returns its loss.
+    shape (dimension,) and returns its loss. Coordinates and losses have what units the objective gives them [any].
     """
     search = InvasiveWeeds(dimension, settings, seed=seed, start=start)
     while not search.stop():

@@ -62,6 +62,7 @@ class Layout:
 
         weights : array, shape (..., count).
         Returns one array of shape (..., m, k + 1) a layer, each row the input weights of a neuron and then its bias.
+        Raises InputError for another number of weights.
         """
         weights = np.asarray(weights)
         if weights.shape[-1:] != (self.count,):
@@ -74,7 +75,7 @@ class Layout:
         return parts
 
     def weights(self, layers: Sequence[NDArray[np.floating]]) -> NDArray[np.floating]:
-        """Join layers into weight vectors: the inverse of `layers`."""
+        """Join layers into weight vectors: the inverse of `layers`. Raises InputError for layers of other shapes."""
         got = [np.shape(layer)[-2:] for layer in layers]
         if got != list(self.shapes):
             raise InputError(f"{self} has layers of shape {list(self.shapes)}; got {got}")

@@ -24,14 +24,14 @@ class Loss:
             raise InputError(f"the weights of the loss must not be negative nor both zero; got {self}")
 
     def of(self, errors: Floats) -> Floats:
-        """Return the loss of every network: errors of shape (P, outputs, N) -> shape (P,)."""
+        """Return the loss of every network: errors of shape (P, outputs, N) [mm] -> shape (P,) [mm^2]."""
         squares = np.einsum("pon,pon->pn", errors, errors)
         samples = errors.shape[2]
         total = self.mean / samples * (squares @ np.ones(samples, squares.dtype)) + self.max * squares.max(axis=1)
         return np.asarray(total / errors.shape[1])
 
     def slope(self, errors: Array) -> Array:
-        """Return a (sub)gradient of the loss by the errors, both of shape (P, outputs, N)."""
+        """Return a (sub)gradient of the loss by the errors, both of shape (P, outputs, N) [mm]."""
         networks, outputs, samples = errors.shape
         weight = np.full((networks, samples), self.mean / samples)
         worst = np.einsum("pon,pon->pn", errors, errors).argmax(axis=1)
@@ -68,7 +68,10 @@ class Task:
 def make_task(
     layout: Layout, box: Box, q: Array, residual_mm: Array, *, scale_mm: float = 1.0, loss: Loss | None = None
 ) -> Task:
-    """Prepare joint angles, shape (n, joints) [rad], and residuals, shape (n, outputs) [mm], for training."""
+    """Prepare joint angles, shape (n, joints) [rad], and residuals, shape (n, outputs) [mm], for training.
+
+    Raises InputError for a scale that is not positive.
+    """
     if not (np.isfinite(scale_mm) and scale_mm > 0):
         raise InputError(f"output_scale_mm must be positive and finite; got {scale_mm}")
     inputs = network_inputs(layout, box, q)

@@ -24,6 +24,7 @@ def diagnose(
     effects: Sequence[str | Effect] | Literal["standard", "extended"] = "standard",
     *,
     seed: int = 0,
+    bootstrap: int = 0,
     show: Show = lambda _text: None,
 ) -> Diagnosis:
     """Diagnose the gap that calibration leaves on a campaign.
@@ -33,9 +34,12 @@ def diagnose(
     m : one set of measured positions; of full poses, the positions are used
     effects : "standard" or "extended", or names (backlash), labels (backlash@5) and own effects
     seed : of all chance; show : called with a line of progress
+    bootstrap : draws of noise alone that calibrate whether something is there (2000 take some seconds); 0 for none
 
     Raises InputError where the measurements cannot carry a diagnosis.
     """
+    if bootstrap < 0:
+        raise InputError(f"bootstrap is {bootstrap}; give the number of draws, 2000 say, or 0 for none")
     if isinstance(robot, Identification):
         identification = robot if m is None else _of(robot.given, m, show)
     elif m is None:
@@ -44,7 +48,7 @@ def diagnose(
         identification = _of(robot, m, show)
     show("signatures of the candidates")
     case = make_case(identification, candidates_of(identification.given, effects))
-    return Investigation(identification, case, seed, show).conclude()
+    return Investigation(identification, case, seed, bootstrap, show).conclude()
 
 
 def _of(robot: Robot, m: Measurements, show: Show) -> Identification:

@@ -11,9 +11,11 @@ import pandas as pd
 from ..effects import Effect
 from ..identification import Identification
 from ..transforms import Array
+from .bootstrap import p_value
 from .case import Case
 from .gap import Noise, estimates, held_out_errors, random_folds, remainders, shrink_interval
 from .how_far import Stage, course, scatter
+from .library import Candidate
 from .refine import refined
 from .replicates import Replicates, replicates
 from .result import Cause, Diagnosis, Gap, Outlier, Verdict
@@ -23,10 +25,15 @@ Show = Callable[[str], None]
 
 # A cause is claimed alone from this probability on.
 CLAIM = 0.90
-# Something is there if "nothing" is less probable than this, at first and once a cause was found.
-DETECT, DETECT_FURTHER = 0.05, 0.02
+# Something is there if "nothing" is less probable than this, at first and once a cause was found. Noise alone falls
+# below the first in 0.1 to 1 % of 2000 bootstrap draws, by robot (practice campaigns without an effect).
+DETECT, DETECT_FURTHER = 0.02, 0.05
+# With a bootstrap: something is there if noise alone looks as much like it this often at most.
+FALSE_ALARMS = 0.01
 # Squared Mahalanobis distance of three coordinates beyond which a pose is an outlier, and below which it is none.
 OUT, IN = 75.0, 40.0
+# A further cause is taken up from this probability on, among those that are there.
+LEAST_FURTHER = 0.8
 MOST_CAUSES = 4
 SET_SHARE, SET_SIZE = 0.97, 3
 PARTITIONS = 5
@@ -46,11 +53,16 @@ class _Step:
 class Investigation:
     """The steps of one diagnosis."""
 
-    def __init__(self, identification: Identification, case: Case, seed: int, show: Show) -> None:
+    def __init__(self, identification: Identification, case: Case, seed: int, bootstrap: int, show: Show) -> None:
         self.identification, self.case, self.seed, self.show = identification, case, seed, show
-        self.by_label = {c.label: c for c in case.candidates}
+        self.bootstrap = bootstrap
+        self.p_nothing: float | None = None
         self.steps: list[_Step] = []
         self.rankings: list[Ranking] = []
+
+    @property
+    def by_label(self) -> dict[str, Candidate]:
+        return {c.label: c for c in self.case.candidates}
 
     def columns(self, steps: Sequence[_Step]) -> Array:
         parts = [self.case.group(s.effects) for s in steps]
@@ -59,12 +71,11 @@ class Investigation:
     def variant(self, ranking: Ranking, label: str) -> tuple[Effect, ...]:
         return self.by_label[label].variants[ranking.variant[label]]
 
-    def accept(self, ranking: Ranking, labels: Sequence[str]) -> None:
-        """Take a cause (the first of the labels) into the model, with its settings refined."""
-        chosen = self.columns(self.steps)
-        self.case, effects = refined(self.case, labels[0], self.variant(ranking, labels[0]), chosen)
-        self.steps.append(_Step(ranking, tuple(labels), effects))
-        self._screen(ranking.noise[labels[0]])
+    def accepted(self, ranking: Ranking, labels: Sequence[str], beside: Sequence[_Step]) -> _Step:
+        """A cause (the first of the labels) with its settings refined beside others."""
+        label = labels[0]
+        self.case, effects = refined(self.case, label, self.variant(ranking, label), self.columns(beside))
+        return _Step(ranking, tuple(labels), effects)
 
     def _screen(self, noise: Noise) -> None:
         """Decide anew which poses are outliers, now that the model holds more."""
@@ -81,40 +92,58 @@ class Investigation:
         runs = [held_out_errors(self.case.evidence, columns, noise, folds) for folds in self.folds]
         return np.asarray(np.mean(runs, axis=0))
 
+    def ranking(self, beside: Sequence[_Step]) -> Ranking:
+        return rank(self.case, self.columns(beside), frozenset(s.labels[0] for s in beside))
+
     def conclude(self) -> Diagnosis:
         end = "none"
         while len(self.steps) < MOST_CAUSES:
             self.show(f"cause {len(self.steps) + 1}: evidence of {len(self.by_label)} candidates")
-            done = frozenset(s.labels[0] for s in self.steps)
-            ranking = rank(self.case, self.columns(self.steps), done)
-            self.rankings.append(ranking)
-            end = self._next(ranking)
-            if end != "claimed":
+            self.rankings.append(self.ranking(self.steps))
+            end, labels = self._next(self.rankings[-1])
+            if not labels:
                 break
+            self.steps.append(self.accepted(self.rankings[-1], labels, self.steps))
+            self._screen(self.rankings[-1].noise[labels[0]])
+            self._revisit()
         return self._result(end)
 
-    def _next(self, ranking: Ranking) -> str:
-        """Accept the next cause, or say why not: none, ambiguous, unknown."""
-        if ranking.none > (DETECT_FURTHER if self.steps else DETECT):
-            return "none"
+    def _next(self, ranking: Ranking) -> tuple[str, tuple[str, ...]]:
+        """The next cause and what looks like it; or no label and why not: none, ambiguous, unknown."""
+        if not self._detected(ranking):
+            return "none", ()
         listed = [label for label in ranking.order if self.by_label[label].listed]
+        there = 1 - ranking.none
         unknown = sum(p for label, p in ranking.probability.items() if not self.by_label[label].listed)
         if not listed or unknown > 0.5:
-            return "unknown"
-        top = listed[0]
-        certain = ranking.probability[top] / (1 - ranking.none)
-        if certain >= CLAIM:
-            self.accept(ranking, [top])
-            return "claimed"
-        total, labels = 0.0, []
-        for label in listed:
-            labels.append(label)
-            total += ranking.probability[label]
-            if total >= SET_SHARE * (1 - ranking.none) or len(labels) == SET_SIZE:
-                break
-        if not self.steps:
-            self.accept(ranking, labels)
-        return "ambiguous"
+            return "unknown", ()
+        if self.steps and ranking.probability[listed[0]] < LEAST_FURTHER * there:
+            return "ambiguous", ()
+        return "claimed", self._alike(ranking, listed)
+
+    def _detected(self, ranking: Ranking) -> bool:
+        """Whether there is a (further) cause, listed or not."""
+        if self.steps or not self.bootstrap:
+            return ranking.none <= (DETECT_FURTHER if self.steps else DETECT)
+        self.p_nothing = p_value(self.case, ranking, self.bootstrap, self.seed, self.show)
+        return self.p_nothing <= FALSE_ALARMS
+
+    def _alike(self, ranking: Ranking, listed: Sequence[str]) -> tuple[str, ...]:
+        """The most probable cause alone if it is certain, else with those that share the probability."""
+        there = 1 - ranking.none
+        if ranking.probability[listed[0]] >= CLAIM * there:
+            return (listed[0],)
+        total = np.cumsum([ranking.probability[label] for label in listed[:SET_SIZE]])
+        return tuple(listed[: int(np.searchsorted(total, SET_SHARE * there)) + 1])
+
+    def _revisit(self) -> None:
+        """Judge each cause anew beside the others, which it was found without; a rival that is likelier replaces it."""
+        for k in range(len(self.steps) if len(self.steps) > 1 else 0):
+            others = self.steps[:k] + self.steps[k + 1 :]
+            ranking = self.ranking(others)
+            listed = [label for label in ranking.order if self.by_label[label].listed]
+            if ranking.none <= DETECT_FURTHER and listed[0] == ranking.order[0]:
+                self.steps[k] = self.accepted(ranking, self._alike(ranking, listed), others)
 
     def _result(self, end: str) -> Diagnosis:
         first = self.rankings[0]
@@ -142,6 +171,7 @@ class Investigation:
             case=self.case,
             identification=self.identification,
             seed=self.seed,
+            p_nothing=self.p_nothing,
         )
 
     def _final_noise(self, end: str) -> Noise:

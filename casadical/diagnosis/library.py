@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from ..effects import (
     AxisWobble,
     Backlash,
     BaseCompliance,
+    BearingPlay,
     CrossCoupling,
     CubicStiffness,
     Effect,
@@ -49,6 +50,8 @@ FRICTIONS = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
 CYCLES = tuple(float(c) for c in np.arange(2, 32.01, 0.5))
 # Usual ratios of strain-wave and cycloid gears; a gear of another ratio is a candidate of its own, GearMesh(3, 171.5).
 RATIOS = (50.0, 80.0, 100.0, 120.0, 160.0)
+# A link shorter than this share of the longest bends a thirtieth of it.
+BEAM = 0.3
 
 
 @dataclass(frozen=True)
@@ -68,8 +71,8 @@ class Candidate:
 
 
 def standard_candidates(robot: Robot) -> list[Candidate]:
-    """Every effect of the standard list and every form of the unknown, for a robot."""
-    return [*_listed(robot), *_smooth(robot)]
+    """Every effect of the standard list, for a robot; unlisted, the rarer effects and every form of the unknown."""
+    return [*_listed(robot), *_unlisted(robot), *_smooth(robot)]
 
 
 def extended_candidates(robot: Robot) -> list[Candidate]:
@@ -118,7 +121,9 @@ def named(robot: Robot, names: Iterable[str], extra: Iterable[Effect] = ()) -> l
             raise InputError(f"no effect {name!r} of this robot; there are {known}; with a joint: backlash@5")
         chosen += hit
     # An own effect stands for the list's one of the same label.
-    return [*{c.label: c for c in reversed(chosen)}.values()][::-1] + _smooth(robot)
+    unique = {c.label: c for c in reversed(chosen)}
+    rivals = [c for c in _unlisted(robot) if "standard" in names and c.label not in unique]
+    return [*unique.values()][::-1] + rivals + _smooth(robot)
 
 
 def _single(effect: Effect) -> Candidate:
@@ -140,7 +145,7 @@ def _listed(robot: Robot) -> list[Candidate]:
     for j, joint in enumerate(robot.joints, 1):
         if joint.kind == "revolute":
             effects += [GearEccentricity(j), *(TransmissionRipple(j, c) for c in CYCLES)]
-            effects += [AxisWobble(j, 1), AxisWobble(j, 2)]
+            effects += [AxisWobble(j, cycles, still) for cycles in (1, 2) for still in (False, True)]
         effects += [JointScale(j), *(JointCoupling(j, i) for i in _coupled(robot, j))]
         effects += [JointZeroStep(j, t) for t in TIMES]
         effects += [ThermalZeroDrift(j, lag) for lag in LAGS]
@@ -160,6 +165,7 @@ def _rare(robot: Robot) -> list[Candidate]:
     for j, joint in enumerate(robot.joints, 1):
         effects += [LoadHysteresis(j, power) for power in (1, 2)]
         effects += [CrossCoupling(j, i) for i in _coupled(robot, j)]
+        effects += [BearingPlay(j, soft) for soft in (0.1, 0.3)]
         effects += [GearMesh(j, ratio) for ratio in RATIOS] if joint.kind == "revolute" else []
         effects += [MissingCompliance(j)] if not joint.compliance else []
     if robot.n >= 6:
@@ -182,9 +188,21 @@ def _coupled(robot: Robot, j: int) -> list[int]:
 
 
 def _flexure(robot: Robot) -> Candidate:
-    """Each link alone, and all of them together."""
-    links = [LinkFlexure(None, k) for k in range(1, robot.n)]
+    """Each beam alone, and all of them together; short links are castings, and what gives way there is a bearing."""
+    links = [LinkFlexure(None, k) for k in _beams(robot)]
     return Candidate("link_flexure", "link_flexure", None, (*((e,) for e in links), tuple(links)))
+
+
+def _beams(robot: Robot) -> list[int]:
+    """Links (1-based) long enough to bend: a beam's sag goes with the cube of its length."""
+    after = robot.joints[1:]
+    lengths = np.array([np.hypot(j.a, j.d) for j in after])
+    return [k for k, length in enumerate(lengths, 1) if length >= BEAM * lengths.max()]
+
+
+def _unlisted(robot: Robot) -> list[Candidate]:
+    """The rarer effects as rivals of the standard ones: what they explain better is unknown to the standard list."""
+    return [replace(c, listed=False) for c in _rare(robot) if c.name != GearMesh.name]
 
 
 def _smooth(robot: Robot) -> list[Candidate]:

@@ -64,7 +64,7 @@ def _gap(d: Diagnosis) -> Iterator[str]:
     yield from _block(
         "GAP",
         f"{_mm(d.gap.before)} mm mean on poses held out; noise floor {_mm(d.gap.floor)} ({source}); "
-        f"{int(d.case.kept.sum())} poses; {there}, P(nothing) = {d.rankings[0].none:.2g}",
+        f"{int(d.case.kept.sum())} poses; {there}, P(nothing) = {d.rankings[0].none:.2g}{_chance(d.p_nothing)}",
     )
     base = d.course.iloc[0]
     yield from _block(
@@ -72,6 +72,13 @@ def _gap(d: Diagnosis) -> Iterator[str]:
         f"without the noise the model is wrong by {base['model_mm']:.3f} mm rms "
         f"({base['model_low_mm']:.3f} to {base['model_high_mm']:.3f})",
     )
+
+
+def _chance(p: float | None) -> str:
+    """A bootstrap's p-value."""
+    if p is None:
+        return ""
+    return f", p < {p:.1g}" if p < 1e-3 else f", p = {p:.2g}"
 
 
 def _where(d: Diagnosis) -> Iterator[str]:
@@ -192,7 +199,17 @@ def _cannot_tell(d: Diagnosis) -> Iterator[str]:
 def _unknown(d: Diagnosis) -> Iterator[str]:
     if d.verdict != "none" and d.unknown_rest > 0.05:
         rest = d.course.iloc[-1]["model_mm"]
-        yield from _block("UNKNOWN", f"{rest:.3f} mm rms that no cause named here explains")
+        yield from _block("UNKNOWN", f"{rest:.3f} mm rms that no cause named here explains{_resembles(d)}")
+
+
+def _resembles(d: Diagnosis) -> str:
+    """The unlisted form that stood in the way of a claim."""
+    ranking, listed = d.rankings[-1], {c.label for c in d.case.candidates if c.listed}
+    best = ranking.order[0] if ranking.order else ""
+    if d.verdict != "unknown" or not best or best in listed:
+        return ""
+    rare = any(c.label == best and c.name != "unknown" for c in d.case.candidates)
+    return f"; most like {best} ({ranking.probability[best]:.2f})" + (", see --effects extended" if rare else "")
 
 
 def _outliers(d: Diagnosis) -> Iterator[str]:

@@ -83,6 +83,7 @@ class Diagnosis:
     rankings : what each step saw; outliers : poses that were left out
     missing : label -> columns that would be needed to speak about it
     case, identification : what it was computed from; seed : of all chance
+    p_nothing : how often noise alone would look as much like some cause; None without a bootstrap
     """
 
     verdict: Verdict
@@ -98,6 +99,7 @@ class Diagnosis:
     case: Case
     identification: Identification
     seed: int = 0
+    p_nothing: float | None = None
 
     @cached_property
     def where(self) -> Where:
@@ -153,6 +155,6 @@ class Diagnosis:
 
     @property
     def columns(self) -> Array:
-        """Columns of all causes in the case's evidence."""
+        """Columns of all causes in the case's evidence, shape (k,), as whole numbers without unit; see `case`."""
         effects = self.effects()
         return np.unique(self.case.group(effects)) if effects else np.zeros(0, dtype=np.int64)

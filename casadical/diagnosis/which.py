@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -55,7 +56,7 @@ def rank(case: Case, chosen: Array, skip: frozenset[str] = frozenset()) -> Ranki
     log_variant = log_sum(grids.reshape(len(grids), -1), axis=1) - base
     owner = np.array([c for c, _ in case.variants])
     prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
-    weights = _prior_weights(case, prior, skip)
+    weights = prior_weights(case, prior, skip)
     factor, variant, noise = {}, {}, {"": likely_noise(base_grid)}
     for c, candidate in enumerate(case.candidates):
         if candidate.label in weights:
@@ -69,17 +70,14 @@ def rank(case: Case, chosen: Array, skip: frozenset[str] = frozenset()) -> Ranki
     return Ranking(float(share[0]), dict(zip(factor, share[1:].tolist(), strict=True)), factor, variant, noise)
 
 
-def _prior_weights(case: Case, prior: Mapping[str, float], skip: frozenset[str]) -> dict[str, float]:
-    """Listed effects share alike, then each its joints; forms of the unknown share alike."""
+def prior_weights(case: Case, prior: Mapping[str, float], skip: frozenset[str]) -> dict[str, float]:
+    """Listed effects share alike, then each its joints; so do the rarer ones, and all smooth forms have as much."""
     open_ = [c for c in case.candidates if c.label not in skip]
-    names = {c.name for c in open_ if c.listed}
-    smooth = [c for c in open_ if not c.listed]
-    weights = {}
     taken = {c.joint for c in case.candidates if c.label in skip and c.joint is not None}
-    for c in open_:
-        if c.listed:
-            share = prior["listed"] / len(names) / sum(1 for o in open_ if o.name == c.name)
-            weights[c.label] = share * (SAME_JOINT if c.joint in taken else 1.0)
-        else:
-            weights[c.label] = prior["unknown"] / len(smooth)
-    return weights
+    names = Counter(c.name for c in open_)
+    kinds = {c.name: c.listed for c in open_}
+    rare = [name for name, listed in kinds.items() if not listed and name != "unknown"]
+    part = {name: prior["listed"] / sum(kinds.values()) for name, listed in kinds.items() if listed}
+    part |= {name: prior["unknown"] / 2 / len(rare) for name in rare}
+    part["unknown"] = prior["unknown"] / (2 if rare else 1)
+    return {c.label: part[c.name] / names[c.name] * (SAME_JOINT if c.joint in taken else 1.0) for c in open_}

@@ -4,6 +4,7 @@ from .axis_wobble import AxisWobble
 from .backlash import Backlash
 from .base import Context, Effect
 from .base_compliance import BaseCompliance
+from .bearing_play import BearingPlay
 from .cross_coupling import CrossCoupling
 from .cubic_stiffness import CubicStiffness
 from .frame_drift import FrameDrift
@@ -32,6 +33,7 @@ __all__ = [
     "AxisWobble",
     "Backlash",
     "BaseCompliance",
+    "BearingPlay",
     "Context",
     "CrossCoupling",
     "CubicStiffness",

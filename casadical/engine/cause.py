@@ -19,10 +19,11 @@ from casadical.simulation.stops import Stops
 class Cause:
     """One thing about a robot or its measurement that geometry and linear joint springs do not contain.
 
-    ``travels`` says that where the robot rests depends on where it comes from.
+    ``travels`` says that where the robot rests depends on where it comes from, ``last`` that others are built in first.
     """
 
     travels: ClassVar[bool] = False
+    last: ClassVar[bool] = False
 
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
         """The mechanism with it."""
@@ -80,3 +81,23 @@ def warmth_inside(stops: Stops, lag_minutes: float) -> Array:
             core += (wall - core) * -np.expm1(-1.5 * minutes / pieces / lag_minutes)
         inside[k], before = core, surface
     return inside
+
+
+def length_of(plant: Plant, link: int) -> Array:
+    """From the joint of ``link`` to the next, (3,) [m] in its own axes."""
+    frame = plant.home[link - 1]
+    length: Array = frame[:3, :3].T @ (plant.stations[link + 1] - frame[:3, 3])
+    return length
+
+
+def beam_axes(length: Array) -> tuple[Array, Array, Array]:
+    """Unit vectors (3,) along a beam and across it."""
+    e = length / np.linalg.norm(length)
+    across = np.cross(e, np.eye(3)[np.argmin(np.abs(e))])
+    across /= np.linalg.norm(across)
+    return e, across, np.cross(e, across)
+
+
+def triple(v: Array) -> tuple[float, float, float]:
+    x, y, z = (float(c) for c in v)
+    return x, y, z

@@ -3,6 +3,7 @@
 # ruff: noqa: ARG002 - every cause is called with the same arguments, whether it needs them or not
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -67,10 +68,12 @@ class JointScale(Cause):
 
 @dataclass(frozen=True)
 class JointCoupling(Cause):
-    """Bevel gears: the spring of the joint winds between its motor and the joint less ``size`` times joint ``source``.
+    """Bevel gears: the springs of the joint wind between its motor and the joint less ``size`` times joint ``source``.
 
     A torque in the joint then works back on the source, too.
     """
+
+    last: ClassVar[bool] = True
 
     joint: int
     source: int
@@ -81,7 +84,11 @@ class JointCoupling(Cause):
         held = mechanism.joint(name)
         bevel = Shaft(f"bevel{self.joint}", {name: 1.0, source: -self.size}, held.stiffness, motor=self.joint)
         loose = replace(held, stiffness=0.0, motor=None)
-        return replace(mechanism.with_joint(loose), shafts=(*mechanism.shafts, bevel))
+        shafts = [
+            replace(s, joints={**s.joints, source: -self.size}) if s.motor == self.joint else s
+            for s in mechanism.shafts
+        ]
+        return replace(mechanism.with_joint(loose), shafts=(*shafts, bevel))
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,9 @@ from casadical.simulation.plant import Plant
 class Backlash(Cause):
     """Play of +-``size`` [rad] between gear and link: a hinge between hard stops.
 
-    The link's bearing rubs with the share ``friction`` of the rated torque: where its load is less, the link is left
-    behind where the motion took it; elsewhere the load takes up the play.
+    The link's bearing rubs a little, with the torque that would wind the joint's spring by the share ``friction`` of
+    ``size``: where its load is less, the link is left behind where the motion took it; elsewhere the load takes up the
+    play.
     """
 
     travels: ClassVar[bool] = True
@@ -27,10 +28,10 @@ class Backlash(Cause):
     friction: float
 
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
-        name, rated = f"joint{self.joint}", rated_torque(plant)[self.joint - 1]
-        k = 0.01 * mechanism.joint(name).stiffness
+        name, stiffness = f"joint{self.joint}", float(plant.stiffness[self.joint - 1])
+        k = 0.1 * stiffness
         play = Joint(f"play{self.joint}", limits=(-self.size, self.size), inertia=k * SLOW**2, damping=k * SLOW)
-        rub = Shaft(f"bearing{self.joint}", {name: 1.0, play.name: 1.0}, friction=self.friction * rated)
+        rub = Shaft(f"bearing{self.joint}", {name: 1.0, play.name: 1.0}, friction=self.friction * self.size * stiffness)
         mechanism = mechanism.with_more(name, after=(play,))
         return replace(mechanism, shafts=(*mechanism.shafts, rub))
 
@@ -76,7 +77,8 @@ class NonlinearStiffness(Cause):
             k, at = held.stiffness, self.knee * rated
             soft = at * k / (self.size * k + at)
             second = Shaft(f"second{self.joint}", {name: 1.0}, k - soft, motor=self.joint, slack=at / soft)
-            mechanism = mechanism.with_joint(replace(held, stiffness=soft))
+            calm = spring(name, soft, inertia_of=max(3 * soft, k / 16))
+            mechanism = mechanism.with_joint(replace(held, stiffness=soft, inertia=calm.inertia, damping=calm.damping))
             return replace(mechanism, shafts=(*mechanism.shafts, second))
         a, b = self.linear * rated / self.size, (1 - self.linear) * rated / self.size**3
         wheel = spring(f"flexible{self.joint}", a, hardening=b, inertia_of=3 * a)

@@ -4,16 +4,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
-from casadical.engine.cause import Cause, into_parent, turned, warmth_inside
-from casadical.engine.mechanism import Array, Body, Joint, Mechanism, X, Y
+from casadical.engine.cause import Cause, beam_axes, into_parent, length_of, triple, turned, warmth_inside
+from casadical.engine.mechanism import Array, Body, Mechanism, X, Y
 from casadical.engine.rest import Setting
-from casadical.engine.robot import SLOW, spring
+from casadical.engine.robot import spring
 from casadical.simulation.disturbances_structure import plant_stretch
-from casadical.simulation.machine import GRAVITY
 from casadical.simulation.plant import Plant
 from casadical.simulation.stops import Stops
 
@@ -32,17 +30,17 @@ class LinkFlexure(Cause):
 
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
         name = f"link{self.link}"
-        whole, length = mechanism.body(name), _length(plant, self.link)
-        e, across, aside = _beam(length)
+        whole, length = mechanism.body(name), length_of(plant, self.link)
+        e, across, aside = beam_axes(length)
         bend = 2 * plant_stretch(plant, self.link)[0] / self.size
         hinges = [("up", across, bend), ("side", aside, bend), ("twist", e, self.torsion * bend)]
         for cut, at in (("b", 0.75), ("a", 0.25)):
-            joints = tuple(spring(f"{name}{cut}_{n}", k, axis=_tuple(axis)) for n, axis, k in hinges)
+            joints = tuple(spring(f"{name}{cut}_{n}", k, axis=triple(axis)) for n, axis, k in hinges)
             place = np.eye(4)
             place[:3, 3] = at * length
             part = Body(f"{name}{cut}", name, place, joints)
             if cut == "a":  # the middle piece carries the link's weight
-                part = replace(part, mass=whole.mass, com=_tuple(np.array(whole.com) - place[:3, 3]))
+                part = replace(part, mass=whole.mass, com=triple(np.array(whole.com) - place[:3, 3]))
             mechanism = mechanism.with_body_after(name, part)
         return mechanism.with_body(replace(mechanism.body(name), mass=0.0))
 
@@ -104,7 +102,7 @@ class ThermalGrowth(Cause):
     def settings(self, plant: Plant, stops: Stops) -> Sequence[Setting]:
         warm = [warmth_inside(stops, self.lag_minutes * (1.6 - 0.2 * i)) for i in range(7)]
         settings = [Setting("shift", "link1", self._longer(warm[0], plant.home[0, :3, 3]))]
-        settings += [Setting("shift", f"link{i + 1}", self._longer(warm[i], _length(plant, i))) for i in range(1, 6)]
+        settings += [Setting("shift", f"link{i + 1}", self._longer(warm[i], length_of(plant, i))) for i in range(1, 6)]
         settings.append(Setting("mark", "reflector", self._longer(0.3 * warm[6], plant.reflector)))
         if plant.four_bar is not None:
             bar, angle = plant.four_bar, plant.four_bar.crank_zero_rad
@@ -112,7 +110,7 @@ class ThermalGrowth(Cause):
             rocker = bar.rocker_m * np.array([np.cos(bar.passive_offset_rad), -np.sin(bar.passive_offset_rad), 0.0])
             rocker = plant.home[2, :3, :3].T @ plant.home[1, :3, :3] @ rocker
             settings += [
-                Setting("shift", "crank", self._longer(warm[1], _length(plant, 1))),
+                Setting("shift", "crank", self._longer(warm[1], length_of(plant, 1))),
                 Setting("shift", "coupler", self._longer(warm[2], end)),
                 Setting("mark", "coupler_end", self._longer(warm[2], np.array([bar.coupler_m, 0.0, 0.0]))),
                 Setting("mark", "rocker_end", self._longer(warm[3], rocker)),
@@ -142,63 +140,6 @@ class PayloadError(Cause):
 
 
 @dataclass(frozen=True)
-class BearingPlay(Cause):
-    """The joint's bearing is worn: its ring drops up to ``size`` [m] across its axis, between stops; on no list."""
-
-    joint: int
-    size: float
-
-    def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
-        weight = GRAVITY * (plant.mass[self.joint - 1 :].sum() + plant.payload_kg)
-        k = 0.1 * weight / self.size
-        slides = tuple(
-            spring(f"worn{self.joint}_{n}", k, kind="slide", axis=axis, limits=(-self.size, self.size))
-            for n, axis in (("x", X), ("y", Y))
-        )
-        name = next(
-            j.name for j in mechanism.body(f"link{self.joint}").joints if j.name in (f"joint{self.joint}", "elbow")
-        )
-        return mechanism.with_more(name, before=slides)
-
-
-@dataclass(frozen=True)
-class CrackedLink(Cause):
-    """A crack in link ``link`` opens under load from one side and closes under load from the other; on no list.
-
-    ``size`` [rad] is how far it opens if all beyond hung at full stretch; ``towards`` is where around the beam it is.
-    """
-
-    link: int
-    size: float
-    towards: float
-
-    def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
-        length = _length(plant, self.link)
-        _, across, aside = _beam(length)
-        axis = np.cos(self.towards) * across + np.sin(self.towards) * aside
-        place = np.eye(4)
-        place[:3, 3] = 0.3 * length
-        hinge = spring(
-            "crack", plant_stretch(plant, self.link)[1] / self.size, axis=_tuple(axis), limits=(0.0, 20 * self.size)
-        )
-        return mechanism.with_body_after(f"link{self.link}", Body("beyond_crack", "", place, (hinge,)))
-
-
-@dataclass(frozen=True)
-class LooseAnchor(Cause):
-    """One anchor of the pedestal is loose: it tips by +-``size`` [rad] about the line of the others; on no list."""
-
-    size: float
-    towards: float
-
-    def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
-        moment = 0.3 * plant_stretch(plant, 0)[1]
-        axis = (float(np.cos(self.towards)), float(np.sin(self.towards)), 0.0)
-        tip = spring("tip", 0.2 * moment / self.size, axis=axis, limits=(-self.size, self.size))
-        return mechanism.with_body_after("pedestal", Body("tipping", "", np.eye(4), (tip,)))
-
-
-@dataclass(frozen=True)
 class ThermalBend(Cause):
     """The column is warmed from one side: it leans by ``size`` [rad/K] towards ``towards``; on no list."""
 
@@ -210,74 +151,6 @@ class ThermalBend(Cause):
         lean = np.array([np.cos(self.towards), np.sin(self.towards), 0.0])
         difference = stops.warmth_K - warmth_inside(stops, self.lag_minutes)
         turn = np.outer(self.size * difference, lean) @ plant.home[0, :3, :3]
-        sideways = np.cross(turn, _length(plant, 1)) / 2
+        sideways = np.cross(turn, length_of(plant, 1)) / 2
         links = ("link2",) if plant.four_bar is None else ("link2", "crank")
         return [Setting("turn", link, turn) for link in links] + [Setting("shift", link, sideways) for link in links]
-
-
-@dataclass(frozen=True)
-class LooseFlange(Cause):
-    """Loose bolts: the payload tips the tool by up to ``size`` [rad] about each axis of the flange; on no list."""
-
-    size: float
-
-    def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
-        moment = GRAVITY * plant.payload_kg * float(np.linalg.norm(plant.payload_com))
-        hinges = tuple(
-            spring(f"flange_{n}", 0.3 * moment / self.size, axis=axis, limits=(-self.size, self.size))
-            for n, axis in (("x", X), ("y", Y))
-        )
-        tool = mechanism.body("tool")
-        return mechanism.with_body(replace(tool, joints=hinges))
-
-
-@dataclass(frozen=True)
-class ToolSlip(Cause):
-    """The tool plate slips on the flange, within its bolt holes (+-``size`` [m]), once its weight overcomes friction.
-
-    It stays where it slipped to until it slips again; on no list. ``grip`` is the friction over the payload's weight.
-    """
-
-    travels: ClassVar[bool] = True
-
-    size: float
-    grip: float
-
-    def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
-        weight = GRAVITY * plant.payload_kg
-        k = weight / self.size
-        slides = tuple(
-            Joint(
-                f"plate_{n}",
-                "slide",
-                axis,
-                friction=self.grip * weight,
-                limits=(-self.size, self.size),
-                inertia=10 * k * SLOW**2,  # heavy, for what sticks in the engine creeps the less
-                damping=k * SLOW,
-                keeps=True,
-            )
-            for n, axis in (("x", X), ("y", Y))
-        )
-        tool = mechanism.body("tool")
-        return mechanism.with_body(replace(tool, joints=slides))
-
-
-def _length(plant: Plant, link: int) -> Array:
-    """From the joint of ``link`` to the next, (3,) [m] in its own axes."""
-    frame = plant.home[link - 1]
-    length: Array = frame[:3, :3].T @ (plant.stations[link + 1] - frame[:3, 3])
-    return length
-
-
-def _beam(length: Array) -> tuple[Array, Array, Array]:
-    """Unit vectors (3,) along a beam and across it."""
-    e = length / np.linalg.norm(length)
-    across = np.cross(e, np.eye(3)[np.argmin(np.abs(e))])
-    across /= np.linalg.norm(across)
-    return e, across, np.cross(e, across)
-
-
-def _tuple(v: Array) -> tuple[float, float, float]:
-    x, y, z = (float(c) for c in v)
-    return x, y, z

@@ -43,7 +43,7 @@ def draw_effect(machine: Plant, effect: str, rng: np.random.Generator, *, poses:
 def _joint(machine: Plant, effect: str, rng: np.random.Generator) -> int | None:
     if effect in _LOADED:
         torque = rated_torque(machine)
-        return int(rng.choice(np.flatnonzero(torque > 0.051 * torque.max()) + 1))
+        return int(rng.choice(np.flatnonzero(torque > 0.06 * torque.max()) + 1))
     if effect == "joint_coupling":
         return int(rng.integers(4, 7))
     return int(rng.integers(1, 7)) if effect in _ANY else None
@@ -87,7 +87,7 @@ def _size(
             "knee": float(rng.choice([0.0, rng.uniform(0.1, 0.3)])),
             "linear": float(rng.uniform(0.1, 0.3)),
         },
-        "backlash": {"size": 60e-6 * usual, "friction": float(rng.uniform(0.01, 0.06))},
+        "backlash": {"size": 60e-6 * usual, "friction": float(rng.uniform(0.01, 0.05))},
         "friction_windup": {"size": 40e-6 * usual, "load_share": float(rng.uniform(0, 0.8))},
         "link_flexure": {
             "link": int(rng.choice([2, 3])),

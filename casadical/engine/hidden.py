@@ -16,19 +16,15 @@ from casadical.engine.causes_drive import (
     TransmissionRipple,
 )
 from casadical.engine.causes_load import Backlash, FrictionWindup, GravityCompensator, HosePull, NonlinearStiffness
+from casadical.engine.causes_loose import BearingPlay, CrackedLink, LooseAnchor, LooseFlange, ToolSlip
 from casadical.engine.causes_setup import FrameDrift, Outliers, TargetShift
 from casadical.engine.causes_structure import (
     AxisWobble,
     BaseCompliance,
-    BearingPlay,
-    CrackedLink,
     LinkFlexure,
-    LooseAnchor,
-    LooseFlange,
     PayloadError,
     ThermalBend,
     ThermalGrowth,
-    ToolSlip,
 )
 from casadical.errors import InputError
 
@@ -99,5 +95,5 @@ def cause(hidden: Hidden) -> Cause:
 
 
 def causes(hidden: Sequence[Hidden]) -> list[Cause]:
-    """What hidden effects do in the engine, one after the other."""
-    return [cause(h) for h in hidden]
+    """What hidden effects do in the engine, in the order in which they are built in."""
+    return sorted((cause(h) for h in hidden), key=lambda c: c.last)

@@ -48,6 +48,11 @@ class Kernel:
         -------
         values : array, shape (k, outputs of the function)
         status : array, shape (k,), see :class:`casadical.export.Status`
+
+        Raises
+        ------
+        InputError
+            The export has no such function, or q another number of joints.
         """
         shape = self.shape
         if function not in shape.outputs:
@@ -66,7 +71,7 @@ class Kernel:
         return self.rows("network", q)
 
     def forward(self, q: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int32]]:
-        """Calibrated position [m] (and rotation), and status."""
+        """Calibrated position [m], shape (k, 3), or (k, 12) with the rotation, and status."""
         return self.rows("forward", q)
 
     def correct(self, q: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int32]]:
@@ -74,7 +79,7 @@ class Kernel:
         return self.rows("correct", q)
 
     def steps(self, q: NDArray[Any], enable: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int32]]:
-        """``step`` for consecutive cycles from the zero state: corrections, shape (k, n), and status."""
+        """``step`` for consecutive cycles from the zero state: corrections [rad], shape (k, n), and status."""
         table = np.ascontiguousarray(q, DTYPE[self.shape.real])
         on = np.ascontiguousarray(enable, np.uint32)
         out, status = np.empty_like(table), np.empty(len(table), np.int32)

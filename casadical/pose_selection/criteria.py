@@ -24,7 +24,7 @@ _Spectral = tuple[Callable[[Array], Array], Callable[[Array], Array]]
 
 
 def observability(J: Array, n: int) -> dict[str, float]:
-    """Indices O1 to O5 of a scaled Jacobian, shape (rows, p), of n poses.
+    """Indices O1 to O5 of a scaled Jacobian, shape (rows, p) [sigma per unit of scale], of n poses.
 
     O1 : root of the product of the singular values over the root of n; O2 : smallest over greatest; O3 : smallest;
     O4 : square of the smallest over the greatest; O5 : inverse of the sum of inverses

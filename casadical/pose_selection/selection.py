@@ -87,6 +87,7 @@ class Selection:
 
     @cached_property
     def scale(self) -> Array:
+        """The size of each parameter that counts as one, shape (len(names),) [SI]."""
         return np.array([self.robot.parameters[n].scale for n in self.names])
 
     @property

@@ -17,6 +17,7 @@ from ..effects import (
     Effect,
     FrameDrift,
     FrictionWindup,
+    GravityCompensator,
     JointScale,
     LinkFlexure,
     MissingCompliance,
@@ -29,9 +30,10 @@ from ..effects import (
 )
 from ..robot import Body, Robot
 from ..transforms import Array
+from .balancer import Balancer
 
 OF_THE_MEASUREMENT = (FrameDrift, Refraction, SmrOffset, TargetShift, TrackerScale)
-HAVE_ONE = (Backlash, FrictionWindup, MissingCompliance, NonlinearStiffness)
+HAVE_ONE = (Backlash, FrictionWindup, GravityCompensator, MissingCompliance, NonlinearStiffness)
 # tanh(x) is nearest to SLOPE x that stops at STOP, off by OFF at most.
 SLOPE, STOP, OFF = 0.76, 0.92, 0.083
 # Of a joint that does not give way [N m/rad or N/m]: 10 kN m turn it by 1e-8 rad.
@@ -70,12 +72,14 @@ class Counterparts:
 
     drives : of each joint; base : stiffness about the base frame's x and y [N m/rad], infinite where it is rigid
     flexures : of a link (1-based), stiffness [N m/rad] about its axes of the whole link as a beam
+    balancers : springs between a link and the one before it
     payload : the true one; written : what became of each effect, in words; left_out : why others have none
     """
 
     drives: tuple[Drive, ...]
     base: tuple[float, float] = (np.inf, np.inf)
     flexures: Mapping[int, tuple[float, float, float]] = field(default_factory=dict)
+    balancers: tuple[Balancer, ...] = ()
     payload: Body | None = None
     payload_factor: float = 1.0
     written: tuple[str, ...] = ()
@@ -132,6 +136,11 @@ def _added(found: Counterparts, robot: Robot, effect: Effect) -> Counterparts:
             return found.noted(f"{effect.label}: dry friction of {wound / drive.compliance:.4g} N m, at its mean load")
         case JointScale():
             return found.with_drive(j, ratio=1 + v["k"]).noted(f"{effect.label}: gear of the drive")
+        case GravityCompensator() if j and drive.compliance > 0:
+            swing, ahead = great * float(np.hypot(v["sin"], v["cos"])), float(np.arctan2(v["cos"], v["sin"]))
+            made = Balancer(j, effect.anchor, effect.phase, swing, ahead, great * v["preload"])
+            found = replace(found, balancers=(*found.balancers, made))
+            return found.noted(f"{effect.label}: tendon from link to link before, {swing:.4g} N m at its greatest")
         case PayloadError() if robot.payload:
             return _payload(found, robot.payload, v)
         case BaseCompliance():

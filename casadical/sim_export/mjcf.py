@@ -15,6 +15,7 @@ import numpy as np
 from ..axes import row_matrix
 from ..robot import Body, Joint, Robot
 from ..transforms import frame, from_rpy
+from .balancer import add_sites, add_tendons
 from .bending import add_pieces
 from .drives import Counterparts, Drive, counterparts
 from .elements import SLOW, add_body, add_mass, add_spring, inert, numbers, quaternion
@@ -63,6 +64,10 @@ def mjcf(robot: Robot) -> MjcfExport:
     actuators = ET.SubElement(root, "actuator")
     for i, (joint, drive) in enumerate(zip(robot.joints, found.drives, strict=True), 1):
         _actuator(actuators, i, joint, drive)
+    if found.balancers:
+        tendons = ET.SubElement(root, "tendon")
+        for balancer in found.balancers:
+            add_tendons(balancer, tendons, actuators)
     sensor = ET.SubElement(root, "sensor")
     ET.SubElement(sensor, "framepos", name=POINT, objtype="site", objname=POINT)
     ET.indent(root)
@@ -100,6 +105,9 @@ def _bodies(world: ET.Element, robot: Robot, found: Counterparts) -> ET.Element:
             add_loop(robot, loop, ends, _links(world), drive, _drive_joints)
         else:
             _drive_joints(body, f"joint{i}", row, drive)
+        for balancer in found.balancers:
+            if balancer.joint == i:
+                add_sites(balancer, *ends[-1], body, row)
         mass = row.body or Body(0.0, np.zeros(3))
         parent, behind = body, np.eye(4)
         if i in found.flexures and i < robot.n:

@@ -7,7 +7,7 @@ found. All are identified from one part of the poses and replayed on the others.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from ..identification import Identification, identify
 from ..measurements import Measurements
 from ..robot import Robot
 from ..transforms import Array
-from .drives import counterparts
+from .drives import OF_THE_MEASUREMENT, counterparts
 from .mjcf import MjcfExport, mjcf
 from .rest import positions
 from .sources import with_causes
@@ -66,14 +66,26 @@ class Replay:
 
 
 def replay(robot: Robot, m: Measurements, name: str = "model") -> Stage:
-    """Drive a robot's model to measured poses in MuJoCo. Raises InputError, ConvergenceError."""
+    """Drive a robot's model to measured poses in MuJoCo.
+
+    Effects of the measurement (a frame that drifts, a reflector's offset) are no part of the model: they are added to
+    the point that MuJoCo finds, as the instrument would. Raises InputError, ConvergenceError.
+    """
     if m.position is None:
         raise InputError(f"{m.source}: of kind {m.kind}; positions are needed to replay")
     m, _ = derive(m, [*robot.conditions, *(f"approach{i}" for i in range(1, robot.n + 1))])
     export = mjcf(robot)
-    there = positions(export.text, m, counterparts(robot).payload_factor)
+    there = positions(export.text, m, counterparts(robot).payload_factor) + _of_the_measurement(robot, m)
     apart = np.linalg.norm(there - predicted(robot, m)[0], axis=1)
     return Stage(name, export, np.linalg.norm(there - m.position, axis=1), apart)
+
+
+def _of_the_measurement(robot: Robot, m: Measurements) -> Array:
+    """What effects of the measurement add to each point, shape (n, 3) [m]."""
+    own = tuple(e for e in robot.effects if not isinstance(e, OF_THE_MEASUREMENT))
+    names = {p.name for e in own for p in e.parameters()}
+    without = replace(robot, effects=own, effect_values={n: v for n, v in robot.effect_values.items() if n in names})
+    return np.asarray(predicted(robot, m)[0] - predicted(without, m)[0])
 
 
 def replay_campaign(

@@ -53,8 +53,10 @@ class _Model:
         self.m.opt.disableflags |= int(self.mujoco.mjtDisableBit.mjDSBL_LIMIT)
         self.m.opt.disableflags |= int(self.mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
         self.d = self.mujoco.MjData(self.m)
-        self.arm = self.m.nu
-        self.drives = self.m.actuator_trnid[:, 0]
+        joint = int(self.mujoco.mjtTrn.mjTRN_JOINT)
+        self.servos = np.flatnonzero(self.m.actuator_trntype == joint)
+        self.arm = len(self.servos)
+        self.drives = self.m.actuator_trnid[self.servos, 0]
         names = [self.m.joint(k).name for k in range(self.m.njnt)]
         loose = ("coupler", "rocker")
         self.free = [k for k, n in enumerate(names) if n.startswith(loose) or n.endswith("_driven")]
@@ -79,8 +81,8 @@ class _Model:
         d, m = self.d, self.m  # joints are hinges and slides: the indices of q, of v and of joints agree
         d.qpos[:] = 0.0
         d.qvel[:] = 0.0
-        d.qpos[self.drives] = command / m.actuator_gear[:, 0]
-        d.ctrl[:] = command
+        d.qpos[self.drives] = command / m.actuator_gear[self.servos, 0]
+        d.ctrl[self.servos] = command
         if self.free:
             self._assemble(command)
         for _ in range(AT_MOST):
@@ -119,7 +121,7 @@ class _Model:
 
     def _slope(self, k: int) -> float:
         """Stiffness of the coordinate [N m/rad or N/m]."""
-        hit = np.flatnonzero(self.drives == k)
+        hit = self.servos[self.drives == k]
         stiffness = float(sum(self.m.actuator_gainprm[i, 0] * self.m.actuator_gear[i, 0] ** 2 for i in hit))
         x = self.d.qpos[k]
         cubic = self.m.jnt_stiffnesspoly[k, 1] if hasattr(self.m, "jnt_stiffnesspoly") else 0.0
@@ -134,14 +136,14 @@ class _Model:
     def _assemble(self, command: Array) -> None:
         """Close the loops as they are assembled: on the side on which they stand uncrossed at mid range."""
         if self._sides is None:
-            lower, upper = self.m.actuator_ctrlrange.T
+            lower, upper = self.m.actuator_ctrlrange[self.servos].T
             self.d.qpos[self.drives] = (lower + upper) / 2
             closed = [c for c in self._closures() if self._close_from(c)]
             if not closed:
                 raise InputError("the four-bar of this model does not close at the middle of its joints' ranges")
             best = max(closed, key=self._parallel)
             self._start, self._sides = best, self._side(best)
-            self.d.qpos[self.drives] = command / self.m.actuator_gear[:, 0]
+            self.d.qpos[self.drives] = command / self.m.actuator_gear[self.servos, 0]
         for start in self._closures():
             if self._close_from(start) and (self._side(self.d.qpos[self.free].copy()) == self._sides).all():
                 self._start = self.d.qpos[self.free].copy()

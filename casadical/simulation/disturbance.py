@@ -39,7 +39,7 @@ class Disturbance:
         return 0.0
 
     def outboard(self, link: int, rest: "Rest") -> Array | None:
-        """Motion (n, 4, 4) of all beyond ``link`` (0 pedestal, 6 flange), as seen from that link at zero readings."""
+        """Motion (n, 4, 4) [m] of all beyond ``link`` (0 pedestal, 6 flange), seen from that link at zero readings."""
         return None
 
     def reflector(self, stops: Stops) -> Array | float:

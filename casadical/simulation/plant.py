@@ -87,7 +87,7 @@ class Plant:
 
     @property
     def axes(self) -> Array:
-        """Directions of the joint axes at zero readings, shape (6, 3), in the robot's base."""
+        """Directions of the joint axes at zero readings, shape (6, 3) [unit vectors], in the robot's base."""
         return self.home[:, :3, 2]
 
     @property
@@ -96,7 +96,7 @@ class Plant:
         return self.home[:, :3, 3]
 
     def at_home(self, link: int, x: Array) -> Array:
-        """Points ``x`` (..., 3) of link frame ``link`` (1-based), in the robot's base at zero readings."""
+        """Points ``x``, shape (..., 3) [m], of link frame ``link`` (1-based), in the robot's base at zero readings."""
         placed: Array = x @ self.home[link - 1, :3, :3].T + self.home[link - 1, :3, 3]
         return placed
 

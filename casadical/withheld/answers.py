@@ -91,7 +91,7 @@ def line(data: Mapping[str, Any]) -> str:
 
 
 def read_answers(path: Path) -> tuple[Head, dict[str, Answer]]:
-    """A file of answers by campaign; a last line that was cut short is left out. Raises InputError."""
+    """A file of answers by campaign, without what failed and a last line that was cut short. Raises InputError."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
     except FileNotFoundError:
@@ -101,7 +101,8 @@ def read_answers(path: Path) -> tuple[Head, dict[str, Answer]]:
     whole = [text for text in lines if text.endswith("\n")]
     if not whole:
         raise InputError(f"{path}: holds no answers; its first line must say which check they answer")
-    answers = [_read(Answer, path, k, text) for k, text in enumerate(whole[1:], 2)]
+    tried = [(k, text) for k, text in enumerate(whole[1:], 2) if '"failed":' not in text]
+    answers = [_read(Answer, path, k, text) for k, text in tried]
     return _read(Head, path, 1, whole[0]), {a.campaign: a for a in answers}
 
 

@@ -158,7 +158,7 @@ def _forward(s: Session, step: Step) -> dict[str, Any]:
         "gap_mm": {"before": round(1e3 * before, 5), "after": round(1e3 * _mean_length(left.y), 5)},
         "causes": [_cause(t, before) for t in taken],
         "posterior": rounded(first.probability),
-        "unseen": foretold(s, s.robot.with_effect(*together), case.m.row[~case.kept]),
+        "unseen": foretold(s, found.robot, s.robot.with_effect(*together), case.m.row[~case.kept]),
     }
 
 

@@ -14,7 +14,7 @@ import pandas as pd
 
 from ..accuracy import predicted
 from ..conditions import derive
-from ..errors import ConvergenceError
+from ..errors import ConvergenceError, InputError
 from ..identification import identify
 from ..measurements import Measurements, from_table
 from ..robot import Robot
@@ -78,18 +78,25 @@ def session(name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFrame) -> 
 
 
 def guess(by: str, name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFrame) -> dict[str, Any]:
-    """The answer of one method to one campaign, as plain data; runs in a worker."""
+    """The answer of one method to one campaign, as plain data; runs in a worker.
+
+    Where a campaign cannot be answered, the entry `failed` says why, and all others are answered still.
+    """
     method: Method = getattr(import_module(f"{__package__}.{_MODULES[by]}"), METHODS[by])
-    return method(session(name, model, seen, unseen))
+    try:
+        return method(session(name, model, seen, unseen))
+    except (InputError, ConvergenceError) as error:
+        return {"campaign": name, "failed": str(error)}
 
 
 def diagnosed(s: Session) -> dict[str, Any]:
     """What the diagnosis answers."""
-    from ..diagnosis.answer import as_json
+    from ..diagnosis.answer import Extras, as_json
     from ..diagnosis.diagnosis import diagnose
 
     found = diagnose(s.robot, s.measured)
-    answer = as_json(found, s.name)
+    # Nobody will measure on: the poses that would tell are left out.
+    answer = as_json(found, s.name, Extras(poses=pd.DataFrame()))
     first = found.rankings[0]
     posterior = {"none": first.none, "unknown": 0.0}
     for candidate in found.case.candidates:
@@ -98,18 +105,24 @@ def diagnosed(s: Session) -> dict[str, Any]:
     if any(c.effect == "outliers" for c in found.causes):
         # The screening has no probability; where it speaks, it is sure, and the ranking is of the poses that are left.
         posterior["outliers"] = next(c.confidence for c in found.causes if c.effect == "outliers")
-    out = np.array(found.outliers, dtype=int)
-    return answer | {"posterior": rounded(posterior), "unseen": foretold(s, found.apply(), out)}
+    out = np.array([o.row for o in found.outliers], dtype=int)
+    return answer | {
+        "posterior": rounded(posterior),
+        "unseen": foretold(s, found.identification.robot, found.apply(), out),
+    }
 
 
-def foretold(s: Session, robot: Robot, leave_out: Array) -> dict[str, Any]:
-    """Positions at the unseen poses by the base model and by a robot with effects, both fitted to the same poses."""
-    base = s.foretold(s.fitted(s.robot, leave_out))
+def foretold(s: Session, base: Robot, robot: Robot, leave_out: Array) -> dict[str, Any]:
+    """Positions at the unseen poses by the base model and by a robot with effects, both fitted to the same poses.
+
+    base : as calibrated on all poses; leave_out : rows of those that are outliers
+    """
+    before = s.foretold(s.fitted(s.robot, leave_out) if len(leave_out) else base)
     try:
-        better = s.foretold(s.fitted(robot, leave_out)) if robot.effects else base
+        after = s.foretold(s.fitted(robot, leave_out)) if robot.effects else before
     except ConvergenceError:
-        better = base
-    return {"base_mm": in_mm(base), "with_causes_mm": in_mm(better)}
+        after = before
+    return {"base_mm": in_mm(before), "with_causes_mm": in_mm(after)}
 
 
 def in_mm(positions: Array) -> list[list[float]]:

@@ -28,6 +28,8 @@ def predict(
 ) -> Path:
     """Answer every campaign of a folder that `make` wrote; answers that are in the file already are kept.
 
+    A campaign that cannot be answered has a line that says why; it is tried again by the next call.
+
     out : file of answers, a line each; by default answers.METHOD.jsonl in the folder
     by : diagnosis; or what it is measured against, f-test, bic or gp
     executor : any of `concurrent.futures`' kind, a cluster's among them; by default a process for each core

@@ -27,7 +27,7 @@ def report(scores: Sequence[Score]) -> RenderableType:
 
 def _title(s: Score) -> str:
     made = ", ".join(f"{name} {number}" for name, number in s.key.versions.items())
-    missing = f"; {len(s.unanswered)} unanswered" if s.unanswered else ""
+    missing = f"; {len(s.unanswered)} more have no answer and do not count" if s.unanswered else ""
     return (
         f"{len(s.trials)} campaigns whose effect was withheld (engine: {s.key.reality}, seed {s.key.seed}; {made})"
         f"{missing}\nkey as published: sha256 {s.head.key_sha256}"

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from multiprocessing import get_context
+from signal import SIG_IGN, SIGINT, signal
 from typing import Any, TypeVar
 
 Result = TypeVar("Result")
@@ -17,8 +18,9 @@ Result = TypeVar("Result")
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def one_thread() -> None:
-    """Workers share the cores by being many; each alone is to use one."""
+def begin_work() -> None:
+    """A worker uses one thread, for workers share the cores by being many; it leaves Ctrl-C to who started it."""
+    signal(SIGINT, SIG_IGN)
     for name in _THREADS:
         os.environ.setdefault(name, "1")
 
@@ -29,7 +31,7 @@ def workers(executor: Executor | None, count: int | None = None) -> Iterator[Exe
     if executor is not None:
         yield executor
         return
-    own = ProcessPoolExecutor(count or os.cpu_count(), mp_context=get_context("spawn"), initializer=one_thread)
+    own = ProcessPoolExecutor(count or os.cpu_count(), mp_context=get_context("spawn"), initializer=begin_work)
     try:
         yield own
     except BaseException:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +19,17 @@ from .trials import Trial, trial
 class Score:
     """What a file of answers is worth.
 
-    head : who answered; key : how the campaigns were made; unanswered : campaigns without an answer, not counted
+    head : who answered; key : how the campaigns were made; trials : campaigns that count
     """
 
     head: Head
     key: Key
     trials: tuple[Trial, ...]
-    unanswered: tuple[str, ...]
+
+    @property
+    def unanswered(self) -> list[str]:
+        """Campaigns that do not count."""
+        return sorted(set(self.key.campaigns) - {t.name for t in self.trials})
 
     @property
     def figures(self) -> list[Row]:
@@ -43,7 +47,7 @@ class Score:
             "versions": self.head.versions,
             "made": {"seed": self.key.seed, "reality": self.key.reality, "versions": self.key.versions},
             "campaigns": len(self.trials),
-            "unanswered": list(self.unanswered),
+            "unanswered": self.unanswered,
             "figures": {r.name: {**_plain(r.figure), "target": r.target} for r in self.figures},
             "parts": {
                 by: {w: {k: _plain(f) for k, f in part_figures(p).items()} for w, p in parts.items()}
@@ -52,6 +56,12 @@ class Score:
             "confusion": self.confusion,
             "trials": [{k: _short(v) for k, v in t.__dict__.items()} for t in self.trials],
         }
+
+
+def in_common(scores: Sequence[Score]) -> list[Score]:
+    """The same scores on the campaigns that all have answered, so that they can stand side by side."""
+    names = set.intersection(*({t.name for t in s.trials} for s in scores))
+    return [replace(s, trials=tuple(t for t in s.trials if t.name in names)) for s in scores]
 
 
 def score(folder: str | Path, key: str | Path, answers: str | Path) -> Score:
@@ -68,7 +78,7 @@ def score(folder: str | Path, key: str | Path, answers: str | Path) -> Score:
     trials = tuple(trial(name, s, found[name]) for name, s in opened.campaigns.items() if name in found)
     if not trials:
         raise InputError(f"{path}: answers no campaign of {folder}")
-    return Score(head, opened, trials, tuple(n for n in opened.campaigns if n not in found))
+    return Score(head, opened, trials)
 
 
 def _plain(f: Figure) -> dict[str, Any]:

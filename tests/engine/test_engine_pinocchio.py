@@ -18,7 +18,7 @@ pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'casa
 @pytest.mark.parametrize(("name", "within_um"), [("hh800", 0.2), ("kr210", 0.05), ("ur10e", 0.05)])
 def test_without_effects_the_engine_rests_where_pinocchios_weights_and_the_springs_are_in_balance(name, within_um):
     machine = built(name)
-    q = drawn(machine, 10)
+    q = drawn(machine, 4)
     for payload in (0.0, machine.payload_kg):
         ours = engine.positions(machine, (), stops(q, payload))
         theirs = np.array([rest(machine, payload, angles) for angles in q])

@@ -70,15 +70,6 @@ def test_links_lead_somewhere(path: Path) -> None:
     assert [target for target in linked(ROOT / path) if not Path(target).exists()] == []
 
 
-@pytest.mark.parametrize("path", [p for p in tracked() if p.match("docs/*.md")], ids=str)
-def test_code_in_the_docs_runs(path: Path, tmp_path: Path) -> None:
-    for name in ("problems", "data"):
-        (tmp_path / name).symlink_to(ROOT / name)
-    for code in fenced(ROOT / path, "python"):
-        done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, f"{code}\n{done.stderr}"
-
-
 def test_a_robot_in_the_docs_is_one(tmp_path: Path) -> None:
     from casadical import read_robot
 

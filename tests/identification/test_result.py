@@ -52,6 +52,15 @@ def test_robust_solution_is_optimal_and_its_perturbation_is_not(built):
         assert not moved(robust, 3, 0.1).is_optimal()
 
 
+def test_where_no_parameter_is_left_because_nothing_fits_the_message_says_so(built):
+    """A joint that counts the other way: not a list of parameters that the poses tell nothing of."""
+    m = arms.positions(built, arms.readings(built, 100, 4), 5)
+    backwards = replace(m, q=m.q * [1, 1, -1, 1, 1, 1])
+    with pytest.raises(InputError, match=r"^table: the model does not fit: \d+ mm .* signs and zeros"):
+        identify(ARM, backwards, ["kinematic"], loss="huber")
+    assert "THE MODEL DOES NOT FIT" in identify(ARM, backwards, ["kinematic"]).verdict
+
+
 def test_noise_free_data_are_fitted_to_round_off(built):
     exact = identify(ARM, arms.positions(built, arms.readings(built, 40, 2), 3, sigma=0), ["kinematic"])
     assert arms.model_error(exact.robot, built) < 1e-8

@@ -18,11 +18,13 @@ from casadical.effects import (
     FrameDrift,
     FrictionWindup,
     GearEccentricity,
+    GravityCompensator,
     JointScale,
     LinkFlexure,
     MissingCompliance,
     NonlinearStiffness,
     PayloadError,
+    SmrOffset,
 )
 from casadical.errors import ConvergenceError, InputError
 from casadical.measurements import Measurements, read_measurements
@@ -103,6 +105,7 @@ COUNTERPARTS: list[tuple[Effect, dict[str, float], float]] = [
     (PayloadError(), {"mass": 0.06, "x": 0.02, "y": -0.01, "z": 0.03}, 1e-6),
     (JointScale(3), {"k": 1e-4}, 2e-6),
     (FrictionWindup(3), {"constant": 4e-5, "load": 0.0}, 1e-6),
+    (GravityCompensator(2, 2.0, 0.5), {"sin": 0.2, "cos": -0.1, "preload": 0.15}, 15e-6),
     (NonlinearStiffness(2, 0.2), {"bend": 6e-5}, 25e-6),
     (CubicStiffness(2), {"bend": 4e-5}, 10e-6),
 ]
@@ -156,6 +159,14 @@ def test_mujocos_own_motion_comes_to_the_same_rest() -> None:
         mujoco.mj_forward(model, data)
         assert before > 1e-4
         assert np.linalg.norm(data.site("measured").xpos - there[k]) < 2e-6
+
+
+def test_an_effect_of_the_measurement_is_added_to_what_mujoco_finds() -> None:
+    robot = robot_of("ur10e").with_effect(SmrOffset())
+    robot = robot.with_values({"smr_offset.along": 2e-5, "smr_offset.across": -3e-5})
+    stage = replay(robot, poses(robot))
+    assert stage.export.left_out == ("smr_offset: an effect of the measurement, not of the robot",)
+    assert stage.apart.max() < 5e-7
 
 
 def test_what_has_no_counterpart_is_said() -> None:

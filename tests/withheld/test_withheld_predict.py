@@ -98,6 +98,17 @@ def test_a_real_dask_cluster_gives_the_same_answers(small, tmp_path) -> None:
     assert sorted(path.read_text().splitlines()) == sorted(small.answers.read_text().splitlines())
 
 
+def test_a_campaign_that_cannot_be_answered_does_not_stop_the_others(small, tmp_path) -> None:
+    torn = tmp_path / "torn"
+    shutil.copytree(small.folder, torn)
+    name = next(iter(read_manifest(torn).campaigns))
+    path = torn / f"{name}.csv"
+    path.write_text(path.read_text().replace(",", ",nothing", 30))
+    answers = predict(torn, tmp_path / "bic.jsonl", by="bic", executor=Here())
+    assert set(read_answers(answers)[1]) == set(read_manifest(torn).campaigns) - {name}
+    assert "is not a finite number" in next(t for t in answers.read_text().splitlines() if '"failed"' in t)
+
+
 def test_bad_input_is_named(small, tmp_path) -> None:
     with pytest.raises(InputError, match=r"holds no withheld\.json"):
         predict(tmp_path)

@@ -51,7 +51,7 @@ class LevenbergMarquardt(Trainer):
         return "lm"
 
     def begin(self, task: Task, seed: int, starts: Array | None = None) -> "LmRun":
-        """Start a training; ``starts``, shape (k, count), replaces the random starts of the final training."""
+        """Start a training; ``starts``, shape (k, count) [scaled], replaces the random starts of the final training."""
         return LmRun(self, task, seed, starts)
 
     def resume(self, task: Task, seed: int, state: dict[str, Any]) -> "LmRun":

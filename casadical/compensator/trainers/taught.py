@@ -1,7 +1,8 @@
 """A network taught by a Gaussian process: the process learns from the few measured poses, the network from many of its.
 
 Fifty poses do not tell a network with one ridge for all weights which joints matter; a process with a length for each
-joint they do. Its mean at poses drawn in the box of the measured ones is then what Levenberg-Marquardt fits.
+joint they do (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, ch. 5). Its mean at poses drawn in
+the box of the measured ones is then what Levenberg-Marquardt fits.
 """
 
 from dataclasses import dataclass, field

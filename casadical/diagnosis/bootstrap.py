@@ -1,0 +1,103 @@
+"""A p-value for "nothing": how often noise alone, through the same base model, would look as much like some cause.
+
+Parametric bootstrap in the linearised form: noise of instrument and joints is drawn as the base model's own likelihood
+has it, freed of what the base parameters take up, and judged by the statistic that detects: the log odds of any cause,
+listed or not, against none. (Davison and Hinkley, Bootstrap Methods and their Application, 1997, ch. 4.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..transforms import Array
+from .case import Case
+from .evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, Evidence, Whitened, log_sum
+from .which import PRIOR_FIRST, Ranking, prior_weights
+
+BATCH = 500
+# Noise less probable than this, given the data, is not drawn and not summed over.
+LEAST = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Columns of one setting of a cause: weight of its cause, eigenvalues and vectors of its columns at one rho."""
+
+    columns: Array
+    log_weight: float
+    value: Array
+    vector: Array
+
+
+def p_value(case: Case, ranking: Ranking, draws: int, seed: int, show: Callable[[str], None]) -> float:
+    """Share of draws of noise alone whose odds of some cause are those of the data or higher, plus one draw's.
+
+    ranking : of the data, without any cause chosen; show : called with a line of progress
+    """
+    seen = float(np.log1p(-ranking.none) - np.log(max(ranking.none, 1e-300)))
+    rng = np.random.default_rng(seed)
+    beyond = done = 0
+    for odds in _batches(case, draws, rng):
+        beyond += int((odds >= seen).sum())
+        done += len(odds)
+        show(f"bootstrap: {done} of {draws} draws, {beyond} beyond the data")
+    return (1 + beyond) / (1 + draws)
+
+
+def _batches(case: Case, draws: int, rng: np.random.Generator) -> Iterator[Array]:
+    """Log odds of any cause against none, of draws of noise alone, batch by batch."""
+    e = case.evidence
+    share = np.exp(e.log_base() - log_sum(e.log_base()))
+    rhos, sigmas = (np.flatnonzero(share.sum(axis=a) > LEAST) for a in (1, 0))
+    # A draw's own best sigma may lie one step aside.
+    sigmas = np.arange(max(sigmas[0] - 1, 0), min(sigmas[-1] + 2, len(SIGMAS)))
+    groups = [_groups(case, e.whitened[k]) for k in rhos]
+    for first in range(0, draws, BATCH):
+        noise = _noise(e, share, min(BATCH, draws - first), rng)
+        total = [
+            _log_likelihoods(e.whitened[k], noise.white(float(RHOS[k])).E, groups[i], sigmas)
+            for i, k in enumerate(rhos)
+        ]
+        nothing, something = (np.logaddexp.reduce([t[s] for t in total], axis=0) for s in (0, 1))
+        yield something - nothing - np.log(PRIOR_FIRST["none"])
+
+
+def _noise(e: Evidence, share: Array, count: int, rng: np.random.Generator) -> Evidence:
+    """Noise alone as columns, shape (n, 3, count) [m]; its size by chance as probable as the data make it."""
+    rho, sigma = np.unravel_index(rng.choice(share.size, count, p=share.ravel()), share.shape)
+    joints = RHOS[rho] * rng.standard_normal((len(e.r), e.Jq.shape[2], count))
+    return replace(e, E=SIGMAS[sigma] * (rng.standard_normal((*e.r.shape, count)) + e.Jq @ joints))
+
+
+def _groups(case: Case, w: Whitened) -> list[_Group]:
+    """Every setting of every cause; the settings of a cause share its prior."""
+    weights = prior_weights(case, PRIOR_FIRST, frozenset())
+    found = []
+    for (c, _), columns in zip(case.variants, case.groups, strict=True):
+        E = w.E[:, columns]
+        value, vector = np.linalg.eigh(E.T @ E)
+        candidate = case.candidates[c]
+        log_weight = float(np.log(weights[candidate.label] / len(candidate.variants)))
+        found.append(_Group(columns, log_weight, np.maximum(value, 0), vector))
+    return found
+
+
+def _log_likelihoods(w: Whitened, Y: Array, groups: list[_Group], sigmas: Array) -> tuple[Array, Array]:
+    """Of each column of Y, shape (rows, draws): without any cause, and with some cause, shapes (draws,)."""
+    sigma = SIGMAS[sigmas]
+    base = w.log_norm - w.rows * np.log(sigma)[:, None] - 0.5 * (Y**2).sum(axis=0) / sigma[:, None] ** 2
+    b = w.E.T @ Y
+    something = np.full(Y.shape[1], -np.inf)
+    signal = ((KAPPAS[None, :] / sigma[:, None]) ** 2).ravel()
+    own = np.repeat(sigma, len(KAPPAS))
+    log_kappa = np.tile(np.log(KAPPA_WEIGHTS), len(sigma))
+    for g in groups:
+        gain = 1 + signal[:, None] * g.value
+        quad = (signal[:, None] / gain / own[:, None] ** 2) @ (g.vector.T @ b[g.columns]) ** 2
+        constant = g.log_weight + log_kappa - 0.5 * np.log(gain).sum(axis=1)
+        logs = np.repeat(base, len(KAPPAS), axis=0) + constant[:, None] + 0.5 * quad
+        something = np.logaddexp(something, np.logaddexp.reduce(logs, axis=0))
+    return np.logaddexp.reduce(base, axis=0), something

@@ -1,0 +1,55 @@
+"""A bearing that gives way across its axis: it rocks under the moment of the weight beyond it and drops with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import casadi as ca
+
+from ..transforms import Symbolic, small_frame, translate
+from .base import Context, Effect
+
+
+@dataclass(frozen=True)
+class BearingPlay(Effect):
+    """soft : moment at which the play is taken up, as a share of the great torques there; above 1 it is a spring
+
+    The last joint's bearing stands for the tool flange too.
+    """
+
+    soft: float = 0.3
+
+    name: ClassVar[str] = "bearing_play"
+    physics: ClassVar[str] = (
+        "A bearing or a bolted flange holds the moment across its axis by its tilting stiffness, after play; its inner "
+        "ring drops along the load by the radial play (ISO 5753-1; Harris, Rolling Bearing Analysis)."
+    )
+    confused_with: ClassVar[str] = "link_flexure of the links beside it; axis_wobble; payload_error at the flange"
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        return {"rock": (60e-6, "rad"), "drop": (30e-6, "m")}
+
+    def link(self, number: int, context: Context) -> Symbolic:
+        if number != self.joint:
+            return ca.SX.eye(4)
+        turn = context.frames[number - 1][:3, :3].T
+        moment = turn @ context.moment(number) / self._great(context)
+        return translate(*ca.vertsplit(self._drop(turn @ context.gravity / 9.81, context))) @ small_frame(
+            0, 0, 0, *self._rock(moment, context), 0
+        )
+
+    def _great(self, context: Context) -> float:
+        """The greatest torque that joints here or one joint before carry, since moments across are like theirs."""
+        assert self.joint is not None
+        return float(context.robot.torque_scale[max(self.joint - 2, 0) : self.joint].max())
+
+    def _rock(self, moment: Symbolic, context: Context) -> tuple[Symbolic, Symbolic]:
+        size = ca.sqrt(moment[0] ** 2 + moment[1] ** 2 + 1e-8)
+        share = self.value(context, "rock") * ca.tanh(size / self.soft) / ca.tanh(1 / self.soft) / size
+        return share * moment[0], share * moment[1]
+
+    def _drop(self, down: Symbolic, context: Context) -> Symbolic:
+        across = ca.vertcat(down[0], down[1], 0)
+        return self.value(context, "drop") * across / ca.sqrt(ca.sumsqr(across) + 0.01)

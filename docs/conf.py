@@ -1,0 +1,121 @@
+"""Sphinx: `python -m sphinx -W --keep-going -b html docs build/docs`, with what `pip install -e '.[docs]'` brings.
+
+The tutorials are run while the docs are built, and a failed one fails the build; `-D plot_gallery=0` builds without.
+Tutorial 4 needs gcc.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+
+project = "casadical"
+author = "The casadical developers"
+copyright = author
+html_title = "casadical"
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
+    "sphinx_gallery.gen_gallery",
+]
+exclude_patterns = ["README.md", "tutorials/*"]
+default_role = "code"
+templates_path: list[str] = []
+
+html_theme = "furo"
+html_show_sphinx = False
+html_show_copyright = False
+pygments_dark_style = "github-dark"
+
+myst_heading_anchors = 3
+myst_enable_extensions = ["dollarmath"]
+suppress_warnings = ["config.cache"]
+
+autosummary_generate = True
+autodoc_typehints = "signature"
+autodoc_member_order = "bysource"
+autodoc_default_options = {"members": True}
+python_use_unqualified_type_names = True
+maximum_signature_line_length = 100
+
+sphinx_gallery_conf = {
+    "examples_dirs": ["tutorials"],
+    "gallery_dirs": ["gallery"],
+    # The fourth compiles C.
+    "filename_pattern": r"/tutorial_" if shutil.which("gcc") else r"/tutorial_[^4]",
+    "within_subsection_order": "FileNameSortKey",
+    "default_thumb_file": str(Path(__file__).parent / "images" / "held_out.png"),
+    "download_all_examples": False,
+    "show_memory": False,
+    "show_signature": False,
+    "notebook_extensions": set(),
+    "write_computation_times": False,
+    "remove_config_comments": True,
+    "copyfile_regex": r".*\.rst",
+    "junit": "gallery-junit.xml",
+    "only_warn_on_example_error": False,
+}
+
+# `name : what it is`, our way of describing arguments and fields, becomes a list.
+_ITEM = re.compile(r"^(\*{0,2}\w[\w]*(?:, \*{0,2}\w+)*) : (.*)$")
+
+
+def _as_lists(*arguments: Any) -> None:
+    lines: list[str] = arguments[-1]
+    if any(re.fullmatch(r"\s*-{3,}", line) for line in lines):  # numpydoc's sections: napoleon's business
+        return
+    out: list[str] = []
+    inside = False
+    for line in lines:
+        item = _ITEM.match(line)
+        if item:
+            if not inside:
+                out.append("")
+            out.append(f"- **{_plain(item[1])}** : {_plain(item[2])}")
+            inside = True
+        elif inside and line.strip():
+            out.append(f"  {_plain(line.strip())}")
+        else:
+            inside = inside and bool(line.strip())
+            out.append(_plain(line))
+    lines[:] = out
+
+
+def _plain(text: str) -> str:
+    """Stars and bars of formulas are no markup; what stands in backticks is left alone."""
+    parts = re.split(r"(`+[^`]*`+)", text)
+    return "".join(
+        p if k % 2 else re.sub(r"(?<!\\)([*|])|(?<=\w)_(?=\W|$)", r"\\\g<0>", p) for k, p in enumerate(parts)
+    )
+
+
+def _to_gallery(*arguments: Any) -> None:
+    """Links to a tutorial's file, which is what there is on a code host, lead to its page here."""
+    source: list[str] = arguments[-1]
+    source[0] = re.sub(r"\(tutorials/(tutorial_\w+)\.py\)", r"(gallery/\1.rst)", source[0])
+
+
+def _all_pages(_app: Any, name: str, source: list[str]) -> None:
+    """Pages that the index does not name come last, so that none is lost."""
+    if name == "index":
+        named = re.findall(r"^   (?:.*<)?([\w-]+)>?$", source[0], re.MULTILINE)
+        more = sorted({page.stem for page in Path(__file__).parent.glob("*.md")} - {*named, "README"})
+        lines = ["", ".. toctree::", "   :hidden:", "   :caption: More", "", *(f"   {page}" for page in more)]
+        source[0] += "\n".join(lines) if more else ""
+
+
+def setup(app: Any) -> None:
+    """Sphinx calls it."""
+    app.connect("source-read", _to_gallery)
+    app.connect("source-read", _all_pages)
+    app.connect("include-read", _to_gallery)
+    app.connect("autodoc-process-docstring", _as_lists, priority=100)

@@ -1,0 +1,209 @@
+"""
+4. Train the compensator and put it on a controller
+===================================================
+
+From a calibrated HH800 to C that a controller calls: train a network on what calibration leaves, export the whole
+correction as C99, compile it with gcc, call it through ctypes, run it as an FMU, and send the corrected commands to
+the (simulated) robot to see what they are worth. Needs gcc and, for the FMU, fmpy.
+"""
+
+import ctypes
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+import fmpy
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+
+from casadical.accuracy import predicted
+from casadical.calibration import calibrate_problem
+from casadical.compensator import Compensator, Taught, save_compensator
+from casadical.controller.correct import model_corrector
+from casadical.controller.models import Sources, command_of
+from casadical.export import Status, write_c
+from casadical.measurements import from_table
+from casadical.networks import residual_mm
+from casadical.robot_file import write_robot
+from casadical.simulation import campaign, hh800_true
+from casadical.simulation.twin import UNMODELLED, WARMUP
+
+ROOT = Path(sys.argv[0]).resolve().parents[2]  # of the repository, in which this file is docs/tutorials/...
+folder = Path(tempfile.mkdtemp())
+
+# %%
+# Calibrate, then train
+# ---------------------
+# The network learns measured less computed position from 50 poses; 50 others decide whether it is kept. It says so
+# first.
+
+problem, results, _ = calibrate_problem(ROOT / "problems/hh800", method="SKCM")
+calibrated = results["SKCM"]
+train, choose, report = (problem.sets[name][0] for name in ("train", "choose", "report"))
+compensator = Compensator.fit(
+    train.q,
+    residual_mm(calibrated.robot, train),
+    choose=(choose.q, residual_mm(calibrated.robot, choose)),
+    validate=(report.q, residual_mm(calibrated.robot, report)),
+    trainer=Taught(),
+    seed=0,
+)
+print(compensator)
+assert compensator.helps
+assert compensator.validation.gain > 0.15
+
+# %%
+# Export
+# ------
+# `command_of` makes one CasADi function of it: forward kinematics with the identified values, deflection under
+# gravity, the network, and two damped least-squares steps from the nominal to the real robot. `write_c` emits C from
+# it, compiles it, compares it with its reference on so many joint vectors, bit for bit, and only then writes the
+# files. (`casadical export c` does the same from files.)
+
+write_robot(calibrated.robot, folder / "calibrated.toml")
+save_compensator(compensator, folder / "network.json")
+sources = Sources(folder / "calibrated.toml", ROOT / "problems/hh800/robot.toml", folder / "network.json")
+export = write_c(command_of(sources), folder / "c", name="hh800", vectors=20_000)
+print(export)
+assert export.verified
+
+# %%
+# Compile it as your build would
+# ------------------------------
+# Two files, no library, not even libm. `-ffp-contract=off` because fused multiply-adds change the last bits; the
+# self-test would notice.
+
+library = folder / "hh800.so"
+command = "gcc -std=c99 -O2 -ffp-contract=off -Wall -Wextra -Werror -shared -fPIC hh800.c hh800_self_test.c -o"
+subprocess.run([*command.split(), str(library)], cwd=folder / "c", check=True)
+c = ctypes.CDLL(str(library))
+assert c.hh800_self_test() == Status.OK
+
+
+def correction(q):
+    """One call of the C: joint corrections [rad] and the status."""
+    dq = np.zeros(6)
+    pointer = ctypes.POINTER(ctypes.c_double)
+    status = c.hh800_correct(np.ascontiguousarray(q).ctypes.data_as(pointer), dq.ctypes.data_as(pointer))
+    return dq, Status(status)
+
+
+dq, status = correction(report.q[0])
+print("corrections of the first pose [mrad]:", np.round(1e3 * dq, 3), status.name)
+
+# %%
+# Bad input is answered by a status and zeros, never by a crash or a wild command.
+
+dq, status = correction(np.array([np.nan, 0, 0, 0, 0, 0]))
+assert (status, np.abs(dq).max()) == (Status.NOT_FINITE, 0)
+_, status = correction(report.q[0] + [9, 0, 0, 0, 0, 0])
+assert status != Status.OK
+print("joint 1 far out of its range:", status.name)
+
+# %%
+# Does the real tool go where it should?
+# --------------------------------------
+# The controller asks for joints q and believes that the tool is where the *nominal* robot has it. We ask the simulated
+# true robot, of which our model is only an estimate and which has effects no model here holds, where it really goes:
+# with q, and with q + dq, by the calibration alone and with the network. Some poses lie outside of the joint angles of
+# the 50 that the network was trained on; there the C answers CLAMPED, and such a pose should keep its command. We
+# compare on the others.
+
+
+def real_tool(q):
+    """Where the true robot's reflector comes to rest, shape (n, 3) [m]."""
+    table = campaign(
+        hh800_true(),
+        len(q),
+        seed=5,
+        noise_mm=0.0,
+        disturbances=UNMODELLED,
+        payload_states=[300.0],
+        warmup=WARMUP,
+        q_deg=np.rad2deg(q),
+    )
+    return from_table(table, 6, "position").position
+
+
+def nominal_tool(q):
+    """Where the nominal robot has it, with base and tool as identified, for these are no errors of the robot."""
+    placing = {p.name: p.value for p in calibrated.robot.parameters if p.group in ("base", "tool")}
+    robot = problem.robot.with_values(placing)
+    rigid = robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0))
+    return predicted(rigid, from_table(_as_table(q), 6, "position"))[0]
+
+
+def _as_table(q):
+    table = pd.DataFrame(np.rad2deg(q), columns=[f"q{i}_deg" for i in range(1, 7)])
+    return table.assign(x_mm=0.0, y_mm=0.0, z_mm=0.0)
+
+
+q = np.vstack([report.q, choose.q])
+network = [correction(row) for row in q]
+fine = np.array([status == Status.OK for _, status in network])
+plain, plain_status = model_corrector(command_of(Sources(sources.robot, sources.nominal))).correct(q)
+fine &= plain_status == Status.OK
+print(Counter(status.name for _, status in network))
+assert fine.sum() >= 75
+
+goal = nominal_tool(q)[fine]
+sent = {
+    "as commanded": q[fine],
+    "corrected, calibration": (q + plain)[fine],
+    "corrected, and network": (q + np.array([dq for dq, _ in network]))[fine],
+}
+error = {name: 1e3 * np.linalg.norm(real_tool(joints) - goal, axis=1) for name, joints in sent.items()}
+for name, e in error.items():
+    print(f"{name:24s} the real tool misses by {e.mean():.3f} mm (mean), {e.max():.3f} mm (max)")
+first, second, third = (e.mean() for e in error.values())
+assert second < 0.2 * first
+assert third < 0.9 * second
+
+figure, ax = plt.subplots(figsize=(8, 3.5), layout="constrained")
+for name, e in error.items():
+    ax.semilogy(np.sort(e), label=name)
+ax.set(xlabel="poses, the best first", ylabel="the real tool misses by [mm]")
+ax.legend()
+plt.show()
+
+# %%
+# Corrections for the cyclic task
+# -------------------------------
+# A controller calls `hh800_step` every 4 ms instead. It ramps the correction in and limits its rate; `enable` = 0
+# ramps it out. The same code is inside of the FMU, which TwinCAT and Simulink take. An importer compiles its sources;
+# here gcc does.
+
+unpacked = folder / "fmu"
+fmpy.extract(str(folder / "c/hh800.fmu"), str(unpacked))
+binary = unpacked / "binaries" / fmpy.platform / "hh800.so"
+binary.parent.mkdir(parents=True)
+units = sorted(map(str, (unpacked / "sources").glob("*.c")))
+flags = "-std=c99 -O2 -ffp-contract=off -shared -fPIC -fvisibility=hidden"
+subprocess.run(["gcc", *flags.split(), *units, "-o", str(binary)], check=True)
+
+inputs = np.zeros(2, dtype=[("time", float), ("enable", bool), *((f"q[{i}]", float) for i in range(1, 7))])
+inputs["time"] = (0, 2)
+inputs["enable"] = True
+for i in range(6):
+    inputs[f"q[{i + 1}]"] = report.q[0, i]
+run = fmpy.simulate_fmu(str(unpacked), stop_time=2.0, step_size=0.004, output_interval=0.004, input=inputs)
+dq, status = correction(report.q[0])
+assert status == Status.OK
+outputs = np.array([run[f"dq[{i}]"] for i in range(1, 7)]).T
+assert np.allclose(outputs[-1], dq, rtol=0, atol=1e-12)  # ramped in, the FMU gives what the function gives
+assert np.abs(np.diff(outputs, axis=0)).max() <= 0.5 * 0.004 * 1.001  # and never moves faster than 0.5 rad/s
+
+figure, ax = plt.subplots(figsize=(8, 3.2), layout="constrained")
+ax.plot(run["time"], 1e3 * outputs, label=[f"joint {i}" for i in range(1, 7)])
+ax.set(xlabel="time [s]", ylabel="correction [mrad]")
+ax.legend(ncols=3, fontsize="small")
+plt.show()
+
+# %%
+# Before you switch it on
+# -----------------------
+# The controller's own absolute-accuracy option must be off, or errors are corrected twice. Run the self-test on the
+# target. Then a few poses at low speed. :doc:`/export` has the rest.

@@ -1,0 +1,67 @@
+"""The examples of docs/cli.md, to the letter: each command is run, and what the page shows is what it prints."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "cli.md"
+
+
+def examples() -> list[tuple[str, list[str]]]:
+    """Commands, and the lines that the page shows below each."""
+    found: list[tuple[str, list[str]]] = []
+    inside = False
+    for line in PAGE.read_text(encoding="utf-8").splitlines():
+        if line.startswith("```"):
+            inside = line == "```console"
+        elif inside and line.startswith("$ "):
+            found.append((line[2:], []))
+        elif inside:
+            found[-1][1].append(line)
+    return found
+
+
+def shown_in_order(wanted: list[str], printed: list[str]) -> str | None:
+    """The first wanted line that is missing; between `...` and the next one any lines may lie."""
+    at, anywhere = 0, False
+    for line in wanted:
+        if line == "...":
+            anywhere = True
+            continue
+        places = [k for k in range(at, len(printed)) if printed[k].split() == line.split()]
+        if not places or (places[0] != at and not anywhere):
+            return line
+        at, anywhere = places[0] + 1, False
+    return None if anywhere or at == len(printed) else f"the page ends before: {printed[at]}"
+
+
+def test_every_command_has_an_example_or_a_page() -> None:
+    from casadical.cli import app
+
+    text = PAGE.read_text(encoding="utf-8")
+    names = [c.callback.__name__ for c in app.registered_commands if c.callback]
+    assert len(names) >= 7
+    for name in names:
+        assert f"\n## {name}: " in text
+        assert f"$ casadical {name} " in text
+
+
+def test_the_examples_print_what_the_page_shows(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra mujoco)")
+    for name in ("problems", "data"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    environment = {**os.environ, "PATH": path, "COLUMNS": "80", "TERM": "dumb", "NO_COLOR": "1"}
+    for command, wanted in examples():
+        done = subprocess.run(
+            command, shell=True, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        )
+        assert (done.returncode, done.stderr) == (0, ""), command
+        printed = [line for line in done.stdout.splitlines() if line.strip()]
+        assert shown_in_order(wanted, printed) is None, f"{command}\n{done.stdout}"

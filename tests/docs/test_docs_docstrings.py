@@ -1,0 +1,113 @@
+"""Public docstrings say what a caller must know: shapes and units of arrays, errors raised, sources of methods."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+from collections.abc import Iterator
+
+import pytest
+from walk import ROOT
+
+PACKAGES = ("casadical", "casadical.compensator", "casadical.effects", "casadical.export", "casadical.pose_selection",
+            "casadical.simulation")  # fmt: skip
+ARRAY = re.compile(r"\b(?:Array|NDArray|ArrayLike|Vector|ndarray|Buffer)\b")
+SHAPE = re.compile(r"shapes? \(|\((?:\w+, ?)*\w*\d?,?\)|see `|see :func|as of `|inverse of `")
+UNIT = re.compile(r"\[[^\]]+\]|_mm\b|\bSI\b|boolean|bool|degrees|radians|see `|see :func|as of `")
+# Arrays without a unit, as what they hold has none.
+UNITLESS = {
+    "casadical.compensator.Layout.layers", "casadical.compensator.Layout.weights",
+}  # fmt: skip
+
+
+def public() -> Iterator[tuple[str, object]]:
+    """Every public function and class of the packages, and the classes' own public methods and properties."""
+    for package in PACKAGES:
+        module = importlib.import_module(package)
+        for name in module.__all__:
+            thing = getattr(module, name)
+            if not (inspect.isfunction(thing) or inspect.isclass(thing)):
+                continue
+            yield f"{package}.{name}", thing
+            if inspect.isclass(thing):
+                for key, member in vars(thing).items():
+                    function = underlying(member)
+                    if not key.startswith("_") and inspect.isfunction(function):
+                        yield f"{package}.{name}.{key}", function
+
+
+def underlying(member: object) -> object:
+    """The function of a property or class method."""
+    for attribute in ("func", "fget", "__func__"):
+        member = getattr(member, attribute, member)
+    return member
+
+
+PUBLIC = dict(public())
+
+
+def doc(thing: object) -> str:
+    return inspect.getdoc(thing) or ""
+
+
+def test_there_is_something_to_test() -> None:
+    assert len(PUBLIC) > 150
+
+
+def test_all_have_a_docstring() -> None:
+    """Of methods, those that are no more than their name (`label`, `name`) and overridden ones may go without."""
+    assert [name for name, thing in PUBLIC.items() if inspect.isclass(thing) and not thing.__doc__] == []
+    assert [name for name, thing in PUBLIC.items() if name.count(".") < 3 and not doc(thing)] == []
+
+
+def takes_arrays(thing: object) -> bool:
+    if inspect.isclass(thing):
+        return any(ARRAY.search(str(a)) for a in vars(thing).get("__annotations__", {}).values())
+    return any(ARRAY.search(str(a)) for a in getattr(thing, "__annotations__", {}).values())
+
+
+WITH_ARRAYS = sorted(name for name, thing in PUBLIC.items() if takes_arrays(thing))
+
+
+@pytest.mark.parametrize("name", WITH_ARRAYS)
+def test_shapes_and_units_of_arrays_are_told(name: str) -> None:
+    text = doc(PUBLIC[name])
+    assert SHAPE.search(text), f"{name} does not say the shape of its arrays:\n{text}"
+    assert name in UNITLESS or UNIT.search(text), f"{name} does not say their unit:\n{text}"
+
+
+@pytest.mark.parametrize("name", sorted(name for name, thing in PUBLIC.items() if inspect.isfunction(thing)))
+def test_errors_that_it_raises_are_told(name: str) -> None:
+    source = inspect.getsource(PUBLIC[name])
+    if re.search(r"^\s+raise (?:InputError|ConvergenceError|CasadicalError)", source, re.MULTILINE):
+        assert re.search(r"Raises", doc(PUBLIC[name])), f"{name} raises and does not say so"
+
+
+def test_methods_from_the_literature_name_their_source() -> None:
+    """By module: a year or an equation of the paper."""
+    modules = [
+        *("fourbar", "kinematics", "statics", "identifiability", "identification", "placement", "robot", "correction"),
+        *(f"compensator.{name}" for name in ("iwo", "network", "task", "trainers.levenberg", "trainers.taught")),
+        *("pose_selection.criteria", "pose_selection.exchange", "diagnosis.evidence", "statistics"),
+    ]
+    without = []
+    for module in modules:
+        text = (ROOT / "casadical" / f"{module.replace('.', '/')}.py").read_text(encoding="utf-8")
+        if not re.search(r"\b(?:19|20)\d\d\b|paper, |eqs?\. ?\d", text):
+            without.append(module)
+    assert without == []
+
+
+def test_every_effect_states_its_physics() -> None:
+    import casadical.effects as effects
+
+    kinds = [getattr(effects, name) for name in effects.__all__ if name not in ("Context", "Effect")]
+    assert [k.__name__ for k in kinds if not k.physics] == []
+
+
+def test_the_reference_lists_every_public_name() -> None:
+    text = (ROOT / "docs" / "reference.md").read_text(encoding="utf-8")
+    listed = {line.strip().rsplit(".", 1)[-1] for line in text.splitlines() if line.startswith("   casadical.")}
+    names = {name.split(".")[-1] for name in PUBLIC if name.rsplit(".", 1)[0] in PACKAGES}
+    assert names - listed == set()

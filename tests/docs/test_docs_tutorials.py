@@ -1,0 +1,45 @@
+"""Each tutorial runs in under a minute, and asserts its own numbers."""
+
+from __future__ import annotations
+
+import ast
+import os
+import shutil
+import subprocess
+import sys
+
+import pytest
+from site_of_docs import ROOT, TUTORIALS
+
+
+def test_there_are_seven() -> None:
+    assert [name.split("_")[1] for name in TUTORIALS] == list("1234567")
+
+
+@pytest.mark.parametrize("name", TUTORIALS)
+def test_it_runs_in_the_docs_and_in_under_a_minute(name: str, site) -> None:
+    if name.startswith("tutorial_4") and not shutil.which("gcc"):
+        pytest.skip("no gcc on this machine (apt-get install gcc)")
+    assert name in site.tutorials, site.log[-3000:]
+    seconds, wrong = site.tutorials[name]
+    assert wrong == ""
+    assert seconds < 60
+
+
+@pytest.mark.parametrize("name", TUTORIALS)
+def test_it_asserts_numbers_of_its_own(name: str) -> None:
+    """At least four comparisons; an assert of a constant or of a bare name would hold nothing."""
+    tree = ast.parse((ROOT / "docs" / "tutorials" / name).read_text(encoding="utf-8"))
+    asserted = [node.test for node in ast.walk(tree) if isinstance(node, ast.Assert)]
+    held = [test for test in asserted if any(isinstance(part, ast.Compare | ast.Call) for part in ast.walk(test))]
+    assert len(held) >= 4
+
+
+def test_it_is_a_plain_file_that_runs_anywhere(tmp_path) -> None:
+    path = ROOT / "docs" / "tutorials" / TUTORIALS[0]
+    environment = {**os.environ, "MPLBACKEND": "Agg"}
+    done = subprocess.run(
+        [sys.executable, path], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "0.0249 mm" in done.stdout
