@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .calibration import calibration_report as calibration_report
-    from .calibration_figures import calibration_figures as calibration_figures
     from .diagnosis import diagnosis_report as diagnosis_report
-    from .diagnosis_figures import diagnosis_figures as diagnosis_figures
     from .look import dark as dark
+    from .of_calibration import calibration_figures as calibration_figures
+    from .of_diagnosis import diagnosis_figures as diagnosis_figures
 
 _HOME = {
-    "calibration_figures": "calibration_figures",
+    "calibration_figures": "of_calibration",
     "calibration_report": "calibration",
     "dark": "look",
-    "diagnosis_figures": "diagnosis_figures",
+    "diagnosis_figures": "of_diagnosis",
     "diagnosis_report": "diagnosis",
 }
 __all__ = [*_HOME]

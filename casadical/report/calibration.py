@@ -10,9 +10,9 @@ from ..identification import Identification
 from ..networks import Networks
 from ..problem import Problem
 from ..tables import SetAccuracies
-from .calibration_figures import Results, calibration_figures, last_of
 from .error_tables import error_tables, network_table
 from .look import mm
+from .of_calibration import Results, calibration_figures, last_of
 from .page import Block, Drawing, Part, Section, Table, Tile, Words, report_html
 from .parameter_tables import confounded, correlated, parameter_table
 from .provenance import problem_files, provenance_of

@@ -12,8 +12,8 @@ from ..diagnosis.advice import kinds, told_apart
 from ..diagnosis.answer import NEXT, Extras
 from ..diagnosis.investigation import PARTITIONS
 from ..diagnosis.printed import READABLE, signature
-from .diagnosis_figures import diagnosis_figures, held_out_poses
 from .look import mm
+from .of_diagnosis import diagnosis_figures, held_out_poses
 from .page import Block, Drawing, Part, Section, Table, Tile, Words, report_html
 from .parameter_tables import confounded, correlated, parameter_table
 from .pose_errors import BEFORE
