@@ -39,7 +39,7 @@ def _of_parts(title: str, table: pd.DataFrame) -> go.Figure:
     by = table["frame"] if "frame" in table else pd.Series("", index=table.index)
     words = {"base": "base frame", "axis": "about joint 1", "tool": "tool frame"}
     labels = [f"{words.get(f, f)}: {p}" if f else str(p) for f, p in zip(by, table["part"], strict=True)]
-    figure = intervals(title, "share of the squared gap [%]", labels, 100 * table["share"], 100 * table["low"],
+    figure = intervals(title, "share of squared gap [%]", labels, 100 * table["share"], 100 * table["low"],
                    100 * table["high"], [f"{v:.3f} mm rms" for v in table["rms_mm"]], "%{x:.0f} %")  # fmt: skip
     return figure.update_xaxes(range=[0, max(50.0, min(104.0, 108 * float(table["high"].max())))])
 

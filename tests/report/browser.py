@@ -43,12 +43,16 @@ class Opened:
         self.page.on("pageerror", lambda e: self.faults.append(str(e)))
         self.page.on("request", lambda r: self.requests.append(r.url))
         self.page.goto(path.as_uri())
-        self.page.wait_for_selector("html[data-ready=yes]", state="attached", timeout=90_000)
+        self.page.wait_for_selector("html[data-drawn=yes]", state="attached", timeout=90_000)
 
     @property
     def network(self) -> list[str]:
         """Requests that left the file."""
         return [u for u in self.requests if not u.startswith(("file:", "data:", "blob:"))]
+
+    def until(self, expression: str) -> None:
+        """Wait for what the page will do in a moment."""
+        self.page.wait_for_function(expression, timeout=90_000)
 
     def js(self, expression: str) -> Any:
         return self.page.evaluate(expression)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -10,23 +11,29 @@ from browser import Opened, chromium
 KINDS = ["calibration", "diagnosis"]
 
 
+WIDE, PHONE = 1280, 390
+FIGURE = "figure[data-name='{}']"
+
+
 @pytest.fixture(scope="module")
-def browser():
-    with chromium() as found:
-        yield found
+def opened(request):
+    """A function: kind of report and width -> its page, each opened once for all tests."""
+    with chromium() as browser:
+
+        @cache
+        def page(kind: str, width: int = WIDE) -> Opened:
+            path: Path = request.getfixturevalue(f"{kind}_file")
+            return Opened(browser, path, width)
+
+        yield page
 
 
-@pytest.fixture(params=KINDS)
-def file(request) -> Path:
-    path: Path = request.getfixturevalue(f"{request.param}_file")
-    return path
-
-
-@pytest.mark.parametrize("width", [1280, 390])
-def test_every_figure_is_drawn_and_nothing_overflows_or_leaves_the_file(browser, file, width) -> None:
-    opened = Opened(browser, file, width=width)
-    figures = opened.js("document.querySelectorAll('figure[data-name]').length")
-    drawn = opened.js(
+@pytest.mark.parametrize("width", [WIDE, PHONE])
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_figure_is_drawn_and_nothing_overflows_or_leaves_the_file(opened, kind, width) -> None:
+    page = opened(kind, width)
+    figures = page.js("document.querySelectorAll('figure[data-name]').length")
+    drawn = page.js(
         """[...document.querySelectorAll('figure[data-name]')].filter(f => {
             const plot = f.querySelector('.plot'), box = plot.querySelector('.main-svg').getBoundingClientRect();
             const marks = plot.querySelectorAll('.scatterlayer .trace path, .barlayer path, .gl-container canvas');
@@ -35,14 +42,15 @@ def test_every_figure_is_drawn_and_nothing_overflows_or_leaves_the_file(browser,
     )
     assert figures >= 12
     assert drawn == figures
-    assert opened.js("document.documentElement.scrollWidth") == width
-    assert opened.faults == []
-    assert opened.network == []
+    assert page.js("document.documentElement.scrollWidth") == width
+    assert page.faults == []
+    assert page.network == []
 
 
-def test_no_words_of_a_figure_lie_outside_of_it(browser, file) -> None:
-    opened = Opened(browser, file, width=390, height=844)
-    outside = opened.js(
+@pytest.mark.parametrize("kind", KINDS)
+def test_on_a_phone_no_words_of_a_figure_are_cut_or_lie_on_others(opened, kind) -> None:
+    page = opened(kind, PHONE)
+    outside = page.js(
         """[...document.querySelectorAll('.plot')].flatMap(plot => {
             const box = plot.getBoundingClientRect();
             return [...plot.querySelectorAll('.xtick text, .ytick text, .gtitle, .xtitle, .ytitle, .legendtext')]
@@ -53,11 +61,7 @@ def test_no_words_of_a_figure_lie_outside_of_it(browser, file) -> None:
         })"""
     )
     assert outside == []
-
-
-def test_ticks_of_an_axis_do_not_overlap(browser, file) -> None:
-    opened = Opened(browser, file, width=390, height=844)
-    overlapping = opened.js(
+    overlapping = page.js(
         """[...document.querySelectorAll('.plot')].flatMap(plot => ['.xtick text', '.ytick text'].flatMap(kind => {
             const boxes = [...plot.querySelectorAll(kind)].map(t => [t.textContent, t.getBoundingClientRect()]);
             return boxes.flatMap(([a, p], i) => boxes.slice(i + 1).filter(([b, q]) =>
@@ -68,85 +72,84 @@ def test_ticks_of_an_axis_do_not_overlap(browser, file) -> None:
     assert overlapping == []
 
 
-def hover(opened: Opened, name: str) -> str:
-    """The tooltip that the mouse finds over a mark of a plane figure."""
-    mark = opened.page.locator(f"figure[data-name='{name}'] .points path, figure[data-name='{name}'] .point path")
-    mark.nth(1 if mark.count() > 1 else 0).scroll_into_view_if_needed()
-    box = mark.nth(1 if mark.count() > 1 else 0).bounding_box()
-    opened.page.mouse.move(box["x"] + box["width"] / 2 - 3, box["y"] + box["height"] / 2 - 3)
-    opened.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2, steps=4)
-    tip = opened.page.locator(f"figure[data-name='{name}'] .hoverlayer text").first
-    tip.wait_for(timeout=5000)
-    return str(opened.page.locator(f"figure[data-name='{name}'] .hoverlayer").inner_text())
+def hover(page: Opened, name: str) -> str:
+    """The tooltip that a real mouse finds over a mark of a plane figure."""
+    figure = page.page.locator(FIGURE.format(name))
+    mark = figure.locator(".points path, .point path").nth(1)
+    mark.scroll_into_view_if_needed()
+    box = mark.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.page.mouse.move(x - 4, y)
+    page.page.mouse.move(x, y, steps=4)
+    figure.locator(".hoverlayer text").first.wait_for(timeout=10_000)
+    return str(figure.locator(".hoverlayer").text_content())
 
 
-def test_tooltips_tell_the_pose_its_error_and_the_interval(browser, calibration_file, diagnosis_file) -> None:
-    opened = Opened(browser, calibration_file)
-    errors = hover(opened, "errors/report")
+def test_tooltips_tell_the_pose_its_error_and_the_interval(opened) -> None:
+    errors = hover(opened("calibration"), "errors/report")
     assert "pose " in errors
     assert "SKCM" in errors
     assert "mm" in errors
-    assert "95 %" in hover(opened, "parameters/lengths")
-    assert "95 %" in hover(opened, "where/regions")
-    opened = Opened(browser, diagnosis_file)
-    assert "backlash@5" in hover(opened, "causes/1")
+    assert "95 %" in hover(opened("calibration"), "parameters/lengths")
+    assert "95 %" in hover(opened("calibration"), "where/regions")
+    assert "friction_windup@5" in hover(opened("diagnosis"), "causes/1")
 
 
-def test_the_workspace_turns_and_its_vectors_answer_the_mouse(browser, calibration_file) -> None:
-    opened = Opened(browser, calibration_file)
-    scene = opened.page.locator("figure[data-name='workspace'] .gl-container")
+def test_the_workspace_turns_and_its_vectors_answer_the_mouse(opened) -> None:
+    page = opened("calibration")
+    scene = page.page.locator(f"{FIGURE.format('workspace')} .gl-container canvas").first
     scene.scroll_into_view_if_needed()
     box = scene.bounding_box()
-    eye = "document.querySelector(\"figure[data-name='workspace'] .plot\")._fullLayout.scene._scene.getCamera().eye.x"
-    before = opened.js(eye)
-    middle = (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-    opened.page.mouse.move(*middle)
-    opened.page.mouse.down()
-    opened.page.mouse.move(middle[0] + 80, middle[1], steps=5)
-    opened.page.mouse.up()
-    opened.page.wait_for_timeout(300)
-    assert abs(opened.js(eye) - before) > 0.05
-    # Where the first tip stands on the screen, no library tells: the mouse searches for it.
-    opened.js(
-        """(() => { window.tips = []; document.querySelector("figure[data-name='workspace'] .plot")
-            .on('plotly_hover', e => window.tips.push(e.points[0].customdata)); })()"""
-    )
-    for y in range(int(box["y"] + 0.25 * box["height"]), int(box["y"] + 0.75 * box["height"]), 9):
-        opened.page.mouse.move(box["x"] + 0.25 * box["width"], y)
-        opened.page.mouse.move(box["x"] + 0.75 * box["width"], y, steps=40)
-        if opened.js("window.tips.length"):
+    plot = f'document.querySelector("{FIGURE.format("workspace")} .plot")'
+    before = page.js(f"{plot}._fullLayout.scene._scene.getCamera().eye.x")
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.page.mouse.move(x, y)
+    page.page.mouse.down()
+    page.page.mouse.move(x + 80, y, steps=8)
+    page.page.mouse.up()
+    page.until(f"() => Math.abs({plot}._fullLayout.scene._scene.getCamera().eye.x - {before}) > 0.05")
+    # Where a tip stands on the screen, no library tells: the mouse searches for it.
+    page.js(f"(() => {{ window.tips = []; {plot}.on('plotly_hover', e => tips.push(e.points[0].customdata)); }})()")
+    for share in (0.5, 0.4, 0.6, 0.45, 0.55, 0.35, 0.3):
+        page.page.mouse.move(box["x"] + 0.25 * box["width"], box["y"] + share * box["height"])
+        page.page.mouse.move(box["x"] + 0.75 * box["width"], box["y"] + share * box["height"], steps=60)
+        if page.js("tips.length"):
             break
-    tips = opened.js("window.tips")
+    tips = page.js("tips")
     assert tips
     row, size, dx, dy, dz = tips[0][:5]
     assert size == pytest.approx((dx**2 + dy**2 + dz**2) ** 0.5, abs=1e-4)
     assert row == int(row)
 
 
-def test_the_dark_page_is_dark_and_so_are_its_figures(browser, file) -> None:
-    light, dark = (Opened(browser, file, scheme=scheme) for scheme in ("light", "dark"))
-    for opened, limit in ((light, lambda v: v > 200), (dark, lambda v: v < 60)):
-        grounds = opened.js(
-            """[getComputedStyle(document.body).backgroundColor,
-                ...[...document.querySelectorAll('.plot .main-svg:first-child')]
-                    .map(s => getComputedStyle(s).backgroundColor)]
-               .map(c => Number(c.match(/\\d+/)[0]))"""
-        )
-        assert len(grounds) > 10
-        assert all(limit(v) for v in grounds)
+GROUNDS = """[getComputedStyle(document.body).backgroundColor,
+    ...[...document.querySelectorAll('.plot .main-svg:first-child')].map(s => getComputedStyle(s).backgroundColor)]
+    .map(c => Number(c.match(/\\d+/)[0]))"""
 
 
-def test_it_prints_with_a_white_picture_of_every_figure(browser, file, tmp_path) -> None:
-    opened = Opened(browser, file, scheme="dark")
-    opened.page.emulate_media(media="print")
-    pictures = opened.js(
+@pytest.mark.parametrize("kind", KINDS)
+def test_in_the_dark_the_page_and_its_figures_turn_dark(opened, kind) -> None:
+    page = opened(kind)
+    assert min(page.js(GROUNDS)) > 200
+    page.page.emulate_media(color_scheme="dark")
+    page.until(f"() => Math.max(...{GROUNDS}) < 60")
+    assert len(page.js(GROUNDS)) > 12
+    page.page.emulate_media(color_scheme="light")
+    page.until(f"() => Math.min(...{GROUNDS}) > 200")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_prints_with_a_white_picture_of_every_figure(opened, kind, tmp_path) -> None:
+    page = opened(kind)
+    page.until("() => document.documentElement.dataset.ready === 'yes'")
+    page.page.emulate_media(media="print", color_scheme="dark")
+    pictures = page.js(
         """[...document.querySelectorAll('img.print')].map(i => [i.naturalWidth, i.clientWidth,
             getComputedStyle(i).display, i.src.includes(encodeURIComponent('#171c23'))])"""
     )
-    assert len(pictures) == opened.js("document.querySelectorAll('figure[data-name]').length")
-    assert all(
-        natural > 0 and shown > 0 and display == "block" and not dark for natural, shown, display, dark in pictures
-    )
-    pdf = opened.page.pdf(path=tmp_path / "report.pdf", format="A4")
+    page.page.emulate_media(media="screen", color_scheme="light")
+    assert len(pictures) == page.js("document.querySelectorAll('figure[data-name]').length")
+    assert all(natural and shown and display == "block" and not dark for natural, shown, display, dark in pictures)
+    pdf = page.page.pdf(path=tmp_path / "report.pdf", format="A4")
     assert pdf.startswith(b"%PDF")
     assert len(pdf) > 50_000

@@ -99,7 +99,7 @@ def test_dark_changes_every_colour_and_no_number(figures) -> None:
     figure = figures["errors/report"]
     night = dark(figure)
     assert night.layout.paper_bgcolor == COLOURS["paper"][1]
-    assert night.data[0].y == figure.data[0].y
+    assert np.array_equal(night.data[0].y, figure.data[0].y)
     lights = {light for light, _ in COLOURS.values()}
     assert not [c for c in lights if c in night.to_json()]
 
