@@ -29,13 +29,10 @@ def chromium() -> Iterator[Any]:
 class Opened:
     """A page and what happened while it was open."""
 
-    def __init__(
-        self, browser: Any, path: Path, *, width: int = 1280, height: int = 900, scheme: str = "light"
-    ) -> None:
+    def __init__(self, browser: Any, path: Path, width: int) -> None:
         phone = width < 600
-        context = browser.new_context(
-            viewport={"width": width, "height": height}, color_scheme=scheme, has_touch=phone, is_mobile=phone
-        )
+        size = {"width": width, "height": 844 if phone else 900}
+        context = browser.new_context(viewport=size, color_scheme="light", has_touch=phone, is_mobile=phone)
         self.page = context.new_page()
         self.faults: list[str] = []
         self.requests: list[str] = []
