@@ -8,6 +8,7 @@ import io
 import json
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
@@ -18,6 +19,7 @@ from casadical.withheld.score import Score, in_common, score
 
 ROOT = Path(__file__).parents[2]
 DATA, PAGE = ROOT / "data" / "withheld", ROOT / "docs" / "blind-check.md"
+SECOND = DATA / "second"
 METHODS = ("diagnosis", "f-test", "bic", "gp")
 
 
@@ -36,6 +38,10 @@ def markdown(scores: Sequence[Score], heads: Sequence[str]) -> str:
 
 def main() -> None:
     first = answered("diagnosis")
+    sound = replace(first, trials=tuple(t for t in first.trials if "backlash" not in t.effects))
+    runs = {"first run": first, "without backlash": sound}
+    if SECOND.exists():
+        runs["second run"] = score(SECOND, SECOND, SECOND / "answers.diagnosis.jsonl")
     beside = in_common([answered(m) for m in METHODS if (DATA / f"answers.{m}.jsonl").exists()])
     text = io.StringIO()
     Console(file=text, width=260).print(report([first]))
@@ -44,7 +50,7 @@ def main() -> None:
     draw(first, ROOT / "docs" / "images" / "blind_check_confusion.png")
     page = PAGE.read_text(encoding="utf-8")
     tables = {
-        "figures": markdown([first], [f"{len(first.trials)} campaigns"]),
+        "figures": markdown(list(runs.values()), [f"{name}, {len(s.trials)} campaigns" for name, s in runs.items()]),
         "beside": markdown(beside, [f"{s.head.by}, {len(s.trials)} campaigns" for s in beside]),
     }
     for name, table in tables.items():
