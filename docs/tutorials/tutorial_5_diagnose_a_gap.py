@@ -21,7 +21,7 @@ from casadical.diagnosis.isolability import isolability
 from casadical.diagnosis.next_poses import next_poses
 from casadical.problem import read_campaign_robot
 
-ROOT = Path(sys.argv[0]).resolve().parents[2]  # of the repository, in which this file is docs/tutorials/...
+ROOT = Path(sys.argv[0]).resolve().parents[2]  # this file lies in docs/tutorials
 CAMPAIGNS = ROOT / "data/campaigns/practice"
 
 # %%
