@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from ..diagnosis.answer import Extras
     from ..diagnosis.result import Diagnosis
+    from ..pose_selection.workspace import Workspace
     from ..robot import Robot
 
 
@@ -35,6 +36,10 @@ def diagnose(
     measure_next: Annotated[
         Path | None,
         typer.Option("--next", metavar="FILE", help="Poses that would tell apart what one campaign cannot, as CSV."),
+    ] = None,
+    room: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.toml", help="Where these may lie: limits, floor, boxes, tracker; see docs/plan.md."),
     ] = None,
     network: Annotated[
         bool,
@@ -64,6 +69,7 @@ def diagnose(
     from ..diagnosis.printed import report
     from ..files import write_whole
     from ..measurements import read_measurements
+    from ..pose_selection.room import read_room
     from ..problem import read_campaign_robot
 
     console = Console(quiet=quiet)
@@ -71,6 +77,7 @@ def diagnose(
     if isolability:
         _print_isolability(robot, campaigns, effects, json_file, console)
         return
+    workspace = read_room(room, robot) if room else None
     answers = []
     for path in campaigns:
         m = read_measurements(path, [j.kind for j in robot.joints])
@@ -83,7 +90,7 @@ def diagnose(
             chosen = effects.split(",") if effects else "standard"
             found = run(robot, m, chosen, seed=seed, bootstrap=bootstrap, show=show)
             file = measure_next if len(campaigns) == 1 else None
-            extras = _extras(found, file, network, show)
+            extras = _extras(found, file, network, workspace, show)
         answers.append(as_json(found, path.stem, extras))
         console.print(report(found, f"{path.stem} ({robot.name})", extras), soft_wrap=True)
         console.print()
@@ -93,7 +100,9 @@ def diagnose(
     keep_json(json_file, answers, console)
 
 
-def _extras(found: Diagnosis, file: Path | None, network: bool, show: Callable[[str], None]) -> Extras:
+def _extras(
+    found: Diagnosis, file: Path | None, network: bool, workspace: Workspace | None, show: Callable[[str], None]
+) -> Extras:
     """The parts that take longer."""
     from ..diagnosis.answer import NEXT, Extras
 
@@ -102,7 +111,7 @@ def _extras(found: Diagnosis, file: Path | None, network: bool, show: Callable[[
     check = found.check_refit(show) if found.effects() else None
     networks = found.with_network(show=show) if network else None
     show("poses to measure next")
-    return Extras(check, networks, found.next_poses(NEXT), file.name if file else "")
+    return Extras(check, networks, found.next_poses(NEXT, workspace=workspace), file.name if file else "")
 
 
 def _print_isolability(

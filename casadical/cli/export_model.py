@@ -9,6 +9,7 @@ import typer
 
 from ..errors import InputError
 from . import words
+from .sources import Nominal
 from .terminal import Json, Quiet, keep_json, plain, progress
 
 _Source = Annotated[
@@ -40,6 +41,21 @@ def export_mjcf(
             help="standard (the default), extended, or only these: names (backlash) or labels (backlash@5), by commas.",
         ),
     ] = None,
+    into: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="YOURS.xml",
+            help="A MuJoCo model of the nominal robot: its bodies get the calibrated geometry, all else stays. Needs "
+            "--joints.",
+        ),
+    ] = None,
+    joints: Annotated[
+        str | None, typer.Option(metavar="NAMES", help="Of the arm's joints in YOURS.xml, from the base on, by commas.")
+    ] = None,
+    springs: Annotated[
+        bool, typer.Option("--springs", help="With --into: a spring beside each compliant joint, NAME_spring.")
+    ] = False,
+    nominal: Nominal = None,
     overwrite: _Overwrite = False,
     json_file: Json = None,
     quiet: Quiet = False,
@@ -50,13 +66,15 @@ def export_mjcf(
     """
     from ..files import write_whole
     from ..sim_export.mjcf import mjcf
-    from ..sim_export.sources import robot_to_write
+    from ..sim_export.sources import into_users, robot_to_write
 
     _refuse_taken(out, overwrite)
+    if (into is None) != (joints is None) or (into is None and (springs or nominal)):
+        raise InputError("--into and --joints belong together; --springs and --nominal belong to them")
     with progress(quiet) as bar:
         task = bar.add_task("calibrating", total=None)
         robot, _ = robot_to_write(source, campaign, effects, lambda text: bar.update(task, description=text))
-    made = mjcf(robot)
+    made = mjcf(robot) if into is None else into_users(source, campaign, nominal, robot, into, joints or "", springs)
     write_whole(out, made.text)
     console = plain(quiet)
     for text in made.written:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
+from rich.console import Console, RenderableType
 
 from ..errors import InputError
 from . import words
@@ -15,8 +15,14 @@ from .terminal import Json, Quiet, progress
 
 def plan(
     problem: Annotated[Path, typer.Argument(metavar="PROBLEM", help="Folder with the robot, or a robot file.")],
-    n: Annotated[int, typer.Option("-n", min=1, help="Number of joint readings to measure.")],
-    out: Annotated[Path, typer.Option(metavar="FILE.csv", help="The poses in order; expected figures beside it.")],
+    n: Annotated[
+        int | None,
+        typer.Option("-n", min=1, help="Number of joint readings to measure; without it, say how many are enough."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="The poses in order, expected figures beside it; default: plan.csv."),
+    ] = None,
     effects: Annotated[
         str | None,
         typer.Option(
@@ -59,6 +65,9 @@ def plan(
 ) -> None:
     """Choose which poses to measure, and say what accuracy to expect of them before measuring.
 
+    Without -n it is the stopping rule alone: the accuracy to expect against the number of poses, with what was
+    measured so far.
+
     Exit codes: 0 done, 2 bad input, 70 a bug of ours.
     """
     from ..diagnosis.library import named
@@ -66,36 +75,40 @@ def plan(
     from ..pose_selection.candidates import Circumstances
     from ..pose_selection.criteria import checked
     from ..pose_selection.information import Noise
+    from ..pose_selection.planning import look_ahead, robot_of
     from ..pose_selection.planning import plan as run
-    from ..pose_selection.planning import robot_of
-    from ..pose_selection.report import plan_files, report
+    from ..pose_selection.report import ahead_files, how_many, plan_files, report
     from ..pose_selection.room import read_room
 
     robot = robot_of(problem)
     wanted = [c for c in named(robot, effects.split(",")) if c.listed] if effects else []
+    # Of settings on a grid, the middle one.
+    added = [e for c in wanted for e in c.variants[len(c.variants) // 2]]
     given = noise_mm is not None or measured is None
+    noise = Noise(1e-3 * (0.02 if noise_mm is None else noise_mm), 1e-6 * joint_noise_urad) if given else None
+    target = None if target_mm is None else 1e-3 * target_mm
+    workspace = read_room(room, robot) if room else None
+    circumstances = Circumstances(_numbers(payloads), every_payload, both_approaches, repeats)
+    word = checked(criterion)
     with progress(quiet) as bar:
         bar.add_task("choosing poses", total=None)
-        found, ahead = run(
-            robot,
-            n,
-            # Of settings on a grid, the middle one.
-            [e for c in wanted for e in c.variants[len(c.variants) // 2]],
-            criterion=checked(criterion),
-            workspace=read_room(room, robot) if room else None,
-            circumstances=Circumstances(_numbers(payloads), every_payload, both_approaches, repeats),
-            measured=measured,
-            noise=Noise(1e-3 * (0.02 if noise_mm is None else noise_mm), 1e-6 * joint_noise_urad) if given else None,
-            min_distance=min_distance,
-            order=order,
-            seed=seed,
-        )
-    texts = plan_files(out, found, ahead)
-    if json_file:
-        texts[json_file] = texts[out.with_suffix(".json")]
+        if n is None:
+            ahead = look_ahead(
+                robot, added, workspace=workspace, circumstances=circumstances, measured=measured, noise=noise,
+                seed=seed,
+            )  # fmt: skip
+            said: RenderableType = how_many(ahead, target)
+            texts = ahead_files(out, json_file, ahead)
+        else:
+            found, ahead = run(
+                robot, n, added, criterion=word, workspace=workspace, circumstances=circumstances, measured=measured,
+                noise=noise, min_distance=min_distance, order=order, seed=seed,
+            )  # fmt: skip
+            said = report(found, ahead, target)
+            texts = plan_files(out or Path("plan.csv"), json_file, found, ahead)
     write_together(texts)
     console = Console(quiet=quiet)
-    console.print(report(found, ahead, None if target_mm is None else 1e-3 * target_mm))
+    console.print(said)
     for path in texts:
         console.print(f"wrote {path}", soft_wrap=True)
 

@@ -51,6 +51,8 @@ def kinds(case: Case, poses: pd.DataFrame) -> str:
         found.append(f"joint {name[8:]} approached rising in {rising}, falling in {len(poses) - rising}")
     if "state" in poses:
         found.append(f"{int((poses['state'] == 'warm').sum())} warm, {int((poses['state'] == 'cold').sum())} cold")
+    if wider := int(poses["new"].str.contains("range of").sum()):
+        found.append(f"{wider} beyond the ranges so far")
     return "; ".join([*found, *_idle(case, poses)])
 
 

@@ -145,7 +145,7 @@ def _listed(robot: Robot) -> list[Candidate]:
     for j, joint in enumerate(robot.joints, 1):
         if joint.kind == "revolute":
             effects += [GearEccentricity(j), *(TransmissionRipple(j, c) for c in CYCLES)]
-            effects += [AxisWobble(j, 1), AxisWobble(j, 2)]
+            effects += [AxisWobble(j, cycles, still) for cycles in (1, 2) for still in (False, True)]
         effects += [JointScale(j), *(JointCoupling(j, i) for i in _coupled(robot, j))]
         effects += [JointZeroStep(j, t) for t in TIMES]
         effects += [ThermalZeroDrift(j, lag) for lag in LAGS]

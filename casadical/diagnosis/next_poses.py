@@ -1,9 +1,10 @@
 """What to measure next: poses at which the causes in question predict most unlike positions.
 
 Each cause's prediction at a new pose is normal: fitted to the data there are, together with the base model, and as
-uncertain as that fit leaves it. Poses are added one by one where they most increase the expected squared Mahalanobis
-distance of one cause's data from the other's prediction, both ways (the symmetric form of Box and Hill 1967; where the
-base is well known, T-optimality of Atkinson and Fedorov 1975).
+uncertain as that fit leaves it. Poses are added one by one where they most increase the expected log Bayes factor in
+favour of the truth, whichever of the causes that is: the divergence of one cause's data from the other's prediction,
+learning from the poses picked before (Box and Hill 1967; where the base is well known, T-optimality of Atkinson and
+Fedorov 1975). The truth that is told least so far counts most.
 """
 
 from __future__ import annotations
@@ -18,13 +19,19 @@ import pandas as pd
 from ..effects import Effect
 from ..errors import InputError
 from ..measurements import Measurements
+from ..pose_selection.workspace import Workspace
 from ..transforms import Array
 from .case import Case, widths
-from .evidence import CHOSEN, KAPPA_WEIGHTS, Evidence
+from .evidence import KAPPA_WEIGHTS, Evidence, log_sum
 from .gap import Noise, covariance, likely_noise
+from .pose_pool import Pool, draw_pool, news
 from .signatures import signatures
 
-POOL = 1500
+POOL = 800
+# One sigma, in sizes, of a cause's parameters before the data.
+WIDE = 2.0
+# Settings of a cause that are looked at, and by how much their log likelihood may be less than the best one's.
+MOST_VARIANTS, LIKELY = 2, 4.0
 NONE = "none"
 
 
@@ -39,95 +46,76 @@ class _Prediction:
     spread: Array
 
 
-@dataclass(frozen=True, eq=False)
-class _Pool:
-    """Poses to choose from; conditions hold every column that the causes need."""
-
-    m: Measurements
-    repeated: Array
-    warm: Array | None
-
-
-def next_poses(case: Case, labels: Sequence[str], n: int, seed: int = 0, *, pool: int = POOL) -> pd.DataFrame:
+def next_poses(
+    case: Case,
+    labels: Sequence[str],
+    n: int,
+    seed: int = 0,
+    *,
+    beside: Sequence[str] = (NONE,),
+    workspace: Workspace | None = None,
+    payloads: Sequence[float] = (),
+    pool: int = POOL,
+) -> pd.DataFrame:
     """The next n poses to measure, the most telling first.
 
     labels : causes to tell apart, as the case's candidates name them; "none" for no cause at all
-    pool : how many poses are drawn to choose from, within the ranges that the campaign used; its own are added
+    beside : others from which each of them is to be told as well, but not from each other
+    workspace : where poses may lie; by default the robot's own ranges, loops as open as they were in the campaign
+    payloads : states [kg] that can be mounted; by default none, the declared one and the campaign's
+    pool : how many poses are drawn to choose from; the campaign's own are added
 
     Columns: order; q1_deg ...; payload_kg and approach1 ... where they matter; repeats, the row of the campaign that
-    the pose repeats, if any; state, cold or warm, where a cause follows the temperature; separation, the expected
-    log Bayes factor in favour of the truth, of this pose and those before it (least pair); and, empty, the columns to
-    be logged. Raises InputError for fewer than two labels or one that the case does not know.
+    the pose repeats, if any; state, cold or warm, where a cause follows the temperature; new, what the campaign had
+    not (a wider range of a joint, another payload, approach or thermal state); separation, the expected log Bayes
+    factor in favour of the truth among the labels, of this pose and those before it, for the truth that is told least;
+    and, empty, the columns to be logged. Raises InputError for fewer than two labels or one that the case does not
+    know.
     """
-    causes = _causes(case, labels)
-    noise = causes[0][1]
-    effects = tuple(dict.fromkeys(e for variant, _ in causes for e in variant))
-    drawn = _draw(case, effects, pool, seed)
-    predictions = [_predict(case, variant, noise, drawn.m) for variant, _ in causes]
+    causes = _causes(case, labels, beside)
+    noise = causes[0].noise
+    effects = tuple(dict.fromkeys(e for cause in causes for e in cause.variant))
+    drawn = draw_pool(case, effects, pool, seed, workspace, payloads)
     noise_there = _noise_at(case, noise, drawn.m)
-    picked, gained = _pick(predictions, noise_there, min(n, len(drawn.m)))
+    models = [(c.label, _Model(_predict(case, c.variant, noise, drawn.m), noise_there)) for c in causes]
+    rivals = [(a in labels, b in labels, p, r) for (a, p), (b, r) in combinations(models, 2) if a != b]
+    asked = [(p, r) for first, second, p, r in rivals if first and second]
+    also = [(p, r) for first, second, p, r in rivals if first != second]
+    picked, gained = _pick(asked, also, min(n, len(drawn.m)))
     return _table(case, effects, drawn, picked, gained)
 
 
-def _causes(case: Case, labels: Sequence[str]) -> list[tuple[tuple[Effect, ...], Noise]]:
-    """Most likely settings of each cause, and the noise that it leaves."""
+@dataclass(frozen=True)
+class _Cause:
+    """A label with settings that the data allow, and the noise that these leave."""
+
+    label: str
+    variant: tuple[Effect, ...]
+    noise: Noise
+
+
+def _causes(case: Case, labels: Sequence[str], beside: Sequence[str] = ()) -> list[_Cause]:
+    """Each label with its most likely settings and another that the data allow as well; of those beside, one each."""
     if len(set(labels)) < 2:
         raise InputError(f"causes {list(labels)}; give two or more that are to be told apart")
     known = {c.label: c for c in case.candidates}
-    found: list[tuple[tuple[Effect, ...], Noise]] = []
-    for label in dict.fromkeys(labels):
+    found: list[_Cause] = []
+    for label in dict.fromkeys((*labels, *beside)):
         if label == NONE:
-            found.append(((), likely_noise(case.evidence.log_base())))
+            found.append(_Cause(NONE, (), likely_noise(case.evidence.log_base())))
             continue
         if label not in known:
             raise InputError(f"cause {label!r} is no candidate of this case; there are none, {', '.join(known)}")
         variants = known[label].variants
         grids = case.evidence.log_grids([case.group(v) for v in variants]) + np.log(KAPPA_WEIGHTS)
-        best = int(np.argmax(grids.reshape(len(variants), -1).max(axis=1)))
-        found.append((variants[best], likely_noise(grids[best])))
+        likely = log_sum(grids.reshape(len(variants), -1), axis=1)
+        allowed = np.flatnonzero(likely > likely.max() - LIKELY)
+        spread = allowed[np.linspace(0, len(allowed) - 1, MOST_VARIANTS).astype(int)]
+        others = spread.tolist() if label in labels else []
+        for k in dict.fromkeys([int(np.argmax(likely)), *others]):
+            found.append(_Cause(label, variants[k], likely_noise(grids[k])))
     # The cause that leaves the least noise comes first: its noise is taken for all.
-    return sorted(found, key=lambda cause: cause[1].sigma)
-
-
-def _draw(case: Case, effects: tuple[Effect, ...], pool: int, seed: int) -> _Pool:
-    """Random poses within the campaign's ranges and loop margins, and the campaign's own, under every circumstance."""
-    rng = np.random.default_rng(seed)
-    own = case.m
-    lower, upper = own.q.min(axis=0), own.q.max(axis=0)
-    q = rng.uniform(lower, upper, (4 * pool, own.q.shape[1]))
-    if case.robot.loops:
-        margin = case.robot.model.at_declared("loop", ("margin",))
-        values = case.robot.parameters.values
-        least = margin.map(len(own))(own.q.T, values).full().min(axis=1)
-        open_ = margin.map(len(q))(q.T, values).full()
-        q = q[(open_ >= least[:, None]).all(axis=0)]
-    q = q[:pool]
-    repeated = np.concatenate([np.full(len(q), -1), np.flatnonzero(case.kept)])
-    q = np.concatenate([q, own.q[case.kept]])
-    conditions: dict[str, Array] = {}
-    warm = rng.random(len(q)) < 0.5
-    for name in dict.fromkeys((*case.robot.conditions, *(c for e in effects for c in e.conditions))):
-        conditions[name] = _circumstance(case, name, len(q), warm, rng)
-    if "payload_kg" not in conditions and "payload_kg" in own.conditions:
-        conditions["payload_kg"] = rng.choice(np.unique(own.conditions["payload_kg"]), len(q))
-    timed = any(c.startswith("warmth_") for c in conditions)
-    m = Measurements(q=q, kind="position", position=np.zeros((len(q), 3)), conditions=conditions)
-    return _Pool(m, repeated, warm if timed else None)
-
-
-def _circumstance(case: Case, name: str, count: int, warm: Array, rng: np.random.Generator) -> Array:
-    """A condition at the new poses: what can be chosen is drawn, what cannot is that of a later day."""
-    logged = case.m.conditions.get(name)
-    if name == "progress":
-        return np.ones(count)
-    if name.startswith("approach"):
-        return rng.choice([-1.0, 1.0], count)
-    if logged is None:
-        payload = case.robot.payload
-        return np.full(count, payload.mass if name == "payload_kg" and payload else 0.0)
-    if name.startswith("warmth_"):
-        return np.asarray(np.where(warm, logged.max(), logged.min()))
-    return rng.choice(np.unique(logged), count)
+    return sorted(found, key=lambda cause: cause.noise.sigma)
 
 
 def _predict(case: Case, variant: tuple[Effect, ...], noise: Noise, m: Measurements) -> _Prediction:
@@ -137,7 +125,7 @@ def _predict(case: Case, variant: tuple[Effect, ...], noise: Noise, m: Measureme
     columns = case.group(variant) if variant else np.zeros(0, dtype=np.int64)
     A = np.concatenate([old.J, old.E[:, :, columns]], axis=2)
     new = np.concatenate([J, E * widths(variant)], axis=2)
-    prior = np.concatenate([old.prior, np.full(len(columns), CHOSEN)])
+    prior = np.concatenate([old.prior, np.full(len(columns), WIDE)])
     mean = np.concatenate([old.delta0, np.zeros(len(columns))])
     # Scaled by the prior, the normal matrix is at least the identity.
     A, new, mean = A * prior, new * prior, mean / prior
@@ -157,65 +145,85 @@ def _noise_at(case: Case, noise: Noise, m: Measurements) -> Array:
     return covariance(Evidence(np.zeros((len(m), 3)), J, Jq, np.zeros(0), np.ones(0), empty), noise)
 
 
-def _pick(predictions: Sequence[_Prediction], noise: Array, n: int) -> tuple[list[int], list[float]]:
-    """Greedy choice of n poses and what they separate, summed as they are added: the least of all pairs."""
-    pairs = list(combinations(range(len(predictions)), 2))
+class _Model:
+    """A cause's predictive distribution at all poses, as it learns from the data at those picked.
+
+    own : covariance of the data at each pose, shape (K, 3, 3); inverse, volume : of it, and log determinant
+    """
+
+    def __init__(self, prediction: _Prediction, noise: Array) -> None:
+        self.first, self.noise = prediction, noise
+        self._known: Array = np.eye(prediction.spread.shape[2])
+        self._set(prediction.spread @ prediction.spread.transpose(0, 2, 1) + noise)
+
+    def _set(self, own: Array) -> None:
+        self.own, self.inverse = own, np.linalg.inv(own)
+        self.volume: Array = np.linalg.slogdet(own)[1]
+
+    def learn(self, pose: int) -> Array:
+        """Take in the data at a pose, as a Kalman filter does; its gain at all poses, shape (K, 3, 3)."""
+        spread = self.first.spread
+        toward = self._known @ spread[pose].T
+        gain = np.asarray((spread.reshape(-1, len(toward)) @ toward).reshape(-1, 3, 3) @ self.inverse[pose])
+        self._known = self._known - toward @ self.inverse[pose] @ toward.T
+        self._set(self.own - gain @ self.own[pose] @ gain.transpose(0, 2, 1))
+        return gain
+
+
+class _Duel:
+    """What the data of a truth differ by from a model's prediction: mean, shape (K, 3), and root of the covariance less
+    the pose's own noise, shape (K, 3, any)."""
+
+    def __init__(self, model: _Model, truth: _Model) -> None:
+        self.model, self.truth = model, truth
+        self.mean: Array = truth.first.mean - model.first.mean
+        self.root: Array = truth.first.spread
+
+    def gains(self) -> Array:
+        """What each pose adds to the expected log Bayes factor in favour of the truth, shape (K,): a divergence."""
+        square = self.model.noise + self.root @ self.root.transpose(0, 2, 1)
+        square += self.mean[:, :, None] * self.mean[:, None, :]
+        far = (self.model.inverse * square).sum(axis=(1, 2)) - 3
+        return np.asarray(0.5 * (far + self.model.volume - self.truth.volume))
+
+    def follow(self, pose: int, gain: Array) -> None:
+        """The model has learnt at a pose, with this gain."""
+        heard = np.linalg.cholesky(self.model.noise[pose])
+        self.mean = self.mean - gain @ self.mean[pose]
+        self.root = np.concatenate([self.root - gain @ self.root[pose], -gain @ heard], axis=2)
+
+
+_Pairs = Sequence[tuple[_Model, _Model]]
+
+
+def _pick(asked: _Pairs, also: _Pairs, n: int) -> tuple[list[int], list[float]]:
+    """Greedy choice of n poses and what they separate, summed as they are added: of the truth told least.
+
+    asked, also : pairs to be told apart; only the former count as what is separated
+    """
+    pairs = [*asked, *also]
+    duels = [d for a, b in pairs for d in (_Duel(a, b), _Duel(b, a))]
+    models = list(dict.fromkeys(m for pair in pairs for m in pair))
     picked: list[int] = []
-    gained = np.zeros(len(pairs))
+    gained = np.zeros(len(duels))
     course = []
     for _ in range(n):
-        gains = np.stack([_gain(predictions[a], predictions[b], noise, picked) for a, b in pairs])
-        # The pair that is told apart least so far matters most.
-        weight = 1 / (1 + gained)
-        score = (weight[:, None] * gains).sum(axis=0)
+        gains = np.stack([d.gains() for d in duels])
+        # The truth that is told least so far matters most.
+        score = (gains / (1 + gained[:, None])).sum(axis=0)
         score[picked] = -np.inf
         best = int(np.argmax(score))
         gained = gained + gains[:, best]
         picked.append(best)
-        course.append(float(gained.min()))
+        course.append(float(gained[: 2 * len(asked)].min()))
+        learnt = {m: m.learn(best) for m in models}
+        for duel in duels:
+            duel.follow(best, learnt[duel.model])
     return picked, course
 
 
-def _gain(a: _Prediction, b: _Prediction, noise: Array, picked: list[int]) -> Array:
-    """What each pose adds to the expected log Bayes factor (mean of both truths), given those picked, shape (K,)."""
-    d = a.mean - b.mean
-    return 0.25 * (_distance(a, b, d, noise, picked) + _distance(b, a, d, noise, picked))
-
-
-def _distance(model: _Prediction, truth: _Prediction, d: Array, noise: Array, picked: list[int]) -> Array:
-    """Expected squared Mahalanobis distance of the truth's data from the model's prediction, beyond the model's own."""
-    own, other = ((p.spread @ p.spread.transpose(0, 2, 1)) + noise for p in (model, truth))
-    miss = other + d[:, :, None] * d[:, None, :]
-    if picked:
-        X = 3 * len(picked)
-        S = [_between(p, p.spread[picked].reshape(X, -1)) for p in (model, truth)]
-        known = [_joint(p, noise, picked) for p in (model, truth)]
-        far = d[picked].ravel()
-        cross = S[1] + d[:, :, None] * far
-        G = np.linalg.solve(known[0], S[0].transpose(0, 2, 1)).transpose(0, 2, 1)
-        own = own - G @ S[0].transpose(0, 2, 1)
-        turned = G @ cross.transpose(0, 2, 1)
-        whole = known[1] + np.outer(far, far)
-        miss = miss - turned - turned.transpose(0, 2, 1) + G @ whole @ G.transpose(0, 2, 1)
-    return np.asarray(np.trace(np.linalg.solve(own, miss), axis1=1, axis2=2) - 3)
-
-
-def _between(p: _Prediction, rows: Array) -> Array:
-    """Covariance of all poses with those picked, shape (K, 3, X)."""
-    return np.asarray(p.spread @ rows.T)
-
-
-def _joint(p: _Prediction, noise: Array, picked: list[int]) -> Array:
-    """Covariance of the picked poses' data, shape (X, X)."""
-    rows = p.spread[picked].reshape(3 * len(picked), -1)
-    S = rows @ rows.T
-    for k, pose in enumerate(picked):
-        S[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += noise[pose]
-    return np.asarray(S)
-
-
 def _table(
-    case: Case, effects: tuple[Effect, ...], drawn: _Pool, picked: list[int], gained: list[float]
+    case: Case, effects: tuple[Effect, ...], drawn: Pool, picked: list[int], gained: list[float]
 ) -> pd.DataFrame:
     rows = drawn.m[np.array(picked, dtype=np.int64)]
     table = pd.DataFrame({"order": np.arange(1, len(picked) + 1)})
@@ -231,6 +239,7 @@ def _table(
         table["state"] = np.where(drawn.warm[picked], "warm", "cold")
     source = drawn.repeated[picked]
     table["repeats"] = [f"row {case.m.row[k]}" if k >= 0 else "" for k in source]
+    table["new"] = news(case, drawn, picked)
     table["separation"] = np.round(gained, 3)
     for name in ("time_s", "temperature_degC", "x_mm", "y_mm", "z_mm"):
         table[name] = np.nan

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -13,6 +13,7 @@ import pandas as pd
 from ..compensator import Trainer
 from ..effects import Effect
 from ..identification import Identification
+from ..pose_selection.workspace import Workspace
 from ..robot import Robot
 from ..transforms import Array
 from .case import Case
@@ -120,10 +121,20 @@ class Diagnosis:
         order = [k for k in self.rankings[-1].order if k in self.rankings[0].probability]
         return tuple(order[:2]) if self.verdict in ("ambiguous", "unknown") else ()
 
-    def next_poses(self, n: int, seed: int = 0) -> pd.DataFrame:
-        """The n poses that best tell apart what this data cannot (see `next_poses.next_poses`); empty if nothing is."""
+    def next_poses(
+        self, n: int, seed: int = 0, *, workspace: Workspace | None = None, payloads: Sequence[float] = ()
+    ) -> pd.DataFrame:
+        """The n poses that best tell apart what this data cannot (see `next_poses.next_poses`); empty if nothing is.
+
+        workspace : where poses may lie; payloads : states [kg] that can be mounted
+        """
         labels = self.in_question
-        return next_poses(self.case, labels, n, seed) if len(labels) > 1 else pd.DataFrame()
+        if len(labels) < 2:
+            return pd.DataFrame()
+        known = {c.label for c in self.case.candidates}
+        others = [k for k in self.rankings[-1].order if k in known and k not in labels]
+        beside = ("none", *others[:1])
+        return next_poses(self.case, labels, n, seed, beside=beside, workspace=workspace, payloads=payloads)
 
     def effects(self, top: int | None = None) -> tuple[Effect, ...]:
         """Effects of the first `top` causes (all by default), with their most likely settings."""

@@ -14,9 +14,14 @@ from .base import Context, Effect
 
 @dataclass(frozen=True)
 class AxisWobble(Effect):
-    """cycles : 1 or 2 a turn."""
+    """A wave of the bearing ring that turns with the link, or of the one that stands still.
+
+    cycles : 1 or 2 a turn; still : whether the wave is seen from the link before the joint, where it has one cycle less
+    and one more as seen from the link behind it
+    """
 
     cycles: int = 1
+    still: bool = False
 
     name: ClassVar[str] = "axis_wobble"
     physics: ClassVar[str] = "Bearing run-out: the axis of rotation tilts and translates periodically (ISO 230-7)."
@@ -29,9 +34,17 @@ class AxisWobble(Effect):
     def link(self, number: int, context: Context) -> Symbolic:
         if number != self.joint:
             return ca.SX.eye(4)
-        q = self.cycles * context.q[number - 1]
+        q = context.q[number - 1]
         rx, ry, x, y = (
-            self.value(context, f"{c}_sin") * ca.sin(q) + self.value(context, f"{c}_cos") * ca.cos(q)
+            self.value(context, f"{c}_sin") * ca.sin(self.cycles * q)
+            + self.value(context, f"{c}_cos") * ca.cos(self.cycles * q)
             for c in ("rx", "ry", "x", "y")
         )
+        if self.still:
+            (rx, ry), (x, y) = _turned_back(rx, ry, q), _turned_back(x, y, q)
         return small_frame(x, y, 0, rx, ry, 0)
+
+
+def _turned_back(x: Symbolic, y: Symbolic, q: Symbolic) -> tuple[Symbolic, Symbolic]:
+    """A vector across the axis as seen from a link that has turned by q."""
+    return ca.cos(q) * x + ca.sin(q) * y, ca.cos(q) * y - ca.sin(q) * x

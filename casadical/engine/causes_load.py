@@ -29,7 +29,7 @@ class Backlash(Cause):
 
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
         name, stiffness = f"joint{self.joint}", float(plant.stiffness[self.joint - 1])
-        k = 0.01 * stiffness
+        k = 0.1 * stiffness
         play = Joint(f"play{self.joint}", limits=(-self.size, self.size), inertia=k * SLOW**2, damping=k * SLOW)
         rub = Shaft(f"bearing{self.joint}", {name: 1.0, play.name: 1.0}, friction=self.friction * self.size * stiffness)
         mechanism = mechanism.with_more(name, after=(play,))

@@ -87,7 +87,7 @@ def _size(
             "knee": float(rng.choice([0.0, rng.uniform(0.1, 0.3)])),
             "linear": float(rng.uniform(0.1, 0.3)),
         },
-        "backlash": {"size": 60e-6 * usual, "friction": float(rng.uniform(0.05, 0.25))},
+        "backlash": {"size": 60e-6 * usual, "friction": float(rng.uniform(0.01, 0.05))},
         "friction_windup": {"size": 40e-6 * usual, "load_share": float(rng.uniform(0, 0.8))},
         "link_flexure": {
             "link": int(rng.choice([2, 3])),

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     import mujoco
 
 STILL = 2e-9  # rad/s or m/s; the way left to go is a tenth of it in rad or m
+CREEP = 2e-7  # rad/s or m/s; what friction holds creeps in the engine
 APPROACH = 1.5e-3  # rad that every joint moves before it stops, where the way matters
-MOVING, WAITING, BESIDE, AT_MOST = 80, 80, 300, 1500  # steps
+BESIDE, MOVING, WAITING, AT_MOST = 100, 80, 80, 1500  # steps
 
 
 @dataclass(frozen=True)
@@ -141,7 +142,7 @@ class Engine:
         back = stop.motors - APPROACH * stop.approach
         m.dof_frictionloss[self._moves] = m.tendon_frictionloss[:] = 0.0
         self._drive(back)
-        self._until_still(BESIDE)
+        self.mujoco.mj_step(m, self.data, BESIDE)
         for name in ("dof_frictionloss", "tendon_frictionloss"):
             getattr(m, name)[:] = self._built[name]
         for row, dof, torque in self._rubs:
@@ -150,14 +151,13 @@ class Engine:
             self._drive(back + share * (stop.motors - back))
             self.mujoco.mj_step(m, self.data)
         self.mujoco.mj_step(m, self.data, WAITING)
+        self._until_still(creep=CREEP)
 
-    def _until_still(self, enough: int = AT_MOST) -> None:
-        for _ in range(0, enough, 10):
+    def _until_still(self, creep: float = STILL) -> None:
+        for _ in range(0, AT_MOST, 10):
             self.mujoco.mj_step(self.model, self.data, 10)
-            if np.abs(self.data.qvel).max() < STILL:
+            if np.abs(self.data.qvel).max() < creep:
                 return
-        if enough < AT_MOST:
-            return
         raise ConvergenceError(
             f"the engine finds no rest: after {AT_MOST} steps something still moves at "
             f"{np.abs(self.data.qvel).max():.1e} rad/s; are the joints too soft for their loads?"

@@ -1,8 +1,9 @@
-"""What `casadical plan` does: calibrate what was measured, choose the next poses, order them, look ahead."""
+"""What `casadical plan` does: calibrate what was measured, choose the next poses, order them, look ahead, stop."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from ..conditions import derive
@@ -37,6 +38,45 @@ def continued(robot: Robot, path: Path, noise: Noise | None) -> tuple[Robot, Mea
     return result.robot, m, noise or Noise(result.sigmas[0][0])
 
 
+@dataclass(frozen=True, eq=False)
+class _Start:
+    """Where planning begins: the robot with its effects, calibrated by what was measured, and the noise."""
+
+    robot: Robot
+    measured: Measurements | None
+    noise: Noise | None
+
+
+def _start(robot: Robot, effects: Sequence[Effect], measured: Path | None, noise: Noise | None) -> _Start:
+    known = {e.label for e in robot.effects}
+    robot = robot.with_effect(*(e for e in effects if e.label not in known)) if effects else robot
+    return _Start(robot, None, noise) if measured is None else _Start(*continued(robot, measured, noise))
+
+
+def look_ahead(
+    robot: Robot,
+    effects: Sequence[Effect] = (),
+    *,
+    most: int = 100,
+    workspace: Workspace | None = None,
+    circumstances: Circumstances | None = None,
+    measured: Path | None = None,
+    noise: Noise | None = None,
+    seed: int = 0,
+) -> Forecast:
+    """The stopping rule: the accuracy to expect against the number of poses, with what was measured so far.
+
+    effects : in the model as well; measured : file of poses measured already; most : as of `forecast`, on top of these
+    Raises InputError.
+    """
+    start = _start(robot, effects, measured, noise)
+    before = 0 if start.measured is None else len(start.measured)
+    return forecast(
+        start.robot, before + most, workspace=workspace, circumstances=circumstances, measured=start.measured,
+        noise=start.noise, seed=seed,
+    )  # fmt: skip
+
+
 def plan(
     robot: Robot,
     n: int,
@@ -56,19 +96,15 @@ def plan(
     effects : to be told, besides the accuracy over the task; measured : file of poses measured already; order : for
     little travel; other arguments as of `select_poses`. Raises InputError.
     """
-    known = {e.label for e in robot.effects}
-    robot = robot.with_effect(*(e for e in effects if e.label not in known)) if effects else robot
-    before = None
-    if measured is not None:
-        robot, before, noise = continued(robot, measured, noise)
-    circumstances = circumstances or Circumstances()
+    start = _start(robot, effects, measured, noise)
+    before, noise = start.measured, start.noise
     found = select_poses(
-        robot, n, criterion, workspace=workspace, circumstances=circumstances, measured=before,
+        start.robot, workspace, n, criterion, circumstances=circumstances, measured=before,
         interest=tuple(e.label for e in effects), noise=noise, min_distance=min_distance, seed=seed,
     )  # fmt: skip
     total = len(found) + (0 if before is None else len(before))
     ahead = forecast(
-        robot, total + max(20, total // 2), workspace=workspace, circumstances=circumstances, measured=before,
+        start.robot, total + max(20, total // 2), workspace=workspace, circumstances=circumstances, measured=before,
         noise=noise, seed=seed,
     )  # fmt: skip
     return (found.ordered() if order else found), ahead

@@ -18,8 +18,11 @@ from .stopping import Forecast
 _HEIGHTS, _DISTANCES = ("low", "middle", "high"), ("near", "middle", "far")
 
 
-def plan_files(path: Path, plan: Selection, forecast: Forecast) -> dict[Path, str]:
-    """The poses; beside them expected standard errors (.expected.csv), error map (.map.csv) and figures (.json)."""
+def plan_files(path: Path, json_file: Path | None, plan: Selection, forecast: Forecast) -> dict[Path, str]:
+    """The poses; beside them expected standard errors (.expected.csv), error map (.map.csv) and figures (.json).
+
+    json_file : where the figures go as well
+    """
     figures = {
         "poses": len(plan),
         "criterion": plan.criterion,
@@ -27,12 +30,20 @@ def plan_files(path: Path, plan: Selection, forecast: Forecast) -> dict[Path, st
         "observability": plan.observability,
         "forecast": forecast.table.to_dict("list"),
     }
+    text = json.dumps(figures, indent=1, allow_nan=False) + "\n"
     return {
         path: plan.table.to_csv(index=False, float_format="%.10g"),
         path.with_suffix(".expected.csv"): plan.parameters.to_csv(index=False, float_format="%.6g"),
         path.with_suffix(".map.csv"): plan.error_map.to_csv(index=False, float_format="%.6g"),
-        path.with_suffix(".json"): json.dumps(figures, indent=1, allow_nan=False) + "\n",
-    }
+        path.with_suffix(".json"): text,
+    } | ({json_file: text} if json_file else {})
+
+
+def ahead_files(path: Path | None, json_file: Path | None, forecast: Forecast) -> dict[Path, str]:
+    """The expected error against the number of poses, as a table and as data, where they are wanted."""
+    text = json.dumps({"forecast": forecast.table.to_dict("list")}, indent=1, allow_nan=False) + "\n"
+    table = forecast.table.to_csv(index=False, float_format="%.6g")
+    return ({path: table} if path else {}) | ({json_file: text} if json_file else {})
 
 
 def report(plan: Selection, forecast: Forecast, target: float | None = None) -> RenderableType:
@@ -50,7 +61,7 @@ def report(plan: Selection, forecast: Forecast, target: float | None = None) -> 
     parts: list[RenderableType] = [
         Text(head, style="bold"),
         Text(f"Criterion {plan.criterion}; observability {indices}; travel {_degrees(plan)} deg."),
-        Text(_how_many(forecast, target)),
+        Text(how_many(forecast, target)),
         Text(),
         _map(plan),
         Text(),
@@ -63,13 +74,16 @@ def _degrees(plan: Selection) -> str:
     return f"{np.rad2deg(travel(plan.robot, plan.q)):.0f}"
 
 
-def _how_many(forecast: Forecast, target: float | None) -> str:
+def how_many(forecast: Forecast, target: float | None) -> str:
+    """How many poses are enough, in sentences; target : accuracy that is wanted [m]."""
     at = np.unique(np.linspace(0, len(forecast.poses) - 1, 6).astype(int))
     course = ", ".join(f"{forecast.poses[k]}: {1e3 * forecast.error[k]:.4f}" for k in at)
     text = f"Expected error [mm] against poses: {course}. "
     stop = forecast.stop()
     if stop is not None:
         text += f"From {stop} poses on, ten more gain less than 10 %. "
+    else:
+        text += "Ten more poses still gain more than 10 % everywhere. "
     if target is not None:
         enough = forecast.enough(target)
         text += (

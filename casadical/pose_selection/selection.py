@@ -302,10 +302,10 @@ def _with_columns(robot: Robot, measured: Measurements) -> Measurements:
 
 def select_poses(
     robot: Robot,
+    among: Array | tuple[Array, Array] | Workspace | None,
     n: int,
     criterion: Criterion = "V",
     *,
-    candidates: Array | None = None,
     workspace: Workspace | None = None,
     circumstances: Circumstances | None = None,
     measured: Measurements | None = None,
@@ -322,10 +322,11 @@ def select_poses(
 
     robot : its values are what the Jacobians are taken at, so give the calibrated one when continuing; its effects
         (`with_effect`) are parameters like any other
+    among : readings to choose from, shape (N, joints) [rad or m]; or limits between which they are drawn, and then
+        refined in the neighbourhood of the best: a tuple (lower, upper), shape (joints,) each [rad or m], or a
+        workspace; None: the robot's own ranges
     criterion : V (the mean variance of the position over the task), D or O1, A, O2 to O5; see `criteria`
-    candidates : readings to choose from, shape (N, joints) [rad or m]; None: drawn from the workspace and then refined
-        in the neighbourhood of the best
-    workspace, circumstances : where poses may lie; payloads, approaches, repeats
+    workspace, circumstances : what else keeps a pose from being measured; payloads, approaches, repeats
     measured : poses that were measured already: the choice adds to them and keeps its distance
     free : what will be identified, as of `identify`; by default geometry, frames, compliance and all effects
     interest : parameters (names, groups or labels, patterns) that matter most: A then regards only these, V weighs
@@ -338,9 +339,10 @@ def select_poses(
     """
     if n < 1:
         raise InputError(f"n is {n}; at least one pose must be chosen")
+    candidates, workspace = _sources(among, workspace)
     rng = np.random.default_rng(seed)
     problem = prepare(
-        robot, n, criterion, candidates=candidates, workspace=workspace or Workspace(),
+        robot, n, criterion, candidates=candidates, workspace=workspace,
         circumstances=circumstances or Circumstances(), measured=measured, free=free, interest=interest, task=task,
         noise=noise or Noise(), pool=max(pool, 3 * n), rng=rng,
     )  # fmt: skip
@@ -350,6 +352,25 @@ def select_poses(
         for size in REFINEMENTS:
             chosen = _refined(problem, chosen, criterion, min_distance, size, rng)
     return selection(problem, chosen, criterion)
+
+
+def _sources(
+    among: Array | tuple[Array, Array] | Workspace | None, workspace: Workspace | None
+) -> tuple[Array | None, Workspace]:
+    """Candidates, if any were given, and the workspace with the limits that were given."""
+    if isinstance(among, Workspace):
+        if workspace is not None:
+            raise InputError("two workspaces were given; give one of them, or limits as a tuple (lower, upper)")
+        return None, among
+    room = workspace or Workspace()
+    if isinstance(among, tuple):
+        if len(among) != 2:
+            raise InputError(f"limits of {len(among)} parts; allowed: (lower, upper), one reading a joint each")
+        lower, upper = (np.asarray(side, dtype=float) for side in among)
+        return None, replace(room, lower=lower, upper=upper)
+    if among is not None and np.asarray(among).ndim == 0:
+        raise InputError(f"poses chosen among {among!r}; allowed: candidates, (lower, upper), a Workspace, None")
+    return among, room
 
 
 def selection(problem: Problem, chosen: Candidates, criterion: Criterion) -> Selection:

@@ -10,9 +10,11 @@ from ..diagnosis.diagnosis import Diagnosis, diagnose
 from ..errors import InputError
 from ..identification import Identification, identify
 from ..measurements import Measurements, read_measurements
-from ..problem import Problem, read_campaign_robot, read_problem
+from ..problem import Problem, read_campaign_robot, read_problem, read_problem_robot
 from ..robot import Robot
 from ..robot_file import read_robot
+from .into_mjcf import into_mjcf
+from .mjcf import MjcfExport
 
 Show = Callable[[str], None]
 
@@ -52,3 +54,24 @@ def with_causes(robot: Robot, m: Measurements, found: Diagnosis) -> Robot:
     m, _ = derive(m, [c for e in causes for c in e.conditions])
     free = ("kinematic", "compliance", *(e.label for e in causes))
     return identify(robot.with_effect(*causes), m, free, loss="huber", priors=True, screen=False).robot
+
+
+def into_users(
+    source: Path, campaign: Path | None, nominal: Path | None, robot: Robot, into: Path, joints: str, springs: bool
+) -> MjcfExport:
+    """A user's own model with the geometry (and springs) of a robot from `robot_to_write`; effects stay out of it.
+
+    nominal : robot file from before the calibration, needed where source is a robot file; joints : names by commas
+    Raises InputError.
+    """
+    if source.is_file() and nominal is None:
+        raise InputError("--into needs the robot before its calibration too: give --nominal, or the problem folder")
+    if nominal is not None:
+        before = read_robot(nominal)
+    else:
+        before = read_campaign_robot(source) if campaign else read_problem_robot(source)
+    text = into_mjcf(before, robot, into, [name.strip() for name in joints.split(",")], springs)
+    left_out = [f"{e.label}: effects go into a model of casadical's own, not into {into.name}" for e in robot.effects]
+    if not springs and any(j.compliance for j in robot.joints):
+        left_out.append("springs of the joints; --springs adds them")
+    return MjcfExport(text, (), tuple(left_out))

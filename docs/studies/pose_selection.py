@@ -1,4 +1,5 @@
-"""OMP_NUM_THREADS=1 python docs/studies/pose_selection.py PYTHON_WITH_FIGAROH > docs/studies/pose_selection.txt
+"""OMP_NUM_THREADS=1 python docs/studies/pose_selection.py > docs/studies/pose_selection.txt
+OMP_NUM_THREADS=1 python docs/studies/pose_selection.py PYTHON_WITH_FIGAROH > docs/studies/pose_selection_figaroh.txt
 
 Chosen poses against random ones and against figaroh's D-optimal selections, for three robots and 30, 50, 100 poses:
 the index O1 and the seconds it takes, the held-out error over simulated campaigns, the standard errors predicted and
@@ -91,7 +92,7 @@ def against_figaroh(name, robot, python):
         rows, out = Path(folder) / "rows.npy", Path(folder) / "out.json"
         np.save(rows, J)
         helper = HERE / "pose_selection_figaroh.py"
-        subprocess.run([python, helper, rows, out, *map(str, SIZES)], check=True, stderr=subprocess.DEVNULL)
+        subprocess.run([python, helper, rows, out, *map(str, SIZES)], check=True)
         found = json.loads(out.read_text(encoding="utf-8"))
     for theirs in found:
         n = theirs["n"]
@@ -99,10 +100,10 @@ def against_figaroh(name, robot, python):
         random = np.mean([o1(J, chance.choice(POOL, n, replace=False)) for _ in range(50)])
         start = time.process_time()
         # A fresh robot, so that building its functions counts.
-        same = select_poses(replace(robot), n, "O1", candidates=q, noise=Noise(SIGMA))
+        same = select_poses(replace(robot), q, n, "O1", noise=Noise(SIGMA))
         seconds = time.process_time() - start
         start = time.process_time()
-        free = select_poses(replace(robot), n, "O1", noise=Noise(SIGMA))
+        free = select_poses(replace(robot), None, n, "O1", noise=Noise(SIGMA))
         freely = time.process_time() - start
         assert same.names == free.names == names
         print(
@@ -137,9 +138,9 @@ def least_error(robot, names, n, task):
 
 def campaigns(name, robot, plant):
     for n in SIZES:
-        chosen = select_poses(robot, n, "V", noise=NOISE)
+        chosen = select_poses(robot, None, n, "V", noise=NOISE)
         mean, wins = compare(robot, plant, chosen.q, Workspace())
-        plain = select_poses(robot, n, "V", noise=Noise(SIGMA))
+        plain = select_poses(robot, None, n, "V", noise=Noise(SIGMA))
         rng = np.random.default_rng(4)
         chance = [draw_uniform(robot, n, Workspace(), rng) for _ in range(50)]
         by_formula = np.mean([accuracy_of(chosen, q) for q in chance])
@@ -179,7 +180,7 @@ def in_a_room(name, robot, plant):
     )  # fmt: skip
     everywhere = draw_uniform(robot, 300, Workspace(), np.random.default_rng(6))
     for n in SIZES[:2]:
-        chosen = select_poses(robot, n, "V", workspace=room, task=everywhere, noise=NOISE)
+        chosen = select_poses(robot, room, n, "V", task=everywhere, noise=NOISE)
         mean, wins = compare(robot, plant, chosen.q, room)
         less = 1 - mean["V"] / mean["random"]
         print(f"{name:6s} {n:4d}  {mean['random']:.4f}  {mean['V']:.4f} {less:6.1%}  {wins:4.0%}", flush=True)
@@ -188,7 +189,7 @@ def in_a_room(name, robot, plant):
 def standard_errors(name, robot, plant):
     """One real robot, measured REPETITIONS times at the same 50 poses."""
     real = perturb(plant, 99)
-    chosen = select_poses(robot, 50, "V", noise=NOISE)
+    chosen = select_poses(robot, None, 50, "V", noise=NOISE)
     results = [identify(robot, measured(real, chosen.q, k, robot.payload.mass)[0]) for k in range(REPETITIONS)]
     # A base that leans a little lets gravity load joint 1, which the drawing does not know.
     assert all(set(r.names) ^ set(chosen.names) <= {"c1"} for r in results)
@@ -208,8 +209,20 @@ def standard_errors(name, robot, plant):
     )
 
 
+def figaroh(robots, python):
+    print(f"O1 [mm] and CPU seconds, {POOL} candidates for all; 'free': ours drawing its own and refining them.")
+    print("Detmax may take a pose twice: 'twice' counts these. Ours includes Jacobians and choosing parameters;")
+    print("figaroh is given finished information matrices, so its seconds are those of the choice alone.\n")
+    print("robot     n  random   SOCP top n [s]  Detmax    [s] twice   ours      [s]  free      [s]")
+    for name, robot in robots.items():
+        against_figaroh(name, robot, python)
+
+
 def main() -> None:
     robots = {name: read_robot(PROBLEMS / name / file) for name, file in ROBOTS.items()}
+    if len(sys.argv) > 1:
+        figaroh(robots, sys.argv[1])
+        return
     plants = {name: plant_of(robot) for name, robot in robots.items()}
     print(f"\nPredicted and realised standard errors, 50 poses, {REPETITIONS} campaigns of one real robot:\n")
     print("robot   parameters: rms, range of realised/predicted; task error [mm] predicted, realised, ratio")
@@ -230,12 +243,6 @@ def main() -> None:
         seen = forecast(robot, 100, noise=NOISE)
         at = [f"{n}: {1e3 * np.interp(n, seen.poses, seen.error):.4f}" for n in (20, 30, 40, 60, 100)]
         print(f"{name:6s}  {', '.join(at)}; ten more gain under 10 % from {seen.stop()} poses on")
-    if len(sys.argv) > 1:
-        print(f"\nO1 [mm] and CPU seconds, {POOL} candidates for all; 'free': ours drawing its own and refining them.")
-        print("Detmax may take a pose twice: 'twice' counts these. Ours includes Jacobians and choosing parameters.\n")
-        print("robot     n  random   SOCP top n [s]  Detmax    [s] twice   ours      [s]  free      [s]")
-        for name, robot in robots.items():
-            against_figaroh(name, robot, sys.argv[1])
 
 
 if __name__ == "__main__":

@@ -33,10 +33,12 @@ def main() -> None:
     for n in map(int, sizes):
         random.seed(0)
         start = time.process_time()
-        detmax = Watched(pool, n).run()
+        watched = Watched(pool, n)
+        watched.main_algo()
         seconds = time.process_time() - start
         top = np.argsort(-weights)[:n].tolist()
-        found.append({"n": n, "socp": top, "socp_s": socp, "detmax": detmax, "detmax_s": seconds})
+        print(f"{n}: {socp:.1f} s, {seconds:.1f} s", file=sys.stderr, flush=True)
+        found.append({"n": n, "socp": top, "socp_s": socp, "detmax": watched.last, "detmax_s": seconds})
     with open(out, "w", encoding="utf-8") as file:
         json.dump(found, file)
 

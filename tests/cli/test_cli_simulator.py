@@ -60,6 +60,11 @@ WRONG = {
         ["export", "mjcf", HH800 / "robot.toml", "--out", "x.xml", "--campaign", "c.csv"],
         "--campaign needs the problem folder",
     ),
+    "into without joints": (["export", "mjcf", PLANAR, "--out", "x.xml", "--into", "y.xml"], "belong together"),
+    "into without the nominal": (
+        ["export", "mjcf", HH800 / "robot.toml", "--out", "x.xml", "--into", "y.xml", "--joints", "a,b"],
+        "give --nominal, or the problem folder",
+    ),
     "no such campaign": (["replay", PLANAR, "none.csv"], "none.csv: no such file"),
 }
 
@@ -75,6 +80,21 @@ def test_a_users_mistake_ends_in_a_message_and_2(
     assert main(monkeypatch, *arguments) == 2
     assert words in capfd.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_a_users_own_model_is_taken_and_given_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra mujoco)")
+    nominal, mine, out = ROOT / "problems" / "ur10e" / "robot.toml", tmp_path / "mine.xml", tmp_path / "new.xml"
+    assert main(monkeypatch, "export", "mjcf", nominal, "--out", mine, "-q") == 0  # stands for a user's model
+    joints = ",".join(f"joint{i}" for i in range(1, 7))
+    changed = tmp_path / "calibrated.toml"
+    changed.write_text(nominal.read_text().replace("a_mm = -612.7", "a_mm = -613.2"))
+    given = ["--into", mine, "--joints", joints, "--nominal", nominal]
+    assert main(monkeypatch, "export", "mjcf", changed, "--out", out, "-q", *given) == 0
+    before, after = (mujoco.MjModel.from_xml_path(str(path)) for path in (mine, out))
+    assert before.nq == after.nq
+    moved = [abs(after.body(f"link{i}").pos - before.body(f"link{i}").pos).max() for i in range(1, 7)]
+    assert moved == pytest.approx([0, 0, 5e-4, 0, 0, 0], abs=1e-9)
 
 
 def test_without_mujoco_replay_says_what_to_install(

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from bench import FIRST, batches, campaign, moved_by, robot, with_columns
 
+from casadical.accuracy import predicted
 from casadical.diagnosis.signatures import signatures
-from casadical.effects import Effect
+from casadical.effects import AxisWobble, Effect
 
 ROUND_OFF = 3e-16 * 5  # m, of a position some metres away
 
@@ -71,3 +72,15 @@ def test_base_columns_are_the_robots_own_derivative() -> None:
     # A joint variable moves the arm as its zero does; nothing here depends on the joint's deflection but the loads.
     zero = r.parameters.names.index("theta6")
     np.testing.assert_allclose(Jq[:, :, 5], J[:, :, zero], rtol=1e-3, atol=1e-3 * np.abs(Jq[:, :, 5]).max())
+
+
+def test_a_wave_of_the_ring_that_stands_still_has_one_cycle_more_on_the_link() -> None:
+    """Seen from the link, a vector a (cos q, -sin q) of the ring before it is a (cos 2q, -sin 2q)."""
+    poses = campaign("ur10e")[::40]
+    moved = []
+    for effect in (AxisWobble(4, 1, still=True), AxisWobble(4, 2)):
+        wave = {"x_cos": 1e-4, "y_sin": -1e-4, "rx_cos": 2e-4, "ry_sin": -2e-4}
+        theta = [wave.get(name, 0.0) for name in effect.sizes()]
+        moved.append(moved_by("ur10e", (effect,), np.array([[*robot("ur10e").parameters.values, *theta]]), poses)[0])
+    assert np.ptp(moved[0] - predicted(robot("ur10e"), poses)[0], axis=0).min() > 1e-5
+    np.testing.assert_allclose(moved[0], moved[1], atol=1e-12)

@@ -74,6 +74,23 @@ def test_a_plan_continues_from_a_file(monkeypatch, tmp_path, capsys, robot_file)
     assert len(pd.read_csv(out)) == 6
 
 
+def test_without_a_number_it_is_the_stopping_rule(monkeypatch, tmp_path, capsys, robot_file) -> None:
+    q = readings(elbow(), 20, 3)
+    table = pd.DataFrame(np.rad2deg(q), columns=[f"q{j}_deg" for j in range(1, 7)])
+    table[["x_mm", "y_mm", "z_mm"]] = 1e3 * positions(elbow(), q, 0, 2e-5).position
+    table.to_csv(tmp_path / "measured.csv", index=False)
+    out = tmp_path / "course.csv"
+    words = ("--measured", tmp_path / "measured.csv", "--noise-mm", "0.02", "--target-mm", "0.02", "--out", out)
+    assert run(monkeypatch, robot_file, *words) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    course = pd.read_csv(out)
+    assert course.poses.tolist() == list(range(20, 121))
+    enough = int(course.poses[course.expected_error_mm <= 0.02].iloc[0])
+    assert f"{enough} poses are enough for 0.02 mm" in text
+    assert "From " in text
+    assert [p.name for p in tmp_path.glob("*.csv")].count("plan.csv") == 0
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

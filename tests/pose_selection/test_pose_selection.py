@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from pose_arms import elbow, positions, readings
 
+import casadical
 from casadical import InputError, identify
 from casadical.effects import Backlash, FrameDrift, PayloadError, ThermalGrowth
 from casadical.pose_selection import Circumstances, Noise, Workspace, forecast, select_poses
@@ -26,7 +27,7 @@ def robot():
 
 @pytest.fixture(scope="module")
 def chosen(robot):
-    return select_poses(robot, 25, noise=Noise(SIGMA), **QUICK)
+    return select_poses(robot, None, 25, noise=Noise(SIGMA), **QUICK)
 
 
 def test_expected_standard_errors_are_those_that_an_identification_reports(robot, chosen) -> None:
@@ -82,7 +83,7 @@ def test_scaled_jacobian_against_finite_differences(robot) -> None:
 
 @pytest.mark.parametrize("criterion", ["V", "O1", "A", "O5"])
 def test_chosen_poses_are_better_than_random_ones_by_their_own_measure(robot, criterion) -> None:
-    found = select_poses(robot, 20, criterion, **QUICK)
+    found = select_poses(robot, None, 20, criterion, **QUICK)
 
     def worth(s):
         return {"V": 1 / s.accuracy, "A": 1 / np.trace(s._covariance)}.get(criterion) or s.observability[criterion]
@@ -95,8 +96,8 @@ def test_chosen_poses_are_better_than_random_ones_by_their_own_measure(robot, cr
 
 
 def test_the_same_seed_chooses_the_same(robot, chosen) -> None:
-    again = select_poses(robot, 25, noise=Noise(SIGMA), **QUICK)
-    other = select_poses(robot, 25, noise=Noise(SIGMA), **QUICK, seed=1)
+    again = select_poses(robot, None, 25, noise=Noise(SIGMA), **QUICK)
+    other = select_poses(robot, None, 25, noise=Noise(SIGMA), **QUICK, seed=1)
     np.testing.assert_array_equal(again.q, chosen.q)
     assert not np.array_equal(other.q, chosen.q)
     assert other.accuracy == pytest.approx(chosen.accuracy, rel=0.05)
@@ -104,14 +105,14 @@ def test_the_same_seed_chooses_the_same(robot, chosen) -> None:
 
 def test_given_candidates_are_chosen_from(robot) -> None:
     q = readings(robot, 60, 2)
-    found = select_poses(robot, 20, "D", candidates=q)
+    found = select_poses(robot, q, 20, "D")
     assert {tuple(v) for v in found.q} <= {tuple(v) for v in q}
     assert len({tuple(v) for v in found.q}) == 20
 
 
 def test_measured_poses_count_and_are_not_measured_again(robot) -> None:
     before = positions(robot, readings(robot, 15, 3), 0, SIGMA)
-    found = select_poses(robot, 10, measured=before, candidates=np.concatenate([before.q, readings(robot, 80, 4)]))
+    found = select_poses(robot, np.concatenate([before.q, readings(robot, 80, 4)]), 10, measured=before)
     distance = np.abs(found.q[:, None] - before.q[None]).max(axis=2)
     assert distance.min() > 1e-6
     alone = replace(found, measured=None)
@@ -124,7 +125,7 @@ def test_measured_poses_count_and_are_not_measured_again(robot) -> None:
 
 def test_effects_get_the_circumstances_that_tell_them(robot) -> None:
     arm = robot.with_effect(Backlash(2), PayloadError())
-    found = select_poses(arm, 25, interest=["backlash@2", "payload_error"], **QUICK)
+    found = select_poses(arm, None, 25, interest=["backlash@2", "payload_error"], **QUICK)
     assert set(found.m.conditions["approach2"]) == {-1.0, 1.0}
     assert set(found.m.conditions["payload_kg"]) == {0.0, 10.0}
     assert "backlash@2.half" in found.names
@@ -133,7 +134,7 @@ def test_effects_get_the_circumstances_that_tell_them(robot) -> None:
 
 def test_interest_makes_its_parameters_sharper(robot) -> None:
     arm = robot.with_effect(Backlash(2))
-    plain, keen = (select_poses(arm, 20, "A" if i else "V", interest=i, **QUICK) for i in ((), ("backlash@2",)))
+    plain, keen = (select_poses(arm, None, 20, "A" if i else "V", interest=i, **QUICK) for i in ((), ("backlash@2",)))
     k = plain.names.index("backlash@2.half")
     assert keen.standard_errors[k] < plain.standard_errors[k]
 
@@ -141,7 +142,7 @@ def test_interest_makes_its_parameters_sharper(robot) -> None:
 def test_groups_measure_each_reading_in_every_way(robot) -> None:
     arm = robot.with_effect(Backlash(2), Backlash(3))
     ways = Circumstances(payloads=(0.0, 4.0, 10.0), every_payload=True, both_approaches=True, repeats=2)
-    found = select_poses(arm, 12, circumstances=ways, pool=40, restarts=1)
+    found = select_poses(arm, None, 12, circumstances=ways, pool=40, restarts=1)
     assert len(found) == 12 * 3 * 2 * 2
     _, group = np.unique(found.q, axis=0, return_inverse=True)
     for k in range(12):
@@ -157,7 +158,7 @@ def test_groups_measure_each_reading_in_every_way(robot) -> None:
 
 def test_time_goes_with_the_order(robot) -> None:
     arm = robot.with_effect(FrameDrift(), ThermalGrowth(None, 600.0))
-    found = select_poses(arm, 30, circumstances=Circumstances(warmup_K=5.0), **QUICK)
+    found = select_poses(arm, None, 30, circumstances=Circumstances(warmup_K=5.0), **QUICK)
     np.testing.assert_allclose(found.m.conditions["progress"], np.arange(30) / 29)
     assert (np.diff(found.m.conditions["warmth_600s"]) > 0).all()
     assert "progress" not in found.table
@@ -174,15 +175,29 @@ def test_a_column_that_cannot_be_planned_is_named(robot) -> None:
         circumstanced(arm, readings(arm, 3, 0), Circumstances(), 3, np.random.default_rng(0))
 
 
+def test_poses_are_chosen_between_limits(robot) -> None:
+    lower, upper = np.full(6, -1.0), np.full(6, 1.2)
+    found = casadical.select_poses(robot, (lower, upper), 20, "D", **QUICK)
+    assert ((found.q >= lower) & (found.q <= upper)).all()
+    same = select_poses(robot, Workspace(lower, upper), 20, "D", **QUICK)
+    np.testing.assert_array_equal(same.q, found.q)
+    with pytest.raises(InputError, match="limits of 3 parts"):
+        select_poses(robot, (lower, upper, upper), 20)
+    with pytest.raises(InputError, match="chosen among 20; allowed"):
+        select_poses(robot, 20, 20)
+    with pytest.raises(InputError, match="two workspaces"):
+        select_poses(robot, Workspace(), 20, workspace=Workspace())
+
+
 def test_too_few_poses_are_refused(robot) -> None:
     with pytest.raises(InputError, match=r"5 poses give 15 numbers, but \d+ parameters"):
-        select_poses(robot, 5, **QUICK)
+        select_poses(robot, None, 5, **QUICK)
     with pytest.raises(InputError, match="at least one pose"):
-        select_poses(robot, 0)
+        select_poses(robot, None, 0)
     with pytest.raises(InputError, match=r"candidates of shape \(4, 5\)"):
-        select_poses(robot, 20, candidates=np.zeros((4, 5)))
+        select_poses(robot, np.zeros((4, 5)), 20)
     with pytest.raises(InputError, match="none of the 4 candidates is allowed"):
-        select_poses(robot, 20, candidates=np.full((4, 6), 3.0))
+        select_poses(robot, np.full((4, 6), 3.0), 20)
 
 
 def test_an_order_of_little_travel(robot, chosen) -> None:
@@ -228,7 +243,7 @@ def test_a_forecast_begins_with_what_was_measured(robot) -> None:
 
 def test_choosing_at_once_is_at_least_as_good_as_one_by_one(robot) -> None:
     seen = forecast(robot, 30, noise=Noise(SIGMA), pool=200)
-    whole = select_poses(robot, 30, noise=Noise(SIGMA), pool=200)
+    whole = select_poses(robot, None, 30, noise=Noise(SIGMA), pool=200)
     assert whole.accuracy < 1.01 * np.interp(30, seen.poses, seen.error)
 
 
