@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import pytest
 from walk import ROOT
 
-PACKAGES = ("casadical", "casadical.compensator", "casadical.effects", "casadical.export", "casadical.pose_selection",
+PACKAGES = ("casadical", "casadical.compensator", "casadical.effects", "casadical.export", "casadical.pose_selection", "casadical.report",
             "casadical.simulation")  # fmt: skip
 ARRAY = re.compile(r"\b(?:Array|NDArray|ArrayLike|Vector|ndarray|Buffer)\b")
 SHAPE = re.compile(r"shapes? \(|\((?:\w+, ?)*\w*\d?,?\)|see `|see :func|as of `|inverse of `")
