@@ -99,6 +99,7 @@ def against_figaroh(name, robot, python):
         n = theirs["n"]
         chance = np.random.default_rng(2)
         random = np.mean([o1(J, chance.choice(POOL, n, replace=False)) for _ in range(50)])
+        socp = "  -   " if theirs["socp"] is None else f"{o1(J, theirs['socp']):.4f}"
         start = time.process_time()
         # A fresh robot, so that building its functions counts.
         same = select_poses(replace(robot), q, n, "O1", noise=Noise(SIGMA))
@@ -109,7 +110,7 @@ def against_figaroh(name, robot, python):
         freely = time.process_time() - start
         assert same.names == free.names == names
         print(
-            f"{name:6s} {n:4d}  {random:.4f}  {o1(J, theirs['socp']):.4f} {theirs['socp_s']:6.1f}  "
+            f"{name:6s} {n:4d}  {random:.4f}  {socp} {theirs['socp_s']:6.1f}  "
             f"{o1(J, theirs['detmax']):.4f} {theirs['detmax_s']:6.1f} {n - len(set(theirs['detmax'])):4d}   "
             f"{same.observability['O1']:.4f} {seconds:6.2f} {alone:6.2f}  {free.observability['O1']:.4f} {freely:6.2f}",
             flush=True,
@@ -221,13 +222,16 @@ def standard_errors(name, robot, plant):
 
 
 def figaroh(robots, python):
-    print(f"O1 [mm] and CPU seconds of three robots, {POOL} candidates for all. 'SOCP': its heaviest weights. 'Detmax'")
     print(
-        "may take a pose twice; 'twice' counts these. 'ours': with Jacobians and the choice of parameters; 'alone': the"
+        f"O1 [mm] and CPU seconds of three robots, {POOL} candidates for all. 'SOCP': its heaviest weights, '-' where"
     )
-    print("choice alone, from finished Jacobians, as figaroh gets them. 'free': candidates of its own, then refined.\n")
+    print(
+        "none came in 90 s. 'Detmax' may take a pose twice; 'twice' counts these. 'ours': with Jacobians and the choice"
+    )
+    print("of parameters; 'alone': the choice alone, from finished Jacobians, as figaroh gets them. 'free': ours with")
+    print("candidates of its own, refined.\n")
     print("robot     n  random   SOCP       [s]  Detmax    [s] twice   ours      [s]  alone  free      [s]")
-    for name, robot in robots.items():
+    for name, robot in reversed(robots.items()):
         against_figaroh(name, robot, python)
 
 

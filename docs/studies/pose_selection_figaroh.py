@@ -7,11 +7,14 @@ pose_selection.py.
 
 import json
 import random
+import signal
 import sys
 import time
 
 import numpy as np
 from figaroh.optimal.base_optimal_calibration import Detmax, SOCPOptimizer
+
+LONGEST = 90
 
 
 class Watched(Detmax):
@@ -20,6 +23,23 @@ class Watched(Detmax):
     def get_critD(self, chosen):
         self.last = list(chosen)
         return super().get_critD(chosen)
+
+
+def socp(pool):
+    """Weights of all poses, None if there are none after LONGEST seconds; and the seconds."""
+
+    def stop(*_):
+        raise TimeoutError
+
+    signal.signal(signal.SIGVTALRM, stop)
+    signal.setitimer(signal.ITIMER_VIRTUAL, LONGEST)
+    start = time.process_time()
+    try:
+        weights = np.array(SOCPOptimizer(pool, {"NbSample": len(pool)}).solve()[0])
+    except TimeoutError:
+        weights = None
+    signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+    return weights, time.process_time() - start
 
 
 def main() -> None:
@@ -33,11 +53,9 @@ def main() -> None:
         watched = Watched(pool, n)
         watched.main_algo()
         found.append({"n": n, "detmax": watched.last, "detmax_s": time.process_time() - start})
-    start = time.process_time()
-    weights = np.array(SOCPOptimizer(pool, {"NbSample": len(J)}).solve()[0])
-    seconds = time.process_time() - start
+    weights, seconds = socp(pool)
     for f in found:
-        f |= {"socp": np.argsort(-weights)[: f["n"]].tolist(), "socp_s": seconds}
+        f |= {"socp": None if weights is None else np.argsort(-weights)[: f["n"]].tolist(), "socp_s": seconds}
     with open(out, "w", encoding="utf-8") as file:
         json.dump(found, file)
 
