@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 
 from ..errors import InputError
-from .terminal import Json, Problems, Quiet, as_text, progress
+from .terminal import Json, Problems, Quiet, Report, as_text, as_typed, progress
 from .words import losses, methods
 
 
@@ -25,6 +25,7 @@ def calibrate(
         ),
     ] = None,
     json_file: Json = None,
+    report_file: Report = None,
     method: Annotated[
         str | None,
         typer.Option(
@@ -63,8 +64,13 @@ def calibrate(
     from ..files import write_together
     from ..tables import as_json, report
 
+    if report_file:
+        from ..report.lazy import require
+
+        require()
     console = Console(quiet=quiet, soft_wrap=False)
     found: dict[str, Any] = {}
+    runs = []
     texts: dict[Path, str] = {}
     for name, folder in _by_name(problems).items():
         with progress(quiet) as bar:
@@ -75,6 +81,7 @@ def calibrate(
 
             run = calibrate_problem(folder, method=method, loss=loss, seed=seed, show=show)
             networks = problem_networks(run[0], run[1], show)
+        runs.append((*run, networks))
         found[name] = as_json(*run, networks)
         console.print(report(*run, networks))
         console.print()
@@ -82,6 +89,12 @@ def calibrate(
             texts |= result_files(out if len(problems) == 1 else out / name, *run, networks)
     if json_file:
         texts[json_file] = as_text(found if len(found) > 1 else next(iter(found.values())))
+    if report_file:
+        from ..report import calibration_report
+
+        with progress(quiet) as bar:
+            bar.add_task("writing the report", total=None)
+            texts[report_file] = calibration_report(runs, as_typed())
     write_together(texts)
     for path in texts:
         console.print(f"wrote {path}", soft_wrap=True)

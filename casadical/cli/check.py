@@ -17,8 +17,7 @@ def check(
         typer.Option(
             min=0,
             metavar="MM",
-            help="Of a measured coordinate, one sigma; default: as the problem states, or repeated readings show, or "
-            "0.02.",
+            help="Of a measured coordinate, one sigma, for the forecast; default: as the data show.",
         ),
     ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Warnings end in exit code 2 too.")] = False,

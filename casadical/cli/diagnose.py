@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 
 from . import words
-from .terminal import Json, Quiet, keep_json, progress
+from .terminal import Json, Quiet, Report, as_text, as_typed, keep_json, progress
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,6 +25,7 @@ def diagnose(
     problem: Annotated[Path, typer.Argument(metavar="PROBLEM_DIR", help="Folder with the robot.")],
     campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.csv...", help="Measured positions.")],
     json_file: Json = None,
+    report_file: Report = None,
     effects: Annotated[
         str | None,
         typer.Option(
@@ -68,18 +69,22 @@ def diagnose(
     from ..diagnosis.answer import as_json
     from ..diagnosis.diagnosis import diagnose as run
     from ..diagnosis.printed import report
-    from ..files import write_whole
+    from ..files import write_together, write_whole
     from ..measurements import read_measurements
     from ..pose_selection.room import read_room
     from ..problem import read_campaign_robot
 
+    if report_file:
+        from ..report.lazy import require
+
+        require()
     console = Console(quiet=quiet)
     robot = read_campaign_robot(problem)
     if isolability:
         _print_isolability(robot, campaigns, effects, json_file, console)
         return
     workspace = read_room(room, robot) if room else None
-    answers = []
+    answers, answered = [], []
     for path in campaigns:
         m = read_measurements(path, [j.kind for j in robot.joints])
         with progress(quiet) as bar:
@@ -93,12 +98,22 @@ def diagnose(
             file = measure_next if len(campaigns) == 1 else None
             extras = _extras(found, file, next_n, network, workspace, show)
         answers.append(as_json(found, path.stem, extras))
+        answered.append((path, found, extras))
         console.print(report(found, f"{path.stem} ({robot.name})", extras), soft_wrap=True)
         console.print()
         if file and extras.poses is not None:
             write_whole(file, extras.poses.to_csv(index=False))
             console.print(f"wrote {file}" if len(extras.poses) else f"wrote {file}: no pose, nothing is in question")
-    keep_json(json_file, answers, console)
+    texts = {json_file: as_text(answers)} if json_file else {}
+    if report_file:
+        from ..report import diagnosis_report
+
+        with progress(quiet) as bar:
+            bar.add_task("writing the report", total=None)
+            texts[report_file] = diagnosis_report(problem, answered, as_typed())
+    write_together(texts)
+    for path in texts:
+        console.print(f"wrote {path}", soft_wrap=True)
 
 
 def _extras(

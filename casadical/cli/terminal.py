@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,6 +17,12 @@ BAD_INPUT, NO_CONVERGENCE, OUR_BUG = 2, 3, 70
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 Json = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", help="Keep all figures as JSON; of several inputs, of each.")
+]
+Report = Annotated[
+    Path | None,
+    typer.Option(
+        "--report", metavar="FILE.html", help="Write a report to look at, in one file (needs plotly and jinja2)."
+    ),
 ]
 Problems = Annotated[list[Path], typer.Argument(metavar="PROBLEM_DIR...", help="One or more problem folders.")]
 
@@ -39,6 +46,11 @@ def keep_json(path: Path | None, figures: Mapping[str, Any] | Sequence[Mapping[s
         return
     write_whole(path, as_text(figures))
     console.print(f"wrote {path}", soft_wrap=True)
+
+
+def as_typed() -> list[str]:
+    """The command line, for provenance."""
+    return ["casadical", *sys.argv[1:]]
 
 
 def progress(quiet: bool) -> Progress:

@@ -36,6 +36,8 @@ class Compensator:
     training, choice, validation : errors without and with the trained network, also when it was refused; ``choice`` are
     poses it was not trained on and that decided (see ``chosen_by``), ``validation`` had no part in any choice.
     trained_box : the joint angles seen in training [rad]. data_sha256 : of the training data.
+    trained, history : the network as trained, also when it was refused, and (step, loss [mm^2]) of its training; both
+    are of the fit and not kept in files.
     """
 
     network: Network | None
@@ -51,6 +53,8 @@ class Compensator:
     note: str
     seed: int
     data_sha256: str
+    trained: Network | None = None
+    history: tuple[tuple[int, float], ...] = ()
 
     @classmethod
     def fit(
@@ -112,6 +116,8 @@ class Compensator:
             note=_note(last),
             seed=int(seed),
             data_sha256=_data_sha256(rows, targets),
+            trained=network,
+            history=last.history,
         )
 
     @property

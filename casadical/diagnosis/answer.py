@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import pandas as pd
 
+from ..effects import Effect
 from .advice import told_apart
 from .network import NetworkGap
 from .refit import Check
@@ -83,6 +84,12 @@ def as_json(d: Diagnosis, campaign: str, extras: Extras | None = None) -> dict[s
     }
 
 
+def settings(effect: Effect) -> dict[str, float]:
+    """Values of an effect in which it is not linear (cycles, knee, lag, time of a step)."""
+    values = {f.name: getattr(effect, f.name) for f in fields(effect)}
+    return {name: value for name, value in values.items() if isinstance(value, float)}
+
+
 def _next(poses: pd.DataFrame) -> list[dict[str, Any]]:
     """Poses that would tell apart what this data cannot."""
     rows = poses.to_dict("records")
@@ -110,6 +117,7 @@ def _cause(c: Cause) -> dict[str, Any]:
         "shrink": round(c.shrink, 4),
         "shrink_interval": [round(v, 4) for v in c.shrink_interval],
         "indistinguishable": list(c.indistinguishable),
+        "settings": [settings(e) for e in c.effects],
         "parameters": {
             name: {"value": value, "std_error": error, "unit": unit}
             for name, (value, error, unit) in (c.estimates or {}).items()

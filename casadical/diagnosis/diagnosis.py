@@ -8,9 +8,11 @@ from typing import Literal
 from ..effects import Effect
 from ..errors import InputError
 from ..identification import Identification, identify
+from ..least_squares import spread
 from ..measurements import Measurements
 from ..robot import Robot
 from .case import make_case
+from .evidence import SIGMAS
 from .investigation import Investigation, Show
 from .library import candidates_of
 from .result import Diagnosis
@@ -48,10 +50,22 @@ def diagnose(
         identification = _of(robot, m, show)
     show("signatures of the candidates")
     case = make_case(identification, candidates_of(identification.given, effects))
-    return Investigation(identification, case, seed, bootstrap, show).conclude()
+    return _refuse_coarse(Investigation(identification, case, seed, bootstrap, show).conclude())
 
 
 def _of(robot: Robot, m: Measurements, show: Show) -> Identification:
     """The base model calibrated; gross errors have little weight, and are screened with the causes, not before."""
     show("calibrating the base model")
     return identify(robot, m, ("kinematic", "compliance"), loss="huber", priors=True, screen=False)
+
+
+def _refuse_coarse(found: Diagnosis) -> Diagnosis:
+    """Where even the best model leaves more than the noise grid holds, noise would be taken for structure."""
+    most = float(SIGMAS[-1])
+    if found.noise.sigma < most:
+        return found
+    left = 1e3 * spread(found.case.whole.r)
+    raise InputError(
+        f"{found.case.m.source}: {left:.2g} mm a coordinate are left, and noise beyond {1e3 * most:.2g} mm is not told "
+        "from its causes; correct the robot file or units, or measure with a finer instrument"
+    )

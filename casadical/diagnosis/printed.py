@@ -10,7 +10,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from .advice import kinds, told_apart
-from .answer import SIGNATURES, Extras
+from .answer import SIGNATURES, Extras, settings
 from .how_far import of_time
 from .network import NetworkGap
 from .result import Cause, Diagnosis
@@ -111,13 +111,13 @@ def _which(d: Diagnosis) -> Iterator[str]:
         yield from _block("WHICH", _VERDICT[d.verdict])
         return
     yield f"{'WHICH':<{LABEL}}{_VERDICT[d.verdict]}".rstrip()
-    yield f"   {'signature':<50} {'posterior':>9} {'gap if added':>16} {'shrinks by, 95 %':>18}"
+    yield f"   {'signature':<62} {'posterior':>9} {'gap if added':>16} {'shrinks by, 95 %':>18}"
     before = 1e3 * d.gap.before
     for k, c in enumerate(d.causes, 1):
         words, _ = signature(c)
         low, high = (100 * v for v in c.shrink_interval)
         row = f"{before:.3f} -> {before * (1 - c.shrink):.3f}"
-        yield f"{k:>2} {words:<50} {c.confidence:>9.2f} {row:>16} {f'{low:.0f} to {high:.0f} %':>18}"
+        yield f"{k:>2} {words:<62} {c.confidence:>9.2f} {row:>16} {f'{low:.0f} to {high:.0f} %':>18}"
         yield from _beneath(d, c)
 
 
@@ -126,7 +126,8 @@ def _beneath(d: Diagnosis, c: Cause) -> Iterator[str]:
     _, mechanical = signature(c)
     may_be = f"; may be {mechanical}" if mechanical else ""
     yield from _wrapped(f"{c.label}{may_be}", "     ", "     ")
-    values = [_estimate(name, *given) for name, given in (c.estimates or {}).items()]
+    values = [f"{name} {value:.3g}" for e in c.effects for name, value in settings(e).items()]
+    values += [_estimate(name, *given) for name, given in (c.estimates or {}).items()]
     if c.effect == "outliers":
         values = [f"rows {', '.join(str(o.row) for o in d.outliers[:10])}{' ...' if len(d.outliers) > 10 else ''}"]
     if values:
@@ -138,7 +139,7 @@ def signature(c: Cause) -> tuple[str, str]:
     words = SIGNATURES.get(c.effect) or (c.effects[0].physics if c.effects else c.effect)
     shown, _, causes = words.partition(" (")
     joint = "" if c.joint is None else f", joint {c.joint}"
-    return textwrap.shorten(shown, 50 - len(joint), placeholder="...") + joint, causes.rstrip(")")
+    return textwrap.shorten(shown, 62 - len(joint), placeholder="...") + joint, causes.rstrip(")")
 
 
 def _estimate(name: str, value: float, error: float, unit: str) -> str:

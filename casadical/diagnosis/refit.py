@@ -20,13 +20,15 @@ from .gap import FOLDS, Noise, random_folds
 def refit(case: Case, effects: tuple[Effect, ...], noise: Noise, use: Array | None = None) -> Identification:
     """Base model and effects identified together from the poses that are no outliers.
 
+    It starts from the calibrated base model, for what loads a joint shows nothing while the joint's compliance is zero.
     effects : with their settings (knee, lag, cycles), which stay; their parameters are free
     use : mask over the kept poses of those to identify from, all by default
     """
-    robot = case.given.with_effect(*effects)
     m = measurements_of(case, effects, noise)
+    m = m if use is None else m[use]
+    base = case.robot if use is None else identify(case.given, m, priors=True).robot
     free = ("kinematic", "compliance", *dict.fromkeys(e.label for e in effects))
-    return identify(robot, m if use is None else m[use], free, priors=True)
+    return identify(base.with_effect(*effects), m, free, priors=True)
 
 
 def measurements_of(case: Case, effects: tuple[Effect, ...], noise: Noise) -> Measurements:

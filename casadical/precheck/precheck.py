@@ -13,12 +13,11 @@ from ..errors import InputError
 from ..identification import METHODS
 from ..measurements import Measurements
 from ..placement import place
-from ..pose_selection import Noise
 from ..problem import read_problem, read_problem_robot
 from ..robot import Robot
 from .coverage import JointCoverage, coverage, coverage_findings, margin, margin_findings, repeats
 from .findings import Finding, Level
-from .information import ASSUMED, Outlook, outlook
+from .information import Outlook, outlook
 from .plausible import plausible
 from .table_faults import table_faults, unknown_columns
 
@@ -26,6 +25,8 @@ from .table_faults import table_faults, unknown_columns
 COMFORTABLE = 3
 # Condition number from which on some parameters are nearly confounded.
 CONFOUNDED = 1000
+# Times the noise from which on a scatter is no noise.
+LACKS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +34,7 @@ class Precheck:
     """What was found of one problem.
 
     title, robot : names, empty where they could not be read; poses : in each set
-    noise : of a coordinate [m] that the outlook takes; noise_source : in words
+    noise : of a coordinate [m] as far as it is known beforehand; noise_source : from where, in words
     joints : covered ranges in the set that is fitted; margin : smallest one of the four-bars
     outlooks : for each method; none where the data are unusable
     """
@@ -62,8 +63,8 @@ class Precheck:
 def precheck(folder: str | Path, noise: float | None = None, seed: int | None = None) -> Precheck:
     """Examine a problem folder and its data without solving anything.
 
-    noise : one sigma of a measured coordinate [m]; None: what the problem states, or repeated readings show, or
-        0.02 mm; seed : of the split, instead of the problem's. Faults of the input are findings, not exceptions.
+    noise : one sigma of a measured coordinate [m] for the forecasts; None: what a linear step leaves of the data
+    seed : of the split, instead of the problem's. Faults of the input are findings, not exceptions.
     """
     folder = Path(folder)
     try:
@@ -72,21 +73,21 @@ def precheck(folder: str | Path, noise: float | None = None, seed: int | None = 
         return Precheck(folder, (Finding("error", "reading", str(error)), *_more_faults(folder)))
     sets = problem.sets["identify"]
     found, usable = _data_findings(problem.robot, sets)
-    sigma, source = _noise(noise, sets)
+    known, source = _noise(noise, sets)
     start = place(problem.robot, next((m for m in sets if m.position is not None), sets[0]))
     outlooks: list[Outlook] = []
     for method in problem.methods if usable else ():
         try:
-            outlooks.append(outlook(start, sets, METHODS[method], Noise(sigma), method))
+            outlooks.append(outlook(_as_method(start, method), sets, METHODS[method], method, noise))
         except (InputError, np.linalg.LinAlgError) as error:
             found.append(Finding("error", "identifiability", f"{method}: {error}"))
     for view in outlooks:
-        found += _outlook_findings(view, problem.robot)
+        found += _outlook_findings(view, problem.robot, known)
     first = sets[0]
     return Precheck(
         folder, tuple(found), problem.title, problem.robot.name,
         tuple((name, sum(len(m) for m in parts)) for name, parts in problem.sets.items()),
-        sigma, source, coverage(problem.robot, first), margin(problem.robot, first), tuple(outlooks),
+        known, source, coverage(problem.robot, first), margin(problem.robot, first), tuple(outlooks),
     )  # fmt: skip
 
 
@@ -120,19 +121,22 @@ def _data_findings(robot: Robot, sets: tuple[Measurements, ...]) -> tuple[list[F
     return found, not any(f.topic in ("data", "units") and f.level == "error" for f in found)
 
 
-def _noise(given: float | None, sets: tuple[Measurements, ...]) -> tuple[float, str]:
+def _as_method(robot: Robot, method: str) -> Robot:
+    """KM takes joints as rigid."""
+    return robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0)) if method == "KM" else robot
+
+
+def _noise(given: float | None, sets: tuple[Measurements, ...]) -> tuple[float | None, str]:
     if given is not None:
         return given, "as given"
     stated = next((m.sigma for m in sets if m.sigma), None)
     if stated:
         return stated, "as the problem states"
     shown = next((s for s in (repeats(m)[1] for m in sets) if s), None)
-    if shown:
-        return shown, "as repeated readings show"
-    return ASSUMED.sigma, "assumed"
+    return (shown, "as repeated readings show") if shown else (None, "")
 
 
-def _outlook_findings(view: Outlook, robot: Robot) -> list[Finding]:
+def _outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[Finding]:
     p = view.unknowns
     if not view.enough:
         text = f"{view.method}: {view.numbers} numbers were measured for {p} unknowns; measure more poses"
@@ -144,6 +148,10 @@ def _outlook_findings(view: Outlook, robot: Robot) -> list[Finding]:
     if view.condition > CONFOUNDED:
         text = f"{view.method}: condition number {view.condition:.0f}: some parameters can hardly be told apart"
         found.append(Finding("warning", "identifiability", f"{text}; spread the poses wider (casadical plan)"))
+    if noise and view.scatter > LACKS * noise:
+        text = f"{view.method}: a linear step leaves {1e3 * view.scatter:.3g} mm a coordinate, the noise is "
+        text += f"{1e3 * noise:.3g}: the model lacks something, or base and tool are far off"
+        found.append(Finding("warning", "misfit", text))
     if view.method == "SKCM" and not any(n in view.names for n in robot.parameters.select(["compliance"])):
         text = "SKCM: no compliance can be told (no joint is compliant, there are no masses, or gravity does not vary)"
         found.append(Finding("warning", "identifiability", text))

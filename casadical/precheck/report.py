@@ -52,16 +52,19 @@ def _ranges(found: Precheck) -> Table:
 
 
 def _outlook(view: Outlook, found: Precheck) -> list[RenderableType]:
-    assert found.noise is not None
     lines = [
         f"{view.method}: {len(view.names)} parameters can be told from {view.numbers} numbers, {len(view.held)} not; "
         f"condition number {view.condition:.0f}, observability O1 {view.O1:.3g}."
     ]
     if view.enough:
+        given = found.noise_source == "as given"
+        cause = f"noise of {1e3 * view.noise:.3g} mm a coordinate" if given else "the scatter in the data"
         lines.append(
-            f"Expected accuracy: {1e3 * view.accuracy:.3g} mm rms over the joints' ranges, of noise of "
-            f"{1e3 * found.noise:.3g} mm a coordinate ({found.noise_source}); what the model lacks comes on top."
+            f"Expected accuracy: {1e3 * view.accuracy:.3g} mm rms over the joints' ranges for the parameters alone, of "
+            f"{cause}. A linear step leaves {1e3 * view.scatter:.3g} mm."
         )
+        if view.held_out is not None:
+            lines.append(f"Expected mean error on other poses like these: {1e3 * view.held_out:.3g} mm.")
     parts: list[RenderableType] = [Text(line) for line in lines]
     if view.held:
         table = Table(box=None, pad_edge=False)
@@ -93,6 +96,8 @@ def as_json(found: Precheck) -> dict[str, Any]:
                 "numbers": view.numbers,
                 "condition": view.condition,
                 "O1": view.O1,
+                "scatter_mm": 1e3 * view.scatter if view.enough else None,
+                "expected_held_out_mean_mm": None if view.held_out is None else 1e3 * view.held_out,
                 "expected_accuracy_mm": 1e3 * view.accuracy if view.enough else None,
                 "std_error": dict(zip(view.names, view.errors.tolist(), strict=True)),
             }

@@ -17,7 +17,7 @@ import pandas as pd
 
 import casadical
 
-ROOT = Path(sys.argv[0]).resolve().parents[2]  # of the repository, in which this file is docs/tutorials/...
+ROOT = Path(sys.argv[0]).resolve().parents[2]  # this file lies in docs/tutorials
 
 # %%
 # The data

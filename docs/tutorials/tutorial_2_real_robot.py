@@ -19,7 +19,7 @@ import pandas as pd
 import casadical
 from casadical.accuracy import errors
 
-ROOT = Path(sys.argv[0]).resolve().parents[2]  # of the repository, in which this file is docs/tutorials/...
+ROOT = Path(sys.argv[0]).resolve().parents[2]  # this file lies in docs/tutorials
 CSV = ROOT / "data/ur10_laser_tracker/series_C_random_poses.csv"
 
 # %%

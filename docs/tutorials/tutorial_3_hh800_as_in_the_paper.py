@@ -20,7 +20,7 @@ from casadical.calibration import calibrate_problem, problem_networks
 from casadical.compensator import Backprop, Box, Iwo, Layout, Network, make_task, train
 from casadical.networks import residual_mm
 
-ROOT = Path(sys.argv[0]).resolve().parents[2]  # of the repository, in which this file is docs/tutorials/...
+ROOT = Path(sys.argv[0]).resolve().parents[2]  # this file lies in docs/tutorials
 
 # %%
 # The experiment

@@ -31,7 +31,7 @@ from casadical.robot_file import write_robot
 from casadical.simulation import campaign, hh800_true
 from casadical.simulation.twin import UNMODELLED, WARMUP
 
-ROOT = Path(sys.argv[0]).resolve().parents[2]  # of the repository, in which this file is docs/tutorials/...
+ROOT = Path(sys.argv[0]).resolve().parents[2]  # this file lies in docs/tutorials
 folder = Path(tempfile.mkdtemp())
 
 # %%

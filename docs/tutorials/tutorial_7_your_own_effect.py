@@ -24,7 +24,7 @@ from casadical.measurements import from_table
 from casadical.problem import read_campaign_robot
 from casadical.simulation import Disturbance, Plant, campaign, disturbances, perturb
 
-ROOT = Path(sys.argv[0]).resolve().parents[2]  # of the repository, in which this file is docs/tutorials/...
+ROOT = Path(sys.argv[0]).resolve().parents[2]  # this file lies in docs/tutorials
 robot = read_campaign_robot(ROOT / "problems/ur10e")
 
 # %%

@@ -10,8 +10,10 @@ from collections.abc import Iterator
 import pytest
 from walk import ROOT
 
-PACKAGES = ("casadical", "casadical.compensator", "casadical.effects", "casadical.export", "casadical.pose_selection",
-            "casadical.simulation")  # fmt: skip
+PACKAGES = (
+    "casadical",
+    *(f"casadical.{part}" for part in ("compensator", "effects", "export", "pose_selection", "report", "simulation")),
+)
 ARRAY = re.compile(r"\b(?:Array|NDArray|ArrayLike|Vector|ndarray|Buffer)\b")
 SHAPE = re.compile(r"shapes? \(|\((?:\w+, ?)*\w*\d?,?\)|see `|see :func|as of `|inverse of `")
 UNIT = re.compile(r"\[[^\]]+\]|_mm\b|\bSI\b|boolean|bool|degrees|radians|see `|see :func|as of `")

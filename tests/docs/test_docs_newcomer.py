@@ -38,7 +38,7 @@ def test_every_block_runs(page: Path, tmp_path: Path) -> None:
 
 def test_what_the_pages_show_is_known_to_these_tests() -> None:
     """No block in a language that nothing here looks at."""
-    known = {"sh", "python", "toml", "csv", "c", "console", "synopsis", "text", "{eval-rst}", "json"}
+    known = {"", "sh", "python", "toml", "csv", "c", "console", "synopsis", "text", "{eval-rst}", "json"}
     strange = {(p.name, b.language) for p in (*PAGES, ROOT / "README.md") for b in blocks(p) if b.language not in known}
     assert strange == set()
 
@@ -88,6 +88,21 @@ def test_the_problem_file_shown_is_one() -> None:
 
     (text,) = [b.text for b in blocks(ROOT / "docs" / "measurements.md") if b.language == "toml"]
     assert _ProblemFile.model_validate(tomllib.loads(text)).measurements[0].separation
+
+
+def test_the_figures_on_networks_are_those_of_the_studies() -> None:
+    """Every number of compensator.md's results occurs in what a study printed, to the digits shown."""
+    page = (ROOT / "docs" / "compensator.md").read_text(encoding="utf-8")
+    results = page[page.index("## What the numbers say: on robots") : page.index("## Slips in the paper")]
+    studies = ("trainers", "twin_networks", "real_networks", "iwo_speed")
+    printed = " ".join((ROOT / "docs" / "studies" / f"{name}.txt").read_text(encoding="utf-8") for name in studies)
+    known = {float(number) for number in re.findall(r"\d+(?:\.\d+)?", printed)}
+    # The paper's figures, its 40 poses, and what `casadical calibrate problems/hh800` prints (tutorial 3 asserts it).
+    known |= {14.6, 35.0, 40.0, 0.417}
+    shown = re.findall(r"(?<![\w-])[+-]?(\d*\.\d+|\d+)(?=[\s,;:)|%]|$)", results)
+    assert len(shown) > 150
+    digits = {number: len(number.partition(".")[2]) for number in shown}
+    assert [n for n, d in digits.items() if not any(abs(float(n) - k) < 0.51 * 10**-d for k in known)] == []
 
 
 def test_every_study_named_has_its_output_beside_it() -> None:

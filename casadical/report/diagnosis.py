@@ -1,0 +1,213 @@
+"""The report of a diagnosis: its figures, and the part of a page that they make with words and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..diagnosis.advice import kinds, told_apart
+from ..diagnosis.answer import NEXT, Extras
+from ..diagnosis.investigation import PARTITIONS
+from ..diagnosis.printed import READABLE, signature
+from .look import mm
+from .of_diagnosis import diagnosis_figures, held_out_poses
+from .page import Block, Drawing, Part, Section, Table, Tile, Words, report_html
+from .parameter_tables import confounded, correlated, parameter_table
+from .pose_errors import BEFORE
+from .provenance import campaign_files, provenance_of
+from .where_blocks import where_drawings
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import plotly.graph_objects as go
+
+    from ..diagnosis.result import Cause, Diagnosis
+
+
+def diagnosis_report(
+    folder: Path, answered: Sequence[tuple[Path, Diagnosis, Extras | None]], command: Sequence[str] = ()
+) -> str:
+    """One HTML file of one or several diagnoses of a problem's robot.
+
+    folder : the problem's; answered : (campaign's file, diagnosis, what takes longer, if it was computed); command : as
+    it was typed. Raises InputError where plotly or jinja2 is not installed, or a file is gone.
+    """
+    parts = [diagnosis_part(d, path.stem, extras) for path, d, extras in answered]
+    return report_html("Diagnosis", parts, provenance_of(campaign_files(folder, [a[0] for a in answered]), command))
+
+
+def diagnosis_part(d: Diagnosis, name: str, extras: Extras | None = None) -> Part:
+    """One campaign's part of a page; name : of the campaign. Raises InputError where plotly is not installed."""
+    e = extras or Extras()
+    figures = diagnosis_figures(d, e)
+    sections = [
+        Section("Verdict", [*_verdict(d)]),
+        Section("Errors before and after", [Drawing("gap", figures["gap"], _GAP), _error_table(d), *_refit(e)]),
+        Section("Error of each pose", [Drawing("errors", figures["errors"], _EACH)]),
+        Section("In the workspace", [Drawing("workspace", figures["workspace"], _SPACE)]),
+        Section("Where the gap lies", [*_where_blocks(d, figures)]),
+        Section("Which causes, and how sure", [*_cause_blocks(d, figures)]),
+        Section("Parameters of the base model", [*_parameter_blocks(d, figures)]),
+        Section("What to measure next", [*_next_blocks(d, e)]),
+    ]
+    return Part(f"Diagnosis of {name}", d.identification.given.name, sections, [*_tiles(d)])
+
+
+_GAP = (
+    f"Mean over poses that the fit did not see (in fifths, {PARTITIONS} partitions), with a 95 % interval over poses. "
+    "Noise alone: what a perfect model would leave, simulated through the same fit."
+)
+_EACH = "Every pose is judged by a fit to others; outliers are left out. Click a name in the legend to show or hide it."
+_SPACE = (
+    "Turn it with the mouse; point at the dot that ends a vector for its error. Each line runs from the measured point "
+    "in the direction of the error (measured less computed), after a fit to all poses, longer than it by the factor in "
+    "the legend."
+)
+_WORDS = {
+    "none": "What is left is noise: no cause can be claimed.",
+    "explained": "The gap is explained.",
+    "ambiguous": "Something is there, but these data cannot tell between causes that look alike.",
+    "unknown": "Something is there that no listed cause explains.",
+}
+
+
+def _verdict(d: Diagnosis) -> Iterator[Block]:
+    change = "" if not d.causes else f"; with the causes in the model {mm(d.gap.after)} mm"
+    yield Words(
+        f"{_WORDS[d.verdict]} The calibrated base model leaves {mm(d.gap.before)} mm on held-out poses{change}; noise "
+        f"alone would leave {mm(d.gap.floor)} mm.",
+        "verdict",
+    )
+    for c in d.causes:
+        low, high = (100 * v for v in c.shrink_interval)
+        shown, mechanical = signature(c)
+        yield Words(
+            f"{c.label}: {shown}{f'; may be {mechanical}' if mechanical else ''}. Probability {c.confidence:.3f}; "
+            f"alone it shrinks the gap by {100 * c.shrink:.0f} % (95 %: {low:.0f} to {high:.0f} %)."
+        )
+        if c.indistinguishable:
+            yield Words(f"These data cannot tell {c.label} from {', '.join(c.indistinguishable)}.", "warning")
+    if d.unknown_rest > 0.05:
+        yield Words(f"{100 * d.unknown_rest:.0f} % of the gap lies above the noise and is not explained.", "warning")
+    if d.outliers:
+        rows = ", ".join(f"{o.row} ({mm(o.distance)} mm)" for o in d.outliers[:12]) + (
+            " ..." if len(d.outliers) > 12 else ""
+        )
+        yield Words(f"{len(d.outliers)} poses were left out as outliers: rows {rows}.")
+    if d.missing:
+        columns = sorted({c for lacking in d.missing.values() for c in lacking})
+        yield Words(
+            f"Not logged: {', '.join(columns)}. Nothing can be said about {', '.join(sorted(d.missing))}.", "note"
+        )
+
+
+def _tiles(d: Diagnosis) -> Iterator[Tile]:
+    yield Tile("Gap, held out", mm(d.gap.before), "mm", f"mean of {int(d.case.kept.sum())} poses")
+    if d.causes:
+        yield Tile("With the causes", mm(d.gap.after), "mm", f"{100 * (1 - d.gap.after / d.gap.before):.0f} % less")
+    yield Tile("Noise alone", mm(d.gap.floor), "mm", f"instrument {mm(d.noise.sigma)} mm a coordinate")
+    if d.causes:
+        first = d.causes[0]
+        yield Tile("Leading cause", first.label, "", f"probability {first.confidence:.3f}")
+
+
+def _error_table(d: Diagnosis) -> Table:
+    rows = []
+    for left in held_out_poses(d).models:
+        e = left.length
+        figures = (e.mean(), e.max(), e.std(ddof=1), np.sqrt((e**2).mean()), np.quantile(e, 0.95))
+        words = "base model" if left.model == BEFORE else "with the causes"
+        rows.append((words, str(len(e)), *(mm(float(v)) for v in figures)))
+    columns = ("held-out poses, outliers left out", "n", "mean", "max", "std", "rms", "95 %")
+    strong = frozenset({len(rows) - 1})
+    return Table("Errors in mm", columns, rows, frozenset(range(1, 7)), strong)
+
+
+def _refit(e: Extras) -> Iterator[Block]:
+    if e.check:
+        said = "agrees" if e.check.agree else "DISAGREES"
+        yield Words(
+            f"Refitted by Ipopt with the nonlinear model, {mm(e.check.refit)} mm held out; this {said} with the "
+            f"linearised {mm(e.check.linearised)} mm.",
+            "text" if e.check.agree else "warning",
+        )
+
+
+def _where_blocks(d: Diagnosis, figures: Mapping[str, go.Figure]) -> Iterator[Block]:
+    yield Words("Of what the base model leaves at the poses it was fitted to. Bars are 95 % intervals.", "note")
+    worst = d.where.worst.head(8)
+    if len(worst):
+        rows = [
+            (
+                f"{r['by']}: {r['part']}",
+                str(r["poses"]),
+                f"{r['rms_mm']:.3f}",
+                f"{100 * r['share']:.0f} %",
+                f"{r['excess']:.1f}",
+            )
+            for r in worst.to_dict("records")
+        ]
+        columns = ("poses", "n", "rms mm", "squared error", "times its share")
+        yield Table("Surely worse than the rest", columns, rows, frozenset({1, 2, 3, 4}))
+    yield from where_drawings({k.partition("/")[2]: f for k, f in figures.items() if k.startswith("where/")})
+
+
+def _cause_blocks(d: Diagnosis, figures: Mapping[str, go.Figure]) -> Iterator[Block]:
+    if "shrink" in figures:
+        yield Drawing(
+            "shrink", figures["shrink"], "On held-out poses, each cause alone in the model; they may overlap."
+        )
+        rows = [row for c in d.causes for row in _estimates(c)]
+        if rows:
+            yield Table(
+                "Size of the causes", ("cause", "parameter", "value", "std error", "unit"), rows, frozenset({2, 3})
+            )
+    for name, figure in figures.items():
+        if name.startswith("causes/"):
+            first = name == "causes/1"
+            caption = "All candidates compete with nothing at all and with smooth errors of no listed cause."
+            yield Drawing(name, figure, caption if first else "Once the causes so far are in the model.")
+
+
+def _estimates(c: Cause) -> Iterator[tuple[str, ...]]:
+    for name, (value, error, unit) in (c.estimates or {}).items():
+        factor, shown = READABLE.get(unit, (1.0, unit))
+        yield c.label, name, f"{factor * value:.4g}", f"{factor * error:.2g}", shown
+
+
+def _parameter_blocks(d: Diagnosis, figures: Mapping[str, go.Figure]) -> Iterator[Block]:
+    yield Words(
+        "With priors from the robot file, outliers held back, and without the causes. Bars are 95 % intervals. Base "
+        "and tool frames are in the table only.",
+        "note",
+    )
+    yield from (Drawing(name, figure) for name, figure in figures.items() if name.startswith("parameters/"))
+    yield parameter_table(d.identification)
+    yield confounded(d.identification)
+    yield correlated(d.identification)
+
+
+def _next_blocks(d: Diagnosis, e: Extras) -> Iterator[Block]:
+    poses = d.next_poses(NEXT) if e.poses is None else e.poses
+    if not len(poses):
+        yield Words("Nothing is in question: no further poses are needed to tell causes apart.")
+        return
+    before, after = told_apart(d, poses)
+    yield Words(
+        f"Measure these {len(poses)} poses to tell {' from '.join(d.in_question)}: the probability to tell them "
+        f"rightly rises from {before:.2f} to {after:.2f}. {kinds(d.case, poses)}. The option --next FILE.csv writes "
+        "them. "
+        "Separation is the expected log Bayes factor in favour of the truth, of a pose and those before it."
+    )
+    yield _pose_table(poses)
+
+
+def _pose_table(poses: pd.DataFrame) -> Table:
+    shown = poses.dropna(axis="columns", how="all")
+    columns = [str(c) for c in shown]
+    rows = [tuple(f"{v:.1f}" if isinstance(v, float) else str(v) for v in row) for row in shown.itertuples(index=False)]
+    numbers = frozenset(k for k, c in enumerate(columns) if c not in ("state", "repeats"))
+    return Table("Next poses", columns, rows, numbers)

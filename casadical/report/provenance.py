@@ -1,0 +1,78 @@
+"""Where a report comes from: which files with which SHA-256, which versions, which command, when."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import shlex
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from ..errors import InputError
+from ..schema import load_toml
+
+PACKAGES = ("casadical", "casadi", "numpy", "pandas", "plotly")
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """files : (path, SHA-256) of what was read; versions : (name, version); command : as typed; date : UTC."""
+
+    files: tuple[tuple[str, str], ...]
+    versions: tuple[tuple[str, str], ...]
+    command: str
+    date: str
+
+
+def provenance_of(files: Iterable[Path], command: Sequence[str] = (), now: datetime | None = None) -> Provenance:
+    """Of files, read now; now : instead of the clock. Raises InputError where a file cannot be read."""
+    return Provenance(
+        files=tuple((str(path), sha256(path)) for path in dict.fromkeys(files)),
+        versions=(
+            *((name, _version(name)) for name in PACKAGES),
+            ("Python", platform.python_version()),
+            ("platform", f"{platform.system()} {platform.machine()}"),
+        ),
+        command=shlex.join(command),
+        date=(now or datetime.now(UTC)).strftime("%Y-%m-%d %H:%M UTC"),
+    )
+
+
+def sha256(path: Path) -> str:
+    """Of a file's bytes. Raises InputError."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def problem_files(folder: Path) -> list[Path]:
+    """What a problem folder was read from: problem.toml, robot and measurements."""
+    path = folder / "problem.toml"
+    file = load_toml(path)
+    names = [file.get("robot", "robot.toml"), *(data["file"] for data in file.get("measurements", []))]
+    return [path, *(Path(_short(folder / name)) for name in names)]
+
+
+def campaign_files(folder: Path, campaigns: Sequence[Path]) -> list[Path]:
+    """What a diagnosis was read from: problem.toml, the campaign's robot and the campaigns."""
+    path = folder / "problem.toml"
+    file = load_toml(path)
+    robot = file.get("campaign_robot", file.get("robot", "robot.toml"))
+    return [path, Path(_short(folder / robot)), *campaigns]
+
+
+def _short(path: Path) -> str:
+    """Without the detours of "..", relative to where the command runs if it is beneath."""
+    whole = path.resolve()
+    return str(whole.relative_to(Path.cwd()) if whole.is_relative_to(Path.cwd()) else whole)
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "unknown"

@@ -1,0 +1,208 @@
+"""How far the gap shrinks: course, nonlinear refit, robots with causes applied, replicates, networks."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cases import case, practice, robot, simulated, small_problem
+from test_diagnosis_gap import NOISE, refit
+
+from casadical import InputError
+from casadical.accuracy import errors, predicted
+from casadical.compensator import LevenbergMarquardt
+from casadical.conditions import derive
+from casadical.diagnosis.case import Case
+from casadical.diagnosis.diagnosis import Diagnosis, diagnose
+from casadical.diagnosis.gap import Noise, held_out_errors, random_folds
+from casadical.diagnosis.how_far import Stage, course, of_time, time_blocks
+from casadical.diagnosis.network import network_gap
+from casadical.diagnosis.replicates import replicates
+from casadical.effects import FrameDrift, FrictionWindup, ThermalGrowth
+from casadical.identification import identify
+from casadical.measurements import Measurements
+from casadical.simulation import disturbances
+
+FEW = ["friction_windup", "backlash"]
+NOTHING = np.zeros(0, dtype=np.int64)
+
+
+@pytest.fixture(scope="module")
+def half() -> tuple[Diagnosis, Measurements]:
+    """A diagnosis of 100 poses of a robot with friction in joint 2, and 60 poses that it never saw."""
+    m = simulated("ur10e", 12, disturbances.FrictionWindup(2, 90e-6), n=160)
+    m, _ = derive(m, [f"approach{i}" for i in range(1, 7)])
+    return diagnose(robot("ur10e"), m[:100], FEW), m[100:]
+
+
+def test_each_pose_alone_left_out_is_a_refit_without_it() -> None:
+    e, columns = small_problem(n=14), np.array([0, 2])
+    expected = []
+    for k in range(14):
+        x, _ = refit(e, columns, np.arange(14) != k)
+        expected.append(np.linalg.norm(e.r[k] - np.hstack([e.J[k], e.E[k][:, columns]]) @ x))
+    np.testing.assert_allclose(held_out_errors(e, columns, NOISE, np.arange(14)), expected, rtol=1e-7)
+
+
+def test_course_begins_and_ends_with_the_gap(half: tuple[Diagnosis, Measurements]) -> None:
+    d, _ = half
+    assert list(d.course["model"]) == ["base", "+ friction_windup@2"]
+    assert d.course["gap_mm"].tolist() == pytest.approx([1e3 * d.gap.before, 1e3 * d.gap.after])
+    assert (d.course["low_mm"] < d.course["gap_mm"]).all()
+    assert (d.course["gap_mm"] < d.course["high_mm"]).all()
+    np.testing.assert_allclose(d.course["loo_mm"], d.course["gap_mm"], rtol=0.1)
+    assert (d.course["blocks_mm"] > 0.9 * d.course["gap_mm"]).all()
+
+
+def doctored(signal: float, seed: int) -> tuple[Case, float]:
+    """White noise of 20 um beside a signal that no base parameter can take over, and its rms [mm]."""
+    c = case("ur10e-P09", "joint_scale@2")
+    rng = np.random.default_rng(seed)
+    wild = signal * rng.choice([-1.0, 1.0], (len(c.m), 3))
+    r = wild + 20e-6 * rng.standard_normal((len(c.m), 3))
+    whole = replace(c.whole, r=r, delta0=0 * c.whole.delta0)
+    return replace(c, whole=whole, kept=np.ones(len(c.m), dtype=bool)), 1e3 * signal * np.sqrt(3)
+
+
+def test_noise_is_taken_off() -> None:
+    noise = Noise(20e-6, 0.0)
+    for signal in (60e-6, 120e-6):
+        c, rms = doctored(signal, 0)
+        folds = [random_folds(len(c.m), 0)]
+        row = course(c, [Stage("base", NOTHING, noise)], folds, noise, 0).iloc[0]
+        # The wild signal pulls at the base a little: 40 parameters for 360 readings.
+        assert row["model_mm"] == pytest.approx(rms, rel=0.15)
+        assert row["model_low_mm"] <= row["model_mm"] <= row["model_high_mm"]
+    c, _ = doctored(0.0, 1)
+    row = course(c, [Stage("base", NOTHING, noise)], [random_folds(len(c.m), 0)], noise, 0).iloc[0]
+    assert row["model_mm"] < 0.5 * row["gap_mm"]
+
+
+def test_blocks_are_contiguous_fifths_of_the_time() -> None:
+    c = case("ur10e-P09", "joint_scale@2")
+    time = c.m.conditions["time_s"][c.kept]
+    blocks = time_blocks(c)
+    assert np.ptp(np.bincount(blocks)) <= 1
+    assert all(time[blocks == k].max() < time[blocks == k + 1].min() for k in range(4))
+    assert of_time([FrameDrift()])
+    assert of_time([ThermalGrowth(None, 600.0)])
+    assert not of_time([FrictionWindup(2)])
+
+
+def test_applied_causes_keep_their_promise_on_unseen_poses(half: tuple[Diagnosis, Measurements]) -> None:
+    d, unseen = half
+    base, better = (errors(r, unseen).mean() for r in (d.identification.robot, d.apply()))
+    assert better < 0.6 * base
+    assert better == pytest.approx(d.gap.after, rel=0.3)
+    assert base == pytest.approx(d.gap.before, rel=0.3)
+    assert errors(d.apply(top=0), unseen).mean() == pytest.approx(base, rel=0.1)
+
+
+def test_refit_agrees_with_the_linearised_and_has_standard_errors(half: tuple[Diagnosis, Measurements]) -> None:
+    d, _ = half
+    check = d.check_refit()
+    assert check.agree
+    assert check.linearised == pytest.approx(d.gap.after, rel=0.05)
+    table = d.refit().parameters.set_index("name")
+    for name, (value, error, _) in d.causes[0].estimates.items():
+        row = table.loc[f"friction_windup@2.{name}"]
+        assert np.deg2rad(row["value"]) == pytest.approx(value, abs=2 * error)
+        assert 0 < np.deg2rad(row["std_error"]) < 3 * error
+
+
+def test_one_function_takes_robot_or_identification(half: tuple[Diagnosis, Measurements]) -> None:
+    d, unseen = half
+    again = diagnose(d.identification, effects=FEW)
+    assert [c.label for c in again.causes] == ["friction_windup@2"]
+    assert again.gap == d.gap
+    other = diagnose(d.identification, unseen, FEW)
+    assert len(other.case.m) == 60
+    with pytest.raises(InputError, match="measurements are missing"):
+        diagnose(robot("ur10e"))
+
+
+def test_full_poses_are_diagnosed_by_their_positions() -> None:
+    m = simulated("ur10e", 12, disturbances.FrictionWindup(2, 90e-6))
+    pose = replace(m, kind="pose", orientation=predicted(robot("ur10e"), m)[1], sigma_angle=1e-3, sigma=2e-5)
+    d = diagnose(robot("ur10e"), pose, FEW)
+    assert [c.label for c in d.causes] == ["friction_windup@2"]
+    assert d.gap.after < 0.6 * d.gap.before
+    assert errors(d.apply(), m).mean() < 1.3 * d.gap.after
+
+
+def test_coarse_instrument_is_refused() -> None:
+    m = practice("ur10e-P03")
+    rough = m.position + 6e-4 * np.random.default_rng(0).standard_normal(m.position.shape)
+    with pytest.raises(InputError, match="finer instrument"):
+        diagnose(robot("ur10e"), replace(m, position=rough), FEW)
+
+
+def repeated(m: Measurements, times: int, sigma: float) -> Measurements:
+    """The first twenty poses of a campaign measured again, with a noise of their own."""
+    rng = np.random.default_rng(0)
+    which = np.concatenate([np.arange(len(m)), *([np.arange(20)] * times)])
+    again = m[which]
+    position = again.position.copy()
+    position[len(m) :] += sigma * rng.standard_normal((20 * times, 3))
+    return replace(again, position=position, row=np.arange(len(again)) + 2)
+
+
+def test_noise_of_repeated_poses() -> None:
+    m = repeated(simulated("ur10e", 12), 3, 30e-6)
+    r = m.position - m.position[np.concatenate([np.arange(100), *([np.arange(20)] * 3)])]
+    everyone = np.ones(len(m), dtype=bool)
+    found = replicates(m, r, everyone)
+    assert (found.poses, found.groups, found.freedom) == (80, 20, 180)
+    # One of the four has no noise here: three quarters of the variance, plus its mean's share.
+    assert found.sigma == pytest.approx(30e-6 * np.sqrt(0.75), rel=0.15)
+    assert found.enough
+    loaded = replace(m, conditions={**m.conditions, "payload_kg": np.arange(len(m)) % 7.0})
+    assert replicates(loaded, r, everyone).freedom <= 60
+    assert not replicates(simulated("ur10e", 12), r[:100], everyone[:100]).enough
+
+
+def test_floor_is_that_of_repeated_poses() -> None:
+    m = simulated("ur10e", 12, disturbances.FrictionWindup(2, 90e-6))
+    once = diagnose(robot("ur10e"), repeated(m, 3, 5e-6), ["joint_scale@5"])
+    assert once.replicates.enough
+    assert once.gap.floor < 0.5 * diagnose(robot("ur10e"), m, ["joint_scale@5"]).gap.floor
+
+
+def test_network_is_refused_on_noise_and_used_on_a_smooth_error() -> None:
+    quick = LevenbergMarquardt(restarts=2, ridges=(0.01,))
+    c, _ = doctored(0.0, 2)
+    found = network_gap(c, NOTHING, Noise(20e-6, 0.0), 0, quick)
+    assert found.refused >= 4
+    assert found.used == pytest.approx(found.before, rel=0.02)
+    assert found.forced > found.before
+    folds = random_folds(len(c.m), 0)
+    assert found.before == pytest.approx(held_out_errors(c.evidence, NOTHING, Noise(20e-6, 0.0), folds).mean())
+    bent = replace(c, whole=replace(c.whole, r=c.whole.r + 5e-4 * np.sin(3 * c.m.q[:, [1]])))
+    found = network_gap(bent, NOTHING, Noise(1e-4, 0.0), 0, quick)
+    assert found.refused == 0
+    assert found.used < 0.7 * found.before
+
+
+def test_interrupt_leaves_nothing_behind() -> None:
+    def stop(text: str) -> None:
+        if text.startswith("cause 1"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        diagnose(robot("ur10e"), practice("ur10e-P06"), FEW, show=stop)
+    seen: list[str] = []
+    d = diagnose(robot("ur10e"), practice("ur10e-P06"), FEW, show=seen.append)
+    assert seen[0] == "calibrating the base model"
+    assert seen[-1].startswith("cause 2")
+    d.check_refit(seen.append)
+    assert seen[-1] == "refit 5 of 5"
+
+
+def test_isolability_of_a_diagnosis_is_that_of_its_poses() -> None:
+    from casadical.diagnosis.isolability import isolability
+
+    d = diagnose(identify(robot("ur10e"), practice("ur10e-P06"), priors=True), effects=FEW)
+    ahead = isolability(robot("ur10e"), practice("ur10e-P06"), FEW, noise=d.noise)
+    # The torque of joint 1 is that of the robot's tilt, which only the calibrated one shows.
+    others = [k for k in ahead.effects.index if not k.endswith("@1")]
+    ours = d.isolability.effects.loc[others]
+    np.testing.assert_allclose(ours["visible_mm"], ahead.effects.loc[others, "visible_mm"], rtol=0.1, atol=1e-4)

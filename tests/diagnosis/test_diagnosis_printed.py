@@ -1,0 +1,151 @@
+"""The page that a person reads: a golden text of fixed numbers, its width, and what further poses promise."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from cases import practice, robot
+
+from casadical.diagnosis.advice import after_gain
+from casadical.diagnosis.answer import Extras, as_json
+from casadical.diagnosis.diagnosis import Diagnosis, diagnose
+from casadical.diagnosis.gap import Noise
+from casadical.diagnosis.how_far import COLUMNS
+from casadical.diagnosis.isolability import Isolability
+from casadical.diagnosis.network import NetworkGap
+from casadical.diagnosis.printed import WIDTH, page_of
+from casadical.diagnosis.refit import Check
+from casadical.diagnosis.replicates import Replicates
+from casadical.diagnosis.result import Cause, Gap, Outlier
+from casadical.diagnosis.where import BINS, DIRECTIONS, PARTS, Where
+from casadical.diagnosis.which import Ranking
+from casadical.effects import Backlash, ThermalZeroDrift
+
+GOLDEN = Path(__file__).parent / "golden"
+
+
+@pytest.fixture(scope="module")
+def true() -> Diagnosis:
+    return diagnose(robot("ur10e"), practice("ur10e-P09"), ["backlash@2", "nonlinear_stiffness@2", "frame_drift"])
+
+
+@pytest.fixture(scope="module")
+def fixed(true: Diagnosis) -> Diagnosis:
+    """A diagnosis of made-up numbers."""
+    label, rival = "backlash@2", "nonlinear_stiffness@2"
+    causes = (
+        Cause(
+            "backlash", 2, 0.55, 0.44, (0.38, 0.49), (rival,), (Backlash(2, 0.04, 0.02),),
+            {"half": (61e-6, 7e-6, "rad")},
+        ),
+        Cause(
+            "thermal_zero_drift", 3, 0.97, 0.2, (0.14, 0.25), (), (ThermalZeroDrift(3, 600.0),),
+            {"drift": (4.1e-6, 0.6e-6, "rad/K")},
+        ),
+        Cause("outliers", None, 0.99, 0.03, (0.01, 0.08), ()),
+    )  # fmt: skip
+    rows = [
+        ("base", 0.127, 0.118, 0.136, 0.126, 0.131, 0.124, 0.112, 0.135),
+        (f"+ {label}", 0.071, 0.066, 0.077, 0.07, 0.075, 0.066, 0.058, 0.073),
+        ("+ thermal_zero_drift@3", 0.046, 0.041, 0.052, 0.045, 0.055, 0.038, 0.031, 0.044),
+    ]
+    noise = Noise(12e-6, 5e-6)
+    one = Ranking(1e-9, {label: 0.55, rival: 0.45}, {}, {}, {"": noise})
+    d = replace(
+        true,
+        verdict="ambiguous",
+        causes=causes,
+        gap=Gap(127e-6, 46e-6, 21e-6),
+        noise=noise,
+        unknown_rest=0.2,
+        course=pd.DataFrame(rows, columns=list(COLUMNS)),
+        replicates=Replicates(12e-6, 18, 6, 36),
+        rankings=(one,),
+        outliers=(Outlier(31, 1.7e-3, 80.0), Outlier(62, 0.9e-3, 40.0)),
+        missing={"payload_error": ("payload_kg",)},
+    )
+    parts = [
+        ("joint 2", 0.41, 0.34, 0.48, 0.05),
+        ("joint 3", 0.22, 0.15, 0.3, 0.03),
+        ("elsewhere", 0.37, 0.3, 0.4, 0.04),
+    ]
+    links = [("base", 0.08, 0.05, 0.12, 0.02), ("tool", 0.01, 0.0, 0.02, 0.001), ("elsewhere", 0.91, 0.88, 0.95, 0.07)]
+    payload = [
+        ("payload", "0 kg", 50, 0.3, 0.22, 0.38, 0.1, 0.09, 0.11),
+        ("payload", "10 kg", 50, 0.7, 0.62, 0.78, 0.16, 0.14, 0.18),
+    ]
+    none = pd.DataFrame(columns=list(BINS))
+    tables = [pd.DataFrame(parts, columns=list(PARTS)), pd.DataFrame(links, columns=list(PARTS))]
+    directions = pd.DataFrame(columns=list(DIRECTIONS))
+    d.__dict__["where"] = Where(*tables, directions, none, pd.DataFrame(payload, columns=list(BINS)), none, none, none)
+    seen = pd.DataFrame(
+        {"absorbed": [0.6, 0.7, 0.99], "findable_from": [0.5, 0.6, 9.0]}, index=[label, rival, "gravity_compensator"]
+    )
+    alike = pd.DataFrame([[1, 0.78], [0.7, 1]], index=[label, rival], columns=[label, rival])
+    d.__dict__["isolability"] = Isolability(seen, alike, {})
+    return d
+
+
+@pytest.fixture(scope="module")
+def poses() -> pd.DataFrame:
+    """Four poses, upright and stretched out."""
+    q = {f"q{i}_deg": [0.0] * 4 for i in range(1, 7)} | {"q2_deg": [-90.0, -90.0, -90.0, 0.0]}
+    more = {
+        "payload_kg": [0.0, 10.0, 0.0, 10.0],
+        "approach2": [1, -1, 1, -1],
+        "repeats": ["row 3", "", "", ""],
+        "new": ["", "range of q2", "", ""],
+    }
+    return pd.DataFrame({"order": [1, 2, 3, 4], **q, **more, "separation": [0.1, 0.4, 0.9, 1.5]})
+
+
+def extras(poses: pd.DataFrame) -> Extras:
+    networks = NetworkGap(127e-6, 120e-6, 131e-6, 3), NetworkGap(46e-6, 46e-6, 60e-6, 5)
+    return Extras(Check(47e-6, 46e-6), networks, poses, "next.csv")
+
+
+def test_page_is_the_golden_one(fixed: Diagnosis, poses: pd.DataFrame) -> None:
+    """If the change is wanted: write page_of(...) to the file."""
+    assert page_of(fixed, extras(poses)) + "\n" == (GOLDEN / "page.txt").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("verdict", ["none", "unknown"])
+def test_verdicts_without_a_cause(fixed: Diagnosis, verdict: str) -> None:
+    d = replace(fixed, verdict=verdict, causes=(), course=fixed.course[:1], outliers=(), missing={})
+    d.__dict__.update({k: fixed.__dict__[k] for k in ("where", "isolability")})
+    assert page_of(d) + "\n" == (GOLDEN / f"{verdict}.txt").read_text(encoding="utf-8")
+
+
+def test_true_page_is_no_wider_than_it_says(true: Diagnosis) -> None:
+    text = page_of(true, Extras(poses=true.next_poses(3), file="a_rather_long_name_of_a_file.csv"))
+    assert max(map(len, text.splitlines())) <= WIDTH
+    for word in ("GAP", "WHERE", "WHICH", "AFTER"):
+        assert f"\n{word}" in f"\n{text}"
+
+
+def test_json_holds_what_the_page_says(fixed: Diagnosis, poses: pd.DataFrame) -> None:
+    answer = as_json(fixed, "made-up", extras(poses))
+    assert answer["refit_mm"] == {"held_out": 0.047, "linearised": 0.046}
+    assert answer["network_mm"][0] == {"before": 0.127, "used": 0.12, "forced": 0.131, "refused": 3}
+    assert answer["course"][2]["blocks_mm"] == 0.055
+    assert answer["outliers"][0] == {"row": 31, "distance_mm": 1.7, "sigmas": 80.0}
+    assert answer["replicates"] == {"sigma_mm": 0.012, "poses": 18, "used": True}
+    assert answer["causes"][1]["settings"] == [{"lag": 600.0}]
+    assert answer["where"]["joints"][0]["part"] == "joint 2"
+    before, after = answer["told_rightly"]
+    assert before == pytest.approx(0.55)
+    assert after == pytest.approx(after_gain(0.55, 1.5), abs=1e-4)
+
+
+@pytest.mark.parametrize(("share", "gain"), [(0.5, 1.0), (0.7, 0.5), (0.9, 3.0), (0.98, 0.2)])
+def test_probability_of_a_right_choice(share: float, gain: float) -> None:
+    """Against drawn data: the observation is normal, its mean apart by sqrt(2 gain) under the two causes."""
+    rng = np.random.default_rng(0)
+    first = rng.random(400_000) < share
+    apart = np.sqrt(2 * gain)
+    x = rng.standard_normal(first.size) + np.where(first, apart, 0.0)
+    odds = np.log(share / (1 - share)) + apart * x - gain
+    assert after_gain(share, gain) == pytest.approx(((odds > 0) == first).mean(), abs=0.003)
+    assert after_gain(share, 0.0) == max(share, 1 - share)

@@ -1,0 +1,142 @@
+"""The figures carry the numbers they claim, by other ways of computing them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from casadical.errors import InputError
+from casadical.report import calibration_figures, dark, diagnosis_figures
+from casadical.report import lazy as libraries
+from casadical.report.look import COLOURS, STYLES
+from casadical.report.page import safe_json
+from casadical.report.pose_errors import Left, PoseErrors
+from casadical.report.workspace import round_factor, skeleton, workspace
+
+
+@pytest.fixture(scope="module")
+def figures(hh800):
+    problem, results, _, networks = hh800
+    return calibration_figures(problem, results, networks)
+
+
+def trace(figure, name):
+    return next(t for t in figure.data if t.name == name)
+
+
+def test_errors_of_each_pose_average_to_the_error_table(hh800, figures) -> None:
+    _, _, errors, networks = hh800
+    for name in ("report", "identify"):
+        for method in ("KM", "SKCM"):
+            y = np.array(trace(figures[f"errors/{name}"], method).y)
+            assert y.mean() == pytest.approx(1e3 * errors[method][name]["calibrated"].mean, abs=1e-5)
+    # A refused network is drawn as it was trained: its mean is that of its own report, not that of SKCM.
+    refused = [r for r in networks.results.values() if r.compensator and not r.helps]
+    assert refused
+    for r in refused:
+        y = np.array(trace(figures["errors/report"], f"{r.method}, refused").y)
+        assert y.mean() == pytest.approx(r.compensator.validation.after.mean_mm, abs=1e-5)
+
+
+def test_vectors_are_as_long_as_their_errors_times_the_factor_in_the_legend(figures) -> None:
+    figure = figures["workspace"]
+    lines = next(t for t in figure.data if t.mode == "lines" and t.name.startswith("SKCM"))
+    factor = float(lines.name.split("drawn ")[1].split(" ")[0])
+    tips = next(t for t in figure.data if t.mode == "markers" and t.name == lines.name)
+    ends = np.stack([lines.x, lines.y, lines.z], axis=1).reshape(-1, 3, 3)
+    drawn = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    assert 1e3 * drawn / factor == pytest.approx(np.array(tips.customdata)[:, 1], abs=1e-4)
+
+
+def test_the_skeleton_ends_at_the_measured_point_and_keeps_its_links(hh800) -> None:
+    robot = hh800[1]["SKCM"].robot
+    a, b = (skeleton(robot, q) for q in hh800[0].sets["report"][0].q[:2])
+    lengths = [np.linalg.norm(np.diff(points, axis=0), axis=1) for points in (a, b)]
+    # The last stretch, to the tool, bends by the joints' compliance, fractions of a millimetre.
+    assert lengths[0] == pytest.approx(lengths[1], abs=2e-3)
+
+
+@pytest.mark.parametrize(("factor", "rounded"), [(0.3, 1), (1, 1), (9.9, 5), (730, 500), (2000, 2000), (1e6, 1e6)])
+def test_factors_are_round_and_never_greater(factor, rounded) -> None:
+    assert round_factor(factor) == rounded
+
+
+def test_shares_and_probabilities_sum_to_one(diagnosis) -> None:
+    figures = diagnosis_figures(diagnosis)
+    assert sum(figures["where/joints"].data[0].x) == pytest.approx(100, abs=1e-3)
+    assert sum(figures["causes/1"].data[0].x) == pytest.approx(1, abs=0.02)  # those beyond the first eight are left out
+    bars = figures["gap"].data[0].x
+    assert bars[0] == pytest.approx(1e3 * diagnosis.gap.before, rel=0.01)
+    held_out = [np.mean(t.y) for t in figures["errors"].data]
+    assert held_out == pytest.approx([1e3 * diagnosis.gap.before, 1e3 * diagnosis.gap.after], rel=0.01)
+
+
+def test_the_history_of_a_training_ends_at_the_loss_of_the_network_it_made(hh800, figures) -> None:
+    networks = hh800[3]
+    assert len(figures["training"].data) == len(networks.results)
+    for r in networks.results.values():
+        steps, losses = np.array(r.compensator.history).T
+        assert (np.diff(steps) >= 0).all()
+        assert np.isfinite(losses).all()
+
+
+def test_many_poses_are_thinned_and_said_to_be() -> None:
+    n = 3000
+    rng = np.random.default_rng(0)
+    error = rng.normal(size=(n, 3)) * 1e-4
+    models = (Left("SKCM", np.linalg.norm(error, axis=1), error),)
+    poses = PoseErrors("report", True, np.arange(n) + 2, np.zeros((n, 6)), rng.uniform(-1, 1, (n, 3)), models)
+    from casadical.report.error_figures import error_distribution, errors_by_pose
+
+    figure = errors_by_pose(poses)
+    assert len(figure.data[0].y) == 400
+    assert "400 of 3000 drawn" in figure.layout.xaxis.title.text
+    assert error_distribution(poses).data[0].x[-1] == pytest.approx(1e3 * models[0].length.max(), abs=1e-5)  # of all
+    assert len(workspace(poses).to_json()) < 400_000
+
+
+def test_dark_changes_every_colour_and_no_number(figures) -> None:
+    figure = figures["errors/report"]
+    night = dark(figure)
+    assert night.layout.paper_bgcolor == COLOURS["paper"][1]
+    assert np.array_equal(night.data[0].y, figure.data[0].y)
+    lights = {light for light, _ in COLOURS.values()}
+    assert not [c for c in lights if c in night.to_json()]
+
+
+def contrast(a: str, b: str) -> float:
+    """WCAG 2.1, from relative luminance."""
+
+    def luminance(colour: str) -> float:
+        values = np.array([int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)])
+        linear = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+        return float(linear @ [0.2126, 0.7152, 0.0722])
+
+    high, low = sorted((luminance(a), luminance(b)), reverse=True)
+    return (high + 0.05) / (low + 0.05)
+
+
+@pytest.mark.parametrize("mode", [0, 1])
+def test_words_and_lines_stand_out_from_their_ground(mode) -> None:
+    ground = COLOURS["paper"][mode]
+    assert contrast(COLOURS["ink"][mode], ground) > 7
+    assert contrast(COLOURS["muted"][mode], ground) > 4.5
+    for name in ("blue", "orange", "green", "red", "pink", "sky", "grey"):
+        assert contrast(COLOURS[name][mode], ground) > 2.7, name
+    # Not by colour alone.
+    assert len({(marker, dash) for _, marker, dash in list(STYLES.values())[:-1]}) == len(STYLES) - 1
+
+
+def test_no_tag_gets_out_of_a_figure_and_no_nan_into_it() -> None:
+    text = safe_json({"a": "</script><b>", "x": [float("nan"), 1.0]})
+    assert "<" not in text
+    assert "[null,1.0]" in text
+
+
+def test_without_plotly_the_message_says_what_to_install(monkeypatch) -> None:
+    def missing(name: str):
+        raise ModuleNotFoundError(f"No module named {name!r}", name=name.partition(".")[0])
+
+    monkeypatch.setattr(libraries.importlib, "import_module", missing)
+    with pytest.raises(InputError, match=r"plotly is not installed; .*pip install 'casadical\[report\]'"):
+        libraries.require()

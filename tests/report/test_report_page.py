@@ -1,0 +1,145 @@
+"""The file: its order, what it says of where it comes from, user's text in it, and that it is whole or not there."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from datetime import UTC, datetime
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from casadical.report import calibration_report
+from casadical.report.provenance import campaign_files, problem_files, provenance_of
+
+ROOT = Path(__file__).parents[2]
+
+
+class Reader(HTMLParser):
+    """Headings, tags that load something, and whether all elements are closed."""
+
+    EMPTY = ("meta", "link", "img", "br")
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.headings: list[str] = []
+        self.sources: list[str] = []
+        self.open: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs) -> None:
+        self.sources += [v for k, v in attrs if k in ("src", "href") and not v.startswith(("#", "data:"))]
+        if tag not in self.EMPTY:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data) -> None:
+        if self.open and self.open[-1] == "h2":
+            self.headings.append(data)
+
+
+def test_the_order_is_that_of_a_reader(calibration_file, diagnosis_file) -> None:
+    calibration = Reader(calibration_file.read_text(encoding="utf-8"))
+    diagnosis = Reader(diagnosis_file.read_text(encoding="utf-8"))
+    first = ["Verdict", "Errors before and after", "Error of each pose", "In the workspace", "Where the gap lies"]
+    assert calibration.headings == [
+        *first, "Which causes", "Parameters", "Training of the networks", "What to measure next", "Provenance",
+    ]  # fmt: skip
+    assert diagnosis.headings == [
+        *first, "Which causes, and how sure", "Parameters of the base model", "What to measure next", "Provenance",
+    ]  # fmt: skip
+    for page in (calibration, diagnosis):
+        assert page.sources == []
+        assert page.open == []
+
+
+def test_it_is_below_six_megabytes_and_holds_plotly_once(calibration_file) -> None:
+    text = calibration_file.read_text(encoding="utf-8")
+    assert len(text.encode()) < 6e6
+    assert len(re.findall(r"<script>\s*/\*\*\s*\* plotly\.js v", text)) == 1
+
+
+def test_the_tables_say_what_the_command_prints(hh800, calibration_file) -> None:
+    _, _, errors, _ = hh800
+    text = calibration_file.read_text(encoding="utf-8")
+    a = errors["SKCM"]["report"]["calibrated"]
+    cells = "".join(f'<td class="n">{1e3 * v:.3f}</td>' for v in (a.mean, a.max, a.std, a.rms, a.p95))
+    assert f"<td>after SKCM</td>{cells}" in text
+
+
+def test_provenance_names_hash_versions_command_and_date() -> None:
+    files = problem_files(ROOT / "problems/hh800")
+    found = provenance_of(files, ["casadical", "calibrate", "my robot"], datetime(2026, 11, 21, 5, 7, tzinfo=UTC))
+    hashes = dict(found.files)
+    data = next(path for path in hashes if path.endswith("hh800_twin.csv"))
+    assert hashes[data] == hashlib.sha256((ROOT / "data/hh800_twin/hh800_twin.csv").read_bytes()).hexdigest()
+    assert found.command == "casadical calibrate 'my robot'"
+    assert found.date == "2026-11-21 05:07 UTC"
+    assert dict(found.versions)["casadical"]
+    names = [path.name for path in campaign_files(ROOT / "problems/hh800", [Path("a.csv")])]
+    assert names == ["problem.toml", "campaign.robot.toml", "a.csv"]
+
+
+def test_a_users_text_stays_text(calibrated) -> None:
+    problem, results, errors = calibrated("planar")
+    evil = "<script>alert(1)</script> & <img src=x onerror=alert(1)>"
+    named = replace(problem, title=evil, robot=replace(problem.robot, name=evil, notes=(evil,)))
+    text = calibration_report([(named, results, errors, None)])
+    assert evil not in text
+    assert text.count("&lt;script&gt;alert(1)&lt;/script&gt;") >= 3
+
+
+def test_distances_and_contacts_have_a_report_too(calibrated) -> None:
+    text = calibration_report([(*calibrated("panda_1"), None)])
+    assert "there is no map" in text
+    assert 'data-name="errors/report"' in text
+
+
+def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    program = [sys.executable, "-c", "from casadical.cli import main; main()", *arguments]
+    return subprocess.run(program, capture_output=True, text=True, cwd=cwd, check=False)
+
+
+def test_the_commands_write_it_whole_or_not_at_all(tmp_path) -> None:
+    planar = str(ROOT / "problems/planar")
+    done = run("calibrate", planar, "--report", "r.html", "--json", "r.json", "-q", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    text = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert text.rstrip().endswith("</html>")
+    assert "--report r.html --json r.json" in text
+    (tmp_path / "taken.html").mkdir()
+    refused = run("calibrate", planar, "--report", "taken.html", "--json", "s.json", cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "is a folder" in refused.stderr
+    assert not (tmp_path / "s.json").exists()
+
+
+def test_diagnose_writes_one_file_for_its_campaigns(tmp_path) -> None:
+    campaign = str(ROOT / "data/campaigns/practice/ur10e-P03.csv")
+    done = run(
+        "diagnose", str(ROOT / "problems/ur10e"), campaign, "--effects", "backlash", "--report", "d.html", "-q",
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "ur10e-P03.csv" in (tmp_path / "d.html").read_text(encoding="utf-8")
+
+
+def test_the_help_tells_of_it() -> None:
+    for command in ("calibrate", "diagnose"):
+        done = run(command, "--help", cwd=ROOT)
+        assert "--report" in done.stdout
+
+
+@pytest.mark.parametrize("name", ["calibration_figures", "calibration_report", "diagnosis_figures", "diagnosis_report"])
+def test_the_package_finds_its_names_lazily(name) -> None:
+    program = (
+        "import sys, casadical.report as r; assert 'plotly' not in sys.modules; "
+        f"assert callable(r.{name}); assert 'plotly' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
