@@ -95,12 +95,12 @@ class Evidence:
         widths = np.array([len(g) for g in groups])
         signal = (KAPPAS[None, :] / SIGMAS[:, None]) ** 2
         for k, w in enumerate(problem.whitened):
-            b = w.E.T @ w.y
+            b, by_column = w.E.T @ w.y, np.ascontiguousarray(w.E.T)
             for width in np.unique(widths):
                 which = np.flatnonzero(widths == width)
                 columns = np.stack([groups[int(g)] for g in which])
-                E = w.E[:, columns]
-                G = np.einsum("rgi,rgj->gij", E, E)
+                E = by_column[columns]
+                G = E @ E.transpose(0, 2, 1)
                 value, vector = np.linalg.eigh(G)
                 turned = np.einsum("gij,gi->gj", vector, b[columns])
                 gain = 1 + signal[None, :, :, None] * np.maximum(value, 0)[:, None, None, :]

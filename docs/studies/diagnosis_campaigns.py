@@ -10,6 +10,7 @@ import argparse
 import json
 import os
 import time
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, fields, replace
 from functools import cache, partial
@@ -22,8 +23,9 @@ import numpy as np
 from diagnosis_scores import Trial, near_rival, table, visible
 
 from casadical.diagnosis.case import Case, make_case
-from casadical.diagnosis.diagnosis import PARTITIONS, diagnose_identification
+from casadical.diagnosis.diagnosis import diagnose
 from casadical.diagnosis.gap import Noise, held_out_errors, likely_noise, random_folds
+from casadical.diagnosis.investigation import PARTITIONS
 from casadical.diagnosis.library import standard_candidates
 from casadical.identification import Identification, identify
 from casadical.measurements import Measurements, from_table
@@ -92,11 +94,15 @@ def floor(case: Case) -> float:
     return float(np.mean(runs))
 
 
-def kept(folder: Path | None, task: tuple[str, int, int]) -> Trial:
+def file_of(folder: Path, task: Sequence[Any]) -> Path:
+    return folder / ("-".join(map(str, task)).replace(" ", "") + ".json")
+
+
+def kept(folder: Path | None, task: Sequence[Any]) -> Trial:
     """The trial of a task, from the folder if it is there."""
     if folder is None:
         return trial(task)
-    file = folder / ("-".join(map(str, task)).replace(" ", "") + ".json")
+    file = file_of(folder, task)
     if not file.exists():
         folder.mkdir(parents=True, exist_ok=True)
         file.write_text(json.dumps(asdict(trial(task))))
@@ -104,7 +110,7 @@ def kept(folder: Path | None, task: tuple[str, int, int]) -> Trial:
     return Trial(**{k: tuple(v) if isinstance(v, list) else v for k, v in found.items()})
 
 
-def trial(task: tuple[str, int, int]) -> Trial:
+def trial(task: Sequence[Any]) -> Trial:
     """One campaign, hidden, measured, diagnosed and judged."""
     part, number, poses = task
     rng = np.random.default_rng([2026, list(PARTS).index(part), number])
@@ -131,9 +137,9 @@ def trial(task: tuple[str, int, int]) -> Trial:
         m = replace(m, position=clean.position + shift)
     began = time.process_time()
     base = calibrated(robot, m)
-    found = diagnose_identification(base)
+    found = diagnose(base)
     seconds = time.process_time() - began
-    without = diagnose_identification(base, standard(robot_name)).verdict if part == "unlisted" else ""
+    without = diagnose(base, effects=standard(robot_name)).verdict if part == "unlisted" else ""
     truth = tuple(label(w, d) for w, d in secret.items()) if part != "unlisted" else ()
     first = found.rankings[0].probability
     rival = near_rival(found.case, shift, noise, truth[0]) if part in ("one", "forty") else 0.0
@@ -161,14 +167,20 @@ def main() -> None:
     parser.add_argument("--share", type=float, default=1.0, help="of the campaigns of every part")
     parser.add_argument("--parts", default=",".join(PARTS), help="by commas")
     parser.add_argument("--keep", type=Path, help="folder that keeps finished trials, to go on after a break")
+    parser.add_argument("--done", action="store_true", help="score what the folder has")
     options = parser.parse_args()
-    trials: dict[str, list[Trial]] = {}
+    tasks = [
+        (k / PARTS[part][0], part, k, PARTS[part][1])
+        for part in options.parts.split(",")
+        for k in range(round(options.share * PARTS[part][0]))
+    ]
+    # All parts in step: a study that is broken off has a bit of each.
+    tasks = [task for _, *task in sorted(tasks, key=lambda t: t[0])]
+    if options.done:
+        tasks = [task for task in tasks if file_of(options.keep, task).exists()]
     with ProcessPoolExecutor(2) as pool:
-        for part in options.parts.split(","):
-            count, poses = PARTS[part]
-            tasks = [(part, k, poses) for k in range(round(options.share * count))]
-            trials[part] = list(pool.map(partial(kept, options.keep), tasks, chunksize=2))
-    print(table(trials))
+        trials = list(pool.map(partial(kept, options.keep), tasks))
+    print(table({part: [t for t in trials if t.part == part] for part in PARTS}))
 
 
 if __name__ == "__main__":

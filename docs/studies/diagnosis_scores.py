@@ -12,6 +12,8 @@ from casadical.diagnosis.gap import Noise
 
 FALSE_ALARMS = 0.01
 SEEN = 0.35
+# Labels on the standard list of a six-axis robot (library.standard_candidates).
+CAUSES = 67
 
 
 @dataclass(frozen=True)
@@ -72,8 +74,8 @@ def near_rival(case: Case, shift: np.ndarray, noise: Noise, truth: str) -> float
 
 
 def power(visible: float, poses: int, parameters: int = 3) -> float:
-    """Of a chi-square test that knows the cause's signature, at the false alarms allowed."""
-    edge = stats.chi2.ppf(1 - FALSE_ALARMS, parameters)
+    """Of chi-square tests of every cause that know its signature and the noise, at the false alarms allowed in all."""
+    edge = stats.chi2.ppf(1 - FALSE_ALARMS / CAUSES, parameters)
     return float(stats.ncx2.sf(edge, parameters, 3 * poses * visible**2))
 
 
@@ -94,15 +96,15 @@ def share(hits: Sequence[bool]) -> str:
     p, z = float(np.mean(hits)), 1.96
     centre, half = (p + z * z / (2 * n)), z * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
     low, high = ((centre + s * half) / (1 + z * z / n) for s in (-1, 1))
-    return f"{p:.3f}  ({low:.3f} .. {high:.3f}; {sum(hits)} of {n})"
+    return f"{p:.3f}  ({max(low, 0):.3f} .. {high:.3f}; {sum(hits)} of {n})"
 
 
 def mean(values: Sequence[float]) -> str:
     """A mean with its 95 % interval."""
     if not len(values):
         return "-"
-    half = 1.96 * np.std(values) / np.sqrt(len(values))
-    return f"{np.mean(values):.3f}  ({np.mean(values) - half:.3f} .. {np.mean(values) + half:.3f}; {len(values)})"
+    middle, half = float(np.mean(values)), 1.96 * float(np.std(values)) / np.sqrt(len(values))
+    return f"{middle:.3f}  ({middle - half:.3f} .. {min(middle + half, 1):.3f}; {len(values)})"
 
 
 def false_alarm(t: Trial) -> bool:
@@ -113,7 +115,7 @@ def table(parts: dict[str, list[Trial]]) -> str:
     """Figure, value, target, theoretical limit: a line each, and what was claimed wrongly."""
     rows: list[tuple[str, str, str, str]] = []
     for part, trials in parts.items():
-        rows += _SCORES[part](trials)
+        rows += _SCORES[part](trials) if trials else []
     lines = [f"{'figure':<52} {'value (95 % interval; of)':<42} {'target':<14} limit"]
     lines += [f"{a:<52} {b:<42} {c:<14} {d}" for a, b, c, d in rows]
     every = [t for trials in parts.values() for t in trials]

@@ -92,7 +92,12 @@ def fixed(true: Diagnosis) -> Diagnosis:
 def poses() -> pd.DataFrame:
     """Four poses, upright and stretched out."""
     q = {f"q{i}_deg": [0.0] * 4 for i in range(1, 7)} | {"q2_deg": [-90.0, -90.0, -90.0, 0.0]}
-    more = {"payload_kg": [0.0, 10.0, 0.0, 10.0], "approach2": [1, -1, 1, -1], "repeats": ["row 3", "", "", ""]}
+    more = {
+        "payload_kg": [0.0, 10.0, 0.0, 10.0],
+        "approach2": [1, -1, 1, -1],
+        "repeats": ["row 3", "", "", ""],
+        "new": ["", "range of q2", "", ""],
+    }
     return pd.DataFrame({"order": [1, 2, 3, 4], **q, **more, "separation": [0.1, 0.4, 0.9, 1.5]})
 
 
