@@ -38,6 +38,7 @@ def diagnose(
         Path | None,
         typer.Option("--next", metavar="FILE", help="Poses that would tell apart what one campaign cannot, as CSV."),
     ] = None,
+    next_n: Annotated[int, typer.Option("--next-n", min=1, help="How many of these poses.")] = 15,
     room: Annotated[
         Path | None,
         typer.Option(metavar="FILE.toml", help="Where these may lie: limits, floor, boxes, tracker; see docs/plan.md."),
@@ -95,7 +96,7 @@ def diagnose(
             chosen = effects.split(",") if effects else "standard"
             found = run(robot, m, chosen, seed=seed, bootstrap=bootstrap, show=show)
             file = measure_next if len(campaigns) == 1 else None
-            extras = _extras(found, file, network, workspace, show)
+            extras = _extras(found, file, next_n, network, workspace, show)
         answers.append(as_json(found, path.stem, extras))
         answered.append((path, found, extras))
         console.print(report(found, f"{path.stem} ({robot.name})", extras), soft_wrap=True)
@@ -116,17 +117,22 @@ def diagnose(
 
 
 def _extras(
-    found: Diagnosis, file: Path | None, network: bool, workspace: Workspace | None, show: Callable[[str], None]
+    found: Diagnosis,
+    file: Path | None,
+    next_n: int,
+    network: bool,
+    workspace: Workspace | None,
+    show: Callable[[str], None],
 ) -> Extras:
     """The parts that take longer."""
-    from ..diagnosis.answer import NEXT, Extras
+    from ..diagnosis.answer import Extras
 
     show("where it lies")
     _ = found.where
     check = found.check_refit(show) if found.effects() else None
     networks = found.with_network(show=show) if network else None
     show("poses to measure next")
-    return Extras(check, networks, found.next_poses(NEXT, workspace=workspace), file.name if file else "")
+    return Extras(check, networks, found.next_poses(next_n, workspace=workspace), file.name if file else "")
 
 
 def _print_isolability(

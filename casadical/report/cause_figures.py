@@ -45,7 +45,8 @@ def posteriors(d: Diagnosis, step: int = 0) -> go.Figure:
         hovertemplate="<b>%{customdata[0]}</b>: %{x:.3g}<br>%{customdata[1]}<extra></extra>",
         showlegend=False,
     )
-    figure.update_xaxes(range=[0, 1.14], tickvals=[0, 0.25, 0.5, 0.75, 1])
+    figure.update_layout(margin_r=64)
+    figure.update_xaxes(range=[0, 1], tickvals=[0, 0.25, 0.5, 0.75, 1])
     return figure.update_yaxes(
         tickvals=list(range(len(rows))), ticktext=[plain(r[0]) for r in rows], range=[len(rows) - 0.4, -0.6],
         showgrid=False,
@@ -96,7 +97,8 @@ def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] | None = None) -> go
     for place, value in enumerate(values):
         figure.add_annotation(x=high[place], y=place, text=f"{value:.3f} mm", xanchor="left", xshift=8, showarrow=False,
                               font={"color": INK, "size": 12})  # fmt: skip
-    figure.update_xaxes(range=[0, 1.25 * max(high)])
+    figure.update_layout(margin_r=76)
+    figure.update_xaxes(range=[0, max(high)])
     return figure.update_yaxes(
         tickvals=list(range(len(rows))), ticktext=[plain(n) for n in names], range=[len(rows) - 0.4, -0.6],
         showgrid=False,

@@ -7,7 +7,7 @@ import json
 import secrets
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ..errors import InputError
+from ..errors import ConvergenceError, InputError
 from ..files import write_together
 from ..measurements import from_table
 from ..problem import read_campaign_robot
@@ -30,6 +30,7 @@ from .visible import base_jacobian, visible
 
 UNSEEN = 50
 LEAST_POSES = 20
+REDRAWN = 5
 _TRUE = ["x_true_mm", "y_true_mm", "z_true_mm"]
 _MEASURED = ["x_mm", "y_mm", "z_mm"]
 _STRUCK = {
@@ -122,7 +123,7 @@ def _drawing(project: Path, robot: str) -> tuple[dict[str, Any], str]:
 
 def campaign_of(engine: str, table: Mapping[str, Any], model: str, plan: Plan) -> _Campaign:
     """One campaign of a plan; runs in a worker. model : text of the base model's robot file."""
-    record = reality(engine).record(table, plan, plan.poses + UNSEEN)
+    plan, record = _recorded(engine, table, plan)
     rng = np.random.default_rng([plan.seed, 2])
     # Among the others, so that nothing has to be foretold beyond the campaign's time and temperature.
     kept = np.ones(plan.poses + UNSEEN, dtype=bool)
@@ -136,6 +137,16 @@ def campaign_of(engine: str, table: Mapping[str, Any], model: str, plan: Plan) -
         unseen=shown[~kept].drop(columns=_MEASURED).to_csv(index=False),
         secret=_secret(plan, record, kept, model, unseen),
     )
+
+
+def _recorded(engine: str, table: Mapping[str, Any], plan: Plan) -> tuple[Plan, Record]:
+    """The session of a plan. Where the engine finds no rest, everything but the plan is drawn anew, a few times."""
+    for _ in range(REDRAWN):
+        try:
+            return plan, reality(engine).record(table, plan, plan.poses + UNSEEN)
+        except ConvergenceError:
+            plan = replace(plan, seed=plan.seed + 1)
+    return plan, reality(engine).record(table, plan, plan.poses + UNSEEN)
 
 
 def _secret(plan: Plan, record: Record, kept: Array, model: str, unseen: pd.DataFrame) -> Secret:

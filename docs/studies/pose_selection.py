@@ -21,7 +21,8 @@ from casadical import identify, read_robot
 from casadical.measurements import from_table
 from casadical.pose_selection import Box, Noise, Tracker, Workspace, forecast, observability, select_poses
 from casadical.pose_selection.candidates import draw_uniform, expected
-from casadical.pose_selection.designs import inverse
+from casadical.pose_selection.designs import Determinant, inverse
+from casadical.pose_selection.exchange import search
 from casadical.pose_selection.information import independent, scaled_jacobian
 from casadical.simulation import campaign, perturb
 from casadical.simulation.plant import Plant
@@ -98,20 +99,31 @@ def against_figaroh(name, robot, python):
         n = theirs["n"]
         chance = np.random.default_rng(2)
         random = np.mean([o1(J, chance.choice(POOL, n, replace=False)) for _ in range(50)])
+        socp = "  -   " if theirs["socp"] is None else f"{o1(J, theirs['socp']):.4f}"
         start = time.process_time()
         # A fresh robot, so that building its functions counts.
         same = select_poses(replace(robot), q, n, "O1", noise=Noise(SIGMA))
         seconds = time.process_time() - start
+        alone = choice_alone(robot, J, q, n)
         start = time.process_time()
         free = select_poses(replace(robot), None, n, "O1", noise=Noise(SIGMA))
         freely = time.process_time() - start
         assert same.names == free.names == names
         print(
-            f"{name:6s} {n:4d}  {random:.4f}  {o1(J, theirs['socp']):.4f} {theirs['socp_s']:6.1f}  "
+            f"{name:6s} {n:4d}  {random:.4f}  {socp} {theirs['socp_s']:6.1f}  "
             f"{o1(J, theirs['detmax']):.4f} {theirs['detmax_s']:6.1f} {n - len(set(theirs['detmax'])):4d}   "
-            f"{same.observability['O1']:.4f} {seconds:6.2f}  {free.observability['O1']:.4f} {freely:6.2f}",
+            f"{same.observability['O1']:.4f} {seconds:6.2f} {alone:6.2f}  {free.observability['O1']:.4f} {freely:6.2f}",
             flush=True,
         )
+
+
+def choice_alone(robot, J, q, n):
+    """Seconds of the exchange, Jacobians given, as figaroh's are."""
+    lower, upper = Workspace().ranges(robot)
+    start = time.process_time()
+    design = Determinant(J, np.zeros((J.shape[2],) * 2), (q - lower) / (upper - lower), 0.0, np.empty((0, robot.n)))
+    search(design, n, 2, 0)
+    return time.process_time() - start
 
 
 def least_error(robot, names, n, task):
@@ -210,11 +222,16 @@ def standard_errors(name, robot, plant):
 
 
 def figaroh(robots, python):
-    print(f"O1 [mm] and CPU seconds, {POOL} candidates for all; 'free': ours drawing its own and refining them.")
-    print("Detmax may take a pose twice: 'twice' counts these. Ours includes Jacobians and choosing parameters;")
-    print("figaroh is given finished information matrices, so its seconds are those of the choice alone.\n")
-    print("robot     n  random   SOCP top n [s]  Detmax    [s] twice   ours      [s]  free      [s]")
-    for name, robot in robots.items():
+    print(
+        f"O1 [mm] and CPU seconds of three robots, {POOL} candidates for all. 'SOCP': its heaviest weights, '-' where"
+    )
+    print(
+        "none came in 90 s. 'Detmax' may take a pose twice; 'twice' counts these. 'ours': with Jacobians and the choice"
+    )
+    print("of parameters; 'alone': the choice alone, from finished Jacobians, as figaroh gets them. 'free': ours with")
+    print("candidates of its own, refined.\n")
+    print("robot     n  random   SOCP       [s]  Detmax    [s] twice   ours      [s]  alone  free      [s]")
+    for name, robot in reversed(robots.items()):
         against_figaroh(name, robot, python)
 
 

@@ -39,8 +39,10 @@ class Opened:
         self.page.on("console", lambda m: self.faults.append(m.text) if m.type == "error" else None)
         self.page.on("pageerror", lambda e: self.faults.append(str(e)))
         self.page.on("request", lambda r: self.requests.append(r.url))
-        self.page.goto(path.as_uri())
-        self.page.wait_for_selector("html[data-drawn=yes]", state="attached", timeout=90_000)
+        # A busy machine draws slowly.
+        self.page.set_default_timeout(120_000)
+        self.page.goto(path.as_uri(), wait_until="commit")
+        self.page.wait_for_selector("html[data-drawn=yes]", state="attached")
 
     @property
     def network(self) -> list[str]:
@@ -49,7 +51,7 @@ class Opened:
 
     def until(self, expression: str) -> None:
         """Wait for what the page will do in a moment."""
-        self.page.wait_for_function(expression, timeout=90_000)
+        self.page.wait_for_function(expression)
 
     def js(self, expression: str) -> Any:
         return self.page.evaluate(expression)

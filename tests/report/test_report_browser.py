@@ -53,7 +53,9 @@ def test_on_a_phone_no_words_of_a_figure_are_cut_or_lie_on_others(opened, kind) 
     outside = page.js(
         """[...document.querySelectorAll('.plot')].flatMap(plot => {
             const box = plot.getBoundingClientRect();
-            return [...plot.querySelectorAll('.xtick text, .ytick text, .gtitle, .xtitle, .ytitle, .legendtext')]
+            const words = '.xtick text, .ytick text, .gtitle, .xtitle, .ytitle, .legendtext, .bartext, '
+                + '.annotation-text';
+            return [...plot.querySelectorAll(words)]
                 .filter(t => { const r = t.getBoundingClientRect();
                     const wide = r.left < box.left - 1 || r.right > box.right + 1;
                     return r.width && (wide || r.bottom > box.bottom + 1); })

@@ -23,6 +23,11 @@ def test_the_committed_answers_have_the_committed_figures() -> None:
         assert numbers[0] == pytest.approx(numbers[1], rel=1e-3, abs=1e-4), name
 
 
+def test_the_second_run_has_its_key() -> None:
+    second = score(DATA / "second", DATA / "second", DATA / "second" / "answers.diagnosis.jsonl")
+    assert (len(second.trials), second.unanswered) == (48, [])
+
+
 def test_the_page_has_the_committed_figures() -> None:
     page = (ROOT / "docs" / "blind-check.md").read_text()
     for name, figure in json.loads((DATA / "score.json").read_text())["figures"].items():

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from checks import ROOT, Here, N
 
-from casadical.errors import InputError
+from casadical.errors import ConvergenceError, InputError
 from casadical.withheld.drawing import in_shares, plans
 from casadical.withheld.make import UNSEEN, make
 from casadical.withheld.protocol import read_key, read_manifest
@@ -52,6 +52,28 @@ def test_without_a_seed_each_check_is_another(tmp_path) -> None:
         for k in range(2)
     }
     assert len(hashes) == 2
+
+
+def test_a_session_without_rest_is_drawn_anew(monkeypatch) -> None:
+    from importlib import import_module
+
+    module = import_module("casadical.withheld.make")
+
+    seeds: list[int] = []
+
+    class Restless:
+        @staticmethod
+        def record(_table, plan, _poses) -> str:
+            seeds.append(plan.seed)
+            if len(seeds) < 3:
+                raise ConvergenceError("no rest")
+            return "measured"
+
+    monkeypatch.setattr(module, "reality", lambda _name: Restless)
+    plan = plans(4, 1, WORDS)[0]
+    found, record = module._recorded("mujoco", {}, plan)
+    assert (record, seeds) == ("measured", [plan.seed, plan.seed + 1, plan.seed + 2])
+    assert (found.kind, found.effects, found.seed) == (plan.kind, plan.effects, plan.seed + 2)
 
 
 def test_the_published_hash_is_that_of_the_file(small) -> None:

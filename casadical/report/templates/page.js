@@ -28,6 +28,8 @@
     // On a narrow screen the names of the legend stand beneath each other.
     const named = data.filter((trace) => trace.showlegend !== false).length;
     if (figure.plot.clientWidth < 600 && named > 2) layout.height += 19 * (named - 2);
+    const eye = layout.scene?.camera.eye;
+    if (eye && figure.plot.clientWidth < 600) for (const c of "xyz") eye[c] *= 1.3;
     figure.plot.style.height = `${layout.height}px`;
     return Plotly.react(figure.plot, data, layout, config);
   };
