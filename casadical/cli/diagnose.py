@@ -102,8 +102,9 @@ def diagnose(
         console.print(report(found, f"{path.stem} ({robot.name})", extras), soft_wrap=True)
         console.print()
         if file and extras.poses is not None:
-            write_whole(file, extras.poses.to_csv(index=False))
-            console.print(f"wrote {file}" if len(extras.poses) else f"wrote {file}: no pose, nothing is in question")
+            if len(extras.poses):
+                write_whole(file, extras.poses.to_csv(index=False))
+            console.print(f"wrote {file}" if len(extras.poses) else f"{file}: not written, for nothing is in question")
     texts = {json_file: as_text(answers)} if json_file else {}
     if report_file:
         from ..report import diagnosis_report

@@ -21,8 +21,9 @@ app = typer.Typer(
     name="casadical",
     help=(
         "Calibrate robots from measured poses.\n\n"
-        "A PROBLEM_DIR is a folder with problem.toml, a robot file (TOML or URDF) and measurements (CSV). Start with "
-        "one of the folders in problems/, for example:\n\n    casadical calibrate problems/ur10 --out results/ur10"
+        "A PROBLEM_DIR is a folder with problem.toml, a robot file (TOML or URDF) and measurements (CSV, there or "
+        "where problem.toml says). Start with one of the folders in problems/, for example:\n\n"
+        "    casadical calibrate problems/ur10 --out results/ur10"
     ),
     no_args_is_help=True,
     rich_markup_mode="markdown",
