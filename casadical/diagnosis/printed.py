@@ -190,9 +190,15 @@ def _cannot_tell(d: Diagnosis) -> Iterator[str]:
             ]
             yield from _block("CANNOT", f"tell {c.label} from {', '.join(known or c.indistinguishable)}")
     seen = d.isolability.effects
+    seen = seen.drop(index=[c.label for c in d.causes], errors="ignore")
     hidden = seen[(seen["absorbed"] > ABSORBED) | (seen["findable_from"] > OUT_OF_REACH)]
     if len(hidden):
-        words = [f"{label} ({100 * row['absorbed']:.0f} % absorbed)" for label, row in hidden.iterrows()]
+        words = [
+            f"{label} ({100 * row['absorbed']:.0f} % absorbed)"
+            if row["absorbed"] > ABSORBED
+            else f"{label} (at its usual size)"
+            for label, row in hidden.iterrows()
+        ]
         more = f" and {len(words) - 5} more" if len(words) > 5 else ""
         yield from _block("CANNOT", f"see in these poses: {', '.join(words[:5])}{more}")
 
