@@ -33,7 +33,7 @@ class Pair:
     @property
     def p(self) -> float:
         n, least = self.first + self.other, min(self.first, self.other)
-        return min(1.0, 2 * sum(comb(n, k) for k in range(least + 1)) / 2**n)
+        return min(1.0, 2 * sum(comb(n, k) for k in range(least + 1)) / (1 << n))
 
     def __str__(self) -> str:
         return (
