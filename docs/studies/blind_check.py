@@ -19,7 +19,7 @@ from casadical.files import write_whole
 from casadical.withheld.packed import pack, stored
 from casadical.withheld.paired import pairs
 from casadical.withheld.report import draw, report
-from casadical.withheld.score import Score, in_common, score
+from casadical.withheld.scoring import Score, in_common, score
 
 ROOT = Path(__file__).parents[2]
 DATA, PAGE, HERE = ROOT / "data" / "withheld", ROOT / "docs" / "blind-check.md", ROOT / "docs" / "studies"
