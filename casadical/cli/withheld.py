@@ -93,7 +93,7 @@ def predict_command(
         typer.Option("--out", metavar="FILE", help="Answers, a line of JSON each; default: DIR/answers.METHOD.jsonl."),
     ] = None,
     by: Annotated[
-        str, typer.Option(metavar="diagnosis|f-test|bic|gp", help="The diagnosis, or what it is measured against.")
+        str, typer.Option(metavar="diagnosis|f-test|bic|ebic|gp", help="The diagnosis, or what it is measured against.")
     ] = "diagnosis",
     workers: Workers = None,
     json_file: Json = None,

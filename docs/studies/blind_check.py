@@ -26,7 +26,7 @@ DATA, PAGE, HERE = ROOT / "data" / "withheld", ROOT / "docs" / "blind-check.md",
 RUNS = {"first run": DATA, "second run": DATA / "second", "third run": DATA / "third"}
 # Whose print and score.json are kept, and where the print lies.
 LARGE = {"first run": HERE / "blind_check.txt", "third run": HERE / "blind_check_third.txt"}
-METHODS = ("diagnosis", "f-test", "bic", "gp")
+METHODS = ("diagnosis", "f-test", "bic", "ebic", "gp")
 
 
 def answered(run: str) -> list[Score]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from casadical.withheld.baselines import Regression, _left
+from casadical.withheld.baselines import Regression, _by_bic, _left
 
 
 def test_gains_are_those_of_least_squares() -> None:
@@ -27,6 +29,26 @@ def test_gains_are_those_of_least_squares() -> None:
     assert more.freedom == 54
     both = squares(np.column_stack([A, E[:, [1, 2]]])) - squares(np.column_stack([A, E[:, [0, 1, 2]]]))
     assert more.gains(groups[:1]) == pytest.approx([both])
+
+
+def test_among_many_candidates_the_extended_criterion_takes_what_is_there_and_no_noise() -> None:
+    rng, many = np.random.default_rng(4), 400
+    case = SimpleNamespace(
+        groups=[np.array([k]) for k in range(many)],
+        variants=[(k, 0) for k in range(many)],
+        candidates=[SimpleNamespace(label=f"c{k}") for k in range(many)],
+    )
+    dearer, taken = 2 * np.log(many), {"bic": 0, "ebic": 0}
+    for _ in range(20):
+        E, noise = rng.normal(size=(100, many)), rng.normal(size=100)
+        for name, cost in (("bic", 0.0), ("ebic", dearer)):
+            taken[name] += _by_bic(Regression(noise, E, 100), case, cost).take is not None
+            found = _by_bic(Regression(noise + 2 * E[:, 7], E, 100), case, cost)
+            assert found.take is not None
+            assert found.take[0].label == "c7"
+            assert found.probability["c7"] > 0.99
+    assert taken["bic"] >= 15
+    assert taken["ebic"] <= 1
 
 
 def test_a_gaussian_process_learns_what_is_smooth() -> None:
