@@ -18,7 +18,10 @@ from ..errors import InputError
 from ..measurements import Measurements
 from ..transforms import Array
 from .guess import Session, in_mm
+from .likelihood import optimizer
 
+# Length scales to start from, in spreads of an input.
+STARTS = (3.0, 1.0)
 _LOGGED = ("progress", "temperature_degC", "payload_kg", *(f"approach{j}" for j in range(1, 7)))
 
 
@@ -36,7 +39,8 @@ def smoothed(s: Session) -> dict[str, Any]:
     learnt = np.empty_like(r)
     for fold in np.unique(folds):
         test = folds == fold
-        learnt[test] = unit * _same(process, X[s.seen][~test], r[~test] / unit).predict(X[s.seen][test])
+        # Scales and all, or what is held out would have been seen.
+        learnt[test] = unit * _fitted(X[s.seen][~test], r[~test] / unit).predict(X[s.seen][test])
     before, after = (np.linalg.norm(e, axis=1) for e in (r, r - learnt))
     shrinks = shrink_interval(before, after, 0)[0] > 0
     base_mm = p[~s.seen]
@@ -69,14 +73,12 @@ def _fitted(X: Array, y: Array) -> Any:
         from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
     except ImportError:
         raise InputError("--by gp needs scikit-learn: pip install 'casadical[withheld]'") from None
-    shape = ConstantKernel(0.5, (1e-3, 1e2)) * RBF(np.full(X.shape[1], 3.0), (0.3, 1e3))
-    kernel = shape + WhiteKernel(0.5, (1e-3, 1e1))
-    with warnings.catch_warnings():
-        # A length scale at its bound only says that an input does not matter.
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        return GaussianProcessRegressor(kernel).fit(X, y)
-
-
-def _same(process: Any, X: Array, y: Array) -> Any:
-    """A process with the hyperparameters found, on other data."""
-    return type(process)(process.kernel_, optimizer=None).fit(X, y)
+    fits = []
+    for scale in STARTS:
+        shape = ConstantKernel(0.5, (1e-3, 1e2)) * RBF(np.full(X.shape[1], scale), (0.3, 1e3))
+        kernel = shape + WhiteKernel(0.5, (1e-3, 1e1))
+        with warnings.catch_warnings():
+            # A length scale at its bound only says that an input does not matter.
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            fits.append(GaussianProcessRegressor(kernel, optimizer=optimizer(X, y)).fit(X, y))
+    return max(fits, key=lambda process: float(process.log_marginal_likelihood_value_))

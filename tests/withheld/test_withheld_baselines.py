@@ -53,10 +53,28 @@ def test_among_many_candidates_the_extended_criterion_takes_what_is_there_and_no
 
 def test_a_gaussian_process_learns_what_is_smooth() -> None:
     pytest.importorskip("sklearn", reason="scikit-learn is not installed")
-    from casadical.withheld.gaussian_process import _fitted, _same
+    from casadical.withheld.gaussian_process import _fitted
 
     rng = np.random.default_rng(1)
     X = rng.uniform(-2, 2, (120, 2))
     y = np.column_stack([np.sin(X[:, 0]), np.zeros(120), np.cos(X[:, 1])]) + 0.01 * rng.normal(size=(120, 3))
-    process = _same(_fitted(X[:80], y[:80]), X[:80], y[:80])
+    process = _fitted(X[:80], y[:80])
     assert np.abs(process.predict(X[80:]) - y[80:]).mean() < 0.05
+
+
+def test_the_marginal_likelihood_is_scikit_learns() -> None:
+    pytest.importorskip("sklearn", reason="scikit-learn is not installed")
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
+    from casadical.withheld.likelihood import loss
+
+    rng = np.random.default_rng(2)
+    X, y = rng.normal(size=(40, 3)), rng.normal(size=(40, 3))
+    kernel = ConstantKernel(0.7) * RBF([0.5, 2.0, 9.0]) + WhiteKernel(0.2)
+    process = GaussianProcessRegressor(kernel, optimizer=None).fit(X, y)
+    theta = process.kernel_.theta
+    value, gradient = process.log_marginal_likelihood(theta, eval_gradient=True)
+    own, slope = loss(theta, X, y)
+    assert own == pytest.approx(-value, rel=1e-9)
+    assert slope == pytest.approx(-gradient, rel=1e-6)
