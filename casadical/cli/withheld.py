@@ -62,7 +62,7 @@ def make_command(
 
     Exit codes: 0 done, 2 bad input, 70 a bug of ours.
     """
-    from ..withheld.make import make
+    from ..withheld.making import make
     from ..withheld.running import workers as pool
 
     sizes = _whole(poses)
@@ -105,7 +105,7 @@ def predict_command(
 
     Exit codes: 0 done, 2 bad input, 70 a bug of ours.
     """
-    from ..withheld.predict import predict
+    from ..withheld.predicting import predict
     from ..withheld.running import workers as pool
 
     try:
@@ -138,7 +138,7 @@ def score_command(
     Exit codes: 0 done, 2 bad input, 70 a bug of ours.
     """
     from ..withheld.report import draw, report
-    from ..withheld.score import in_common, score
+    from ..withheld.scoring import in_common, score
 
     scores = in_common([score(folder, key, path) for path in answers])
     console = Console(quiet=quiet)
