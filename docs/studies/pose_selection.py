@@ -1,8 +1,9 @@
 """OMP_NUM_THREADS=1 python docs/studies/pose_selection.py > docs/studies/pose_selection.txt
 
 Chosen poses against random ones, for three robots and 30, 50, 100 poses: the held-out error over simulated campaigns,
-the standard errors predicted and realised, and what no choice of poses could better. Campaigns come from the independent simulator: robots that depart
-from the drawing in every link, 0.02 mm of noise a coordinate, 8 urad a joint; held-out errors are against the truth.
+the standard errors predicted and realised, and what no choice of poses could better. Campaigns come from the
+independent simulator: robots that depart from the drawing in every link, 0.02 mm of noise a coordinate, 8 urad a
+joint; held-out errors are against the truth.
 """
 
 from dataclasses import replace

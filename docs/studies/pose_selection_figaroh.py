@@ -86,7 +86,7 @@ def compare(name, robot, python):
         free, freely = ours(robot, None, n)
         assert once.names == again.names == free.names == names
         print(
-            f"{name:6s} {n:4d}  {random:.4f}  {socp} {found['socp_s']:5.1f}  "
+            f"{name:5s} {n:4d}  {random:.4f}  {socp} {found['socp_s']:5.1f}  "
             f"{o1(J, found['detmax']):.4f} {found['detmax_s']:5.1f} {n - len(set(found['detmax'])):3d}  "
             f"{once.observability['O1']:.4f} {seconds:5.2f} <{no_more(J, n, twice=False):.4f}  "
             f"{again.observability['O1']:.4f} {longer:5.2f} {n - len(np.unique(again.q, axis=0)):3d} "
@@ -101,9 +101,7 @@ def main() -> None:
     print("'again': ours where poses may be taken twice; '<': what no choice under the same rule could better. Ours")
     print("includes Jacobians and the choice of parameters; figaroh gets finished Jacobians. 'free': ours with")
     print("candidates of its own, refined.\n")
-    print(
-        "robot     n  random  SOCP     [s]  Detmax   [s] two  once     [s]  <       again    [s] two  <       free   [s]"
-    )
+    print("robot    n  random  SOCP     [s]  Detmax  [s] two  once    [s]  <       again   [s] two  <       free   [s]")
     for name, file in ROBOTS.items():
         compare(name, read_robot(PROBLEMS / name / file), sys.argv[1])
 
