@@ -19,6 +19,7 @@ from ..measurements import Measurements
 from ..transforms import Array
 from .guess import Session, in_mm
 from .likelihood import optimizer
+from .trials import far
 
 # Length scales to start from, in spreads of an input.
 STARTS = (3.0, 1.0)
@@ -32,19 +33,20 @@ def smoothed(s: Session) -> dict[str, Any]:
     p = predicted(base, m)[0]
     X = _inputs(m)
     assert m.position is not None
-    r = (m.position - p)[s.seen]
+    # Points that are wrong by much would be learnt by all of their neighbours.
+    whole = (m.position - p)[s.seen]
+    r, Xr = whole[~far(whole)], X[s.seen][~far(whole)]
     unit = float(np.sqrt(np.mean(r**2)))
-    process = _fitted(X[s.seen], r / unit)
     folds = random_folds(len(r), 0)
     learnt = np.empty_like(r)
     for fold in np.unique(folds):
         test = folds == fold
         # Scales and all, or what is held out would have been seen.
-        learnt[test] = unit * _fitted(X[s.seen][~test], r[~test] / unit).predict(X[s.seen][test])
+        learnt[test] = unit * _fitted(Xr[~test], r[~test] / unit).predict(Xr[test])
     before, after = (np.linalg.norm(e, axis=1) for e in (r, r - learnt))
     shrinks = shrink_interval(before, after, 0)[0] > 0
     base_mm = p[~s.seen]
-    better = base_mm + unit * process.predict(X[~s.seen]) if shrinks else base_mm
+    better = base_mm + unit * _fitted(Xr, r / unit).predict(X[~s.seen]) if shrinks else base_mm
     return {
         "campaign": s.name,
         "verdict": "unknown" if shrinks else "none",
