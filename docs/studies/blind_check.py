@@ -80,12 +80,13 @@ def beside(found: dict[str, list[Score]]) -> str:
 
 def made(found: dict[str, list[Score]]) -> str:
     """Every run: where it lies, by which command and versions it was made and answered, and its key's hash."""
-    rows = head(["run", "lies in", "made by", "versions", "SHA-256 of the key"])
+    rows = head(["run", "lies in", "made by", "versions", "SHA-256 of the key", "whole print"])
     for run, (s, *_) in found.items():
         command = f"`casadical withheld make --n {len(s.key.campaigns)} --seed {s.key.seed}`"
         versions = ", ".join(f"{name} {number}" for name, number in (s.key.versions | s.head.versions).items())
         folder = f"`{RUNS[run].relative_to(ROOT).as_posix()}`"
-        rows.append(cells([run, folder, command, versions, f"`{s.head.key_sha256}`"]))
+        whole = f"[{LARGE[run].name}](studies/{LARGE[run].name})" if run in LARGE else "-"
+        rows.append(cells([run, folder, command, versions, f"`{s.head.key_sha256}`", whole]))
     return "\n".join(rows)
 
 
