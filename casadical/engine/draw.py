@@ -11,10 +11,11 @@ from casadical.simulation.plant import Plant
 
 Kind = Literal["none", "one", "pair", "three", "unlisted"]
 _COUNT = {"none": 0, "one": 1, "pair": 2, "three": 3, "unlisted": 1}
-_LOADED = ("backlash", "nonlinear_stiffness")  # seen only where there is torque
+_LOADED = ("backlash", "nonlinear_stiffness", "rubber_coupling")  # seen only where there is torque
 _ANY = (
     *("gear_eccentricity", "transmission_ripple", "joint_scale", "joint_zero_step", "thermal_zero_drift"),
     *("axis_wobble", "friction_windup", "bearing_play", "encoder_pit", "damaged_tooth"),
+    *("tight_cable", "lost_bits"),
 )
 
 
@@ -110,8 +111,20 @@ def _size(
         "thermal_bend": {"size": 15e-6 * usual, "towards": angle, "lag_minutes": float(rng.uniform(15, 40))},
         "encoder_pit": {"size": 100e-6 * usual * sign, "at_rad": inside, "width_rad": float(rng.uniform(0.3, 0.9))},
         "damaged_tooth": {"size": 80e-6 * usual, "ratio": float(rng.choice([3.0, 5.0, 7.5, 10.0])), "at_rad": angle},
+        "loose_cargo": {"size": 80e-6 * usual},
+        "tight_cable": {"size": 100e-6 * usual, "free": float(rng.uniform(0.2, 0.6))},
+        "lost_bits": {"size": 100e-6 * usual, "at_rad": inside},
+        "rubber_coupling": {"size": 120e-6 * usual, "lag_minutes": float(rng.uniform(0.7, 4.0))},
+        "range_offset": {"size": 150e-6 * usual * sign, "stand_m": _stand(machine, angle, rng)},
     }
     return sizes[effect]
+
+
+def _stand(machine: Plant, towards: float, rng: np.random.Generator) -> tuple[float, float, float]:
+    """Where a tracker stands: out of the robot's reach, at about a man's height or lower."""
+    reach = float(np.linalg.norm(np.diff(machine.stations, axis=0), axis=-1).sum())
+    away = reach * float(rng.uniform(1.3, 2.0))
+    return away * float(np.cos(towards)), away * float(np.sin(towards)), float(rng.uniform(0.0, 1.5))
 
 
 def _direction(rng: np.random.Generator, length: float) -> tuple[float, float, float]:

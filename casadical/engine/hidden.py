@@ -17,6 +17,7 @@ from casadical.engine.causes_drive import (
 )
 from casadical.engine.causes_load import Backlash, FrictionWindup, GravityCompensator, HosePull, NonlinearStiffness
 from casadical.engine.causes_loose import BearingPlay, CrackedLink, LooseAnchor, LooseFlange, ToolSlip
+from casadical.engine.causes_odd import LooseCargo, LostBits, RangeOffset, RubberCoupling, TightCable
 from casadical.engine.causes_setup import FrameDrift, Outliers, TargetShift
 from casadical.engine.causes_structure import (
     AxisWobble,
@@ -59,6 +60,11 @@ UNLISTED: Mapping[str, type[Cause]] = {
     "thermal_bend": ThermalBend,
     "encoder_pit": EncoderPit,
     "damaged_tooth": DamagedTooth,
+    "loose_cargo": LooseCargo,
+    "tight_cable": TightCable,
+    "lost_bits": LostBits,
+    "rubber_coupling": RubberCoupling,
+    "range_offset": RangeOffset,
 }
 
 
