@@ -19,6 +19,7 @@ from .library import Candidate
 from .refine import refined
 from .replicates import Replicates, replicates
 from .result import Cause, Diagnosis, Gap, Outlier, Verdict
+from .two import two_causes
 from .which import Ranking, rank
 
 Show = Callable[[str], None]
@@ -104,12 +105,20 @@ class Investigation:
             self.show(f"cause {len(self.steps) + 1}: evidence of {len(self.by_label)} candidates")
             self.rankings.append(self.ranking(self.steps))
             end, labels = self._next(self.rankings[-1])
+            if end == "unknown" and not self.steps and (two := two_causes(self.case, self.rankings[0])):
+                self._accept(two[:1])
+                self.rankings.append(self.ranking(self.steps))
+                labels = two[1:]
             if not labels:
                 break
-            self.steps.append(self.accepted(self.rankings[-1], labels, self.steps))
-            self._screen(self.rankings[-1].noise[labels[0]])
+            self._accept(labels)
             self._revisit()
         return self._result(end)
+
+    def _accept(self, labels: tuple[str, ...]) -> None:
+        """Take up a cause of the last ranking."""
+        self.steps.append(self.accepted(self.rankings[-1], labels, self.steps))
+        self._screen(self.rankings[-1].noise[labels[0]])
 
     def _next(self, ranking: Ranking) -> tuple[str, tuple[str, ...]]:
         """The next cause and what looks like it; or no label and why not: none, ambiguous, unknown."""
