@@ -12,6 +12,7 @@ from .advice import told_apart
 from .network import NetworkGap
 from .refit import Check
 from .result import Cause, Diagnosis
+from .wording import missing_columns
 
 # Mechanical causes that leave the same signature in joint space.
 SIGNATURES = {
@@ -77,6 +78,7 @@ def as_json(d: Diagnosis, campaign: str, extras: Extras | None = None) -> dict[s
         "replicates": {"sigma_mm": _mm(d.replicates.sigma), "poses": d.replicates.poses, "used": d.replicates.enough},
         "outliers": [{"row": o.row, "distance_mm": _mm(o.distance), "sigmas": round(o.sigmas, 2)} for o in d.outliers],
         "outlier_rows": [o.row for o in d.outliers],
+        "missing_columns": {label: list(columns) for label, columns in missing_columns(d).items()},
         "next_measurements": _next(poses),
         **({"told_rightly": [round(p, 4) for p in told_apart(d, poses)]} if len(poses) else {}),
         **({"refit_mm": {"held_out": _mm(e.check.refit), "linearised": _mm(e.check.linearised)}} if e.check else {}),

@@ -1,4 +1,4 @@
-"""The page that a person reads: gap, where, which, cannot tell, unknown, what to measure next."""
+"""The page that a person reads: verdict, gap, where, which, cannot tell, unknown, what to measure next."""
 
 from __future__ import annotations
 
@@ -13,15 +13,18 @@ from .advice import kinds, told_apart
 from .answer import SIGNATURES, Extras, settings
 from .how_far import of_time
 from .network import NetworkGap
+from .refit import Check
 from .result import Cause, Diagnosis
+from .wording import alike, has_rest, headline, invisible, left_over, not_logged, resembles, unsure_floor
+from .wording import mm as _mm
 
 WIDTH = 112
 LABEL = 8
 TIED = "\u00a0"
 READABLE = {"rad": (1e6, "urad"), "m": (1e6, "um"), "m/m": (1e6, "um/m"), "rad/rad": (1e6, "urad/rad")}
 READABLE |= {"rad/K": (1e6, "urad/K"), "1/K": (1e6, "1e-6/K"), "1/m": (1e6, "um/m^2"), "kg/kg": (1e2, "%")}
-# An effect is invisible if the base absorbs so much of it, or if it must be so many times its usual size to be found.
-ABSORBED, OUT_OF_REACH = 0.98, 5.0
+# Of a signature in the table of causes.
+COLUMN = 62
 
 
 def report(d: Diagnosis, title: str, extras: Extras | None = None) -> RenderableType:
@@ -34,7 +37,16 @@ def report(d: Diagnosis, title: str, extras: Extras | None = None) -> Renderable
 def page_of(d: Diagnosis, extras: Extras | None = None) -> str:
     """The page as plain text, at most `WIDTH` characters wide."""
     e = extras or Extras()
-    lines = [*_gap(d), *_where(d), *_which(d), *_how_far(d, e), *_cannot_tell(d), *_unknown(d), *_outliers(d)]
+    lines = [
+        *_block("VERDICT", headline(d)),
+        *_gap(d),
+        *_where(d),
+        *_which(d),
+        *_how_far(d, e),
+        *_cannot_tell(d),
+        *_unknown(d),
+        *_outliers(d),
+    ]
     return "\n".join([*lines, *_not_logged(d), *_next(d, e)])
 
 
@@ -51,10 +63,6 @@ def _wrapped(text: str, first: str, further: str) -> list[str]:
 def _tied(item: str) -> str:
     """An item that is not broken over two lines."""
     return item.replace(" ", TIED)
-
-
-def _mm(value: float) -> str:
-    return f"{1e3 * value:.3f}" if value >= 1e-5 else f"{1e3 * value:.4f}"
 
 
 def _gap(d: Diagnosis) -> Iterator[str]:
@@ -98,27 +106,30 @@ def _where(d: Diagnosis) -> Iterator[str]:
         yield from _block("", f"larger than elsewhere: {', '.join(regions)}")
 
 
-_VERDICT = {
-    "none": "no cause can be claimed: what is left is noise",
-    "explained": "",
-    "ambiguous": "no single cause can be claimed: something is there, and several causes explain it alike",
-    "unknown": "something is there that no listed cause explains",
-}
-
-
 def _which(d: Diagnosis) -> Iterator[str]:
     if not d.causes:
-        yield from _block("WHICH", _VERDICT[d.verdict])
+        yield from _block("WHICH", "no cause can be named")
         return
-    yield f"{'WHICH':<{LABEL}}{_VERDICT[d.verdict]}".rstrip()
-    yield f"   {'signature':<62} {'posterior':>9} {'gap if added':>16} {'shrinks by, 95 %':>18}"
-    before = 1e3 * d.gap.before
+    order = "; the largest shrink first" if len(d.causes) > 1 else ""
+    yield f"{'WHICH':<{LABEL}}each cause alone beside the base model{order}"
+    yield f"   {'signature':<{COLUMN}} {'posterior':>9} {'gap if added':>16} {'shrinks by, 95 %':>18}"
     for k, c in enumerate(d.causes, 1):
         words, _ = signature(c)
+        first, *more = textwrap.wrap(words, COLUMN)
         low, high = (100 * v for v in c.shrink_interval)
-        row = f"{before:.3f} -> {before * (1 - c.shrink):.3f}"
-        yield f"{k:>2} {words:<62} {c.confidence:>9.2f} {row:>16} {f'{low:.0f} to {high:.0f} %':>18}"
+        row = " -> ".join(map(_mm, if_added(d, c)))
+        yield f"{k:>2} {first:<{COLUMN}} {c.confidence:>9.2f} {row:>16} {f'{low:.0f} to {high:.0f} %':>18}"
+        yield from (f"   {line}" for line in more)
         yield from _beneath(d, c)
+
+
+def if_added(d: Diagnosis, c: Cause) -> tuple[float, float]:
+    """The gap without and with one cause [m]: outliers beside all poses, an effect beside those that are kept."""
+    if c.effect == "outliers":
+        return d.gap.before, d.gap.before * (1 - c.shrink)
+    before = 1e-3 * float(d.course.iloc[0]["gap_mm"])
+    alone = sum(bool(k.effects) for k in d.causes) == 1
+    return before, d.gap.after if alone else before * (1 - c.shrink)
 
 
 def _beneath(d: Diagnosis, c: Cause) -> Iterator[str]:
@@ -138,8 +149,10 @@ def signature(c: Cause) -> tuple[str, str]:
     """What the data show, and the mechanical causes that share it."""
     words = SIGNATURES.get(c.effect) or (c.effects[0].physics if c.effects else c.effect)
     shown, _, causes = words.partition(" (")
+    if c.joint != 2:
+        causes = causes.replace("; balancer on joint 2", "")
     joint = "" if c.joint is None else f", joint {c.joint}"
-    return textwrap.shorten(shown, 62 - len(joint), placeholder="...") + joint, causes.rstrip(")")
+    return shown + joint, causes.rstrip(")")
 
 
 def _estimate(name: str, value: float, error: float, unit: str) -> str:
@@ -153,9 +166,14 @@ def _how_far(d: Diagnosis, e: Extras) -> Iterator[str]:
         last, added = d.course.iloc[-1], "with it" if len(steps) == 1 else "with all of them"
         yield from _block(
             "AFTER",
-            f"{last['gap_mm']:.3f} mm {added} ({last['low_mm']:.3f} to {last['high_mm']:.3f}), poses left out "
-            f"one by one {last['loo_mm']:.3f}; the model is then wrong by {last['model_mm']:.3f} mm rms "
-            f"({last['model_low_mm']:.3f} to {last['model_high_mm']:.3f})",
+            f"{last['gap_mm']:.3f} mm {added} ({last['low_mm']:.3f} to {last['high_mm']:.3f}), poses left out one by "
+            f"one {last['loo_mm']:.3f}; noise floor {_mm(d.gap.floor)}",
+        )
+        before, after, share = left_over(d)
+        yield from _block(
+            "",
+            f"without the noise the model is then wrong by {after:.3f} mm rms ({last['model_low_mm']:.3f} to "
+            f"{last['model_high_mm']:.3f}), {100 * share:.0f} % of the {before:.3f} before",
         )
         if any(of_time(c.effects) for c in steps):
             first = d.course.iloc[0]
@@ -163,10 +181,19 @@ def _how_far(d: Diagnosis, e: Extras) -> Iterator[str]:
                 "", f"with fifths of the time left out: {first['blocks_mm']:.3f} -> {last['blocks_mm']:.3f} mm"
             )
     if e.check:
-        said = "agrees with the linearised" if e.check.agree else "DISAGREES with the linearised"
-        yield from _block("", f"refitted by Ipopt: {_mm(e.check.refit)} mm held out, {said} {_mm(e.check.linearised)}")
+        yield from _block("", refitted(e.check))
     if e.networks:
         yield from _networks(e.networks, bool(steps))
+
+
+def refitted(check: Check) -> str:
+    """What the nonlinear refit says; it is tried on one partition into fifths, the gap is the mean over several."""
+    off = 100 * (check.refit / check.linearised - 1)
+    said = "they agree" if check.agree else "they DISAGREE"
+    return (
+        f"refitted by Ipopt, nonlinear: {_mm(check.refit)} mm on the first partition into fifths, {abs(off):.0f} % "
+        f"{'above' if off >= 0 else 'below'} the linearised model there; {said}"
+    )
 
 
 def _networks(networks: tuple[NetworkGap, NetworkGap], steps: bool) -> Iterator[str]:
@@ -180,57 +207,33 @@ def _networks(networks: tuple[NetworkGap, NetworkGap], steps: bool) -> Iterator[
 
 
 def _cannot_tell(d: Diagnosis) -> Iterator[str]:
-    for c in d.causes:
-        if c.indistinguishable:
-            alike = d.isolability.alike
-            known = [
-                f"{k} ({100 * float(alike.loc[c.label, k]):.0f} % alike here)"  # type: ignore[arg-type]
-                for k in c.indistinguishable
-                if c.label in alike.index and k in alike.columns
-            ]
-            yield from _block("CANNOT", f"tell {c.label} from {', '.join(known or c.indistinguishable)}")
-    seen = d.isolability.effects
-    seen = seen.drop(index=[c.label for c in d.causes], errors="ignore")
-    hidden = seen[(seen["absorbed"] > ABSORBED) | (seen["findable_from"] > OUT_OF_REACH)]
-    if len(hidden):
-        words = [
-            f"{label} ({100 * row['absorbed']:.0f} % absorbed)"
-            if row["absorbed"] > ABSORBED
-            else f"{label} (at its usual size)"
-            for label, row in hidden.iterrows()
-        ]
-        more = f" and {len(words) - 5} more" if len(words) > 5 else ""
-        yield from _block("CANNOT", f"see in these poses: {', '.join(words[:5])}{more}")
+    for label, others in alike(d).items():
+        yield from _block("CANNOT", f"tell {label} from {others}")
+    for why, labels in invisible(d).items():
+        yield from _block("CANNOT", f"see, {why}: {labels}")
 
 
 def _unknown(d: Diagnosis) -> Iterator[str]:
-    if d.verdict != "none" and d.unknown_rest > 0.05:
-        rest = d.course.iloc[-1]["model_mm"]
-        yield from _block("UNKNOWN", f"{rest:.3f} mm rms that no cause named here explains{_resembles(d)}")
-
-
-def _resembles(d: Diagnosis) -> str:
-    """The unlisted form that stood in the way of a claim."""
-    ranking, listed = d.rankings[-1], {c.label for c in d.case.candidates if c.listed}
-    best = ranking.order[0] if ranking.order else ""
-    if d.verdict != "unknown" or not best or best in listed:
-        return ""
-    rare = any(c.label == best and c.name != "unknown" for c in d.case.candidates)
-    return f"; most like {best} ({ranking.probability[best]:.2f})" + (", see --effects extended" if rare else "")
+    if has_rest(d):
+        more = [words for words in (resembles(d), unsure_floor(d)) if words]
+        yield from _block(
+            "UNKNOWN", "; ".join([f"{left_over(d)[1]:.3f} mm rms that no cause named here explains", *more])
+        )
 
 
 def _outliers(d: Diagnosis) -> Iterator[str]:
     if d.outliers:
         shown = [f"row {o.row} ({1e3 * o.distance:.2f} mm)" for o in d.outliers[:6]]
         more = f" and {len(d.outliers) - 6} more" if len(d.outliers) > 6 else ""
-        yield from _block("OUT", f"{len(d.outliers)} poses left out as outliers: {', '.join(shown)}{more}")
+        count = (
+            "1 pose left out as an outlier" if len(d.outliers) == 1 else f"{len(d.outliers)} poses left out as outliers"
+        )
+        yield from _block("OUT", f"{count}: {', '.join(shown)}{more}")
 
 
 def _not_logged(d: Diagnosis) -> Iterator[str]:
-    if d.missing:
-        columns = sorted({c for lacking in d.missing.values() for c in lacking})
-        names = sorted({label.split("@")[0] for label in d.missing})
-        yield from _block("MISSING", f"columns {', '.join(columns)}: nothing can be said about {', '.join(names)}")
+    for columns, what in not_logged(d).items():
+        yield from _block("MISSING", f"{columns}: not logged; it would show {what}")
 
 
 def _next(d: Diagnosis, e: Extras) -> Iterator[str]:

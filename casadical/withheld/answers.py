@@ -10,6 +10,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ..errors import InputError
+from .packed import content, stored
 from .protocol import label
 
 Rows = tuple[tuple[float, float, float], ...]
@@ -91,9 +92,13 @@ def line(data: Mapping[str, Any]) -> str:
 
 
 def read_answers(path: Path) -> tuple[Head, dict[str, Answer]]:
-    """A file of answers by campaign, without what failed and a last line that was cut short. Raises InputError."""
+    """A file of answers by campaign, without what failed and a last line that was cut short. Raises InputError.
+
+    Where a file is missing, the one packed by xz beside it is read.
+    """
+    path = stored(path)
     try:
-        lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+        lines = content(path).decode("utf-8").splitlines(keepends=True)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; make it with `casadical withheld predict`") from None
     except (OSError, UnicodeDecodeError) as error:

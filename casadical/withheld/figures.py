@@ -26,26 +26,51 @@ class Row:
 
 def figures(trials: Sequence[Trial]) -> list[Row]:
     """All figures of a set of trials."""
-    none, one, several, off = (_of(trials, kind) for kind in ("none", "one", "several", "unlisted"))
-    seen = [t for t in one if t.signal >= SEEN]
+    none, one, several, off = (of_kind(trials, kind) for kind in ("none", "one", "several", "unlisted"))
     hidden = [t for t in trials if t.kind != "none"]
     return [
-        Row("false alarms where there is nothing", share([t.detected for t in none]), "at most .01"),
-        Row("detection, signal >= .5", share([t.detected for t in hidden if t.signal >= STRONG]), ".99"),
-        Row("detection, signal .35 to .5", share([t.detected for t in hidden if SEEN <= t.signal < STRONG]), ".90"),
-        Row("detection, signal .2 to .35", share([t.detected for t in hidden if FAINT <= t.signal < SEEN])),
-        Row("one effect: first cause right, signal >= .35", share([t.first_right for t in seen])),
-        Row("FIA: probability of the true cause, signal >= .35", mean([t.probability for t in seen]), ".92"),
-        Row("FIA over all campaigns with one effect", mean([t.probability for t in one])),
+        Row("false alarms where there is nothing", false_alarms(none), "at most .01"),
+        Row("detection, signal >= .5", detection(hidden, STRONG), ".99"),
+        Row("detection, signal .35 to .5", detection(hidden, SEEN, STRONG), ".90"),
+        Row("detection, signal .2 to .35", detection(hidden, FAINT, SEEN)),
+        Row("one effect: first cause right, signal >= .35", share([t.first_right for t in seen(one)])),
+        Row("FIA: probability of the true cause, signal >= .35", isolation(seen(one)), ".92"),
+        Row("FIA over all campaigns with one effect", isolation(one)),
         Row("one effect: claims right", claims_right(one), ".98"),
-        Row("one effect: claims made, signal >= .35", share([t.claimed for t in seen]), ".65"),
-        Row("one effect: sets contain the truth", share([t.truth[0] in t.alike for t in one if t.alike]), ".93 - .97"),
+        Row("one effect: claims made, signal >= .35", claims_made(seen(one)), ".65"),
+        Row("one effect: sets contain the truth", sets_right(one), ".93 - .97"),
         Row("one effect: size of the set", mean([float(len(t.alike)) for t in one if t.alike])),
-        *_of_several(several),
-        Row("on no list, claimed as listed", share([t.claimed for t in off]), "at most .02"),
+        Row("two effects, each >= .35: both named first", share([t.first_right for t in _seen_pairs(several)])),
+        Row("several: recall of effects >= .35", recall(several), ".93"),
+        Row("several: precision", precision(several), ".90"),
+        Row("on no list, claimed as listed", claims_made(off), "at most .02"),
         Row("on no list, any listed cause named", share([bool(t.named) for t in off])),
-        *shrink(trials),
+        *_shrink(trials),
     ]
+
+
+def of_kind(trials: Sequence[Trial], kind: str) -> list[Trial]:
+    return [t for t in trials if t.kind == kind]
+
+
+def seen(trials: Sequence[Trial]) -> list[Trial]:
+    """Those whose signal can be expected to be found."""
+    return [t for t in trials if t.signal >= SEEN]
+
+
+def false_alarms(none: Sequence[Trial]) -> Figure:
+    """Answers that say there is something which is not."""
+    return share([t.alarmed for t in none])
+
+
+def detection(hidden: Sequence[Trial], low: float, high: float = float("inf")) -> Figure:
+    """Of signals from low to high, those answered by anything but none."""
+    return share([t.detected for t in hidden if low <= t.signal < high])
+
+
+def isolation(trials: Sequence[Trial]) -> Figure:
+    """FIA: mean probability given to the truth."""
+    return mean([t.probability for t in trials])
 
 
 def claims_right(one: Sequence[Trial]) -> Figure:
@@ -53,38 +78,48 @@ def claims_right(one: Sequence[Trial]) -> Figure:
     return share([t.first_right for t in one if t.claimed])
 
 
-def _of(trials: Sequence[Trial], kind: str) -> list[Trial]:
-    return [t for t in trials if t.kind == kind]
+def claims_made(trials: Sequence[Trial]) -> Figure:
+    return share([t.claimed for t in trials])
 
 
-def _of_several(several: Sequence[Trial]) -> list[Row]:
-    visible = [(t, text) for t in several for text, s in zip(t.truth, t.signals, strict=True) if s >= SEEN]
-    named = [(t, text) for t in several for text in t.named]
-    pairs = [t for t in several if len(t.truth) == 2 and min(t.signals) >= SEEN]
-    return [
-        Row("two effects, each >= .35: both named first", share([t.first_right for t in pairs])),
-        Row("several: recall of effects >= .35", share([text in t.named for t, text in visible]), ".93"),
-        Row("several: precision", share([text in t.truth for t, text in named]), ".90"),
-    ]
+def sets_right(one: Sequence[Trial]) -> Figure:
+    """Of the sets that are given, those that contain the truth."""
+    return share([t.truth[0] in t.alike for t in one if t.alike])
 
 
-def shrink(trials: Sequence[Trial]) -> list[Row]:
+def recall(several: Sequence[Trial], least: float = SEEN) -> Figure:
+    """Of the effects whose own signal is as large as this, those that are named."""
+    visible = [(t, text) for t in several for text, s in zip(t.truth, t.signals, strict=True) if s >= least]
+    return share([text in t.named for t, text in visible])
+
+
+def precision(several: Sequence[Trial]) -> Figure:
+    """Of the causes that are named, those that are there."""
+    return share([text in t.truth for t in several for text in t.named])
+
+
+def _seen_pairs(several: Sequence[Trial]) -> list[Trial]:
+    return [t for t in several if len(t.truth) == 2 and min(t.signals) >= SEEN]
+
+
+def _shrink(trials: Sequence[Trial]) -> list[Row]:
     """How far the gap shrinks at poses that no fit saw, and how well that was foretold; where a cause was named."""
-    spoken = [t for t in trials if t.named]
     # How many outliers fall among fifty poses is chance, and no robot's error; they are told apart.
-    wrong = [shrink_error(t) for t in spoken if "outliers" not in t.named]
-    every = [shrink_error(t) for t in spoken]
-    left = [t.after / t.before for t in trials if t.kind in ("one", "several") and t.signal >= SEEN]
+    wrong, every = shrink_errors([t for t in trials if "outliers" not in t.named]), shrink_errors(trials)
     return [
         Row("shrink foretold less realised, median", quantile(wrong, 0.5), "at most .04"),
         Row("shrink foretold less realised, 90th percentile", quantile(wrong, 0.9), "at most .12"),
         Row("the same where outliers are named too", quantile(every, 0.9)),
-        Row("listed effects, signal >= .35: share of the gap that is left, median", quantile(left, 0.5)),
+        Row(
+            "listed effects, signal >= .35: share of the gap that is left, median",
+            quantile([t.left for t in seen(trials) if t.kind in ("one", "several")], 0.5),
+        ),
     ]
 
 
-def shrink_error(t: Trial) -> float:
-    return abs(t.predicted - t.realised)
+def shrink_errors(trials: Sequence[Trial]) -> list[float]:
+    """By how much the gap shrinks less or more than foretold, where a cause is named."""
+    return [abs(t.predicted - t.realised) for t in trials if t.named]
 
 
 def bands(trials: Sequence[Trial]) -> dict[str, dict[str, list[Trial]]]:
@@ -96,8 +131,8 @@ def bands(trials: Sequence[Trial]) -> dict[str, dict[str, list[Trial]]]:
         "signal": {_band(a, b): [t for t in hidden if a <= t.signal < b] for a, b in edges},
         "not logged": _parts(trials, lambda t: t.missing or "all logged"),
         "robot": _parts(trials, lambda t: t.robot),
-        "effect (one hidden)": _parts(_of(trials, "one"), lambda t: t.effects[0]),
-        "on no list": _parts(_of(trials, "unlisted"), lambda t: t.effects[0]),
+        "effect (one hidden)": _parts(of_kind(trials, "one"), lambda t: t.effects[0]),
+        "on no list": _parts(of_kind(trials, "unlisted"), lambda t: t.effects[0]),
     }
 
 
@@ -111,14 +146,14 @@ def _band(low: float, high: float) -> str:
 
 def part_figures(part: Sequence[Trial]) -> dict[str, Figure]:
     """The figures that are worth telling of a part."""
-    one = _of(part, "one")
+    one = of_kind(part, "one")
     return {
-        "false alarms": share([t.detected for t in part if t.kind == "none"]),
+        "false alarms": false_alarms(of_kind(part, "none")),
         "detected": share([t.detected for t in part if t.kind != "none"]),
         "first right": share([t.first_right for t in one]),
         "claims right": claims_right(one),
-        "FIA": mean([t.probability for t in one]),
-        "shrink error": quantile([shrink_error(t) for t in part if t.named and "outliers" not in t.named], 0.5),
+        "FIA": isolation(one),
+        "shrink error": quantile(shrink_errors([t for t in part if "outliers" not in t.named]), 0.5),
     }
 
 

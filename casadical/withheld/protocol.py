@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from ..errors import InputError
 from ..schema import check
+from .packed import content, stored
 
 MANIFEST, KEY, ROBOTS = "withheld.json", "key.json", "robots"
 Kind = Literal["none", "one", "several", "unlisted"]
@@ -134,10 +135,10 @@ def read_manifest(folder: Path) -> Manifest:
 
 def read_key(folder: Path, manifest: Manifest) -> Key:
     """The key, after its hash was found to be the published one. Raises InputError if it is another or was changed."""
-    path = folder / KEY if folder.is_dir() else folder
+    path = stored(folder / KEY if folder.is_dir() else folder)
     if not path.is_file():
         raise InputError(f"{path}: no such key; name the folder that `make --key` wrote, or its {KEY}")
-    data = path.read_bytes()
+    data = content(path)
     found = hashlib.sha256(data).hexdigest()
     if found != manifest.key_sha256:
         raise InputError(

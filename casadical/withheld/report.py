@@ -11,6 +11,7 @@ from rich.text import Text
 
 from ..errors import InputError
 from .figures import bands, part_figures
+from .paired import pairs
 from .score import Score
 
 _LAST = ("at another joint", "unknown", "none")
@@ -19,7 +20,10 @@ _LAST = ("at another joint", "unknown", "none")
 def report(scores: Sequence[Score]) -> RenderableType:
     """The first score in full, the others' figures beside it."""
     first = scores[0]
-    parts: list[RenderableType] = [Text(_title(first)), Text(), _figures(scores), Text(), _parts(first), Text()]
+    parts: list[RenderableType] = [Text(_title(first)), Text(), _figures(scores), Text()]
+    if len(scores) > 1:
+        parts += [Text("Right on the same campaign: the first alone : the other alone"), _pairs(scores), Text()]
+    parts += [_parts(first), Text()]
     parts += [Text("Hidden (rows) and answered first (columns), at most one effect"), _confusion(first), Text()]
     parts += [Text(line) for line in wrong_claims(first)]
     return Group(*parts)
@@ -46,6 +50,16 @@ def _figures(scores: Sequence[Score]) -> Table:
     table = _table("", *(s.head.by for s in scores), "target")
     for rows in zip(*(s.figures for s in scores), strict=True):
         table.add_row(rows[0].name, *(str(r.figure) for r in rows), rows[0].target)
+    return table
+
+
+def _pairs(scores: Sequence[Score]) -> Table:
+    """Every further score against the first, campaign by campaign."""
+    first, *others = scores
+    found = [pairs(first.trials, s.trials) for s in others]
+    table = _table("", *(f"{first.head.by} : {s.head.by}" for s in others))
+    for rows in zip(*found, strict=True):
+        table.add_row(rows[0].name, *map(str, rows))
     return table
 
 
@@ -82,8 +96,7 @@ def wrong_claims(s: Score) -> list[str]:
     """A line for each answer that says it is this, and it is not."""
     lines = ["Wrong claims, and what was hidden:"]
     for t in s.trials:
-        wrong = [text for text in t.named if text not in t.truth]
-        if t.claimed and wrong:
+        if t.wrongly:
             hidden = ", ".join(t.truth or t.effects) or "nothing"
             lines.append(f"  {t.name}  {t.kind:<8}  {hidden}: claimed {', '.join(t.named)}  (signal {t.signal:.2f})")
     return lines if len(lines) > 1 else ["No wrong claims."]

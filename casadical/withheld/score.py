@@ -59,8 +59,15 @@ class Score:
 
 
 def in_common(scores: Sequence[Score]) -> list[Score]:
-    """The same scores on the campaigns that all have answered, so that they can stand side by side."""
+    """The same scores on the campaigns that all have answered, so that they can stand side by side.
+
+    Raises InputError: there is no such campaign.
+    """
     names = set.intersection(*({t.name for t in s.trials} for s in scores))
+    if not names:
+        raise InputError(
+            "no campaign is answered by all of these files; predict on with each, or score them one by one"
+        )
     return [replace(s, trials=tuple(t for t in s.trials if t.name in names)) for s in scores]
 
 

@@ -50,9 +50,24 @@ class Trial:
         return self.verdict != "none"
 
     @property
+    def alarmed(self) -> bool:
+        """Whether it says that there is something which is not: a cause, or one that it does not know."""
+        return self.verdict in ("ambiguous", "unknown") or any(text not in self.truth for text in self.named)
+
+    @property
     def claimed(self) -> bool:
         """Whether it says: it is this."""
         return self.verdict == "explained"
+
+    @property
+    def wrongly(self) -> tuple[str, ...]:
+        """What it claims and is not there."""
+        return tuple(text for text in self.named if text not in self.truth) if self.claimed else ()
+
+    @property
+    def left(self) -> float:
+        """Share of the gap that is left at the unseen poses."""
+        return self.after / self.before
 
     @property
     def first_right(self) -> bool:

@@ -1,7 +1,9 @@
-"""Count the committed blind check again: python docs/studies/blind_check.py (seconds)
+"""Count the committed blind checks again: python docs/studies/blind_check.py (seconds)
 
-Writes docs/studies/blind_check.txt, data/withheld/score.json, the picture, and the tables of docs/blind-check.md. The
-answers themselves were made by the commands on that page (hours of one core).
+A run is a folder with withheld.json, key.json and answers.METHOD.jsonl, where `casadical withheld` wrote them; those
+of data/withheld/third are packed by xz when they are found unpacked. Of every large run this writes the whole print
+beside this file and score.json beside the answers; of all of them the tables of docs/blind-check.md; of the last large
+one the picture. The answers themselves were made by the commands on that page (hours of one core).
 """
 
 import io
@@ -14,48 +16,101 @@ from pathlib import Path
 from rich.console import Console
 
 from casadical.files import write_whole
+from casadical.withheld.packed import pack, stored
+from casadical.withheld.paired import pairs
 from casadical.withheld.report import draw, report
 from casadical.withheld.score import Score, in_common, score
 
 ROOT = Path(__file__).parents[2]
-DATA, PAGE = ROOT / "data" / "withheld", ROOT / "docs" / "blind-check.md"
-SECOND = DATA / "second"
+DATA, PAGE, HERE = ROOT / "data" / "withheld", ROOT / "docs" / "blind-check.md", ROOT / "docs" / "studies"
+RUNS = {"first run": DATA, "second run": DATA / "second", "third run": DATA / "third"}
+# Whose print and score.json are kept, and where the print lies.
+LARGE = {"first run": HERE / "blind_check.txt", "third run": HERE / "blind_check_third.txt"}
 METHODS = ("diagnosis", "f-test", "bic", "gp")
 
 
-def answered(method: str) -> Score:
-    return score(DATA, DATA, DATA / f"answers.{method}.jsonl")
+def answered(run: str) -> list[Score]:
+    """The score of every method whose answers a run has, the diagnosis first; none where the run is not there."""
+    folder = RUNS[run]
+    files = [folder / f"answers.{method}.jsonl" for method in METHODS]
+    return [score(folder, folder, path) for path in files if stored(path).exists()]
 
 
-def markdown(scores: Sequence[Score], heads: Sequence[str]) -> str:
+def packed(folder: Path) -> None:
+    for path in (folder / "key.json", *folder.glob("answers.*.jsonl")):
+        if path.exists():
+            pack(path)
+
+
+def columns(found: dict[str, list[Score]]) -> dict[str, Score]:
+    """The diagnosis' figures to stand side by side."""
+    first = found["first run"][0]
+    sound = replace(first, trials=tuple(t for t in first.trials if "backlash" not in t.effects))
+    return {"first run": first, "without backlash": sound, **{run: s[0] for run, s in found.items()}}
+
+
+def cells(words: Sequence[str]) -> str:
+    return f"| {' | '.join(words)} |"
+
+
+def head(words: Sequence[str]) -> list[str]:
+    return [cells(words), "|---" * len(words) + "|"]
+
+
+def markdown(scores: dict[str, Score]) -> str:
     """Figures side by side, each with its interval."""
-    rows = [f"| | {' | '.join(heads)} | target |", "|---" * (len(heads) + 2) + "|"]
-    for figures in zip(*(s.figures for s in scores), strict=True):
-        cells = " | ".join(str(r.figure).replace("  (", " (") for r in figures)
-        rows.append(f"| {figures[0].name} | {cells} | {figures[0].target} |")
+    rows = head(["", *(f"{name}, {len(s.trials)} campaigns" for name, s in scores.items()), "target"])
+    for figures in zip(*(s.figures for s in scores.values()), strict=True):
+        told = [str(r.figure).replace("  (", " (") for r in figures]
+        rows.append(cells([figures[0].name, *told, figures[0].target]))
     return "\n".join(rows)
 
 
-def main() -> None:
-    first = answered("diagnosis")
-    sound = replace(first, trials=tuple(t for t in first.trials if "backlash" not in t.effects))
-    runs = {"first run": first, "without backlash": sound}
-    if SECOND.exists():
-        runs["second run"] = score(SECOND, SECOND, SECOND / "answers.diagnosis.jsonl")
-    beside = in_common([answered(m) for m in METHODS if (DATA / f"answers.{m}.jsonl").exists()])
-    text = io.StringIO()
-    Console(file=text, width=260).print(report([first]))
-    write_whole(ROOT / "docs" / "studies" / "blind_check.txt", re.sub(r" +$", "", text.getvalue(), flags=re.MULTILINE))
-    write_whole(DATA / "score.json", json.dumps(first.as_json(), indent=1, allow_nan=False) + "\n")
-    draw(first, ROOT / "docs" / "images" / "blind_check_confusion.png")
-    page = PAGE.read_text(encoding="utf-8")
-    tables = {
-        "figures": markdown(list(runs.values()), [f"{name}, {len(s.trials)} campaigns" for name, s in runs.items()]),
-        "beside": markdown(beside, [f"{s.head.by}, {len(s.trials)} campaigns" for s in beside]),
-    }
+def beside(found: dict[str, list[Score]]) -> str:
+    """All methods on the campaigns that all of them answered, in the last run that has others than the diagnosis."""
+    run = [run for run, scores in found.items() if len(scores) > 1][-1]
+    scores = in_common(found[run])
+    first, *others = scores
+    asked = [pairs(first.trials, s.trials) for s in others]
+    rows = head(["right on the same campaign", *(f"{first.head.by} alone : {s.head.by} alone" for s in others)])
+    rows += [cells([row[0].name, *map(str, row)]) for row in zip(*asked, strict=True)]
+    told = f"The {run}, the {len(first.trials)} of its {len(first.key.campaigns)} campaigns that all of these answered:"
+    return "\n\n".join([told, markdown({s.head.by: s for s in scores}), "\n".join(rows)])
+
+
+def made(found: dict[str, list[Score]]) -> str:
+    """Every run: where it lies, by which command and versions it was made and answered, and its key's hash."""
+    rows = head(["run", "lies in", "made by", "versions", "SHA-256 of the key"])
+    for run, (s, *_) in found.items():
+        command = f"`casadical withheld make --n {len(s.key.campaigns)} --seed {s.key.seed}`"
+        versions = ", ".join(f"{name} {number}" for name, number in (s.key.versions | s.head.versions).items())
+        folder = f"`{RUNS[run].relative_to(ROOT).as_posix()}`"
+        rows.append(cells([run, folder, command, versions, f"`{s.head.key_sha256}`"]))
+    return "\n".join(rows)
+
+
+def filled(page: str, tables: dict[str, str]) -> str:
+    """The page with every marked place written anew."""
     for name, table in tables.items():
-        page = re.sub(f"(?s)(<!-- {name} -->\n).*?(\n<!-- end -->)", lambda m, t=table: m[1] + t + m[2], page)
-    write_whole(PAGE, page)
+        mark = re.compile(f"(?s)(<!-- {name} -->\n).*?(\n<!-- end -->)")
+        assert mark.search(page), name
+        page = mark.sub(lambda m, t=table: m[1] + t + m[2], page)
+    return page
+
+
+def main() -> None:
+    packed(RUNS["third run"])
+    found = {run: scores for run in RUNS if (scores := answered(run))}
+    for run, path in LARGE.items():
+        if run in found:
+            text = io.StringIO()
+            Console(file=text, width=260).print(report(found[run][:1]))
+            write_whole(path, re.sub(r" +$", "", text.getvalue(), flags=re.MULTILINE))
+            whole = json.dumps(found[run][0].as_json(), indent=1, allow_nan=False)
+            write_whole(RUNS[run] / "score.json", whole + "\n")
+            draw(found[run][0], ROOT / "docs" / "images" / "blind_check_confusion.png")
+    tables = {"runs": made(found), "figures": markdown(columns(found)), "beside": beside(found)}
+    write_whole(PAGE, filled(PAGE.read_text(encoding="utf-8"), tables))
 
 
 if __name__ == "__main__":

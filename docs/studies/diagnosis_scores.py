@@ -1,4 +1,7 @@
-"""How diagnoses of campaigns with a known answer are scored: figures with intervals, targets, theoretical limits."""
+"""How diagnoses of campaigns with a known answer are scored: figures, targets, theoretical limits.
+
+Figures and intervals are those of the blind check (casadical.withheld); limits are its own.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,9 +12,15 @@ from scipy import stats
 from casadical.diagnosis.case import Case
 from casadical.diagnosis.evidence import Evidence, Whitened
 from casadical.diagnosis.gap import Noise
+from casadical.withheld import figures
+from casadical.withheld import trials as check
+from casadical.withheld.intervals import Figure, quantile, share
+
+# Name, value, target, theoretical limit.
+Row = tuple[str, Figure, str, str]
 
 FALSE_ALARMS = 0.01
-SEEN = 0.35
+KINDS = {"none": "none", "unlisted": "unlisted", "two": "several"}
 # Labels on the standard list of a six-axis robot (library.standard_candidates).
 CAUSES = 67
 
@@ -42,6 +51,29 @@ class Trial:
     true_shrink: float
     without_rivals: str
     seconds: float
+
+    @property
+    def counted(self) -> check.Trial:
+        """The same as a trial of the blind check; signals are over all noise, and shrinks over the base model's gap."""
+        return check.Trial(
+            name=self.hidden,
+            robot="",
+            kind=KINDS.get(self.part, "one"),
+            poses=self.poses,
+            missing=None,
+            effects=tuple(word.partition("@")[0] for word in self.hidden.split(", ") if word),
+            truth=self.truth,
+            signal=self.visible,
+            signals=self.beside or (self.visible,),
+            verdict=self.verdict,
+            named=self.claims,
+            alike=(self.claims[0], *self.alike)[: check.SET_SIZE] if self.claims else (),
+            probability=self.posterior,
+            predicted=self.predicted_shrink,
+            realised=self.true_shrink,
+            before=1.0,
+            after=1.0 - self.true_shrink,
+        )
 
 
 def whitened(e: Evidence, columns: np.ndarray, noise: Noise) -> Whitened:
@@ -88,126 +120,81 @@ def told_apart(t: Trial) -> tuple[float, float]:
     return float(np.mean(odds > 0)), float(np.mean(1 / (1 + np.exp(-np.clip(odds, -500, 500)))))
 
 
-def share(hits: Sequence[bool]) -> str:
-    """A share with its 95 % Wilson interval."""
-    n = len(hits)
-    if n == 0:
-        return "-"
-    p, z = float(np.mean(hits)), 1.96
-    centre, half = (p + z * z / (2 * n)), z * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-    low, high = ((centre + s * half) / (1 + z * z / n) for s in (-1, 1))
-    return f"{p:.3f}  ({max(low, 0):.3f} .. {high:.3f}; {sum(hits)} of {n})"
-
-
-def mean(values: Sequence[float]) -> str:
-    """A mean with its 95 % interval."""
-    if not len(values):
-        return "-"
-    middle, half = float(np.mean(values)), 1.96 * float(np.std(values)) / np.sqrt(len(values))
-    return f"{middle:.3f}  ({middle - half:.3f} .. {min(middle + half, 1):.3f}; {len(values)})"
-
-
-def false_alarm(t: Trial) -> bool:
-    return t.verdict in ("unknown", "ambiguous") or any(c != "outliers" for c in t.claims)
-
-
 def table(parts: dict[str, list[Trial]]) -> str:
     """Figure, value, target, theoretical limit: a line each, and what was claimed wrongly."""
-    rows: list[tuple[str, str, str, str]] = []
+    rows: list[Row] = []
     for part, trials in parts.items():
         rows += _SCORES[part](trials) if trials else []
     lines = [f"{'figure':<52} {'value (95 % interval; of)':<42} {'target':<14} limit"]
-    lines += [f"{a:<52} {b:<42} {c:<14} {d}" for a, b, c, d in rows]
+    lines += [f"{a:<52} {b!s:<42} {c:<14} {d}" for a, b, c, d in rows]
     every = [t for trials in parts.values() for t in trials]
     lines += ["", f"{len(every)} synthetic campaigns; diagnosis, median: {np.median([t.seconds for t in every]):.2f} s"]
-    return "\n".join([*lines, "", "Wrong claims:", *(w for t in every for w in _wrong(t))])
+    return "\n".join([*lines, "", "Wrong claims:", *(_wrong(t) for t in every if t.counted.wrongly)])
 
 
-def _wrong(t: Trial) -> list[str]:
-    wrong = [c for c in t.claims if c not in t.truth and (t.part != "none" or c != "outliers")]
-    if t.verdict != "explained" or not wrong:
-        return []
-    return [f"  {t.part:<9} {t.hidden or '-':<46} claimed {', '.join(wrong)}  (visible {t.visible:.2f})"]
+def _wrong(t: Trial) -> str:
+    wrong = ", ".join(t.counted.wrongly)
+    return f"  {t.part:<9} {t.hidden or '-':<46} claimed {wrong}  (visible {t.visible:.2f})"
 
 
-def _detection(trials: Sequence[Trial]) -> list[tuple[str, str, str, str]]:
+def _counted(trials: Sequence[Trial]) -> list[check.Trial]:
+    return [t.counted for t in trials]
+
+
+def _limit(values: Sequence[float]) -> str:
+    return f"{np.mean(values):.3f}"
+
+
+def _detection(trials: Sequence[Trial]) -> list[Row]:
     at = trials[0].part
-    target = {"at .5": ".99", "at .35": ".90"}[at]
-    limit = np.mean([power(t.visible, t.poses) for t in trials])
-    return [
-        (f"detection, visible rms/noise {at[3:]}", share([t.verdict != "none" for t in trials]), target, _number(limit))
-    ]
+    # All of them were scaled to this signal.
+    found = figures.detection(_counted(trials), 0.0)
+    limit = _limit([power(t.visible, t.poses) for t in trials])
+    return [(f"detection, visible rms/noise {at[3:]}", found, {"at .5": ".99", "at .35": ".90"}[at], limit)]
 
 
-def _number(limit: float) -> str:
-    return f"{limit:.3f}"
+def _nothing(trials: Sequence[Trial]) -> list[Row]:
+    return [("false alarms; half the campaigns with outliers", figures.false_alarms(_counted(trials)), "<= .01", "")]
 
 
-def _nothing(trials: Sequence[Trial]) -> list[tuple[str, str, str, str]]:
-    return [("false alarms; half the campaigns with outliers", share([*map(false_alarm, trials)]), "<= .01", "")]
-
-
-def _isolation(trials: Sequence[Trial]) -> list[tuple[str, str, str, str]]:
-    seen = [t for t in trials if t.visible >= SEEN]
-    claimed = [t for t in trials if t.verdict == "explained"]
-    errors = np.abs([t.predicted_shrink - t.true_shrink for t in trials if t.claims])
-    sets = [t.truth[0] in (t.claims[0], *t.alike) for t in trials if t.claims]
+def _isolation(trials: Sequence[Trial]) -> list[Row]:
+    every = _counted(trials)
+    seen, errors = figures.seen(every), figures.shrink_errors(every)
+    told = np.mean([told_apart(t) for t in trials if t.visible >= figures.SEEN], axis=0)
     n = f"{trials[0].poses} poses"
     return [
-        (
-            f"FIA: probability of the true cause, {n}",
-            mean([t.posterior for t in seen]),
-            ">= .92",
-            _number(np.mean([told_apart(t)[1] for t in seen])),
-        ),
+        (f"FIA: probability of the true cause, {n}", figures.isolation(seen), ">= .92", _limit(told[1])),
         (
             f"first cause right, where one is named, {n}",
-            share([t.claims[0] == t.truth[0] for t in trials if t.claims]),
+            share([t.first_right for t in every if t.named]),
             "",
-            _number(np.mean([told_apart(t)[0] for t in seen])),
+            _limit(told[0]),
         ),
-        (f"claims right, {n}", share([t.claims[0] == t.truth[0] for t in claimed]), ">= .98", ""),
-        (f"claims made, {n}", share([t.verdict == "explained" for t in seen]), ">= .65", ""),
-        (f"sets contain the truth, {n}", share(sets), ".93 - .97", ""),
-        (
-            f"|predicted - true shrink|, median / 90 %, {n}",
-            f"{np.median(errors):.3f} / {np.quantile(errors, 0.9):.3f}  ({len(errors)})",
-            ".04 / .12",
-            "",
-        ),
+        (f"claims right, {n}", figures.claims_right(every), ">= .98", ""),
+        (f"claims made, {n}", figures.claims_made(seen), ">= .65", ""),
+        (f"sets contain the truth, {n}", figures.sets_right(every), ".93 - .97", ""),
+        (f"|predicted - true shrink|, median, {n}", quantile(errors, 0.5), "<= .04", ""),
+        (f"|predicted - true shrink|, 90 %, {n}", quantile(errors, 0.9), "<= .12", ""),
     ]
 
 
-def _foreign(trials: Sequence[Trial]) -> list[tuple[str, str, str, str]]:
+def _foreign(trials: Sequence[Trial]) -> list[Row]:
+    every = _counted(trials)
+    without = share([t.without_rivals == "explained" for t in trials])
     return [
-        ("on no standard list, claimed as standard", share([t.verdict == "explained" for t in trials]), "<= .02", ""),
-        (
-            "  of those visible",
-            share([t.verdict == "explained" for t in trials if t.visible >= SEEN]),
-            "",
-            "",
-        ),
-        (
-            "  all, without the rarer effects as rivals",
-            share([t.without_rivals == "explained" for t in trials]),
-            "",
-            "",
-        ),
+        ("on no standard list, claimed as standard", figures.claims_made(every), "<= .02", ""),
+        ("  of those visible", figures.claims_made(figures.seen(every)), "", ""),
+        ("  all, without the rarer effects as rivals", without, "", ""),
     ]
 
 
-def _several(trials: Sequence[Trial]) -> list[tuple[str, str, str, str]]:
-    causes = [(c in t.claims, v) for t in trials for c, v in zip(t.truth, t.beside, strict=True)]
-    limit = np.mean([power(v, trials[0].poses) for _hit, v in causes if v >= SEEN])
+def _several(trials: Sequence[Trial]) -> list[Row]:
+    every = _counted(trials)
+    limit = _limit([power(v, t.poses) for t in trials for v in t.beside if v >= figures.SEEN])
     return [
-        (
-            "two at once: recall, visible beside the other",
-            share([h for h, v in causes if v >= SEEN]),
-            ">= .93",
-            _number(limit),
-        ),
-        ("  of those of visible rms/noise >= .5", share([h for h, v in causes if v >= 0.5]), "", ""),
-        ("two at once: precision", share([c in t.truth for t in trials for c in t.claims]), ">= .90", ""),
+        ("two at once: recall, visible beside the other", figures.recall(every), ">= .93", limit),
+        ("  of those of visible rms/noise >= .5", figures.recall(every, figures.STRONG), "", ""),
+        ("two at once: precision", figures.precision(every), ">= .90", ""),
     ]
 
 

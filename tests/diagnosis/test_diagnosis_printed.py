@@ -21,6 +21,7 @@ from casadical.diagnosis.replicates import Replicates
 from casadical.diagnosis.result import Cause, Gap, Outlier
 from casadical.diagnosis.where import BINS, DIRECTIONS, PARTS, Where
 from casadical.diagnosis.which import Ranking
+from casadical.diagnosis.wording import missing_columns, not_logged
 from casadical.effects import Backlash, ThermalZeroDrift
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -57,14 +58,20 @@ def fixed(true: Diagnosis) -> Diagnosis:
         true,
         verdict="ambiguous",
         causes=causes,
-        gap=Gap(127e-6, 46e-6, 21e-6),
+        gap=Gap(131e-6, 46e-6, 21e-6),
         noise=noise,
         unknown_rest=0.2,
         course=pd.DataFrame(rows, columns=list(COLUMNS)),
         replicates=Replicates(12e-6, 18, 6, 36),
         rankings=(one,),
+        case=replace(true.case, m=replace(true.case.m, conditions={})),
         outliers=(Outlier(31, 1.7e-3, 80.0), Outlier(62, 0.9e-3, 40.0)),
-        missing={"payload_error": ("payload_kg",)},
+        missing={
+            "payload_error": ("payload_kg",),
+            "thermal_growth": ("warmth_0s", "warmth_300s"),
+            "thermal_zero_drift@1": ("warmth_0s", "warmth_300s"),
+            "thermal_zero_drift@2": ("warmth_0s", "warmth_300s"),
+        },
     )
     parts = [
         ("joint 2", 0.41, 0.34, 0.48, 0.05),
@@ -118,10 +125,46 @@ def test_verdicts_without_a_cause(fixed: Diagnosis, verdict: str) -> None:
     assert page_of(d) + "\n" == (GOLDEN / f"{verdict}.txt").read_text(encoding="utf-8")
 
 
+def test_an_explained_gap_of_which_much_is_left_says_so_first(fixed: Diagnosis) -> None:
+    def first(**changes: object) -> str:
+        d = replace(fixed, verdict="explained", causes=fixed.causes[:2], outliers=(), **changes)
+        d.__dict__.update({k: fixed.__dict__[k] for k in ("where", "isolability")})
+        return " ".join(page_of(d).partition("\nGAP")[0].split())
+
+    named = "backlash@2 and thermal_zero_drift@3"
+    rest = "yet 0.038 of 0.124 mm rms beyond the noise (31 %) has no named cause"
+    assert first() == f"VERDICT explained in part only: {named}; {rest}"
+    none = first(unknown_rest=0.01)
+    assert none == f"VERDICT explained: {named}; 0.131 -> 0.046 mm, noise alone would leave 0.021"
+
+
+def test_a_long_signature_is_wrapped_and_whole(fixed: Diagnosis) -> None:
+    class Pull(Backlash):
+        name = "pull"
+        physics = (
+            "A loop of cable and hose pulls its joint towards the middle, stiffly at both ends of its range, always."
+        )
+
+    d = replace(fixed, causes=(replace(fixed.causes[0], effect="pull", effects=(Pull(2, 0.04, 0.02),)),))
+    d.__dict__.update({k: fixed.__dict__[k] for k in ("where", "isolability")})
+    text = page_of(d)
+    assert "..." not in text
+    lines = [line[3:65].strip() for line in text.partition("signature")[2].splitlines()[1:3]]
+    assert " ".join(lines) == f"{Pull.physics}, joint 2"
+
+
+def test_what_to_log_is_named_as_a_table_names_it(fixed: Diagnosis) -> None:
+    assert missing_columns(fixed)["thermal_growth"] == ("temperature_degC", "time_s")
+    timed = replace(fixed.case, m=replace(fixed.case.m, conditions={"time_s": np.zeros(120)}))
+    assert missing_columns(replace(fixed, case=timed))["thermal_growth"] == ("temperature_degC",)
+    lagless = replace(fixed.case, m=replace(fixed.case.m, conditions={"temperature_degC": np.zeros(120)}))
+    assert "lag behind" in not_logged(replace(fixed, case=lagless, missing={}))["time_s"]
+
+
 def test_true_page_is_no_wider_than_it_says(true: Diagnosis) -> None:
     text = page_of(true, Extras(poses=true.next_poses(3), file="a_rather_long_name_of_a_file.csv"))
     assert max(map(len, text.splitlines())) <= WIDTH
-    for word in ("GAP", "WHERE", "WHICH", "AFTER"):
+    for word in ("VERDICT", "GAP", "WHERE", "WHICH", "AFTER"):
         assert f"\n{word}" in f"\n{text}"
 
 
@@ -133,6 +176,7 @@ def test_json_holds_what_the_page_says(fixed: Diagnosis, poses: pd.DataFrame) ->
     assert answer["outliers"][0] == {"row": 31, "distance_mm": 1.7, "sigmas": 80.0}
     assert answer["replicates"] == {"sigma_mm": 0.012, "poses": 18, "used": True}
     assert answer["causes"][1]["settings"] == [{"lag": 600.0}]
+    assert answer["missing_columns"]["payload_error"] == ["payload_kg"]
     assert answer["where"]["joints"][0]["part"] == "joint 2"
     before, after = answer["told_rightly"]
     assert before == pytest.approx(0.55)

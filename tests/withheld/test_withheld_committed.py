@@ -1,20 +1,23 @@
-"""The committed run says what is committed: key, answers and figures belong together."""
+"""The committed runs say what is committed: keys, answers, figures and the page belong together."""
 
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 from checks import ROOT
 
-from casadical.withheld.score import score
+from casadical.withheld.score import in_common, score
 
 DATA = ROOT / "data" / "withheld"
+COUNTED = sorted(path.parent for path in DATA.rglob("score.json"))
 
 
-def test_the_committed_answers_have_the_committed_figures() -> None:
-    found = score(DATA, DATA, DATA / "answers.diagnosis.jsonl").as_json()
-    kept = json.loads((DATA / "score.json").read_text())
+@pytest.mark.parametrize("run", COUNTED, ids=lambda run: run.name)
+def test_the_committed_answers_have_the_committed_figures(run: Path) -> None:
+    found = score(run, run, run / "answers.diagnosis.jsonl").as_json()
+    kept = json.loads((run / "score.json").read_text())
     assert found["campaigns"] == kept["campaigns"] == 320
     assert found["unanswered"] == []
     assert found["confusion"] == kept["confusion"]
@@ -28,8 +31,22 @@ def test_the_second_run_has_its_key() -> None:
     assert (len(second.trials), second.unanswered) == (48, [])
 
 
-def test_the_page_has_the_committed_figures() -> None:
+@pytest.mark.parametrize("run", COUNTED, ids=lambda run: run.name)
+def test_the_page_has_the_committed_figures(run: Path) -> None:
     page = (ROOT / "docs" / "blind-check.md").read_text()
-    for name, figure in json.loads((DATA / "score.json").read_text())["figures"].items():
+    for name, figure in json.loads((run / "score.json").read_text())["figures"].items():
         row = next(line for line in page.splitlines() if line.startswith(f"| {name} |"))
-        assert f"| {figure['value']:.3f} " in row, name
+        assert f"| {figure['value']:.3f} (" in row, name
+
+
+def test_the_page_has_the_baselines_of_the_last_run() -> None:
+    run = next(run for run in reversed(COUNTED) if len(answers(run)) > 1)
+    page = (ROOT / "docs" / "blind-check.md").read_text().partition("<!-- beside -->")[2]
+    for s in in_common([score(run, run, path) for path in answers(run)]):
+        for row in s.figures:
+            line = next(line for line in page.splitlines() if line.startswith(f"| {row.name} |"))
+            assert f"| {str(row.figure).replace('  (', ' (')} |" in line, (s.head.by, row.name)
+
+
+def answers(run: Path) -> list[Path]:
+    return sorted(run.glob("answers.*.jsonl*"))

@@ -13,8 +13,9 @@ from casadical.errors import InputError
 from casadical.withheld.answers import Answer
 from casadical.withheld.figures import confusion, figures, part_figures
 from casadical.withheld.intervals import mean, quantile, share
+from casadical.withheld.paired import Pair, pairs
 from casadical.withheld.protocol import HiddenEffect, Secret, label, read_manifest
-from casadical.withheld.score import score
+from casadical.withheld.score import in_common, score
 from casadical.withheld.trials import Trial, trial
 
 
@@ -166,3 +167,50 @@ def test_labels_leave_out_joints_that_mean_nothing() -> None:
     assert label("backlash", 3) == "backlash@3"
     assert label("gravity_compensator", 2) == "gravity_compensator"
     assert label("thermal_growth", None) == "thermal_growth"
+
+
+def test_methods_are_compared_campaign_by_campaign() -> None:
+    right = {"verdict": "explained", "named": ("backlash@2",)}
+    wrong = {"verdict": "explained", "named": ("backlash@3",)}
+    silent = {"verdict": "none", "named": (), "after": 1e-4}
+    answers = {
+        "a": (right, wrong), "b": (right, silent), "c": (right, right), "d": (silent, right), "e": (wrong, wrong)
+    }  # fmt: skip
+    first, other = (
+        [made("one", ("backlash@2",), name=name, **two[k]) for name, two in answers.items()] for k in (0, 1)
+    )
+    # The order of the other's campaigns does not matter.
+    found = {p.name: p for p in pairs(first, other[::-1])}
+    asked = {
+        "one effect: first cause right, signal >= .35": (2, 1, 1, 1),
+        "detected, signal >= .35": (1, 1, 3, 0),
+        "all campaigns: no wrong claim": (1, 0, 3, 1),
+        "listed effects, signal >= .35: less of the gap is left": (1, 1, 0, 3),
+        "nothing there, and nothing said": (0, 0, 0, 0),
+    }
+    for name, counts in asked.items():
+        p = found[name]
+        assert (p.first, p.other, p.both, p.neither) == counts, name
+
+
+def test_the_sign_test_is_scipys() -> None:
+    stats = pytest.importorskip("scipy.stats")
+    for first, other in ((0, 0), (4, 1), (5, 5), (14, 0), (18, 30)):
+        p = Pair("", first, other, both=7, neither=3).p
+        assert p == pytest.approx(stats.binomtest(first, first + other).pvalue if first + other else 1.0)
+
+
+def test_several_answers_stand_side_by_side_on_what_all_of_them_answer(small, tmp_path) -> None:
+    from typer.testing import CliRunner
+
+    lines = small.answers.read_text().splitlines(keepends=True)
+    head = json.dumps(json.loads(lines[0]) | {"by": "gp"}) + "\n"
+    some, none = tmp_path / "some.jsonl", tmp_path / "none.jsonl"
+    some.write_text(head + "".join(lines[2:4]))
+    done = CliRunner().invoke(app, ["withheld", "score", *map(str, (small.folder, small.key, small.answers, some))])
+    assert done.exit_code == 0, done.output
+    assert "2 campaigns" in done.output
+    assert "bic : gp" in done.output
+    none.write_text(head + "".join(lines[1:2]))
+    with pytest.raises(InputError, match="no campaign is answered by all of these files"):
+        in_common([score(small.folder, small.key, path) for path in (some, none)])
