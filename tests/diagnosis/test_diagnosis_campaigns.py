@@ -10,7 +10,7 @@ from cases import ANSWERS, diagnosed, practice, robot, simulated
 from casadical import InputError
 from casadical.diagnosis.answer import as_json
 from casadical.diagnosis.diagnosis import Diagnosis, diagnose
-from casadical.diagnosis.investigation import CLAIM
+from casadical.diagnosis.rules import CLAIM
 from casadical.diagnosis.printed import page_of
 from casadical.identification import identify
 from casadical.measurements import Measurements
