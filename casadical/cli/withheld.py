@@ -62,7 +62,7 @@ def make_command(
 
     Exit codes: 0 done, 2 bad input, 70 a bug of ours.
     """
-    from ..withheld.make import make
+    from ..withheld.making import make
     from ..withheld.running import workers as pool
 
     sizes = _whole(poses)
@@ -93,7 +93,7 @@ def predict_command(
         typer.Option("--out", metavar="FILE", help="Answers, a line of JSON each; default: DIR/answers.METHOD.jsonl."),
     ] = None,
     by: Annotated[
-        str, typer.Option(metavar="diagnosis|f-test|bic|gp", help="The diagnosis, or what it is measured against.")
+        str, typer.Option(metavar="diagnosis|f-test|bic|ebic|gp", help="The diagnosis, or what it is measured against.")
     ] = "diagnosis",
     workers: Workers = None,
     json_file: Json = None,
@@ -105,7 +105,7 @@ def predict_command(
 
     Exit codes: 0 done, 2 bad input, 70 a bug of ours.
     """
-    from ..withheld.predict import predict
+    from ..withheld.predicting import predict
     from ..withheld.running import workers as pool
 
     try:
@@ -138,12 +138,12 @@ def score_command(
     Exit codes: 0 done, 2 bad input, 70 a bug of ours.
     """
     from ..withheld.report import draw, report
-    from ..withheld.score import in_common, score
+    from ..withheld.scoring import in_common, score
 
     scores = in_common([score(folder, key, path) for path in answers])
     console = Console(quiet=quiet)
     # Wide tables are for files and wide windows; they are never folded.
-    Console(quiet=quiet, width=max(console.width, 240)).print(report(scores), soft_wrap=True)
+    Console(quiet=quiet, width=max(console.width, 240, 90 + 40 * len(scores))).print(report(scores), soft_wrap=True)
     keep_json(json_file, [s.as_json() for s in scores], console)
     if figure:
         draw(scores[0], figure)

@@ -30,7 +30,8 @@ class Design(ABC):
     """Chosen candidates and what another one, or one less, is worth; larger values are better.
 
     rows : shape (N, m, p), scaled Jacobians in units of sigma; fixed : information there is already, shape (p, p)
-    places : shape (N, d), where candidates stand; those at most `apart` from a chosen one are closed to choice
+    places : shape (N, d), where candidates stand; those at most `apart` from a chosen one are closed to choice,
+        itself included; below zero: a candidate may be chosen more than once
     occupied : shape (k, d), places taken beforehand
     """
 
@@ -43,7 +44,7 @@ class Design(ABC):
         flat = rows.reshape(-1, self.p)
         whole = flat.T @ flat + fixed
         self.fixed = fixed + RIDGE * np.diag(np.diag(whole)) / self.N
-        self.places, self.apart = places, max(apart, 1e-9)
+        self.places, self.apart = places, max(apart, 1e-9) if apart >= 0 else apart
         self._taken = sum((self._near(place) for place in occupied), np.zeros(self.N, dtype=int))
         self.start([])
 
@@ -92,7 +93,7 @@ class Design(ABC):
     @property
     @abstractmethod
     def value(self) -> float:
-        """Of the chosen candidates together with what is fixed."""
+        """Logarithm of the index of the chosen candidates together with what is fixed."""
 
     @abstractmethod
     def _refresh(self) -> None:
@@ -104,7 +105,7 @@ class Design(ABC):
 
     @abstractmethod
     def _gains(self, which: Array, sign: int) -> Array:
-        """Change of the value, shape (N,), by adding (1) or removing (-1) each of these; -inf for others."""
+        """What adding (1) or removing (-1) each of these gains, in any unit, shape (N,); -inf for others."""
 
 
 class _Inverse(Design):
@@ -154,7 +155,7 @@ class Determinant(_Inverse):
 
 
 class Linear(_Inverse):
-    """Minus trace(W C): A-optimality (W = I), V-optimality (W = mean of J'J over the task), chosen parameters."""
+    """One over trace(W C): A-optimality (W = I), V-optimality (W = mean of J'J over the task), chosen parameters."""
 
     _kept: ClassVar[tuple[str, ...]] = ("M", "closed", "C", "D", "L", "_age")
 
@@ -164,7 +165,8 @@ class Linear(_Inverse):
 
     @property
     def value(self) -> float:
-        return -float(np.sum(self.W * self.C))
+        variance = float(np.sum(self.W * self.C))
+        return -np.log(variance) if variance > 0 else -np.inf
 
     def _refresh(self) -> None:
         super()._refresh()

@@ -10,7 +10,7 @@ from .designs import Design
 
 # How many poses an excursion adds (or takes away) before it returns to the number wanted.
 DEPTH = 4
-# What an exchange must gain: in the logarithm of an index, or as a share of a variance.
+# What an exchange must gain in the logarithm of its index: above round-off, which would let it go round for ever.
 LEAST_GAIN = 1e-6
 
 
@@ -34,9 +34,7 @@ def improve(design: Design, depth: int = DEPTH) -> None:
         before, value = design.snapshot(), design.value
         for up in (True, False):
             _excursion(design, n, reach, up)
-            if design.value > value + LEAST_GAIN * max(abs(value) if value < 0 else 0.0, 1e-300) and (
-                len(design.chosen) == n
-            ):
+            if design.value > value + LEAST_GAIN and len(design.chosen) == n:
                 break
             design.restore(before)
         else:

@@ -177,7 +177,7 @@ class Problem:
     fixed: Array = field(repr=False)
     weight: Array = field(repr=False)
 
-    def design(self, pool: Candidates, criterion: Criterion, min_distance: float) -> Design:
+    def design(self, pool: Candidates, criterion: Criterion, min_distance: float | None) -> Design:
         """The search's state over a pool; see `designs.Design`."""
         lower, upper = self.workspace.ranges(self.robot)
         span = upper - lower
@@ -191,7 +191,8 @@ class Problem:
         if plain and self.measured is not None:
             A = _rows(self.robot, self.names, self.measured, None).reshape(-1, len(self.names))
             fixed = A.T @ A
-        common = (rows, fixed, (pool.q - lower) / span, min_distance, (occupied - lower) / span)
+        apart = -1.0 if min_distance is None else min_distance
+        common = (rows, fixed, (pool.q - lower) / span, apart, (occupied - lower) / span)
         if criterion in ("D", "O1"):
             return Determinant(*common)
         if criterion in ("A", "V"):
@@ -313,7 +314,7 @@ def select_poses(
     interest: Iterable[str] = (),
     task: Array | None = None,
     noise: Noise | None = None,
-    min_distance: float = 0.0,
+    min_distance: float | None = 0.0,
     pool: int = 1000,
     restarts: int = 2,
     seed: int = 0,
@@ -333,7 +334,8 @@ def select_poses(
         them, in units of their priors, as much as the task
     task : readings at which the robot is to be accurate, shape (T, joints) [rad or m]; None: all that is allowed
     noise : of coordinates and joints; min_distance : between any two poses, in the joint that differs most, as a share
-        of its range; pool : candidates to draw; restarts : searches, of which the best counts; seed : of all chance
+        of its range, None where a pose may be chosen more than once; pool : candidates to draw; restarts : searches, of
+        which the best counts; seed : of all chance
 
     Raises InputError where nothing can be chosen. Source: Mitchell (1974); Sun and Hollerbach (2008).
     """
@@ -393,7 +395,7 @@ def _refined(
     problem: Problem,
     chosen: Candidates,
     criterion: Criterion,
-    min_distance: float,
+    min_distance: float | None,
     size: float,
     rng: np.random.Generator,
 ) -> Candidates:

@@ -11,13 +11,15 @@ import numpy as np
 from ..diagnosis.advice import kinds, told_apart
 from ..diagnosis.answer import NEXT, Extras
 from ..diagnosis.investigation import PARTITIONS
-from ..diagnosis.printed import READABLE, signature
+from ..diagnosis.printed import READABLE, refitted, signature
+from ..diagnosis.wording import alike, has_rest, headline, invisible, left_over, not_logged, resembles, unsure_floor
 from .look import mm
 from .of_diagnosis import diagnosis_figures, held_out_poses
 from .page import Block, Drawing, Part, Section, Table, Tile, Words, report_html
 from .parameter_tables import confounded, correlated, parameter_table
 from .pose_errors import BEFORE
 from .provenance import campaign_files, provenance_of
+from .replay_blocks import replay_blocks
 from .where_blocks import where_drawings
 
 if TYPE_CHECKING:
@@ -50,6 +52,8 @@ def diagnosis_part(d: Diagnosis, name: str, extras: Extras | None = None) -> Par
         Section("In the workspace", [Drawing("workspace", figures["workspace"], _SPACE)]),
         Section("Where the gap lies", [*_where_blocks(d, figures)]),
         Section("Which causes, and how sure", [*_cause_blocks(d, figures)]),
+        Section("What these poses cannot tell", [*_cannot_blocks(d)]),
+        Section("Replayed in a simulator", [*replay_blocks(d)]),
         Section("Parameters of the base model", [*_parameter_blocks(d, figures)]),
         Section("What to measure next", [*_next_blocks(d, e)]),
     ]
@@ -66,20 +70,18 @@ _SPACE = (
     "in the direction of the error (measured less computed), after a fit to all poses, longer than it by the factor in "
     "the legend."
 )
-_WORDS = {
-    "none": "What is left is noise: no cause can be claimed.",
-    "explained": "The gap is explained.",
-    "ambiguous": "Something is there, but these data cannot tell between causes that look alike.",
-    "unknown": "Something is there that no listed cause explains.",
-}
 
 
 def _verdict(d: Diagnosis) -> Iterator[Block]:
-    change = "" if not d.causes else f"; with the causes in the model {mm(d.gap.after)} mm"
+    sentence = headline(d)
+    yield Words(f"{sentence[0].upper()}{sentence[1:]}.".replace("->", "→"), "verdict")
+    detected = "Nothing was detected" if d.verdict == "none" else "Something was detected"
+    chance = (
+        f", and noise alone looks as much like a cause {_how_often(d.p_nothing)}" if d.p_nothing is not None else ""
+    )
     yield Words(
-        f"{_WORDS[d.verdict]} The calibrated base model leaves {mm(d.gap.before)} mm on held-out poses{change}; noise "
-        f"alone would leave {mm(d.gap.floor)} mm.",
-        "verdict",
+        f"The calibrated base model leaves {mm(d.gap.before)} mm on held-out poses; noise alone would leave "
+        f"{mm(d.gap.floor)} mm. {detected}: the probability that nothing is there is {d.rankings[0].none:.2g}{chance}."
     )
     for c in d.causes:
         low, high = (100 * v for v in c.shrink_interval)
@@ -88,20 +90,31 @@ def _verdict(d: Diagnosis) -> Iterator[Block]:
             f"{c.label}: {shown}{f'; may be {mechanical}' if mechanical else ''}. Probability {c.confidence:.3f}; "
             f"alone it shrinks the gap by {100 * c.shrink:.0f} % (95 %: {low:.0f} to {high:.0f} %)."
         )
-        if c.indistinguishable:
-            yield Words(f"These data cannot tell {c.label} from {', '.join(c.indistinguishable)}.", "warning")
-    if d.unknown_rest > 0.05:
-        yield Words(f"{100 * d.unknown_rest:.0f} % of the gap lies above the noise and is not explained.", "warning")
+    if has_rest(d):
+        likeness = [words for words in (resembles(d), unsure_floor(d)) if words]
+        if likeness:
+            yield Words(f"The rest of {left_over(d)[1]:.3f} mm rms: {'; '.join(likeness)}.", "warning")
     if d.outliers:
         rows = ", ".join(f"{o.row} ({mm(o.distance)} mm)" for o in d.outliers[:12]) + (
             " ..." if len(d.outliers) > 12 else ""
         )
-        yield Words(f"{len(d.outliers)} poses were left out as outliers: rows {rows}.")
-    if d.missing:
-        columns = sorted({c for lacking in d.missing.values() for c in lacking})
-        yield Words(
-            f"Not logged: {', '.join(columns)}. Nothing can be said about {', '.join(sorted(d.missing))}.", "note"
-        )
+        count = "1 pose was" if len(d.outliers) == 1 else f"{len(d.outliers)} poses were"
+        yield Words(f"{count} left out as outliers: rows {rows}.")
+
+
+def _how_often(p: float) -> str:
+    return f"in {'less than ' if p < 1e-3 else ''}{100 * p:.2g} % of all draws (bootstrap, p-value)"
+
+
+def _cannot_blocks(d: Diagnosis) -> Iterator[Block]:
+    """What looks alike, what stays hidden, what was not logged."""
+    for label, others in alike(d).items():
+        yield Words(f"These data cannot tell {label} from {others}.", "warning")
+    hidden, lost = invisible(d), not_logged(d)
+    yield from (Words(f"Cannot be seen, {why}: {labels}.") for why, labels in hidden.items())
+    yield from (Words(f"Not logged: {columns}. It would show {what}.") for columns, what in lost.items())
+    if not hidden and not lost:
+        yield Words("At its usual size every effect of the list would show in these poses.")
 
 
 def _tiles(d: Diagnosis) -> Iterator[Tile]:
@@ -128,12 +141,8 @@ def _error_table(d: Diagnosis) -> Table:
 
 def _refit(e: Extras) -> Iterator[Block]:
     if e.check:
-        said = "agrees" if e.check.agree else "DISAGREES"
-        yield Words(
-            f"Refitted by Ipopt with the nonlinear model, {mm(e.check.refit)} mm held out; this {said} with the "
-            f"linearised {mm(e.check.linearised)} mm.",
-            "text" if e.check.agree else "warning",
-        )
+        words = refitted(e.check)
+        yield Words(f"{words[0].upper()}{words[1:]}.", "text" if e.check.agree else "warning")
 
 
 def _where_blocks(d: Diagnosis, figures: Mapping[str, go.Figure]) -> Iterator[Block]:

@@ -4,7 +4,7 @@ MuJoCo itself is needed only to replay: `pip install 'casadical[mujoco]'`.
 """
 
 from .mjcf import MjcfExport, mjcf
-from .replay import Replay, replay, replay_campaign
+from .replay import Replay, replay, replay_campaign, replay_diagnosis
 from .rest import positions
 
-__all__ = ["MjcfExport", "Replay", "mjcf", "positions", "replay", "replay_campaign"]
+__all__ = ["MjcfExport", "Replay", "mjcf", "positions", "replay", "replay_campaign", "replay_diagnosis"]

@@ -31,12 +31,16 @@ Show = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """One model in the simulator: its distance from the measured points, shape (n,), and from casadical's own [m]."""
+    """One model in the simulator: its distance from the measured points, shape (n,), and from casadical's own [m].
+
+    lacking : labels of effects that neither the model nor the measured point holds, as the engine has no counterpart
+    """
 
     name: str
     export: MjcfExport
     errors: Array
     apart: Array
+    lacking: tuple[str, ...] = ()
 
     @property
     def accuracy(self) -> Accuracy:
@@ -77,7 +81,9 @@ def replay(robot: Robot, m: Measurements, name: str = "model") -> Stage:
     export = mjcf(robot)
     there = positions(export.text, m, counterparts(robot).payload_factor) + _of_the_measurement(robot, m)
     apart = np.linalg.norm(there - predicted(robot, m)[0], axis=1)
-    return Stage(name, export, np.linalg.norm(there - m.position, axis=1), apart)
+    out = {text.partition(":")[0] for text in export.left_out}
+    lacking = tuple(e.label for e in robot.effects if e.label in out and not isinstance(e, OF_THE_MEASUREMENT))
+    return Stage(name, export, np.linalg.norm(there - m.position, axis=1), apart, lacking)
 
 
 def _of_the_measurement(robot: Robot, m: Measurements) -> Array:
@@ -106,16 +112,40 @@ def replay_campaign(
     m, _ = derive(m, ["progress"])
     parts = m.split({"identify": share, "report": round(0.999 - share, 3)}, seed)
     fitted, held_out = parts["identify"], parts["report"]
+    found = diagnose(robot, fitted, effects, seed=seed, show=show)
+    return Replay(m.source, robot.name, _stages(robot, fitted, held_out, found, show), found)
+
+
+def replay_diagnosis(
+    found: Diagnosis, *, share: float = 2 / 3, seed: int = 0, show: Show = lambda _text: None
+) -> Replay:
+    """Replay a campaign with the causes that were found in it, all values identified anew from a part of its poses.
+
+    The outliers are left out, and the other poses replayed: no value has seen them, though they had a part in which
+    causes are named; `replay_campaign` keeps them from that, too. share : of the poses that are fitted
+    Raises InputError, ConvergenceError.
+    """
+    case, robot = found.case, found.case.given
+    m, _ = derive(case.m, ["progress", *(f"approach{i}" for i in range(1, robot.n + 1))])
+    m = replace(m, kind="position", orientation=None)[case.kept]
+    parts = m.split({"identify": share, "report": round(0.999 - share, 3)}, seed)
+    return Replay(m.source, robot.name, _stages(robot, parts["identify"], parts["report"], found, show), found)
+
+
+def _stages(
+    robot: Robot, fitted: Measurements, held_out: Measurements, found: Diagnosis, show: Show
+) -> tuple[Stage, ...]:
+    """Nominal robot, calibrated one, and that with the causes: identified from some poses, replayed at others."""
     show("calibrating")
     rigid = robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0))
     placed = _fit(rigid, fitted, ("placement",))
     plain = _fit(robot, fitted, ("kinematic", "compliance"))
-    found = diagnose(robot, fitted, effects, seed=seed, show=show)
     stages = [replay(placed.robot, held_out, "nominal"), replay(plain.robot, held_out, "geometry and stiffness")]
     show("replaying")
-    if found.causes:
-        stages.append(replay(with_causes(robot, fitted, found), held_out, " and ".join(c.label for c in found.causes)))
-    return Replay(m.source, robot.name, tuple(stages), found)
+    named = [c.label for c in found.causes if c.effects]
+    if named:
+        stages.append(replay(with_causes(robot, fitted, found), held_out, " and ".join(named)))
+    return tuple(stages)
 
 
 def _fit(robot: Robot, m: Measurements, free: tuple[str, ...]) -> Identification:

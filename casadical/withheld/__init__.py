@@ -8,15 +8,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .make import make as make
-    from .predict import predict as predict
-    from .score import score as score
+    from .making import make as make
+    from .predicting import predict as predict
+    from .scoring import score as score
 
 __all__ = ["make", "predict", "score"]
+
+_PLACES = {"make": "making", "predict": "predicting", "score": "scoring"}
 
 
 def __getattr__(name: str) -> Any:
     # Predicting must not load what makes the campaigns.
-    if name not in __all__:
+    if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{name}"), name)
+    return getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)

@@ -12,7 +12,7 @@ from rich.text import Text
 from ..errors import InputError
 from .figures import bands, part_figures
 from .paired import pairs
-from .score import Score
+from .scoring import Score
 
 _LAST = ("at another joint", "unknown", "none")
 

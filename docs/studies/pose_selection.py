@@ -1,17 +1,11 @@
 """OMP_NUM_THREADS=1 python docs/studies/pose_selection.py > docs/studies/pose_selection.txt
-OMP_NUM_THREADS=1 python docs/studies/pose_selection.py PYTHON_WITH_FIGAROH > docs/studies/pose_selection_figaroh.txt
 
-Chosen poses against random ones and against figaroh's D-optimal selections, for three robots and 30, 50, 100 poses:
-the index O1 and the seconds it takes, the held-out error over simulated campaigns, the standard errors predicted and
-realised, and what no choice of poses could better. Campaigns come from the independent simulator: robots that depart
-from the drawing in every link, 0.02 mm of noise a coordinate, 8 urad a joint; held-out errors are against the truth.
+Chosen poses against random ones, for three robots and 30, 50, 100 poses: the held-out error over simulated campaigns,
+the standard errors predicted and realised, and what no choice of poses could better. Campaigns come from the
+independent simulator: robots that depart from the drawing in every link, 0.02 mm of noise a coordinate, 8 urad a
+joint; held-out errors are against the truth.
 """
 
-import json
-import subprocess
-import sys
-import tempfile
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,11 +13,10 @@ import numpy as np
 
 from casadical import identify, read_robot
 from casadical.measurements import from_table
-from casadical.pose_selection import Box, Noise, Tracker, Workspace, forecast, observability, select_poses
+from casadical.pose_selection import Box, Noise, Tracker, Workspace, forecast, select_poses
 from casadical.pose_selection.candidates import draw_uniform, expected
-from casadical.pose_selection.designs import Determinant, inverse
-from casadical.pose_selection.exchange import search
-from casadical.pose_selection.information import independent, scaled_jacobian
+from casadical.pose_selection.designs import inverse
+from casadical.pose_selection.information import scaled_jacobian
 from casadical.simulation import campaign, perturb
 from casadical.simulation.plant import Plant
 
@@ -31,7 +24,7 @@ HERE = Path(__file__).parent
 PROBLEMS = HERE.parents[1] / "problems"
 ROBOTS = {"hh800": "campaign.robot.toml", "kr210": "robot.toml", "ur10e": "robot.toml"}
 SIZES = (30, 50, 100)
-POOL, HELD_OUT, CAMPAIGNS, REPETITIONS = 300, 200, 50, 100
+HELD_OUT, CAMPAIGNS, REPETITIONS = 200, 50, 100
 SIGMA, REPEATABILITY = 2e-5, 8e-6
 NOISE = Noise(SIGMA, REPEATABILITY)
 XYZ, TRUE = ["x_mm", "y_mm", "z_mm"], ["x_true_mm", "y_true_mm", "z_true_mm"]
@@ -78,52 +71,6 @@ def held_out(robot, plant, q, seed):
     _, truth = measured(plant, test, seed + 1000, robot.payload.mass)
     p, _ = result.predict(test)
     return float(np.linalg.norm(p - truth, axis=1).mean())
-
-
-def o1(J, chosen):
-    return observability(J[chosen].reshape(-1, J.shape[2]), len(chosen))["O1"]
-
-
-def against_figaroh(name, robot, python):
-    q = draw_uniform(robot, POOL, Workspace(), np.random.default_rng(1))
-    m = expected(robot, q, {}, "pool")
-    names, _ = independent(robot, robot.parameters.select(["kinematic", "compliance"]), m, 50, Noise(SIGMA))
-    J = scaled_jacobian(robot, names, m)
-    with tempfile.TemporaryDirectory() as folder:
-        rows, out = Path(folder) / "rows.npy", Path(folder) / "out.json"
-        np.save(rows, J)
-        helper = HERE / "pose_selection_figaroh.py"
-        subprocess.run([python, helper, rows, out, *map(str, SIZES)], check=True)
-        found = json.loads(out.read_text(encoding="utf-8"))
-    for theirs in found:
-        n = theirs["n"]
-        chance = np.random.default_rng(2)
-        random = np.mean([o1(J, chance.choice(POOL, n, replace=False)) for _ in range(50)])
-        socp = "  -   " if theirs["socp"] is None else f"{o1(J, theirs['socp']):.4f}"
-        start = time.process_time()
-        # A fresh robot, so that building its functions counts.
-        same = select_poses(replace(robot), q, n, "O1", noise=Noise(SIGMA))
-        seconds = time.process_time() - start
-        alone = choice_alone(robot, J, q, n)
-        start = time.process_time()
-        free = select_poses(replace(robot), None, n, "O1", noise=Noise(SIGMA))
-        freely = time.process_time() - start
-        assert same.names == free.names == names
-        print(
-            f"{name:6s} {n:4d}  {random:.4f}  {socp} {theirs['socp_s']:6.1f}  "
-            f"{o1(J, theirs['detmax']):.4f} {theirs['detmax_s']:6.1f} {n - len(set(theirs['detmax'])):4d}   "
-            f"{same.observability['O1']:.4f} {seconds:6.2f} {alone:6.2f}  {free.observability['O1']:.4f} {freely:6.2f}",
-            flush=True,
-        )
-
-
-def choice_alone(robot, J, q, n):
-    """Seconds of the exchange, Jacobians given, as figaroh's are."""
-    lower, upper = Workspace().ranges(robot)
-    start = time.process_time()
-    design = Determinant(J, np.zeros((J.shape[2],) * 2), (q - lower) / (upper - lower), 0.0, np.empty((0, robot.n)))
-    search(design, n, 2, 0)
-    return time.process_time() - start
 
 
 def least_error(robot, names, n, task):
@@ -221,25 +168,8 @@ def standard_errors(name, robot, plant):
     )
 
 
-def figaroh(robots, python):
-    print(
-        f"O1 [mm] and CPU seconds of three robots, {POOL} candidates for all. 'SOCP': its heaviest weights, '-' where"
-    )
-    print(
-        "none came in 90 s. 'Detmax' may take a pose twice; 'twice' counts these. 'ours': with Jacobians and the choice"
-    )
-    print("of parameters; 'alone': the choice alone, from finished Jacobians, as figaroh gets them. 'free': ours with")
-    print("candidates of its own, refined.\n")
-    print("robot     n  random   SOCP       [s]  Detmax    [s] twice   ours      [s]  alone  free      [s]")
-    for name, robot in reversed(robots.items()):
-        against_figaroh(name, robot, python)
-
-
 def main() -> None:
     robots = {name: read_robot(PROBLEMS / name / file) for name, file in ROBOTS.items()}
-    if len(sys.argv) > 1:
-        figaroh(robots, sys.argv[1])
-        return
     plants = {name: plant_of(robot) for name, robot in robots.items()}
     print(f"\nPredicted and realised standard errors, 50 poses, {REPETITIONS} campaigns of one real robot:\n")
     print("robot   parameters: rms, range of realised/predicted; task error [mm] predicted, realised, ratio")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from casadical import InputError
+from casadical.pose_selection import exchange
 from casadical.pose_selection.designs import Determinant, Linear, Spectral
 from casadical.pose_selection.exchange import search
 
@@ -88,7 +89,33 @@ def test_gains_are_differences_of_values(kind, sign) -> None:
         other = design(kind, A, weight=weight)
         other.start([*range(8), k] if sign > 0 else [i for i in range(8) if i != k])
         step = other.value - d.value
+        if kind == "V":
+            step = np.exp(-d.value) - np.exp(-other.value)
         assert gains[k] == pytest.approx(step * (2 * P if kind == "D" else 1), rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["D", "V"])
+def test_the_unit_of_the_rows_changes_nothing(monkeypatch, kind) -> None:
+    """A search that took round-off for a gain went round for ever where the index was above one."""
+    steps = []
+    monkeypatch.setattr(exchange, "_excursion", lambda *a, do=exchange._excursion: steps.append(a) or do(*a))
+    found, counts = [], []
+    for unit in (2.0**-10, 1.0, 2.0**10):
+        # Every candidate twice: exchanging one for its twin gains nothing.
+        twins = np.concatenate([rows(7, n=40, p=8)] * 2)
+        found.append(sorted(search(design(kind, unit * twins), 12, 3, 1).tolist()))
+        counts.append(len(steps))
+    assert found[0] == found[1] == found[2]
+    assert counts == [counts[0], 2 * counts[0], 3 * counts[0]]
+
+
+def test_a_pose_may_be_chosen_again_where_that_is_allowed() -> None:
+    A = rows(8, n=12)
+    once = search(design("D", A), 9, 20, 0)
+    again = search(design("D", A, apart=-1.0), 9, 20, 0)
+    assert len(set(once.tolist())) == 9 > len(set(again.tolist()))
+    nothing = np.zeros((P, P))
+    assert worth("D", A, again, nothing, nothing) > 1.01 * worth("D", A, once, nothing, nothing)
 
 
 def test_poses_keep_their_distance_from_each_other() -> None:

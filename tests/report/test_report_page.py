@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 
 from casadical.report import calibration_report
+from casadical.report.diagnosis import diagnosis_part
+from casadical.report.page import Words
 from casadical.report.provenance import campaign_files, problem_files, provenance_of
 
 ROOT = Path(__file__).parents[2]
@@ -52,7 +54,8 @@ def test_the_order_is_that_of_a_reader(calibration_file, diagnosis_file) -> None
         *first, "Which causes", "Parameters", "Training of the networks", "What to measure next", "Provenance",
     ]  # fmt: skip
     assert diagnosis.headings == [
-        *first, "Which causes, and how sure", "Parameters of the base model", "What to measure next", "Provenance",
+        *first, "Which causes, and how sure", "What these poses cannot tell", "Replayed in a simulator",
+        "Parameters of the base model", "What to measure next", "Provenance",
     ]  # fmt: skip
     for page in (calibration, diagnosis):
         assert page.sources == []
@@ -71,6 +74,22 @@ def test_the_tables_say_what_the_command_prints(hh800, calibration_file) -> None
     a = errors["SKCM"]["report"]["calibrated"]
     cells = "".join(f'<td class="n">{1e3 * v:.3f}</td>' for v in (a.mean, a.max, a.std, a.rms, a.p95))
     assert f"<td>after SKCM</td>{cells}" in text
+
+
+def test_the_diagnosis_tells_what_it_cannot_see_and_what_chance_does(diagnosis) -> None:
+    def words(**changes: object) -> list[str]:
+        blocks = [b for s in diagnosis_part(replace(diagnosis, **changes), "made up").sections for b in s.blocks]
+        return [b.text for b in blocks if isinstance(b, Words)]
+
+    lost = words(p_nothing=0.0004998, missing={"payload_error": ("payload_kg",)}, unknown_rest=0.2)
+    assert any("less than 0.05 % of all draws (bootstrap, p-value)" in w for w in lost)
+    assert "Not logged: payload_kg. It would show payload_error." in lost
+    assert any(w.startswith("Explained in part only: backlash@5; yet ") for w in lost)
+    hidden = diagnosis.isolability.effects
+    hidden = [k for k in hidden.index[hidden["absorbed"] > 0.98] if k != "backlash@5"]
+    assert hidden
+    seen = next(w for w in lost if w.startswith("Cannot be seen, as the base model"))
+    assert all(k.partition("@")[0] in seen for k in hidden)
 
 
 def test_provenance_names_hash_versions_command_and_date() -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from checks import ROOT, Here, N
 
-from casadical.withheld.make import make
-from casadical.withheld.predict import predict
+from casadical.withheld.making import make
+from casadical.withheld.predicting import predict
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from checks import ROOT
 
-from casadical.withheld.score import in_common, score
+from casadical.withheld.scoring import in_common, score
 
 DATA = ROOT / "data" / "withheld"
 COUNTED = sorted(path.parent for path in DATA.rglob("score.json"))

@@ -12,7 +12,7 @@ from checks import ROOT, Here, N
 
 from casadical.errors import ConvergenceError, InputError
 from casadical.withheld.drawing import in_shares, plans
-from casadical.withheld.make import UNSEEN, make
+from casadical.withheld.making import UNSEEN, make
 from casadical.withheld.protocol import read_key, read_manifest
 
 WORDS = (["a", "b", "c", "d"], ["x", "y"])
@@ -57,7 +57,7 @@ def test_without_a_seed_each_check_is_another(tmp_path) -> None:
 def test_a_session_without_rest_is_drawn_anew(monkeypatch) -> None:
     from importlib import import_module
 
-    module = import_module("casadical.withheld.make")
+    module = import_module("casadical.withheld.making")
 
     seeds: list[int] = []
 

@@ -9,7 +9,7 @@ import pytest
 
 from casadical.errors import InputError
 from casadical.withheld.packed import content, pack
-from casadical.withheld.score import score
+from casadical.withheld.scoring import score
 
 
 def test_packed_files_score_as_the_plain_ones(small, tmp_path) -> None:

@@ -13,23 +13,31 @@ from checks import Here, N
 
 from casadical.errors import InputError
 from casadical.withheld.answers import read_answers
-from casadical.withheld.predict import predict
+from casadical.withheld.predicting import predict
 from casadical.withheld.protocol import read_manifest
 
-PREDICTING = ("predict", "guess", "baselines", "gaussian_process", "answers", "running")
+PREDICTING = ("predicting", "guess", "baselines", "gaussian_process", "answers", "running")
 
 
 def test_predicting_loads_no_engine() -> None:
     program = (
-        f"import sys, json; from casadical.withheld import predict, {', '.join(PREDICTING[1:])}\n"
+        f"import sys, json; from casadical.withheld import predicting, {', '.join(PREDICTING[1:])}\n"
         "import casadical.diagnosis.answer, casadical.diagnosis.diagnosis\n"
         "print(json.dumps(sorted(sys.modules)))"
     )
     out = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True).stdout
     loaded = json.loads(out)
     assert "casadical.withheld.guess" in loaded
-    makers = ("mujoco", "casadical.simulation", "casadical.engine", "casadical.withheld.make")
+    makers = ("mujoco", "casadical.simulation", "casadical.engine", "casadical.withheld.making")
     assert [m for m in loaded if m.startswith((*makers, "casadical.withheld.reality"))] == []
+
+
+def test_the_package_gives_its_three_verbs() -> None:
+    program = (
+        "from casadical.withheld import make, predict, score; print(*(f.__name__ for f in (make, predict, score)))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+    assert done.stdout.split() == ["make", "predict", "score"]
 
 
 def test_the_diagnosis_answers_with_the_campaigns_alone(small, tmp_path) -> None:
@@ -112,7 +120,7 @@ def test_a_campaign_that_cannot_be_answered_does_not_stop_the_others(small, tmp_
 def test_bad_input_is_named(small, tmp_path) -> None:
     with pytest.raises(InputError, match=r"holds no withheld\.json"):
         predict(tmp_path)
-    with pytest.raises(InputError, match="--by tarot: not known; allowed: diagnosis, f-test, bic, gp"):
+    with pytest.raises(InputError, match="--by tarot: not known; allowed: diagnosis, f-test, bic, ebic, gp"):
         predict(small.folder, by="tarot")
     with pytest.raises(InputError, match="holds answers by bic to another check"):
         predict(small.folder, small.answers, by="gp")

@@ -15,7 +15,7 @@ from casadical.withheld.figures import confusion, figures, part_figures
 from casadical.withheld.intervals import mean, quantile, share
 from casadical.withheld.paired import Pair, pairs
 from casadical.withheld.protocol import HiddenEffect, Secret, label, read_manifest
-from casadical.withheld.score import in_common, score
+from casadical.withheld.scoring import in_common, score
 from casadical.withheld.trials import Trial, trial
 
 
