@@ -279,7 +279,7 @@ class Investigation:
     def _verdict(self, end: str, gap: Gap, found: bool) -> tuple[Verdict, float]:
         """The verdict, and the share of the gap that no named cause explains."""
         rest = max(0.0, (gap.after - gap.floor) / gap.before)
-        if not found:
+        if not found or (end == "unknown" and not self.steps):
             return ("unknown" if end in ("unknown", "ambiguous") else "none"), rest
         share = (gap.before - gap.after) / max(gap.before - gap.floor, 1e-9)
         if share < LEAST_SHARE and (end == "unknown" or rest > MUCH):

@@ -34,9 +34,10 @@ def two_causes(case: Case, first: Ranking) -> tuple[str, str] | None:
             pairs[pair] = max(mass, pairs.get(pair, -np.inf))
     one = [np.log(PRIOR_FIRST["none"]), *(m + np.log(PRIOR_FURTHER["none"]) for m in alone.values())]
     known = {pair: m for pair, m in pairs.items() if pair <= listed}
-    best = max(known, key=lambda pair: known[pair])
+    if not known:
+        return None
     share = np.exp(log_sum(np.array(list(known.values()))) - log_sum(np.array([*one, *pairs.values()])))
     if share < TWO:
         return None
-    a, b = sorted(best, key=lambda k: -alone[k])
+    a, b = sorted(max(known, key=lambda pair: known[pair]), key=lambda k: -alone[k])
     return a, b

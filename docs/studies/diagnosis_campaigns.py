@@ -25,8 +25,8 @@ from diagnosis_scores import Trial, near_rival, table, visible
 from casadical.diagnosis.case import Case, make_case
 from casadical.diagnosis.diagnosis import diagnose
 from casadical.diagnosis.gap import Noise, held_out_errors, likely_noise, random_folds
-from casadical.diagnosis.rules import PARTITIONS
 from casadical.diagnosis.library import standard_candidates
+from casadical.diagnosis.rules import PARTITIONS
 from casadical.identification import Identification, identify
 from casadical.measurements import Measurements, from_table
 from casadical.problem import read_campaign_robot
