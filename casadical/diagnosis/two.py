@@ -39,5 +39,6 @@ def two_causes(case: Case, first: Ranking) -> tuple[str, str] | None:
     share = np.exp(log_sum(np.array(list(known.values()))) - log_sum(np.array([*one, *pairs.values()])))
     if share < TWO:
         return None
-    a, b = sorted(max(known, key=lambda pair: known[pair]), key=lambda k: -alone[k])
+    best, _ = max(known.items(), key=lambda item: item[1])
+    a, b = sorted(best, key=lambda k: -alone[k])
     return a, b
