@@ -3,7 +3,8 @@
 Some 1,500 campaigns (half an hour on two idle cores), a part for each figure; --share 0.1 makes a tenth. Three robots;
 effects, sizes and joints are drawn by casadical.simulation, whose physics shares no formula with the candidates; joint
 repeatability and instrument noise are always there. The same campaign made without the effect tells how far the gap
-can shrink. Synthetic data throughout. Seeds are [2026, part, number]; constants were chosen on seeds [77, number].
+can shrink. Synthetic data throughout. Seeds are [2027, part, number], which nobody had seen when the rules were fixed (033c84f); those were chosen on seeds
+[77, number], [2026, part, number] and campaigns of casadical.engine.
 """
 
 import argparse
@@ -113,7 +114,7 @@ def kept(folder: Path | None, task: Sequence[Any]) -> Trial:
 def trial(task: Sequence[Any]) -> Trial:
     """One campaign, hidden, measured, diagnosed and judged."""
     part, number, poses = task
-    rng = np.random.default_rng([2026, list(PARTS).index(part), number])
+    rng = np.random.default_rng([2027, list(PARTS).index(part), number])
     robot_name = ROBOTS[number % 3]
     robot, nominal = machine(robot_name)
     plant = perturb(nominal, int(rng.integers(1 << 30)))
