@@ -3,8 +3,8 @@
 Some 1,500 campaigns (half an hour on two idle cores), a part for each figure; --share 0.1 makes a tenth. Three robots;
 effects, sizes and joints are drawn by casadical.simulation, whose physics shares no formula with the candidates; joint
 repeatability and instrument noise are always there. The same campaign made without the effect tells how far the gap
-can shrink. Synthetic data throughout. Seeds are [2027, part, number], which nobody had seen when the rules were fixed (033c84f); those were chosen on seeds
-[77, number], [2026, part, number] and campaigns of casadical.engine.
+can shrink. Synthetic data throughout. Seeds are [2027, part, number], which nobody had seen when the rules were fixed
+(commit 033c84f); these were chosen on seeds [77, number], [2026, part, number] and on campaigns of casadical.engine.
 """
 
 import argparse
