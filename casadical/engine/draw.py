@@ -115,13 +115,21 @@ def _size(
         "thermal_bend": {"size": 15e-6 * usual, "towards": angle, "lag_minutes": float(rng.uniform(15, 40))},
         "encoder_pit": {"size": 100e-6 * usual * sign, "at_rad": inside, "width_rad": float(rng.uniform(0.3, 0.9))},
         "damaged_tooth": {"size": 80e-6 * usual, "ratio": float(rng.choice([3.0, 5.0, 7.5, 10.0])), "at_rad": angle},
+    }
+    # Those drawn apart leave the sizes of the others as they were for the same seed.
+    return sizes[effect] if effect in sizes else _odd(machine, usual, sign, angle, inside, rng)[effect]
+
+
+def _odd(
+    machine: Plant, usual: float, sign: float, angle: float, inside: float, rng: np.random.Generator
+) -> dict[str, dict[str, Any]]:
+    return {
         "loose_cargo": {"size": 80e-6 * usual},
         "tight_cable": {"size": 100e-6 * usual, "free": float(rng.uniform(0.2, 0.6))},
         "lost_bits": {"size": 100e-6 * usual, "at_rad": inside},
         "rubber_coupling": {"size": 120e-6 * usual, "lag_minutes": float(rng.uniform(0.7, 4.0))},
         "range_offset": {"size": 150e-6 * usual * sign, "stand_m": _stand(machine, angle, rng)},
     }
-    return sizes[effect]
 
 
 def _stand(machine: Plant, towards: float, rng: np.random.Generator) -> tuple[float, float, float]:
