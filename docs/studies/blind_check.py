@@ -13,9 +13,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from diagnosis_scores import power
 from rich.console import Console
 
 from casadical.files import write_whole
+from casadical.withheld import figures
 from casadical.withheld.packed import pack, stored
 from casadical.withheld.paired import pairs
 from casadical.withheld.report import draw, report
@@ -66,6 +69,26 @@ def markdown(scores: dict[str, Score]) -> str:
     return "\n".join(rows)
 
 
+def limits(found: dict[str, Score]) -> str:
+    """Detection beside what a test could detect that knows the signature and the noise; see diagnosis_scores.power."""
+    rows = head(["", *(f"{name}: detected" for name in found), *(f"{name}: could be" for name in found)])
+    bands = {
+        "signal >= .5": (figures.STRONG, np.inf, 0.0),
+        "signal .35 to .5": (figures.SEEN, figures.STRONG, 0.0),
+        "signal .2 to .35": (figures.FAINT, figures.SEEN, 0.0),
+        "any signal that such a test detects at least 99 times in 100": (0.0, np.inf, 0.99),
+    }
+    for name, (low, high, least) in bands.items():
+        there = [
+            [t for t in s.trials if t.kind != "none" and low <= t.signal < high and power(t.signal, t.poses) >= least]
+            for s in found.values()
+        ]
+        seen = [str(figures.detection(trials, 0.0)).replace("  (", " (") for trials in there]
+        could = [f"{np.mean([power(t.signal, t.poses) for t in trials]):.3f}" if trials else "-" for trials in there]
+        rows.append(cells([name, *seen, *could]))
+    return "\n".join(rows)
+
+
 def beside(found: dict[str, list[Score]]) -> str:
     """All methods on the campaigns that all of them answered, in the last run that has others than the diagnosis."""
     run = [run for run, scores in found.items() if len(scores) > 1][-1]
@@ -110,7 +133,12 @@ def main() -> None:
             whole = json.dumps(found[run][0].as_json(), indent=1, allow_nan=False)
             write_whole(RUNS[run] / "score.json", whole + "\n")
             draw(found[run][0], ROOT / "docs" / "images" / "blind_check_confusion.png")
-    tables = {"runs": made(found), "figures": markdown(columns(found)), "beside": beside(found)}
+    tables = {
+        "runs": made(found),
+        "figures": markdown(columns(found)),
+        "limits": limits({run: s[0] for run, s in found.items()}),
+        "beside": beside(found),
+    }
     write_whole(PAGE, filled(PAGE.read_text(encoding="utf-8"), tables))
 
 
