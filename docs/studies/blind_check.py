@@ -19,6 +19,7 @@ from rich.console import Console
 
 from casadical.files import write_whole
 from casadical.withheld import figures
+from casadical.withheld.intervals import Figure
 from casadical.withheld.packed import pack, stored
 from casadical.withheld.paired import pairs
 from casadical.withheld.report import draw, report
@@ -60,12 +61,15 @@ def head(words: Sequence[str]) -> list[str]:
     return [cells(words), "|---" * len(words) + "|"]
 
 
+def told(figure: Figure) -> str:
+    return str(figure).replace("  (", " (")
+
+
 def markdown(scores: dict[str, Score]) -> str:
     """Figures side by side, each with its interval."""
     rows = head(["", *(f"{name}, {len(s.trials)} campaigns" for name, s in scores.items()), "target"])
-    for figures in zip(*(s.figures for s in scores.values()), strict=True):
-        told = [str(r.figure).replace("  (", " (") for r in figures]
-        rows.append(cells([figures[0].name, *told, figures[0].target]))
+    for row in zip(*(s.figures for s in scores.values()), strict=True):
+        rows.append(cells([row[0].name, *(told(r.figure) for r in row), row[0].target]))
     return "\n".join(rows)
 
 
@@ -83,7 +87,7 @@ def limits(found: dict[str, Score]) -> str:
             [t for t in s.trials if t.kind != "none" and low <= t.signal < high and power(t.signal, t.poses) >= least]
             for s in found.values()
         ]
-        seen = [str(figures.detection(trials, 0.0)).replace("  (", " (") for trials in there]
+        seen = [told(figures.detection(trials, 0.0)) for trials in there]
         could = [f"{np.mean([power(t.signal, t.poses) for t in trials]):.3f}" if trials else "-" for trials in there]
         rows.append(cells([name, *seen, *could]))
     return "\n".join(rows)
@@ -97,8 +101,10 @@ def beside(found: dict[str, list[Score]]) -> str:
     asked = [pairs(first.trials, s.trials) for s in others]
     rows = head(["right on the same campaign", *(f"{first.head.by} alone : {s.head.by} alone" for s in others)])
     rows += [cells([row[0].name, *map(str, row)]) for row in zip(*asked, strict=True)]
-    told = f"The {run}, the {len(first.trials)} of its {len(first.key.campaigns)} campaigns that all of these answered:"
-    return "\n\n".join([told, markdown({s.head.by: s for s in scores}), "\n".join(rows)])
+    which = (
+        f"The {run}, the {len(first.trials)} of its {len(first.key.campaigns)} campaigns that all of these answered:"
+    )
+    return "\n\n".join([which, markdown({s.head.by: s for s in scores}), "\n".join(rows)])
 
 
 def made(found: dict[str, list[Score]]) -> str:
