@@ -10,8 +10,8 @@ import numpy as np
 
 from ..diagnosis.advice import kinds, told_apart
 from ..diagnosis.answer import NEXT, Extras, settings
-from ..diagnosis.investigation import PARTITIONS
 from ..diagnosis.printed import READABLE, refitted, signature
+from ..diagnosis.rules import PARTITIONS
 from ..diagnosis.wording import alike, has_rest, headline, invisible, left_over, not_logged, resembles, unsure_floor
 from .look import mm
 from .of_diagnosis import diagnosis_figures, held_out_poses

@@ -20,9 +20,9 @@ import numpy as np
 import pandas as pd
 
 from casadical.diagnosis.case import make_case
-from casadical.diagnosis.diagnosis import CLAIM, DETECT
 from casadical.diagnosis.library import candidates_of
 from casadical.diagnosis.next_poses import next_poses
+from casadical.diagnosis.rules import CLAIM, detection
 from casadical.diagnosis.which import rank
 from casadical.engine import draw_effect, measure
 from casadical.identification import identify
@@ -154,7 +154,9 @@ def trial(robot, pair, number):
     rows = {}
     for kind, r in found.items():
         top, p = r.order[0], r.probability[truth]
-        claims = r.none < DETECT and r.probability[top] >= CLAIM * (1 - r.none)
+        claims = r.none < detection(FIRST if kind == "before" else FIRST + MORE) and r.probability[top] >= CLAIM * (
+            1 - r.none
+        )
         rows[kind] = (top == truth, claims, claims and top != truth, p > r.probability[rival], p, top)
     return rows, proposal
 
