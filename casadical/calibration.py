@@ -83,9 +83,7 @@ def result_files(
         if trained.compensator is not None:
             texts[folder / f"{name}.compensator.json"] = compensator_text(trained.compensator)
     for name, result in results.items():
-        comment = (
-            f"Calibrated by casadical, method {name}, from {problem.title} ({problem.data} data).\n{result.verdict}"
-        )
+        comment = f"Calibrated by casadical, method {name}, from {problem.title} ({problem.origin}).\n{result.verdict}"
         texts[folder / f"{name}.robot.toml"] = to_toml(result.robot, comment)
         if problem.urdf:
             texts[folder / f"{name}.robot.urdf"] = _urdf(problem, result)

@@ -7,6 +7,7 @@ parameters far above, so one tolerance serves where the columns are scaled (comp
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -16,6 +17,8 @@ from .transforms import Array
 
 DEPENDENT = 1e-6
 INVISIBLE = 1e-9
+# Condition number from which on some parameters are nearly confounded.
+CONFOUNDED = 1000
 
 
 @dataclass(frozen=True)
@@ -69,13 +72,18 @@ def analyse(J: Array, names: Sequence[str], always: int, held: dict[str, str]) -
             basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
             kept.append(k)
     dropped = [
-        replace(u, confounded_with=_alike(unit, always + names.index(u.name), kept, names, always))
-        if u.name in held and not u.confounded_with
-        else u
+        _carried(u, _alike(unit, always + names.index(u.name), kept, names, always)) if u.name in held else u
         for u in dropped
     ]
     condition = float(np.linalg.cond(unit[:, [*range(always), *kept]])) if kept else 1.0
     return Identifiability(tuple(names[k - always] for k in kept), tuple(dropped), condition)
+
+
+def _carried(u: Unidentifiable, alike: tuple[str, ...]) -> Unidentifiable:
+    """One that is held whatever the data, with the identified parameters that carry its share."""
+    known = set(re.findall(r"\w+", u.reason))
+    more = f"; {' and '.join(alike)} {'carries' if len(alike) == 1 else 'carry'} it" if known.isdisjoint(alike) else ""
+    return replace(u, reason=u.reason + (more if alike else ""), confounded_with=alike)
 
 
 def _alike(unit: Array, k: int, kept: list[int], names: Sequence[str], always: int) -> tuple[str, ...]:

@@ -372,7 +372,9 @@ def _told(p: Parameter, error: float, partners: tuple[str, ...]) -> Unidentifiab
         f"(prior {p.readable(p.prior):.3g} {unit})"
     )
     if partners:
-        reason += f"; it moves the measured points nearly as {', '.join(partners)} together"
+        reason += (
+            f"; it moves the measured points nearly as {', '.join(partners)} {'does' if len(partners) == 1 else 'do'}"
+        )
     return Unidentifiable(p.name, reason, partners)
 
 

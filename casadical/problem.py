@@ -96,7 +96,7 @@ class _Paper(_Strict):
 class _ProblemFile(_Strict):
     casadical: Literal[1]
     title: str
-    data: Literal["real", "synthetic"]
+    data: Literal["real", "synthetic"] | None = None
     robot: str = "robot.toml"
     campaign_robot: str | None = None
     urdf: _Urdf | None = None
@@ -120,7 +120,7 @@ class Paper:
 class Problem:
     """A robot and its measurements, split into named sets (identify, train, choose, report).
 
-    data : whether the measurements are real or synthetic
+    data : whether the measurements are real or synthetic; None where nobody said
     sets : by name, one `Measurements` for each kind; no pose is in two sets
     methods, loss : what `casadical calibrate` does by default; methods identify, networks learn what SKCM leaves
     seed : of the split and of the networks
@@ -130,7 +130,7 @@ class Problem:
 
     folder: Path
     title: str
-    data: Literal["real", "synthetic"]
+    data: Literal["real", "synthetic"] | None
     robot: Robot
     sets: Mapping[str, tuple[Measurements, ...]]
     methods: tuple[BaseMethod, ...]
@@ -139,6 +139,11 @@ class Problem:
     networks: tuple[NetworkMethod, ...] = ()
     seed: int = 0
     paper: Paper | None = None
+
+    @property
+    def origin(self) -> str:
+        """What the data are, in words."""
+        return f"{self.data} data" if self.data else "data of unstated origin"
 
 
 def read_problem(folder: str | Path, seed: int | None = None) -> Problem:

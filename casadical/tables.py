@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from .accuracy import Accuracy
+from .identifiability import CONFOUNDED
 from .identification import Identification
 from .measurements import Measurements
 from .networks import NetworkResult, Networks
@@ -20,6 +21,14 @@ from .robot import modified_dh
 
 SetAccuracies = Mapping[str, Mapping[str, Accuracy]]
 
+NEARLY_CONFOUNDED = (
+    f" A condition number above {CONFOUNDED} means that some parameters are nearly confounded: trust the robot as a "
+    "whole, by its held-out errors, more than each value. Standard errors and correlations tell which; poses spread "
+    "wider (casadical plan) would part them."
+)
+PLACED = (
+    "nominal of base and tool: as first placed on the data (base_* are what is added to that), not as in the robot file"
+)
 _NETWORK_USE = {"train": "networks learn", "choose": "networks are judged", "report": "held out"}
 _STATES = {"nominal": "as given", "placed": "base and tool fitted"}
 
@@ -136,12 +145,20 @@ def parameter_table(result: Identification) -> Table:
     for column in ("nominal", "value", "std error", "95 % low", "high"):
         table.add_column(column, justify="right", no_wrap=True)
     table.add_column("unit")
-    for row in _rows(result, "identified", "at bound"):
+    rows = _rows(result, "identified", "at bound")
+    if was_placed(result):
+        table.caption, table.caption_justify = PLACED, "left"
+    for row in rows:
         sure = not math.isnan(row["std_error"])
         interval = (f"{row['std_error']:.2g}", f"{row['low']:.4f}", f"{row['high']:.4f}") if sure else ("-", "-", "-")
         unit = row["unit"] if row["status"] == "identified" else f"{row['unit']} AT BOUND"
         table.add_row(row["name"], f"{row['nominal']:.4f}", f"{row['value']:.4f}", *interval, unit)
     return table
+
+
+def was_placed(result: Identification) -> bool:
+    """Whether the nominal values of base and tool come from a first placement on the data (see `placement.place`)."""
+    return result.given.base.unknown == "pose" and any(m.position is not None for m in result.measurements)
 
 
 def _rows(result: Identification, *states: str) -> list[dict[str, Any]]:
@@ -179,7 +196,7 @@ def report(
     last = list(results.values())[-1]
     parts: list[RenderableType] = [
         Text(f"{problem.title}", style="bold underline"),
-        Text(f"{problem.robot.name}; {problem.data} data"),
+        Text(f"{problem.robot.name}; {problem.origin}"),
         *(Text(f"note: {note}", style="dim") for note in problem.robot.notes),
         Text(),
         *(Text(result.verdict) for result in results.values()),
@@ -205,10 +222,11 @@ def report(
 def _how_sure(result: Identification) -> str:
     noise = ", ".join(f"{1e3 * sigma:.3f} mm a coordinate" for sigma, _ in result.sigmas)
     optimal = "confirmed" if result.is_optimal() else "NOT confirmed"
+    condition = result.identifiability.condition
     return (
-        f"Residual scatter {noise}; condition number {result.identifiability.condition:.0f}; "
+        f"Residual scatter {noise}; condition number {condition:.0f}; "
         f"optimum {optimal} by recomputation; {result.degrees_of_freedom} degrees of freedom."
-    )
+    ) + (NEARLY_CONFOUNDED if condition > CONFOUNDED else "")
 
 
 def as_json(

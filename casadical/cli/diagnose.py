@@ -148,6 +148,6 @@ def _print_isolability(
         m = read_readings(path, [j.kind for j in robot.joints])
         found = isolability(robot, m, effects.split(",") if effects else "standard")
         answers.append(as_json(found, path.stem))
-        console.print(report(found, f"{path.stem} ({robot.name}), {len(m)} poses"))
+        console.print(report(found, f"{path.stem} ({robot.name}), {len(m)} poses"), soft_wrap=True)
         console.print()
     keep_json(json_file, answers, console)

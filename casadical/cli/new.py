@@ -49,7 +49,7 @@ def new(
     )
     console = Console(quiet=quiet)
     files = sorted(str(p) for p in folder.iterdir() if p.is_file())
-    console.print(f"{folder}: {problem.robot.name}, {problem.robot.n} joints, {problem.data} data", soft_wrap=True)
+    console.print(f"{folder}: {problem.robot.name}, {problem.robot.n} joints, {problem.origin}", soft_wrap=True)
     for path in files:
         console.print(f"wrote {path}", soft_wrap=True)
     console.print(f"next: casadical check {folder}; casadical calibrate {folder}", soft_wrap=True)

@@ -93,7 +93,7 @@ def predict_command(
         typer.Option("--out", metavar="FILE", help="Answers, a line of JSON each; default: DIR/answers.METHOD.jsonl."),
     ] = None,
     by: Annotated[
-        str, typer.Option(metavar="diagnosis|f-test|bic|gp", help="The diagnosis, or what it is measured against.")
+        str, typer.Option(metavar="diagnosis|f-test|bic|ebic|gp", help="The diagnosis, or what it is measured against.")
     ] = "diagnosis",
     workers: Workers = None,
     json_file: Json = None,
@@ -143,7 +143,7 @@ def score_command(
     scores = in_common([score(folder, key, path) for path in answers])
     console = Console(quiet=quiet)
     # Wide tables are for files and wide windows; they are never folded.
-    Console(quiet=quiet, width=max(console.width, 240)).print(report(scores), soft_wrap=True)
+    Console(quiet=quiet, width=max(console.width, 240, 90 + 40 * len(scores))).print(report(scores), soft_wrap=True)
     keep_json(json_file, [s.as_json() for s in scores], console)
     if figure:
         draw(scores[0], figure)

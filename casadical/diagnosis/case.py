@@ -91,7 +91,7 @@ def make_case(identification: Identification, candidates: Sequence[Candidate]) -
         raise InputError(
             "a diagnosis needs one set of measured positions; distances and contacts do not say where it lies"
         )
-    m = measured[0]
+    m = _with_declared_payload(measured[0], identification.given)
     possible, missing = choose(candidates, m)
     effects = tuple(dict.fromkeys(e for c in possible for v in c.variants for e in v))
     m, _ = derive(m, [c for e in effects for c in e.conditions])
@@ -108,6 +108,13 @@ def make_case(identification: Identification, candidates: Sequence[Candidate]) -
     whole = Evidence(r, J, Jq, delta0, base_prior(robot), E * widths(effects))
     columns = column_numbers(effects, 0)
     return Case(identification.robot, robot, values, m, possible, missing, whole, kept, columns)
+
+
+def _with_declared_payload(m: Measurements, robot: Robot) -> Measurements:
+    """A payload that was not logged is the declared one throughout, as it is in the model."""
+    if robot.payload is None or "payload_kg" in m.conditions:
+        return m
+    return replace(m, conditions={**m.conditions, "payload_kg": np.full(len(m), robot.payload.mass)})
 
 
 def widths(effects: Sequence[Effect]) -> Array:

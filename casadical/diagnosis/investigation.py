@@ -19,29 +19,26 @@ from .library import Candidate
 from .refine import refined
 from .replicates import Replicates, replicates
 from .result import Cause, Diagnosis, Gap, Outlier, Verdict
+from .rules import (
+    CLAIM,
+    DETECT_FURTHER,
+    FALSE_ALARMS,
+    IN,
+    LEAST_FURTHER,
+    LEAST_SHARE,
+    MISMATCH,
+    MOST_CAUSES,
+    MUCH,
+    OUT,
+    PARTITIONS,
+    SET_SHARE,
+    SET_SIZE,
+    detection,
+)
+from .two import two_causes
 from .which import Ranking, rank
 
 Show = Callable[[str], None]
-
-# A cause is claimed alone from this probability on: of claims, 98 in 100 are to be right, effects on no list included.
-CLAIM = 0.97
-# Something is there if "nothing" is less probable than this, at first and once a cause was found. Noise alone falls
-# below the first in 1.1 % of 2000 bootstrap draws on the HH800, 0.6 % on the UR10e, 0.2 % on the KR 210 (120 poses).
-DETECT, DETECT_FURTHER = 0.03, 0.05
-# With a bootstrap: something is there if noise alone looks as much like it this often at most.
-FALSE_ALARMS = 0.01
-# Squared Mahalanobis distance of three coordinates beyond which a pose is an outlier, and below which it is none.
-OUT, IN = 75.0, 40.0
-# A further cause is taken up from this probability on, among those that are there.
-LEAST_FURTHER = 0.8
-MOST_CAUSES = 4
-SET_SHARE, SET_SIZE = 0.97, 3
-PARTITIONS = 5
-# Less than this share of what could be explained is no explanation.
-LEAST_SHARE = 0.5
-# A flaw of a listed effect's equation leaves less than this share of its evidence: no such remainder was
-# found in 44 right claims of mismatched truth; loose anchors and hoses leave 0.08 and 0.11 (docs/studies, seeds 77).
-MISMATCH = 0.05
 
 
 @dataclass
@@ -104,12 +101,20 @@ class Investigation:
             self.show(f"cause {len(self.steps) + 1}: evidence of {len(self.by_label)} candidates")
             self.rankings.append(self.ranking(self.steps))
             end, labels = self._next(self.rankings[-1])
+            if end == "unknown" and not self.steps and (two := two_causes(self.case, self.rankings[0])):
+                self._accept(two[:1])
+                self.rankings.append(self.ranking(self.steps))
+                labels = two[1:]
             if not labels:
                 break
-            self.steps.append(self.accepted(self.rankings[-1], labels, self.steps))
-            self._screen(self.rankings[-1].noise[labels[0]])
+            self._accept(labels)
             self._revisit()
         return self._result(end)
+
+    def _accept(self, labels: tuple[str, ...]) -> None:
+        """Take up a cause of the last ranking."""
+        self.steps.append(self.accepted(self.rankings[-1], labels, self.steps))
+        self._screen(self.rankings[-1].noise[labels[0]])
 
     def _next(self, ranking: Ranking) -> tuple[str, tuple[str, ...]]:
         """The next cause and what looks like it; or no label and why not: none, ambiguous, unknown."""
@@ -126,8 +131,10 @@ class Investigation:
 
     def _detected(self, ranking: Ranking) -> bool:
         """Whether there is a (further) cause, listed or not."""
-        if self.steps or not self.bootstrap:
-            return ranking.none <= (DETECT_FURTHER if self.steps else DETECT)
+        if self.steps:
+            return ranking.none <= DETECT_FURTHER
+        if not self.bootstrap:
+            return ranking.none <= detection(int(self.case.kept.sum()))
         self.p_nothing = p_value(self.case, ranking, self.bootstrap, self.seed, self.show)
         return self.p_nothing <= FALSE_ALARMS
 
@@ -272,10 +279,12 @@ class Investigation:
     def _verdict(self, end: str, gap: Gap, found: bool) -> tuple[Verdict, float]:
         """The verdict, and the share of the gap that no named cause explains."""
         rest = max(0.0, (gap.after - gap.floor) / gap.before)
-        if not found:
+        if not found or (end == "unknown" and not self.steps):
             return ("unknown" if end in ("unknown", "ambiguous") else "none"), rest
         share = (gap.before - gap.after) / max(gap.before - gap.floor, 1e-9)
-        if end == "unknown" and (share < LEAST_SHARE or self._remainder() > MISMATCH):
+        if share < LEAST_SHARE and (end == "unknown" or rest > MUCH):
+            return "unknown", rest
+        if end == "unknown" and self._remainder() > MISMATCH:
             return "unknown", rest
         if self.steps and len(self.steps[0].labels) > 1:
             return "ambiguous", rest

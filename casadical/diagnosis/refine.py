@@ -13,7 +13,8 @@ from .case import Case
 from .evidence import KAPPA_WEIGHTS, log_sum
 from .library import CYCLES, PHASES, TIMES
 
-ROUNDS = 2
+# Steps are halved once none of them helps, so often at most; a gain of log evidence below the second is none.
+HALVINGS, GAIN, MOST_ROUNDS = 2, 0.3, 10
 
 # Spacing of the grid for settings that are places on a line; other settings are sizes and are scaled.
 _SPACING = {"at": TIMES[1] - TIMES[0], "cycles": CYCLES[1] - CYCLES[0], "phase": PHASES[1] - PHASES[0], "shape": 0.5}
@@ -45,13 +46,20 @@ def refined(case: Case, label: str, variant: tuple[Effect, ...], chosen: Array) 
     """
     if len(variant) != 1:
         return case, variant
-    for k in range(ROUNDS):
-        near = [(e,) for e in neighbours(variant[0], 0.5**k)]
+    halved = 0
+    for _ in range(MOST_ROUNDS):
+        near = [(e,) for e in neighbours(variant[0], 0.5**halved)]
         if not near:
             break
         case = case.with_variants(label, near)
         trial = [variant, *near]
-        variant = trial[int(np.argmax(_log_evidence(case, [case.group(v) for v in trial], chosen)))]
+        log = _log_evidence(case, [case.group(v) for v in trial], chosen)
+        best = int(np.argmax(log))
+        if log[best] - log[0] < GAIN:
+            halved += 1
+        variant = trial[best]
+        if halved == HALVINGS:
+            break
     return case, variant
 
 

@@ -9,7 +9,7 @@ candidates cost little more than one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import ClassVar
 
@@ -66,6 +66,30 @@ class _Probe(Effect):
         return point + ca.vertcat(*(self.value(context, f"point_{c}") for c in "xyz"))
 
 
+@dataclass(frozen=True, eq=False)
+class _Seams:
+    """A robot at its seams, no effect in it: what every effect's columns are made from."""
+
+    context: Context
+    point: ca.SX
+    J: ca.SX
+    S: ca.SX
+    inputs: tuple[ca.SX, ca.SX, ca.SX]
+
+
+@lru_cache(maxsize=16)
+def _seams(robot: Robot, conditions: tuple[str, ...]) -> _Seams:
+    """The derivatives of the position by the base parameters and by every seam's variables, at zero of these."""
+    probed = robot.with_effect(_Probe(robot, conditions))
+    model = probed.model
+    w = dict(zip(probed.conditions, ca.vertsplit(model.w), strict=True))
+    count = len(robot.parameters)
+    phi, seams = model.phi[:count], model.phi[count:]
+    parts = [model.p, ca.jacobian(model.p, phi), ca.jacobian(model.p, seams)]
+    point, J, S = ca.substitute(parts, [seams], [ca.SX.zeros(seams.numel())])
+    return _Seams(_context(robot, model.q, w, phi), point, J, S, (model.q, model.w, phi))
+
+
 @lru_cache(maxsize=16)
 def signature_function(robot: Robot, effects: tuple[Effect, ...]) -> tuple[ca.Function, tuple[str, ...]]:
     """signatures:(q, w, phi)->(E[3, all parameters], J[3, phi], Jq[3, n]) and the names of the conditions w.
@@ -73,26 +97,11 @@ def signature_function(robot: Robot, effects: tuple[Effect, ...]) -> tuple[ca.Fu
     phi : of `robot`, which must hold no effects itself. Units of columns: m per unit of parameter.
     """
     conditions = tuple(dict.fromkeys((*robot.conditions, *(c for e in effects for c in e.conditions))))
-    probe = _Probe(robot, conditions)
-    probed = robot.with_effect(probe)
-    model = probed.model
-    w = dict(zip(probed.conditions, ca.vertsplit(model.w), strict=True))
-    count = len(robot.parameters)
-    phi, seams = model.phi[:count], model.phi[count:]
-    J, S = ca.jacobian(model.p, phi), ca.jacobian(model.p, seams)
-    context = _context(robot, model.q, w, phi)
-    columns = [S @ _seam_derivative(effect, context, model.p) for effect in effects]
-    at_zero = ca.substitute(
-        [ca.horzcat(ca.SX(3, 0), *columns), J, S[:, : robot.n]], [seams], [ca.SX.zeros(seams.numel())]
-    )
-    function = ca.Function(
-        "signatures",
-        [model.q, model.w, phi],
-        [ca.densify(part) for part in at_zero],
-        ["q", "w", "phi"],
-        ["E", "J", "Jq"],
-    )
-    return function, probed.conditions
+    s = _seams(robot, conditions)
+    columns = [s.S @ _seam_derivative(effect, s.context, s.point) for effect in effects]
+    parts = [ca.horzcat(ca.SX(3, 0), *columns), s.J, s.S[:, : robot.n]]
+    dense = [ca.densify(part) for part in parts]
+    return ca.Function("signatures", [*s.inputs], dense, ["q", "w", "phi"], ["E", "J", "Jq"]), conditions
 
 
 def _context(robot: Robot, q: ca.SX, w: dict[str, ca.SX], phi: ca.SX) -> Context:

@@ -60,6 +60,26 @@ class SmoothInJoint(_Series):
 
 
 @dataclass(frozen=True)
+class AnyOfOwnAngle(Effect):
+    """An error of one joint that is any function of its own angle, as a damaged tooth or a stained disc gives."""
+
+    orders: int = 12
+
+    name: ClassVar[str] = "unknown_of_own_angle"
+
+    @property
+    def label(self) -> str:
+        return f"any function of q{self.joint} in joint {self.joint}"
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        return {f"{n}{h}": (SIZE, "rad") for h in range(1, self.orders + 1) for n in "sc"}
+
+    def angle(self, context: Context, q: Symbolic) -> Symbolic:
+        waves = {"s": ca.sin, "c": ca.cos}
+        return sum(self.value(context, n) * waves[n[0]](int(n[1:]) * q) for n in self.sizes())
+
+
+@dataclass(frozen=True)
 class SmoothInJoints(_Series):
     """A smooth function of two joints together."""
 
@@ -177,6 +197,7 @@ def unknowns(robot: Robot) -> list[Effect]:
     pairs = [(i, j) for i in range(1, n + 1) for j in range(i + 1, n + 1)]
     return [
         *(SmoothInJoint(None, n, i) for i in range(1, n + 1)),
+        *(AnyOfOwnAngle(i) for i, joint in enumerate(robot.joints, 1) if joint.kind == "revolute"),
         *(SmoothInJoints(None, n, i, j) for i, j in pairs),
         SmoothInTime(None, n),
         SmoothInSpace(None, max(robot.reach, 0.1)),

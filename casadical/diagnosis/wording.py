@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable, Mapping, Sequence
 
 from .result import Diagnosis
 
 # An effect is invisible if the base absorbs so much of it, or if it must be so many times its usual size to be found.
 ABSORBED, OUT_OF_REACH = 0.98, 5.0
+# Effects below this rms [mm] move nothing.
+NO_MARK = 1e-6
 # From this share of the gap on, what lies above the noise floor and has no named cause is spoken of.
 REST = 0.05
 
@@ -68,9 +70,11 @@ def unsure_floor(d: Diagnosis) -> str:
 def invisible(d: Diagnosis) -> dict[str, str]:
     """Why -> effects that these poses cannot show, those of several joints gathered; claimed causes left out."""
     seen = d.isolability.effects.drop(index=[c.label for c in d.causes], errors="ignore")
-    absorbed = seen["absorbed"] > ABSORBED
-    weak = ~absorbed & (seen["findable_from"] > OUT_OF_REACH)
+    idle = seen["size_mm"] < NO_MARK
+    absorbed = ~idle & (seen["absorbed"] > ABSORBED)
+    weak = ~idle & ~absorbed & (seen["findable_from"] > OUT_OF_REACH)
     reasons = {
+        "as nothing here brings them about (no masses in the robot file, an idle joint)": seen.index[idle],
         f"as the base model takes up {100 * ABSORBED:.0f} % or more of each in these poses": seen.index[absorbed],
         f"against this noise, unless {OUT_OF_REACH:.0f} times their usual size": seen.index[weak],
     }
@@ -103,30 +107,35 @@ def alike(d: Diagnosis) -> dict[str, str]:
 
 def not_logged(d: Diagnosis) -> dict[str, str]:
     """Columns as a user writes them -> what could be judged if they were logged."""
-    found: dict[str, list[str]] = {}
-    for label, columns in missing_columns(d).items():
-        found.setdefault(" with ".join(columns), []).append(label)
-    said = {columns: gathered(labels) for columns, labels in found.items()}
+    said = gathered_by_columns(missing_columns(d))
     logged = d.case.m.conditions
     if "temperature_degC" in logged and "time_s" not in logged:
         said["time_s"] = "how far the links lag behind temperature_degC (now taken as not at all)"
     return said
 
 
+def gathered_by_columns(missing: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """Columns to log, as one word group -> the effects that lack them."""
+    found: dict[str, list[str]] = {}
+    for label, columns in missing.items():
+        found.setdefault(" with ".join(columns), []).append(label)
+    return {columns: gathered(labels) for columns, labels in found.items()}
+
+
 def missing_columns(d: Diagnosis) -> dict[str, tuple[str, ...]]:
-    """Effect that cannot be judged -> columns to log for it, as a table names them (see `conditions.derive`)."""
-    lagged = () if "time_s" in d.case.m.conditions else ("time_s",)
+    """Effect that cannot be judged -> columns to log for it, as a table names them."""
+    return columns_to_log(d.missing, d.case.m.conditions)
+
+
+def columns_to_log(missing: Mapping[str, Sequence[str]], logged: Container[str]) -> dict[str, tuple[str, ...]]:
+    """The same from the conditions that are lacking, some of which are derived (see `conditions.derive`)."""
+    warmth = ("temperature_degC",) if "time_s" in logged else ("temperature_degC", "time_s")
     words = {"progress": ("time_s",)}
-    return {
-        label: tuple(
-            dict.fromkeys(
-                name
-                for c in conditions
-                for name in (("temperature_degC", *lagged) if c.startswith("warmth") else words.get(c, (c,)))
-            )
-        )
-        for label, conditions in d.missing.items()
-    }
+
+    def named(condition: str) -> tuple[str, ...]:
+        return warmth if condition.startswith("warmth") else words.get(condition, (condition,))
+
+    return {label: tuple(dict.fromkeys(n for c in lacking for n in named(c))) for label, lacking in missing.items()}
 
 
 def _and(words: Iterable[str]) -> str:

@@ -87,23 +87,33 @@ class NonlinearStiffness(Cause):
 
 @dataclass(frozen=True)
 class GravityCompensator(Cause):
-    """A spring from a post above joint 2 to the upper arm; it carries up to the share ``size`` of the rated torque."""
+    """A spring from a post above joint 2 to the upper arm; it carries up to the share ``size`` of the rated torque.
+
+    The post stands ``post`` times as far from the joint as the spring's lug on the arm, so that the spring never
+    folds; unstretched it is four fifths as long as where the two pass each other.
+    """
 
     size: float
     lean: float
+    post: float
 
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
         shoulder, arm = plant.centres[1], plant.centres[2] - plant.centres[1]
-        reach = 0.3 * float(np.linalg.norm(arm))
+        lever = 0.2 * float(np.linalg.norm(arm))
         axis = plant.axes[1]
         back = np.cross(axis, [0.0, 0.0, 1.0])
-        post = shoulder + reach * (np.cos(self.lean) * np.array([0, 0, 1.0]) + np.sin(self.lean) * back)
-        mechanism = mark(mechanism, plant, 1, "post", post)
-        mechanism = mark(mechanism, plant, 2, "lug", shoulder + 0.3 * arm)
-        stiffness = self.size * rated_torque(plant)[1] / reach**2
-        return replace(
-            mechanism, cords=(*mechanism.cords, Cord("balancer", "post", "lug", stiffness, (0.0, 0.15 * reach)))
-        )
+        post = self.post * lever * (np.cos(self.lean) * np.array([0, 0, 1.0]) + np.sin(self.lean) * back)
+        mechanism = mark(mechanism, plant, 1, "post", shoulder + post)
+        mechanism = mark(mechanism, plant, 2, "lug", shoulder + 0.2 * arm)
+        rest = 0.8 * (self.post - 1) * lever
+        stiffness = self.size * rated_torque(plant)[1] / self._greatest(lever, rest)
+        return replace(mechanism, cords=(*mechanism.cords, Cord("balancer", "post", "lug", stiffness, (0.0, rest))))
+
+    def _greatest(self, lever: float, rest: float) -> float:
+        """Greatest torque per stiffness over all angles between post and lug [m^2]."""
+        angle = np.linspace(0, np.pi, 181)
+        length = lever * np.sqrt(1 + self.post**2 - 2 * self.post * np.cos(angle))
+        return float(np.max(self.post * lever**2 * np.sin(angle) * (1 - rest / length)))
 
 
 @dataclass(frozen=True)

@@ -81,7 +81,11 @@ def _size(
             "cycles": int(rng.choice([1, 2])),
             "phase": angle,
         },
-        "gravity_compensator": {"size": 0.2 * usual, "lean": float(rng.uniform(-0.4, 0.4))},
+        "gravity_compensator": {
+            "size": 0.2 * usual,
+            "lean": float(rng.uniform(-0.4, 0.4)),
+            "post": float(rng.uniform(1.5, 4)),
+        },
         "nonlinear_stiffness": {
             "size": 90e-6 * usual,
             "knee": float(rng.choice([0.0, rng.uniform(0.1, 0.3)])),

@@ -15,6 +15,9 @@ LITTLE = 0.25
 STILL = np.deg2rad(1.0)
 NARROW_MARGIN = 5 * LEAST_MARGIN
 FEWEST_REPEATS = 3
+# Readings of joints that go no farther than a turn in radians.
+RADIANS = 6.3
+ASSUMED = {"revolute": (-2 * np.pi, 2 * np.pi), "prismatic": (-10.0, 10.0)}
 
 
 @dataclass(frozen=True)
@@ -52,8 +55,21 @@ def coverage_findings(robot: Robot, m: Measurements) -> list[Finding]:
             found.append(Finding("warning", "coverage", f"{m.source}: {text}"))
         elif c.share < LITTLE:
             text = f"joint {c.joint} covers {c.low:.0f} .. {c.high:.0f} {c.unit}, {100 * c.share:.0f} % of its range"
-            found.append(Finding("warning", "coverage", f"{m.source}: {text}; expect little beyond these readings"))
+            doubt = "; are these radians?" if c.unit == "deg" and max(-c.low, c.high) <= RADIANS else ""
+            found.append(
+                Finding("warning", "coverage", f"{m.source}: {text}; expect little beyond these readings{doubt}")
+            )
     return found
+
+
+def limits_findings(robot: Robot) -> list[Finding]:
+    """Joints whose limits are those that are taken where none are given."""
+    wide = [str(i) for i, j in enumerate(robot.joints, 1) if (j.lower, j.upper) == ASSUMED[j.kind]]
+    if not wide:
+        return []
+    text = f"joint{'s' if len(wide) > 1 else ''} {', '.join(wide)}: -360 .. 360 deg (-10 .. 10 m of a prismatic one)"
+    more = "is what is taken where the robot file gives no limits; shares and forecasts below, and plan, go by it"
+    return [Finding("note", "limits", f"{text} {more}")]
 
 
 def repeats(m: Measurements) -> tuple[int, float | None]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,21 +11,20 @@ import numpy as np
 
 from ..checks import check_against
 from ..errors import InputError
+from ..identifiability import CONFOUNDED
 from ..identification import METHODS
 from ..measurements import Measurements
 from ..placement import place
 from ..problem import read_problem, read_problem_robot
 from ..robot import Robot
-from .coverage import JointCoverage, coverage, coverage_findings, margin, margin_findings, repeats
+from .coverage import JointCoverage, coverage, coverage_findings, limits_findings, margin, margin_findings, repeats
 from .findings import Finding, Level
 from .information import Outlook, outlook
-from .plausible import plausible
+from .plausible import other_conventions, plausible
 from .table_faults import table_faults, unknown_columns
 
 # Observed numbers for each unknown from which on a fit also tells how good it is.
 COMFORTABLE = 3
-# Condition number from which on some parameters are nearly confounded.
-CONFOUNDED = 1000
 # Times the noise from which on a scatter is no noise.
 LACKS = 4
 
@@ -72,7 +72,8 @@ def precheck(folder: str | Path, noise: float | None = None, seed: int | None = 
     except InputError as error:
         return Precheck(folder, (Finding("error", "reading", str(error)), *_more_faults(folder)))
     sets = problem.sets["identify"]
-    found, usable = _data_findings(problem.robot, sets)
+    found, usable = _data_findings(problem.robot, sets, other_conventions(folder))
+    found += limits_findings(problem.robot)
     known, source = _noise(noise, sets)
     start = place(problem.robot, next((m for m in sets if m.position is not None), sets[0]))
     outlooks: list[Outlook] = []
@@ -102,7 +103,9 @@ def _more_faults(folder: Path) -> list[Finding]:
         return []
 
 
-def _data_findings(robot: Robot, sets: tuple[Measurements, ...]) -> tuple[list[Finding], bool]:
+def _data_findings(
+    robot: Robot, sets: tuple[Measurements, ...], others: Mapping[str, Robot]
+) -> tuple[list[Finding], bool]:
     """Findings of the data that are fitted, and whether a model of them can be looked at."""
     found: list[Finding] = []
     for m in sets:
@@ -110,7 +113,7 @@ def _data_findings(robot: Robot, sets: tuple[Measurements, ...]) -> tuple[list[F
             check_against(robot, m)
         except InputError as error:
             found.append(Finding("error", "data", str(error)))
-        found += plausible(robot, m)
+        found += plausible(robot, m, others)
         found += [*coverage_findings(robot, m), *margin_findings(robot, m), *unknown_columns([*m.conditions], m.source)]
         distinct, _ = repeats(m)
         if distinct < len(m):

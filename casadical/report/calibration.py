@@ -6,10 +6,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from ..accuracy import Accuracy
+from ..identifiability import CONFOUNDED
 from ..identification import Identification
 from ..networks import Networks
 from ..problem import Problem
-from ..tables import SetAccuracies
+from ..tables import NEARLY_CONFOUNDED, SetAccuracies
 from .error_tables import error_tables, network_table
 from .look import mm
 from .of_calibration import Results, calibration_figures, last_of
@@ -53,7 +54,7 @@ def calibration_part(
         Section("What to measure next", [*_next_blocks(problem, last)]),
     ]
     badges = ["synthetic data"] if problem.data == "synthetic" else []
-    subtitle = f"{problem.robot.name}, {problem.data} data"
+    subtitle = f"{problem.robot.name}, {problem.origin}"
     return Part(problem.title, subtitle, sections, [*_tiles(errors)], badges)
 
 
@@ -112,7 +113,7 @@ def _how_sure(result: Identification) -> str:
     return (
         f"Residual scatter {noise}; condition number {result.identifiability.condition:.0f}; optimum {optimal} by "
         f"recomputation; {result.degrees_of_freedom} degrees of freedom."
-    )
+    ) + (NEARLY_CONFOUNDED if result.identifiability.condition > CONFOUNDED else "")
 
 
 def _paper(problem: Problem) -> Iterator[Block]:

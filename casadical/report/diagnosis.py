@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..diagnosis.advice import kinds, told_apart
-from ..diagnosis.answer import NEXT, Extras
-from ..diagnosis.investigation import PARTITIONS
+from ..diagnosis.answer import NEXT, Extras, settings
 from ..diagnosis.printed import READABLE, refitted, signature
+from ..diagnosis.rules import PARTITIONS
 from ..diagnosis.wording import alike, has_rest, headline, invisible, left_over, not_logged, resembles, unsure_floor
 from .look import mm
 from .of_diagnosis import diagnosis_figures, held_out_poses
@@ -60,6 +60,8 @@ def diagnosis_part(d: Diagnosis, name: str, extras: Extras | None = None) -> Par
     return Part(f"Diagnosis of {name}", d.identification.given.name, sections, [*_tiles(d)])
 
 
+# Where a long name may be broken.
+BREAK = "\u200b"
 _GAP = (
     f"Mean over poses that the fit did not see (in fifths, {PARTITIONS} partitions), with a 95 % interval over poses. "
     "Noise alone: what a perfect model would leave, simulated through the same fit."
@@ -124,7 +126,12 @@ def _tiles(d: Diagnosis) -> Iterator[Tile]:
     yield Tile("Noise alone", mm(d.gap.floor), "mm", f"instrument {mm(d.noise.sigma)} mm a coordinate")
     if d.causes:
         first = d.causes[0]
-        yield Tile("Leading cause", first.label, "", f"probability {first.confidence:.3f}")
+        yield Tile("Leading cause", first.label.replace("_", f"_{BREAK}"), "", f"probability {first.confidence:.3f}")
+    if has_rest(d):
+        before, after, share = left_over(d)
+        yield Tile(
+            "Without a named cause", mm(1e-3 * after), "mm rms", f"{100 * share:.0f} % of {before:.3f}, noise off"
+        )
 
 
 def _error_table(d: Diagnosis) -> Table:
@@ -182,6 +189,8 @@ def _cause_blocks(d: Diagnosis, figures: Mapping[str, go.Figure]) -> Iterator[Bl
 
 
 def _estimates(c: Cause) -> Iterator[tuple[str, ...]]:
+    for effect in c.effects:
+        yield from ((c.label, name, f"{value:.4g}", "chosen", "") for name, value in settings(effect).items())
     for name, (value, error, unit) in (c.estimates or {}).items():
         factor, shown = READABLE.get(unit, (1.0, unit))
         yield c.label, name, f"{factor * value:.4g}", f"{factor * error:.2g}", shown

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..diagnosis.gap import Noise, fitted_without, held_out_errors, random_folds
-from ..diagnosis.investigation import PARTITIONS
+from ..diagnosis.rules import PARTITIONS
 from ..transforms import Array
 from .cause_figures import gap_course, posteriors, shrinks
 from .error_figures import before_after

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ..identification import Identification
+from ..tables import PLACED, was_placed
 from .page import Block, Table, Words
 
 STATUS = {"identified": "", "at bound": "AT BOUND", "not identifiable": "not identifiable", "held": "held"}
@@ -30,7 +31,7 @@ def parameter_table(result: Identification) -> Table:
         elif r["status"] != "identified":
             faint.add(k)
     columns = ("parameter", "group", "nominal", "value", "std error", "95 % low", "high", "unit", "")
-    title = f"All parameters of {result.method}"
+    title = f"All parameters of {result.method}" + (f"; {PLACED}" if was_placed(result) else "")
     return Table(title, columns, rows, frozenset({2, 3, 4, 5, 6}), frozenset(strong), frozenset(faint), folded=True)
 
 

@@ -42,7 +42,8 @@ def replay_blocks(d: Diagnosis) -> Iterator[Block]:
     first, last = shown[0], shown[-1]
     yield Words(
         f"{len(last.errors)} poses driven again in MuJoCo with models whose values were identified from the others. "
-        "Geometry, masses, springs and loops, and the causes that it has a counterpart of, are the engine's own. As "
+        "Geometry, masses, springs and loops, and the causes that it has a counterpart of, are the engine's own; what "
+        "the instrument does (a frame that drifts, say) is added to its point. As "
         f"drawn, the robot misses the measured points by {mm(first.accuracy.mean)} mm on average, as "
         f"{'diagnosed' if len(shown) > 2 else 'calibrated'} by {mm(last.accuracy.mean)} mm."
     )

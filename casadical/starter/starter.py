@@ -54,7 +54,7 @@ def new_problem(
     with tempfile.TemporaryDirectory() as scratch:
         trial = Path(scratch) / name
         write_together({trial / file: text for file, text in texts.items()})
-        read_problem(trial)
+        _read_on_trial(trial, data)
     write_together({folder / file: text for file, text in texts.items()})
     return read_problem(folder)
 
@@ -79,6 +79,15 @@ def _read(path: Path) -> str:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file in UTF-8") from None
+
+
+def _read_on_trial(folder: Path, data: Path | None) -> None:
+    """Refuse what would not read, by the name of the file that the user gave."""
+    try:
+        read_problem(folder)
+    except InputError as error:
+        text = str(error).replace(f"{folder}/", "")
+        raise InputError(text.replace("poses.csv", str(data)) if data else text) from None
 
 
 def _refuse_taken(folder: Path, texts: dict[str, str]) -> None:

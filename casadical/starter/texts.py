@@ -85,13 +85,15 @@ vector_m_per_s2 = [0, 0, -9.81]
 # [payload]                        # on the flange, if there is one
 # mass_kg = 10
 # com_mm = [0, 0, 50]
+
+# Every [[joint]] may have limits_deg = [lower, upper]; without, -360 .. 360 deg (-10 .. 10 m) are taken.
 """
 
 _PROBLEM = """\
 # What is calibrated, from what. Every key: docs/measurements.md.
 casadical = 1
 title = "{title}"
-data = "{data}"{mark}
+{data}{mark}
 robot = "{robot}"
 methods = [{methods}]{why}
 # loss = "huber"                   # where single measurements are far off
@@ -108,21 +110,23 @@ file = "poses.csv"
 
 def problem_text(
     robot: str,
-    real: bool,
+    given: bool,
     links: tuple[str | None, str | None] | None,
     compliant: bool,
     named_sets: bool,
     seed: int,
     poses: int,
 ) -> str:
-    """problem.toml; links : base and tip link of a URDF, None for a robot file."""
+    """problem.toml; given : whether poses were given; links : base and tip link of a URDF, None for a robot file."""
     title = robot.replace('"', "'").replace("\\", "/")
     mark = f"                 # poses.csv is MADE UP: {poses} poses of the model itself (seed {seed}); put yours there"
     share = "identify = 0.7                     # used in the fit\nreport = 0.3                       # held out\n"
     return _PROBLEM.format(
-        title=title if real else f"{title}: SYNTHETIC poses, for a first run",
-        data="real" if real else "synthetic",
-        mark="" if real else mark,
+        title=title if given else f"{title}: SYNTHETIC poses, for a first run",
+        data='# data = "real"                    # or "synthetic": whoever measured knows; printed above every result'
+        if given
+        else 'data = "synthetic"',
+        mark="" if given else mark,
         robot="robot.urdf" if links else "robot.toml",
         methods='"KM", "SKCM"' if compliant else '"KM"',
         why="             # geometry; geometry and joint compliance"
@@ -145,7 +149,7 @@ def readme_text(name: str, robot: str, data: str | None, urdf: str | None, dh: s
     """README.md: what is real, and what to do next."""
     origin = f"from `{urdf}`" if urdf else f"from the DH table `{dh}`" if dh else "an example, every number made up"
     poses = (
-        f"measured; a copy of `{data}`"
+        f"a copy of `{data}`"
         if data
         else "**synthetic**: made up by the model itself. Results say nothing about a real robot. Replace the table by "
         'your measurements and write `data = "real"` in `problem.toml`'

@@ -1,8 +1,9 @@
-"""What is done without a diagnosis: forward choice by F-test, or by the Bayesian information criterion.
+"""What is done without a diagnosis: forward choice by F-test, or by a Bayesian information criterion.
 
-Both look at the same candidates as the diagnosis, in the residual that the base model leaves, as textbooks have it:
+All look at the same candidates as the diagnosis, in the residual that the base model leaves, as textbooks have it:
 white noise, ordinary least squares, no priors, no word for what is on no list, every choice a claim. How far the gap
-shrinks they tell from the residuals of the fit. (Montgomery, Peck and Vining 2012, chapter 10; Schwarz 1978.)
+shrinks they tell from the residuals of the fit. (Montgomery, Peck and Vining 2012, chapter 10; Schwarz 1978; Chen and
+Chen 2008, whose extended criterion is for more candidates than data can tell apart.)
 """
 
 from __future__ import annotations
@@ -79,7 +80,8 @@ class _Choice:
     take: tuple[Candidate, int] | None
 
 
-Step = Callable[[Regression, Case], _Choice]
+# What is left, the candidates, and how many were taken already.
+Step = Callable[[Regression, Case, int], _Choice]
 
 
 def tested(s: Session) -> dict[str, Any]:
@@ -89,10 +91,16 @@ def tested(s: Session) -> dict[str, Any]:
 
 def scored(s: Session) -> dict[str, Any]:
     """Forward choice by the Bayesian information criterion."""
-    return _forward(s, _by_bic)
+    return _forward(s, lambda left, case, _taken: _by_bic(left, case, 0.0))
 
 
-def _by_f(left: Regression, case: Case) -> _Choice:
+def scored_among_many(s: Session) -> dict[str, Any]:
+    """The same by the extended criterion (gamma = 1): all models with as many causes are together as likely as those
+    with one fewer."""
+    return _forward(s, lambda left, case, n: _by_bic(left, case, 2 * np.log((len(case.variants) - n) / (n + 1))))
+
+
+def _by_f(left: Regression, case: Case, _taken: int) -> _Choice:
     try:
         from scipy.stats import f
     except ImportError:
@@ -109,11 +117,12 @@ def _by_f(left: Regression, case: Case) -> _Choice:
     return _Choice({candidate.label if sure else "none": 1.0}, (candidate, case.variants[best][1]) if sure else None)
 
 
-def _by_bic(left: Regression, case: Case) -> _Choice:
+def _by_bic(left: Regression, case: Case, dearer: float) -> _Choice:
+    """The setting that lowers the criterion most; dearer : what any of them costs beyond its parameters."""
     total, widths, rows = float(left.y @ left.y), np.array([len(g) for g in case.groups]), len(left.y)
     gain = np.minimum(left.gains(case.groups), total * (1 - 1e-12))
     # Less the criterion of the model as it is.
-    score = rows * np.log1p(-gain / total) + widths * np.log(rows)
+    score = rows * np.log1p(-gain / total) + widths * np.log(rows) + dearer
     best = int(np.argmin(score))
     low: dict[str, float] = {"none": 0.0}
     for (c, _), value in zip(case.variants, score, strict=True):
@@ -142,7 +151,7 @@ def _forward(s: Session, step: Step) -> dict[str, Any]:
     left = regression(case)
     before = _mean_length(left.y)
     taken: list[_Taken] = []
-    choice = first = step(left, case)
+    choice = first = step(left, case, 0)
     while choice.take is not None and len(taken) < MOST:
         candidate, variant = choice.take
         effects = candidate.variants[variant]
@@ -150,7 +159,7 @@ def _forward(s: Session, step: Step) -> dict[str, Any]:
         taken.append(_Taken(candidate, effects, choice.probability[candidate.label], _mean_length(left.y)))
         # A label is taken once; its columns stay where they are.
         case = replace(case, candidates=tuple(c for c in case.candidates if c.label != candidate.label))
-        choice = step(left, case)
+        choice = step(left, case, len(taken))
     together = dict.fromkeys(e for t in taken for e in t.effects)
     return {
         "campaign": s.name,

@@ -18,7 +18,11 @@ from ..errors import InputError
 from ..measurements import Measurements
 from ..transforms import Array
 from .guess import Session, in_mm
+from .likelihood import optimizer
+from .trials import far
 
+# Length scales to start from, in spreads of an input.
+STARTS = (3.0, 1.0)
 _LOGGED = ("progress", "temperature_degC", "payload_kg", *(f"approach{j}" for j in range(1, 7)))
 
 
@@ -29,18 +33,20 @@ def smoothed(s: Session) -> dict[str, Any]:
     p = predicted(base, m)[0]
     X = _inputs(m)
     assert m.position is not None
-    r = (m.position - p)[s.seen]
+    # Points that are wrong by much would be learnt by all of their neighbours.
+    whole = (m.position - p)[s.seen]
+    r, Xr = whole[~far(whole)], X[s.seen][~far(whole)]
     unit = float(np.sqrt(np.mean(r**2)))
-    process = _fitted(X[s.seen], r / unit)
     folds = random_folds(len(r), 0)
     learnt = np.empty_like(r)
     for fold in np.unique(folds):
         test = folds == fold
-        learnt[test] = unit * _same(process, X[s.seen][~test], r[~test] / unit).predict(X[s.seen][test])
+        # Scales and all, or what is held out would have been seen.
+        learnt[test] = unit * _fitted(Xr[~test], r[~test] / unit).predict(Xr[test])
     before, after = (np.linalg.norm(e, axis=1) for e in (r, r - learnt))
     shrinks = shrink_interval(before, after, 0)[0] > 0
     base_mm = p[~s.seen]
-    better = base_mm + unit * process.predict(X[~s.seen]) if shrinks else base_mm
+    better = base_mm + unit * _fitted(Xr, r / unit).predict(X[~s.seen]) if shrinks else base_mm
     return {
         "campaign": s.name,
         "verdict": "unknown" if shrinks else "none",
@@ -69,14 +75,12 @@ def _fitted(X: Array, y: Array) -> Any:
         from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
     except ImportError:
         raise InputError("--by gp needs scikit-learn: pip install 'casadical[withheld]'") from None
-    shape = ConstantKernel(0.5, (1e-3, 1e2)) * RBF(np.full(X.shape[1], 3.0), (0.3, 1e3))
-    kernel = shape + WhiteKernel(0.5, (1e-3, 1e1))
-    with warnings.catch_warnings():
-        # A length scale at its bound only says that an input does not matter.
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        return GaussianProcessRegressor(kernel).fit(X, y)
-
-
-def _same(process: Any, X: Array, y: Array) -> Any:
-    """A process with the hyperparameters found, on other data."""
-    return type(process)(process.kernel_, optimizer=None).fit(X, y)
+    fits = []
+    for scale in STARTS:
+        shape = ConstantKernel(0.5, (1e-3, 1e2)) * RBF(np.full(X.shape[1], scale), (0.3, 1e3))
+        kernel = shape + WhiteKernel(0.5, (1e-3, 1e1))
+        with warnings.catch_warnings():
+            # A length scale at its bound only says that an input does not matter.
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            fits.append(GaussianProcessRegressor(kernel, optimizer=optimizer(X, y)).fit(X, y))
+    return max(fits, key=lambda process: float(process.log_marginal_likelihood_value_))

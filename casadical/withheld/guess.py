@@ -21,8 +21,13 @@ from ..robot import Robot
 from ..robot_file import robot_from
 from ..transforms import Array
 
-METHODS = {"diagnosis": "diagnosed", "f-test": "tested", "bic": "scored", "gp": "smoothed"}
-_MODULES = {"diagnosis": "guess", "f-test": "baselines", "bic": "baselines", "gp": "gaussian_process"}
+METHODS = {
+    "diagnosis": ("guess", "diagnosed"),
+    "f-test": ("baselines", "tested"),
+    "bic": ("baselines", "scored"),
+    "ebic": ("baselines", "scored_among_many"),
+    "gp": ("gaussian_process", "smoothed"),
+}
 # What the order of the poses tells, unseen ones among them.
 _BY_ORDER = ("progress", *(f"approach{j}" for j in range(1, 7)))
 
@@ -82,7 +87,8 @@ def guess(by: str, name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFra
 
     Where a campaign cannot be answered, the entry `failed` says why, and all others are answered still.
     """
-    method: Method = getattr(import_module(f"{__package__}.{_MODULES[by]}"), METHODS[by])
+    module, name_of = METHODS[by]
+    method: Method = getattr(import_module(f"{__package__}.{module}"), name_of)
     try:
         return method(session(name, model, seen, unseen))
     except (InputError, ConvergenceError) as error:

@@ -31,7 +31,7 @@ def predict(
     A campaign that cannot be answered has a line that says why; it is tried again by the next call.
 
     out : file of answers, a line each; by default answers.METHOD.jsonl in the folder
-    by : diagnosis; or what it is measured against, f-test, bic or gp
+    by : diagnosis; or what it is measured against, f-test, bic, ebic or gp
     executor : any of `concurrent.futures`' kind, a cluster's among them; by default a process for each core
     show : called with a word, how many are done, and how many there are
 

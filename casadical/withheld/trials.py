@@ -109,12 +109,12 @@ def unseen_errors(secret: Secret, answer: Answer, outliers_named: bool) -> tuple
     """
     measured, true = np.array(secret.measured_mm), np.array(secret.true_mm)
     base, better = np.array(answer.unseen.base_mm), np.array(answer.unseen.with_causes_mm)
-    used = ~_far(measured - true) if outliers_named else np.ones(len(measured), dtype=bool)
+    used = ~far(measured - true) if outliers_named else np.ones(len(measured), dtype=bool)
     after = np.linalg.norm(measured - better, axis=1)[used]
     return 1e-3 * float(np.linalg.norm(measured - base, axis=1).mean()), 1e-3 * float(after.mean())
 
 
-def _far(noise: Array) -> Array:
-    """Mask of the poses whose noise, shape (n, 3), is no noise."""
+def far(noise: Array) -> Array:
+    """Mask, shape (n,), of the poses whose noise, shape (n, 3), is no noise."""
     spread = 1.4826 * float(np.median(np.abs(noise)))
     return np.asarray(np.abs(noise).max(axis=1) > FAR * spread)

@@ -26,7 +26,7 @@ DATA, PAGE, HERE = ROOT / "data" / "withheld", ROOT / "docs" / "blind-check.md",
 RUNS = {"first run": DATA, "second run": DATA / "second", "third run": DATA / "third"}
 # Whose print and score.json are kept, and where the print lies.
 LARGE = {"first run": HERE / "blind_check.txt", "third run": HERE / "blind_check_third.txt"}
-METHODS = ("diagnosis", "f-test", "bic", "gp")
+METHODS = ("diagnosis", "f-test", "bic", "ebic", "gp")
 
 
 def answered(run: str) -> list[Score]:
@@ -80,12 +80,13 @@ def beside(found: dict[str, list[Score]]) -> str:
 
 def made(found: dict[str, list[Score]]) -> str:
     """Every run: where it lies, by which command and versions it was made and answered, and its key's hash."""
-    rows = head(["run", "lies in", "made by", "versions", "SHA-256 of the key"])
+    rows = head(["run", "lies in", "made by", "versions", "SHA-256 of the key", "whole print"])
     for run, (s, *_) in found.items():
         command = f"`casadical withheld make --n {len(s.key.campaigns)} --seed {s.key.seed}`"
         versions = ", ".join(f"{name} {number}" for name, number in (s.key.versions | s.head.versions).items())
         folder = f"`{RUNS[run].relative_to(ROOT).as_posix()}`"
-        rows.append(cells([run, folder, command, versions, f"`{s.head.key_sha256}`"]))
+        whole = f"[{LARGE[run].name}](studies/{LARGE[run].name})" if run in LARGE else "-"
+        rows.append(cells([run, folder, command, versions, f"`{s.head.key_sha256}`", whole]))
     return "\n".join(rows)
 
 

@@ -19,9 +19,9 @@ import numpy as np
 import pandas as pd
 
 from casadical.diagnosis.case import make_case
-from casadical.diagnosis.investigation import CLAIM, DETECT
 from casadical.diagnosis.library import candidates_of
 from casadical.diagnosis.next_poses import next_poses
+from casadical.diagnosis.rules import CLAIM, detection
 from casadical.diagnosis.which import rank
 from casadical.engine import draw_effect, measure
 from casadical.identification import identify
@@ -72,7 +72,9 @@ PAIRS = {
         "kr210", ("link_flexure", "joint_coupling@5"), "small ranges of joints 2 to 4, no payload",
         {2: (-70, -40), 3: (0, 40), 4: (-10, 10)}, (0.0,), scale=2.0,
     ),
-    "spring": Pair("kr210", ("gravity_compensator@2", "gear_eccentricity@2"), "joint 2 within 60 deg", {2: (-110, -50)}),
+    "spring": Pair(
+        "kr210", ("gravity_compensator@2", "gear_eccentricity@2"), "joint 2 within 60 deg", {2: (-110, -50)}
+    ),
 }  # fmt: skip
 
 
@@ -160,7 +162,9 @@ def trial(robot, pair, number):
     rows = {}
     for kind, r in found.items():
         top, p = r.order[0], r.probability[truth]
-        claims = r.none < DETECT and r.probability[top] >= CLAIM * (1 - r.none)
+        claims = r.none < detection(FIRST if kind == "before" else FIRST + MORE) and r.probability[top] >= CLAIM * (
+            1 - r.none
+        )
         rows[kind] = (top == truth, claims, claims and top != truth, p > r.probability[rival], p, top)
     return rows, proposal
 

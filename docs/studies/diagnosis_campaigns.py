@@ -3,7 +3,8 @@
 Some 1,500 campaigns (half an hour on two idle cores), a part for each figure; --share 0.1 makes a tenth. Three robots;
 effects, sizes and joints are drawn by casadical.simulation, whose physics shares no formula with the candidates; joint
 repeatability and instrument noise are always there. The same campaign made without the effect tells how far the gap
-can shrink. Synthetic data throughout. Seeds are [2026, part, number]; constants were chosen on seeds [77, number].
+can shrink. Synthetic data throughout. Seeds are [2027, part, number], which nobody had seen when the rules were fixed
+(commit 033c84f); these were chosen on seeds [77, number], [2026, part, number] and on campaigns of casadical.engine.
 """
 
 import argparse
@@ -25,8 +26,8 @@ from diagnosis_scores import Trial, near_rival, table, visible
 from casadical.diagnosis.case import Case, make_case
 from casadical.diagnosis.diagnosis import diagnose
 from casadical.diagnosis.gap import Noise, held_out_errors, likely_noise, random_folds
-from casadical.diagnosis.investigation import PARTITIONS
 from casadical.diagnosis.library import standard_candidates
+from casadical.diagnosis.rules import PARTITIONS
 from casadical.identification import Identification, identify
 from casadical.measurements import Measurements, from_table
 from casadical.problem import read_campaign_robot
@@ -113,7 +114,7 @@ def kept(folder: Path | None, task: Sequence[Any]) -> Trial:
 def trial(task: Sequence[Any]) -> Trial:
     """One campaign, hidden, measured, diagnosed and judged."""
     part, number, poses = task
-    rng = np.random.default_rng([2026, list(PARTS).index(part), number])
+    rng = np.random.default_rng([2027, list(PARTS).index(part), number])
     robot_name = ROBOTS[number % 3]
     robot, nominal = machine(robot_name)
     plant = perturb(nominal, int(rng.integers(1 << 30)))

@@ -6,13 +6,14 @@ Writes the tables of docs/diagnosis.md anew from the effect classes and the thre
 import re
 from pathlib import Path
 
-from casadical.diagnosis import investigation, which
+from casadical.diagnosis import rules, which
 from casadical.diagnosis.answer import SIGNATURES
 from casadical.diagnosis.library import Candidate, extended_candidates, standard_candidates
 from casadical.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "diagnosis.md"
+POSES = (40, 100, 200)
 READABLE = {"rad": (1e6, "urad"), "m": (1e6, "um"), "m/m": (1e6, "um/m"), "rad/rad": (1e6, "urad/rad")}
 READABLE |= {"rad/K": (1e6, "urad/K"), "1/K": (1e6, "1e-6/K"), "1/m": (1e6, "um/m^2"), "": (1e2, "% of great torque")}
 READABLE |= {"kg/kg": (1e2, "%")}
@@ -85,13 +86,15 @@ def _physics(candidates: list[Candidate]) -> str:
 
 
 def _thresholds() -> str:
-    d = investigation
+    d = rules
     first, further = which.PRIOR_FIRST, which.PRIOR_FURTHER
+    threshold = ", ".join(f"{d.detection(n):.2g}" for n in POSES)
     rows = [
         ("prior of nothing / a listed effect / the unknown, first cause", _shares(first)),
         ("the same, for a further cause", _shares(further)),
         ("prior factor of a further cause at a joint that has one", f"{which.SAME_JOINT:g}"),
-        ("something is there if P(nothing) is at most, first / further cause", f"{d.DETECT:g} / {d.DETECT_FURTHER:g}"),
+        (f"something is there if P(nothing) is at most, at {', '.join(map(str, POSES))} poses", threshold),
+        ("the same for a further cause", f"{d.DETECT_FURTHER:g}"),
         ("with a bootstrap: something is there if noise alone looks like it so often at most", f"{d.FALSE_ALARMS:g}"),
         ("one cause is claimed from a probability of", f"{d.CLAIM:g}"),
         ("a further cause is taken up from a probability of", f"{d.LEAST_FURTHER:g}"),

@@ -88,7 +88,8 @@ def fixed(true: Diagnosis) -> Diagnosis:
     directions = pd.DataFrame(columns=list(DIRECTIONS))
     d.__dict__["where"] = Where(*tables, directions, none, pd.DataFrame(payload, columns=list(BINS)), none, none, none)
     seen = pd.DataFrame(
-        {"absorbed": [0.6, 0.7, 0.99], "findable_from": [0.5, 0.6, 9.0]}, index=[label, rival, "gravity_compensator"]
+        {"size_mm": [0.1, 0.1, 0.1, 0.0], "absorbed": [0.6, 0.7, 0.99, 1.0], "findable_from": [0.5, 0.6, 9.0, np.inf]},
+        index=[label, rival, "gravity_compensator", "link_flexure"],
     )
     alike = pd.DataFrame([[1, 0.78], [0.7, 1]], index=[label, rival], columns=[label, rival])
     d.__dict__["isolability"] = Isolability(seen, alike, {})

@@ -82,7 +82,7 @@ def test_a_joint_that_hardens_follows_its_curve_of_torque_against_twist(knee):
 
 def test_a_balancing_spring_gives_the_torque_of_its_energy():
     machine = built("kr210")
-    hidden = Hidden("gravity_compensator", None, {"size": 0.3, "lean": 0.2})
+    hidden = Hidden("gravity_compensator", None, {"size": 0.3, "lean": 0.2, "post": 2.5})
     mechanism = cause(hidden).built(engine.mechanism(machine), machine)
     moving, cord = Engine(mechanism), mechanism.cords[0]
     springs = []

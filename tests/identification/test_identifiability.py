@@ -110,7 +110,7 @@ def test_analyse_names_exact_combinations():
     reasons = {u.name: u for u in found.held}
     assert set(reasons["c"].confounded_with) == {"a", "b"}
     assert reasons["z"].reason == "it has no effect on what was measured"
-    assert reasons["d"].reason == "because"
+    assert reasons["d"].reason == "because; e carries it"
     assert found.condition == pytest.approx(
         np.linalg.cond(np.column_stack([v / np.linalg.norm(v) for v in (a, b, d, f)])), rel=1e-9
     )

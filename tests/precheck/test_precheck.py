@@ -123,6 +123,33 @@ def test_a_slip_is_named(name: str, tmp_path: Path) -> None:
     assert found.outlooks == ()
 
 
+@pytest.mark.parametrize("joint", range(1, 7))
+def test_one_joint_in_radians_is_named(joint: int, tmp_path: Path) -> None:
+    """Joint 6 too, where the nominal model still is within 2 % of its reach."""
+    name = f"q{joint}_deg"
+    found = precheck(problem_with(tmp_path, lambda t: t.assign(**{name: np.deg2rad(t[name])})))
+    assert f"1.69 mm would be left if q{joint} alone holds radians under a name of degrees" in said(found, "error")
+    assert f"joint {joint} covers" in said(found, "warning")
+    assert "are these radians?" in said(found, "warning")
+
+
+@pytest.mark.parametrize(("name", "said_to_be", "meant"), [("kr210", "standard", "modified"),
+                                                           ("ur10_grid", "modified", "standard")])  # fmt: skip
+def test_dh_rows_of_the_other_convention_are_named(name: str, said_to_be: str, meant: str, tmp_path: Path) -> None:
+    (tmp_path / "problems").mkdir()
+    made = Path(shutil.copytree(ROOT / "problems" / name, tmp_path / "problems" / name))
+    (tmp_path / "data").symlink_to(ROOT / "data")
+    lines = (made / "robot.toml").read_text().splitlines()
+    kept = [line for line in lines if not line.startswith("convention")]
+    (made / "robot.toml").write_text("\n".join([f'convention = "{said_to_be}"', *kept]))
+    assert f"if the DH rows are of the {meant} convention, not {said_to_be}" in said(precheck(made), "error")
+
+
+def test_limits_that_nobody_gave_are_said_to_be_assumed() -> None:
+    assert "joints 1, 2, 3, 4, 5, 6: -360 .. 360 deg" in said(precheck(ROOT / "problems" / "ur10"), "note")
+    assert "limits" not in said(precheck(ROOT / "problems" / "kr210"), "note")
+
+
 def test_a_fault_that_no_single_slip_explains_is_an_error_all_the_same(tmp_path: Path) -> None:
     """One joint in degrees among five in radians: no unit of the whole table."""
 

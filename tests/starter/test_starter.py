@@ -95,11 +95,23 @@ def test_measured_data_with_a_dh_table_calibrate_as_the_repositorys_problem_does
     problem = new_problem(
         tmp_path / "ur", dh=tmp_path / "dh.csv", convention="standard", data=tmp_path / "measured.csv"
     )
-    assert problem.data == "real"
+    assert problem.data is None
+    assert problem.origin == "data of unstated origin"
     assert (tmp_path / "ur" / "poses.csv").read_text() == (tmp_path / "measured.csv").read_text()
     assert precheck(tmp_path / "ur").ok
     result = identify(problem.robot, problem.sets["identify"][0], method="KM")
     assert 1e3 * result.accuracy(problem.sets["report"][0])["calibrated"].mean < 0.6
+
+
+def test_data_that_do_not_read_are_refused_by_their_own_name(tmp_path: Path) -> None:
+    table = pd.read_csv(ROOT / "data" / "ur10_laser_tracker" / "series_C_random_poses.csv").head(50)
+    table.drop(columns="q3_rad").to_csv(tmp_path / "bad.csv", index=False)
+    (tmp_path / "dh.csv").write_text(UR10)
+    with pytest.raises(InputError) as refused:
+        new_problem(tmp_path / "ur", dh=tmp_path / "dh.csv", data=tmp_path / "bad.csv")
+    assert "bad.csv" in str(refused.value)
+    assert "poses.csv" not in str(refused.value)
+    assert not (tmp_path / "ur").exists()
 
 
 def test_a_urdf_gives_a_folder_that_calibrates(tmp_path: Path) -> None:

@@ -120,7 +120,7 @@ def test_a_campaign_that_cannot_be_answered_does_not_stop_the_others(small, tmp_
 def test_bad_input_is_named(small, tmp_path) -> None:
     with pytest.raises(InputError, match=r"holds no withheld\.json"):
         predict(tmp_path)
-    with pytest.raises(InputError, match="--by tarot: not known; allowed: diagnosis, f-test, bic, gp"):
+    with pytest.raises(InputError, match="--by tarot: not known; allowed: diagnosis, f-test, bic, ebic, gp"):
         predict(small.folder, by="tarot")
     with pytest.raises(InputError, match="holds answers by bic to another check"):
         predict(small.folder, small.answers, by="gp")

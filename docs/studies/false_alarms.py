@@ -1,0 +1,56 @@
+"""How often noise alone passes for something, by robot and number of poses: python docs/studies/false_alarms.py
+
+Clean synthetic campaigns of the independent simulator; 1000 bootstrap draws of noise alone through the base model of
+each (see casadical.diagnosis.bootstrap), judged as `diagnose` judges. Some ten minutes of one core.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from casadical.diagnosis.bootstrap import _batches
+from casadical.diagnosis.case import Case, make_case
+from casadical.diagnosis.library import standard_candidates
+from casadical.diagnosis.rules import detection
+from casadical.identification import identify
+from casadical.measurements import from_table
+from casadical.problem import read_campaign_robot
+from casadical.simulation import Plant, campaign, perturb
+
+ROOT = Path(__file__).parents[2]
+ROBOTS, POSES, CAMPAIGNS, DRAWS = ("hh800", "kr210", "ur10e"), (40, 60, 100, 200), 3, 1000
+FIXED = (0.01, 0.03, 0.1)
+
+
+def case(robot_name: str, poses: int, number: int) -> Case:
+    """A campaign in which nothing is hidden."""
+    robot = read_campaign_robot(ROOT / "problems" / robot_name)
+    drawing = json.loads((ROOT / "data" / "campaigns" / "robots" / f"{robot_name}.json").read_text(encoding="utf-8"))
+    rng = np.random.default_rng([78, poses, number])
+    plant = perturb(Plant.from_dict(drawing), int(rng.integers(1 << 30)))
+    noise, urad = float(rng.choice([0.01, 0.02, 0.03])), float(rng.uniform(2, 8))
+    table = campaign(plant, poses, noise_mm=noise, repeatability_urad=urad, seed=int(rng.integers(1 << 30)))
+    m = from_table(table, 6, "position")
+    found = identify(robot, m, ("kinematic", "compliance"), loss="huber", priors=True, screen=False)
+    return make_case(found, standard_candidates(robot))
+
+
+def passes(c: Case, thresholds: list[float]) -> list[float]:
+    """Share of the draws in which "nothing" is less probable than each threshold."""
+    odds = np.concatenate(list(_batches(c, DRAWS, np.random.default_rng(1))))
+    return [float(np.mean(odds >= np.log((1 - x) / x))) for x in thresholds]
+
+
+if __name__ == "__main__":
+    print(f"Share of {DRAWS} draws of noise alone with P(nothing) below; {CAMPAIGNS} clean synthetic campaigns each\n")
+    print("robot  poses  threshold  at it    " + "  ".join(f"at {x:<4g}" for x in FIXED))
+    every = []
+    for robot_name in ROBOTS:
+        for poses in POSES:
+            runs = [passes(case(robot_name, poses, k), [detection(poses), *FIXED]) for k in range(CAMPAIGNS)]
+            own, *fixed = np.mean(runs, axis=0)
+            every.append(own)
+            shares = "  ".join(f"{x:7.4f}" for x in fixed)
+            print(f"{robot_name:6s} {poses:5d}  {detection(poses):9.4f}  {own:.4f}  {shares}", flush=True)
+    print(f"\nmean at the thresholds: {np.mean(every):.4f}")

@@ -1,0 +1,48 @@
+"""Two causes that hide each other, and an error of a joint's own angle that is no listed one."""
+
+from dataclasses import replace
+
+import numpy as np
+from cases import robot, simulated
+
+from casadical.diagnosis.case import make_case
+from casadical.diagnosis.diagnosis import diagnose
+from casadical.diagnosis.library import candidates_of
+from casadical.diagnosis.two import two_causes
+from casadical.diagnosis.which import rank
+from casadical.identification import identify
+from casadical.simulation import disturbances
+
+NOTHING = np.zeros(0, dtype=np.int64)
+
+
+def test_two_causes_are_found_though_their_mixture_looks_like_the_unknown() -> None:
+    hidden = disturbances.JointZeroStep(3, 120e-6), disturbances.FrameDrift(150e-6, 60e-6)
+    d = diagnose(robot("kr210"), simulated("kr210", 42, *hidden, n=60))
+    assert d.rankings[0].order[0] == "smooth in time"  # no single cause explains
+    assert d.verdict == "explained"
+    assert {c.label for c in d.causes} == {"joint_zero_step@3", "frame_drift"}
+    assert all(c.confidence > 0.9 for c in d.causes)
+
+
+def test_two_causes_are_not_made_of_one_that_is_on_no_list() -> None:
+    r = robot("ur10e")
+    m = simulated("ur10e", 31, disturbances.HoseDrag(500e-6))
+    case = make_case(identify(r, m, ("kinematic", "compliance"), priors=True), candidates_of(r, "standard"))
+    first = rank(case, NOTHING)
+    assert first.probability[first.order[0]] > 0.5
+    assert not {c.label: c for c in case.candidates}[first.order[0]].listed
+    assert two_causes(case, first) is None
+    few = [c for c in case.candidates if c.label == "backlash@5" or not c.listed]
+    assert two_causes(replace(case, candidates=tuple(few)), rank(replace(case, candidates=tuple(few)), NOTHING)) is None
+
+
+def test_a_bump_in_a_joints_own_angle_is_unknown_and_its_joint_named() -> None:
+    r = robot("ur10e")
+    m = simulated("ur10e", 8)
+    case = make_case(identify(r, m, ("kinematic", "compliance"), priors=True), candidates_of(r, "standard"))
+    bump = 300e-6 * np.exp(-0.5 * ((m.q[:, 2] - np.median(m.q[:, 2])) / np.deg2rad(12)) ** 2)
+    assert m.position is not None
+    d = diagnose(r, replace(m, position=m.position + case.whole.Jq[:, :, 2] * bump[:, None]))
+    assert (d.verdict, d.causes) == ("unknown", ())
+    assert d.rankings[0].order[0] == "any function of q3 in joint 3"
