@@ -15,9 +15,10 @@ from ..problem import read_campaign_robot
 from ..robot import Robot
 from ..robot_file import read_robot
 from .candidates import Circumstances
+from .choice import select_poses
 from .criteria import Criterion
 from .information import Noise
-from .selection import Selection, select_poses
+from .selection import Selection
 from .stopping import Forecast, forecast
 from .workspace import Workspace
 
