@@ -1,4 +1,6 @@
-"""OMP_NUM_THREADS=1 python docs/studies/pose_selection.py > docs/studies/pose_selection.txt
+"""OMP_NUM_THREADS=1 python docs/studies/pose_selection.py [PART...] > docs/studies/pose_selection.txt
+
+Parts: errors, formula, campaigns, room, forecast (all of them), and robots: hh800, kr210, ur10e (all of them).
 
 Chosen poses against random ones, for three robots and 30, 50, 100 poses: the held-out error over simulated campaigns,
 the standard errors predicted and realised, and what no choice of poses could better. Campaigns come from the
@@ -6,6 +8,7 @@ independent simulator: robots that depart from the drawing in every link, 0.02 m
 joint; held-out errors are against the truth.
 """
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,13 +35,26 @@ NOISE = Noise(SIGMA, REPEATABILITY)
 XYZ, TRUE = ["x_mm", "y_mm", "z_mm"], ["x_true_mm", "y_true_mm", "z_true_mm"]
 
 
+ERRORS_HEAD = f"""
+Predicted and realised standard errors, 50 poses, {REPETITIONS} campaigns of one real robot.
+The range of realised/predicted over parameters is to be within what chance alone leaves (95 %).
+
+robot   parameters: number, rms, range, by chance, within;  task error [mm] predicted, realised, ratio"""
+FORMULA_HEAD = """
+Expected rms error [mm] over the task, by formula: mean of 50 random sets of poses, V, and what no choice of so many
+poses could better; 'less': what V gains on random poses; 'at most': what any choice could gain.
+
+robot     n  random  V        less   bound   at most"""
 CAMPAIGNS_HEAD = f"""
 Held-out rms error [mm], {CAMPAIGNS} real robots, each measured once at random and at chosen poses.
 'less': what V gains, with its standard error; 'mean': the same of the mean error; 'wins': campaigns in
-which V is better. 'formula': what V gains on random poses in expectation; 'at most': what any choice of so
-many poses could gain, a bound; 'over': expected error over the least there could be.
+which V is better.
 
-robot     n  random  V       less             mean   wins   formula at most   over"""
+robot     n  random  V       less             mean   wins"""
+ROOM_HEAD = """
+The same in a room that lets only a part be measured (tracker, floor, wall), accurate everywhere:
+
+robot     n  random  V       less             mean   wins"""
 
 
 def plant_of(robot):
@@ -136,20 +152,26 @@ def least_variance(robot, names, task):
     return bound
 
 
-def campaigns(name, robot, plant):
+def by_formula(name, robot, _plant):
     bound = None
     for n in SIZES:
         chosen = select_poses(robot, None, n, "V", noise=NOISE)
         bound = bound or least_variance(robot, chosen.names, chosen.task)
         least = 1e-3 * np.sqrt(bound / n)
-        errors, wins = compare(robot, plant, chosen.q, Workspace())
         rng = np.random.default_rng(4)
-        by_chance = np.mean([accuracy_of(chosen, draw_uniform(robot, n, Workspace(), rng)) for _ in range(50)])
+        random = np.mean([accuracy_of(chosen, draw_uniform(robot, n, Workspace(), rng)) for _ in range(50)])
         print(
-            f"{name:6s} {n:4d}  {said(errors)}  {wins:4.0%}   {1 - chosen.accuracy / by_chance:6.1%}  "
-            f"{1 - least / by_chance:6.1%}   {chosen.accuracy / least:5.3f}",
+            f"{name:6s} {n:4d}  {1e3 * random:.4f}  {1e3 * chosen.accuracy:.4f} {1 - chosen.accuracy / random:6.1%}  "
+            f"{1e3 * least:.4f}   {1 - least / random:6.1%}",
             flush=True,
         )
+
+
+def campaigns(name, robot, plant):
+    for n in SIZES:
+        chosen = select_poses(robot, None, n, "V", noise=NOISE)
+        errors, wins = compare(robot, plant, chosen.q, Workspace())
+        print(f"{name:6s} {n:4d}  {said(errors)}  {wins:4.0%}", flush=True)
 
 
 def said(errors):
@@ -226,26 +248,30 @@ def standard_errors(name, robot, plant):
 
 
 def main() -> None:
+    asked = sys.argv[1:]
     robots = {name: read_robot(PROBLEMS / name / file) for name, file in ROBOTS.items()}
-    plants = {name: plant_of(robot) for name, robot in robots.items()}
-    print(f"\nPredicted and realised standard errors, 50 poses, {REPETITIONS} campaigns of one real robot.")
-    print("The range of realised/predicted over parameters is to be within what chance alone leaves (95 %).\n")
-    print("robot   parameters: number, rms, range, by chance, within;  task error [mm] predicted, realised, ratio")
-    for name, robot in robots.items():
-        standard_errors(name, robot, plants[name])
-    print(CAMPAIGNS_HEAD)
-    for name, robot in robots.items():
-        campaigns(name, robot, plants[name])
-    print("\nThe same in a room that lets only a part be measured (tracker, floor, wall), accurate everywhere:\n")
-    print("robot     n  random  V       less             mean   wins")
-    for name, robot in robots.items():
-        in_a_room(name, robot, plants[name])
-    print("\nForecast: expected error [mm] against poses, the best ones next")
-    for name, robot in robots.items():
-        seen = forecast(robot, 100, noise=NOISE)
-        at = [f"{n}: {1e3 * np.interp(n, seen.poses, seen.error):.4f}" for n in (20, 30, 40, 60, 100)]
-        print(f"{name:6s}  {', '.join(at)}; ten more gain under 10 % from {seen.stop()} poses on")
+    robots = {name: robots[name] for name in [n for n in ROBOTS if n in asked] or ROBOTS}
+    parts = [part for part in PARTS if part in asked] or list(PARTS)
+    for part in parts:
+        head, measure = PARTS[part]
+        print(head)
+        for name, robot in robots.items():
+            measure(name, robot, plant_of(robot))
 
+
+def ahead(name, robot, _plant):
+    seen = forecast(robot, 100, noise=NOISE)
+    at = [f"{n}: {1e3 * np.interp(n, seen.poses, seen.error):.4f}" for n in (20, 30, 40, 60, 100)]
+    print(f"{name:6s}  {', '.join(at)}; ten more gain under 10 % from {seen.stop()} poses on")
+
+
+PARTS = {
+    "errors": (ERRORS_HEAD, standard_errors),
+    "formula": (FORMULA_HEAD, by_formula),
+    "campaigns": (CAMPAIGNS_HEAD, campaigns),
+    "room": (ROOM_HEAD, in_a_room),
+    "forecast": ("\nForecast: expected error [mm] against poses, the best ones next", ahead),
+}
 
 if __name__ == "__main__":
     main()
