@@ -31,7 +31,7 @@ _HOME = {
     "read_problem": "casadical.problem",
     "read_robot": "casadical.robot_file",
     "read_urdf": "casadical.urdf",
-    "select_poses": "casadical.pose_selection.selection",
+    "select_poses": "casadical.pose_selection.choice",
     "write_robot": "casadical.robot_file",
 }
 

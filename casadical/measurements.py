@@ -15,28 +15,25 @@ Everything else that the model needs (`payload_kg`, `temperature_degC`, `approac
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import pandas as pd
 
 from .errors import InputError
-from .transforms import Array, from_rpy
+from .observations import KINDS, OBSERVED, Kind, guess_kind
+from .table_columns import Columns
+from .transforms import Array
 from .wellformed import refuse_malformed
 
-Kind = Literal["position", "pose", "distance", "pair_distance", "contact"]
+__all__ = ["SETS", "Kind", "Measurements", "from_table", "read_measurements", "read_readings", "same_readings"]
 
-KINDS: tuple[Kind, ...] = ("position", "pose", "distance", "pair_distance", "contact")
 SETS = ("identify", "train", "choose", "report")
 
 # Readings closer than this [rad or m] in every joint count as the same pose.
 SAME_READING = 1e-6
-
-_TO_SI = {"_mm": 1e-3, "_m": 1.0, "_deg": np.pi / 180, "_rad": 1.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,22 +210,22 @@ def from_table(
     source: str = "table",
 ) -> Measurements:
     """Measurements from a pandas table; arguments and errors (Raises InputError) as of `read_measurements`."""
-    reader = _Reader(_renamed(_tidy(table, source), columns or {}, source), source)
+    given = Columns(_renamed(_tidy(table, source), columns or {}, source), source)
     kinds = ["revolute"] * joints if isinstance(joints, int) else list(joints)
     if not kinds or set(kinds) - {"revolute", "prismatic"}:
         raise InputError(f"{source}: joints {joints!r}; allowed: their number, or 'revolute' or 'prismatic' for each")
-    kind = kind or reader.guess_kind()
+    kind = kind or guess_kind(given)
     if kind not in KINDS:
         raise InputError(f"{source}: kind {kind!r} is not known; allowed: {', '.join(KINDS)}")
-    q = reader.joints(kinds)
-    observed = _OBSERVED[kind](reader, q)
+    q = given.joints(kinds)
+    observed = OBSERVED[kind](given, q)
     found = Measurements(
         q=q,
         kind=kind,
-        conditions=reader.conditions(),
+        conditions=given.conditions(),
         sigma=None if sigma_mm is None else sigma_mm * 1e-3,
         sigma_angle=None if sigma_deg is None else float(np.deg2rad(sigma_deg)),
-        weight=reader.column("weight") if "weight" in reader.table else np.ones(len(q)),
+        weight=given.column("weight") if "weight" in given.table else np.ones(len(q)),
         row=np.arange(len(q)) + 2,
         source=source,
         **observed,  # type: ignore[arg-type]
@@ -257,217 +254,6 @@ def _renamed(table: pd.DataFrame, columns: Mapping[str, str], source: str) -> pd
     # A header that keeps its own name elsewhere in the map is copied, not moved.
     copies = {ours: table[theirs] for ours, theirs in columns.items()}
     return table.drop(columns=[c for c in columns if c in table and columns[c] != c]).assign(**copies)
-
-
-# Columns that are readings or observations; every other one is a condition.
-_OWN = re.compile(
-    r"q\d+_(deg|rad|mm|m)|q[wxyz]|(to_)?[xyz]_mm?|r[xyz]_(deg|rad)|R[012]{2}|distance_mm?|weight|point|set"
-)
-
-
-class _Reader:
-    """Columns of one table, converted to SI, with errors that say where."""
-
-    def __init__(self, table: pd.DataFrame, source: str) -> None:
-        self.table = table
-        self.source = source
-
-    def guess_kind(self) -> Kind:
-        has = set(self.table)
-        if has & {"x_mm", "x_m"}:
-            turned = has & {"rx_deg", "rx_rad", "R00", "qw"}
-            return "pose" if turned else "position"
-        if has & {"distance_mm", "distance_m"}:
-            return "pair_distance" if "other_pose" in has else "distance"
-        if "point" in has:
-            return "contact"
-        raise InputError(
-            f"{self.source}: no observation found; need x_mm, y_mm, z_mm (or _m), distance_mm or point; "
-            f"there are {', '.join(map(str, self.table))}"
-        )
-
-    def column(self, name: str) -> Array:
-        if name not in self.table:
-            raise InputError(f"{self.source}: column {name!r} is missing; there are {', '.join(map(str, self.table))}")
-        values = pd.to_numeric(self.table[name], errors="coerce").to_numpy(dtype=float)
-        bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size:
-            text = self.table[name].iloc[int(bad[0])]
-            raise InputError(
-                f"{self.source}: row {bad[0] + 2}, column {name!r}: {text!r} is not a finite number "
-                f"({bad.size} such in this column); correct or delete the row"
-            )
-        return values
-
-    def si(self, stem: str, units: Sequence[str]) -> Array:
-        """Column `stem` under one of the allowed unit suffixes, in SI."""
-        present = [u for u in units if f"{stem}{u}" in self.table]
-        if len(present) > 1:
-            both = " and ".join(f"{stem}{u}" for u in present)
-            raise InputError(f"{self.source}: columns {both} say the same; keep one")
-        if not present:
-            wanted = " or ".join(f"{stem}{u}" for u in units)
-            raise InputError(f"{self.source}: column {wanted} is missing; there are {', '.join(map(str, self.table))}")
-        return self.column(stem + present[0]) * _TO_SI[present[0]]
-
-    def joints(self, kinds: Sequence[str]) -> Array:
-        columns = []
-        for i, kind in enumerate(kinds, 1):
-            units = ("_deg", "_rad") if kind == "revolute" else ("_mm", "_m")
-            columns.append(self.si(f"q{i}", units))
-        extra = [c for c in self.table if str(c).startswith(f"q{len(kinds) + 1}_")]
-        if extra:
-            raise InputError(f"{self.source}: column {extra[0]!r}: this robot has only {len(kinds)} joints")
-        q = np.stack(columns, axis=1)
-        self._angle_units(q, kinds)
-        return q
-
-    def _angle_units(self, q: Array, kinds: Sequence[str]) -> None:
-        turning = [i for i, k in enumerate(kinds) if k == "revolute"]
-        if not turning or not len(q):
-            return
-        largest = float(np.abs(q[:, turning]).max())
-        names = [f"q{i + 1}" for i in turning]
-        if largest > 8 * np.pi:
-            i = turning[int(np.argmax(np.abs(q[:, turning]).max(axis=0)))]
-            row = int(np.argmax(np.abs(q[:, i])))
-            turns = f"{self.source}: row {row + 2}, column "
-            if f"q{i + 1}_rad" in self.table:
-                turns += f"'q{i + 1}_rad': {q[row, i]:.6g} rad is {largest / (2 * np.pi):.1f} turns; "
-                raise InputError(turns + f"are the columns in degrees? name them q{i + 1}_deg")
-            turns += f"'q{i + 1}_deg': {np.rad2deg(q[row, i]):.6g} deg is {largest / (2 * np.pi):.1f} turns; "
-            raise InputError(turns + "at most 4 are allowed: correct the reading")
-        degrees = all(f"{n}_deg" in self.table for n in names)
-        if degrees and len(q) >= 10 and np.ptp(q[:, turning], axis=0).max() < np.deg2rad(6.3):
-            raise InputError(
-                f"{self.source}: no joint moves by more than {np.rad2deg(np.ptp(q[:, turning], axis=0).max()):.2f} deg "
-                f"over {len(q)} poses; are the columns in radians? name them q1_rad, ..."
-            )
-
-    def vector(self, prefix: str, units: Sequence[str] = ("_mm", "_m")) -> Array:
-        return np.stack([self.si(f"{prefix}{c}", units) for c in "xyz"], axis=1)
-
-    def orientation(self) -> Array:
-        has = set(self.table)
-        if "R00" in has:
-            R = np.stack([self.column(f"R{i}{j}") for i in range(3) for j in range(3)], axis=1).reshape(-1, 3, 3)
-        elif "qw" in has:
-            quaternion = np.stack([self.column(c) for c in ("qw", "qx", "qy", "qz")], axis=1)
-            length = np.linalg.norm(quaternion, axis=1)
-            if np.abs(length - 1).max() > 1e-2:
-                row = int(np.abs(length - 1).argmax())
-                raise InputError(
-                    f"{self.source}: row {row + 2}, columns 'qw' to 'qz': length {length[row]:.4g}; "
-                    "allowed: unit quaternions (w first), within 1 %"
-                )
-            R = _from_quaternion(quaternion)
-        else:
-            angles = self.vector("r", ("_deg", "_rad"))
-            R = np.stack([from_rpy(np.array([a, 0, 0])) @ _from_yz(b, c) for a, b, c in angles])
-        off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0)
-        if off.max() > 1e-3:
-            row = int(off.argmax())
-            raise InputError(
-                f"{self.source}: row {row + 2}, columns 'R00' to 'R22': no rotation (R R' differs from one by "
-                f"{off[row]:.3g}, mirrored ones by more than one); allowed: orthonormal matrices, right-handed"
-            )
-        return R
-
-    def conditions(self) -> dict[str, Array]:
-        """Every other numeric column, by its own name; a column of words (remarks, operators) is left out."""
-        found = {}
-        for name in map(str, self.table):
-            if _OWN.fullmatch(name):
-                continue
-            numeric = pd.to_numeric(self.table[name], errors="coerce").notna()
-            if numeric.mean() >= 0.5:  # some words among numbers are mistakes: `column` says where
-                found[name] = self.column(name)
-        return found
-
-
-def _from_yz(b: float, c: float) -> Array:
-    """Ry(b) Rz(c)."""
-    return from_rpy(np.array([0, b, 0])) @ from_rpy(np.array([0, 0, c]))
-
-
-def _from_quaternion(q: Array) -> Array:
-    w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
-
-
-def _position(reader: _Reader, _q: Array) -> dict[str, Array | None]:
-    return {"position": reader.vector("")}
-
-
-def _pose(reader: _Reader, _q: Array) -> dict[str, Array | None]:
-    return {"position": reader.vector(""), "orientation": reader.orientation()}
-
-
-def _distance(reader: _Reader, _q: Array) -> dict[str, Array | None]:
-    known = any(str(c).startswith("to_x") for c in reader.table)
-    return {"distance": _positive_distance(reader), "target": reader.vector("to_") if known else None}
-
-
-def _pair_distance(reader: _Reader, q: Array) -> dict[str, Array | None]:
-    pose, other = reader.column("pose"), reader.column("other_pose")
-    where = {float(p): k for k, p in enumerate(pose)}
-    if len(where) < len(pose):
-        row = next(k for k, p in enumerate(pose) if where[float(p)] != k)
-        raise InputError(
-            f"{reader.source}: row {row + 2}, column 'pose': {pose[row]:g} occurs again in row "
-            f"{where[float(pose[row])] + 2}; allowed: each pose's own number"
-        )
-    if (pose == other).any():
-        row = int(np.argmax(pose == other))
-        raise InputError(f"{reader.source}: row {row + 2}, column 'other_pose': {other[row]:g} is that pose itself")
-    missing = [k for k, o in enumerate(other) if float(o) not in where]
-    if missing:
-        raise InputError(
-            f"{reader.source}: row {missing[0] + 2}, column 'other_pose': {other[missing[0]]:g} is no pose of this "
-            "table; allowed: the numbers in column 'pose'"
-        )
-    return {"distance": _positive_distance(reader), "other": q[[where[float(o)] for o in other]]}
-
-
-def _positive_distance(reader: _Reader) -> Array:
-    distance = reader.si("distance", ("_mm", "_m"))
-    if (distance <= 0).any():
-        row = int(np.argmax(distance <= 0))
-        raise InputError(
-            f"{reader.source}: row {row + 2}, column 'distance': {1e3 * distance[row]:.4g} mm; a distance must be "
-            "positive (poses at one point are kind 'contact')"
-        )
-    return distance
-
-
-def _contact(reader: _Reader, _q: Array) -> dict[str, Array | None]:
-    if "point" not in reader.table:
-        raise InputError(f"{reader.source}: column 'point' is missing; it says which point each pose touches")
-    empty = reader.table["point"].isna().to_numpy()
-    if empty.any():
-        raise InputError(f"{reader.source}: row {int(np.argmax(empty)) + 2}, column 'point' is empty; name the point")
-    label = reader.table["point"].astype(str).to_numpy(dtype=object)
-    names, counts = np.unique(label.astype(str), return_counts=True)
-    if counts.max() < 2:
-        raise InputError(
-            f"{reader.source}: column 'point': no point is touched twice ({len(names)} labels); "
-            "poses at one point must have one label"
-        )
-    return {"label": label}
-
-
-_OBSERVED: dict[Kind, Callable[[_Reader, Array], dict[str, Array | None]]] = {
-    "position": _position,
-    "pose": _pose,
-    "distance": _distance,
-    "pair_distance": _pair_distance,
-    "contact": _contact,
-}
 
 
 def _refuse_repeats(found: Measurements) -> None:

@@ -7,7 +7,7 @@ the six numbers together place the robot in the measuring frame (paper, Table 1)
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
@@ -16,110 +16,43 @@ import casadi as ca
 import numpy as np
 
 from .errors import InputError
-from .parameters import Parameter, Parameters
+from .parameters import Parameters
+from .robot_parameters import SIX, bar_names, parameters_of
+from .robot_parts import (
+    NEAR_PARALLEL,
+    WIDTHS,
+    Body,
+    FourBar,
+    Joint,
+    Placement,
+    Width,
+    parallel,
+    refuse_joint,
+    with_hayati,
+)
 from .transforms import Array, frame, small_frame, to_rpy
 
 if TYPE_CHECKING:
     from .effects import Effect
     from .model import Model
 
+__all__ = [
+    "NEAR_PARALLEL",
+    "STANDARD_GRAVITY",
+    "WIDTHS",
+    "Body",
+    "FourBar",
+    "Joint",
+    "Placement",
+    "Robot",
+    "Width",
+    "describe_frame",
+    "modified_dh",
+]
+
 STANDARD_GRAVITY = 9.80665
-NEAR_PARALLEL = np.deg2rad(5.0)
-NEAR_PARALLELOGRAM = 0.02
 # Share of the greatest torque for which the smallest gear of a robot is made.
 SMALLEST_GEAR = 0.05
-
-
-@dataclass(frozen=True, eq=False)
-class Body:
-    """Mass [kg] and mass centre, shape (3,) [m], in its link's frame."""
-
-    mass: float
-    com: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Joint:
-    """One row of the modified DH table and the joint that it carries; SI units.
-
-    kind : revolute, or prismatic (then the reading is added to d)
-    lower, upper : range of the reading [rad or m]
-    compliance : of the drive train [rad/(N m) or m/N]; None: taken as rigid
-    body : of the link that the joint moves
-    """
-
-    alpha: float = 0.0
-    a: float = 0.0
-    theta: float = 0.0
-    d: float = 0.0
-    beta: float | None = None
-    b: float | None = None
-    kind: Literal["revolute", "prismatic"] = "revolute"
-    lower: float = -np.pi
-    upper: float = np.pi
-    compliance: float | None = None
-    body: Body | None = None
-
-
-def _refuse_joint(robot: str, i: int, joint: Joint) -> None:
-    if joint.kind not in ("revolute", "prismatic"):
-        raise InputError(f"robot {robot!r}, joint {i}: kind {joint.kind!r}; allowed: revolute, prismatic")
-    for name in ("alpha", "a", "theta", "d", "beta", "b", "lower", "upper", "compliance"):
-        value = getattr(joint, name)
-        if value is not None and not np.isfinite(value):
-            raise InputError(f"robot {robot!r}, joint {i}: {name} is {value}; it must be a finite number")
-    if joint.lower >= joint.upper:
-        raise InputError(
-            f"robot {robot!r}, joint {i}: range [{joint.lower:.6g}, {joint.upper:.6g}]; lower must be below upper"
-        )
-    if joint.compliance is not None and joint.compliance < 0:
-        raise InputError(f"robot {robot!r}, joint {i}: compliance {joint.compliance:.6g}; it must be zero or more")
-    if joint.body is not None and not joint.body.mass >= 0:
-        raise InputError(f"robot {robot!r}, joint {i}: mass {joint.body.mass:.6g} kg; it must be zero or more")
-
-
-@dataclass(frozen=True)
-class FourBar:
-    """A closed loop: the reading of joint `driven` is the crank's angle in the plane of joint `carrier` (1-based).
-
-    The ground bar is the link between the two joints (its length is the driven row's a). The driven link's angle
-    against the carrier is: direction of the rocker - angle of the carrier + offset. Lengths in metres.
-    """
-
-    driven: int
-    carrier: int
-    crank: float
-    coupler: float
-    rocker: float
-    offset: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class Placement:
-    """A frame given by its nominal transform T, shape (4, 4) [m], and what of it is to be identified."""
-
-    T: Array
-    unknown: Literal["none", "position", "pose"] = "none"
-
-
-@dataclass(frozen=True)
-class Width:
-    """Half width of bounds and one sigma of the prior, for the lengths [m] and angles [rad] of one group."""
-
-    length_bound: float
-    angle_bound: float
-    length_prior: float
-    angle_prior: float
-
-
-WIDTHS: Mapping[str, Width] = {
-    "base": Width(1.0, np.deg2rad(20), 0.1, 0.05),
-    "geometry": Width(0.03, np.deg2rad(6), 0.003, 0.01),
-    "loop": Width(0.02, np.deg2rad(6), 0.002, 0.01),
-    "tool": Width(0.3, np.deg2rad(30), 0.05, 0.1),
-    # Compliance: deflection under the joint's greatest torque.
-    "compliance": Width(0.02, 0.05, 0.001, 0.001),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,8 +84,8 @@ class Robot:
         if not self.joints:
             raise InputError(f"robot {self.name!r} has no joints; at least one row is needed")
         for i, joint in enumerate(self.joints, 1):
-            _refuse_joint(self.name, i, joint)
-        object.__setattr__(self, "joints", _with_hayati(self.joints))
+            refuse_joint(self.name, i, joint)
+        object.__setattr__(self, "joints", with_hayati(self.joints))
         for k, loop in enumerate(self.loops, 1):
             _refuse_unbuildable(self, k, loop)
 
@@ -175,7 +108,7 @@ class Robot:
     @cached_property
     def parameters(self) -> Parameters:
         """Every parameter of the model, with its nominal value, bounds and prior."""
-        return Parameters(_parameters(self))
+        return Parameters(parameters_of(self))
 
     @cached_property
     def reach(self) -> float:
@@ -234,7 +167,7 @@ class Robot:
             self,
             joints=tuple(_joint_with(j, i, v) for i, j in enumerate(self.joints, 1)),
             loops=tuple(_loop_with(loop, k, v) for k, loop in enumerate(self.loops, 1)),
-            base=replace(self.base, T=self.base.T @ np.array(small_frame(*(v.get(n, 0.0) for n in _SIX["base"])))),
+            base=replace(self.base, T=self.base.T @ np.array(small_frame(*(v.get(n, 0.0) for n in SIX["base"])))),
             tool=replace(self.tool, T=_tool_with(self.tool.T, v)),
             effect_values={n: v[n] for n in effect_names},
         )
@@ -244,7 +177,7 @@ class Robot:
         values = dict(zip(other.parameters.names, other.parameters.values, strict=True))
         moved = np.linalg.solve(self.base.T, other.base.T)
         turn = (np.arctan2(-moved[1, 2], moved[2, 2]), np.arcsin(moved[0, 2]), np.arctan2(-moved[0, 1], moved[0, 0]))
-        values |= {n: v for n, v in zip(_SIX["base"], (*moved[:3, 3], *turn), strict=True) if n in values}
+        values |= {n: v for n, v in zip(SIX["base"], (*moved[:3, 3], *turn), strict=True) if n in values}
         return np.array([values[n] for n in self.parameters.names])
 
 
@@ -256,7 +189,7 @@ def _refuse_unbuildable(robot: Robot, number: int, loop: FourBar) -> None:
             f"{where}: must be two neighbouring joints of this robot, the carrier before the driven one (1..{robot.n})"
         )
     joint = robot.joints[loop.driven - 1]
-    if not _parallel(robot.joints, loop.carrier - 1) or not joint.a:
+    if not parallel(robot.joints, loop.carrier - 1) or not joint.a:
         raise InputError(
             f"{where}: their axes must be parallel and apart; row {loop.driven} has "
             f"alpha_deg = {np.rad2deg(joint.alpha):.6g}, a_mm = {1e3 * joint.a:.6g}"
@@ -265,14 +198,6 @@ def _refuse_unbuildable(robot: Robot, number: int, loop: FourBar) -> None:
         raise InputError(f"{where}: both must be revolute joints")
     if [other.driven for other in robot.loops].count(loop.driven) > 1:
         raise InputError(f"{where}: joint {loop.driven} is driven by two loops; keep one")
-
-
-_SIX = {w: tuple(f"{w}_{c}" for c in ("x", "y", "z", "rx", "ry", "rz")) for w in ("base", "tool")}
-
-
-def _bar_names(number: int) -> dict[str, str]:
-    suffix = "" if number == 1 else f"_{number}"
-    return {"crank": f"L5{suffix}", "coupler": f"L4{suffix}", "rocker": f"L3{suffix}"}
 
 
 def _joint_with(joint: Joint, i: int, v: Mapping[str, float]) -> Joint:
@@ -289,111 +214,14 @@ def _joint_with(joint: Joint, i: int, v: Mapping[str, float]) -> Joint:
 
 
 def _loop_with(loop: FourBar, k: int, v: Mapping[str, float]) -> FourBar:
-    names = _bar_names(k)
+    names = bar_names(k)
     return replace(loop, crank=v[names["crank"]], coupler=v[names["coupler"]], rocker=v[names["rocker"]])
 
 
 def _tool_with(T: Array, v: Mapping[str, float]) -> Array:
-    x, y, z, rx, ry, rz = (v.get(n, default) for n, default in zip(_SIX["tool"], (*T[:3, 3], 0, 0, 0), strict=True))
+    x, y, z, rx, ry, rz = (v.get(n, default) for n, default in zip(SIX["tool"], (*T[:3, 3], 0, 0, 0), strict=True))
     turned = np.array(small_frame(0, 0, 0, rx, ry, rz))[:3, :3]
     return frame(T[:3, :3] @ turned, np.array([x, y, z]))
-
-
-def _parallel(joints: tuple[Joint, ...], i: int) -> bool:
-    """Whether the axes of joints i and i+1 (0-based rows) are nearly parallel or antiparallel."""
-    return i + 1 < len(joints) and abs(np.sin(joints[i + 1].alpha)) < np.sin(NEAR_PARALLEL)
-
-
-def _with_hayati(joints: tuple[Joint, ...]) -> tuple[Joint, ...]:
-    """Insert beta in every row whose axis is nearly parallel to the one before."""
-    return tuple(
-        replace(j, beta=0.0) if i > 0 and j.beta is None and _parallel(joints, i - 1) else j
-        for i, j in enumerate(joints)
-    )
-
-
-def _parameters(robot: Robot) -> Iterable[Parameter]:
-    """All parameters, those first that identifiability prefers: placement, rows, loops, compliance, effects."""
-    for which, placement in (("base", robot.base), ("tool", robot.tool)):
-        yield from _placement(robot, which, placement)
-    for i, joint in enumerate(robot.joints, 1):
-        yield from _row(robot, i, joint)
-    for k, loop in enumerate(robot.loops, 1):
-        yield from _loop(robot, k, loop)
-    for i, joint in enumerate(robot.joints, 1):
-        if joint.compliance is not None:
-            yield _compliance(robot, i, joint.compliance)
-    for effect in robot.effects:
-        for p in effect.parameters():
-            yield replace(p, value=robot.effect_values.get(p.name, p.value))
-
-
-def _number(robot: Robot, name: str, group: str, unit: str, value: float, held: str = "") -> Parameter:
-    width = robot.widths[group]
-    bound = width.length_bound if unit == "m" else width.angle_bound
-    prior = width.length_prior if unit == "m" else width.angle_prior
-    return Parameter(name, group, unit, value, 1e-3, value - bound, value + bound, prior, held)
-
-
-def _placement(robot: Robot, which: str, placement: Placement) -> Iterable[Parameter]:
-    count = {"none": 0, "position": 3, "pose": 6}[placement.unknown]
-    start = placement.T[:3, 3] if which == "tool" else np.zeros(3)
-    for name, value in list(zip(_SIX[which], (*start, 0.0, 0.0, 0.0), strict=True))[:count]:
-        yield _number(robot, name, which, "rad" if "_r" in name else "m", float(value))
-
-
-def _row(robot: Robot, i: int, joint: Joint) -> Iterable[Parameter]:
-    # A first row with all six numbers is the base frame itself, as in the paper's Table 1.
-    group = "base" if i == 1 and joint.b is not None else "geometry"
-    yield _number(robot, f"alpha{i - 1}", group, "rad", joint.alpha)
-    yield _number(robot, f"a{i - 1}", group, "m", joint.a)
-    if joint.beta is not None:
-        yield _number(robot, f"beta{i - 1}", group, "rad", joint.beta)
-    if joint.b is not None:
-        yield _number(robot, f"b{i - 1}", group, "m", joint.b)
-    held = ""
-    if _slides_together(robot, i):
-        held = f"axes {i} and {i + 1} are nearly parallel: d{i} moves the tool as d{i + 1} does"
-    elif i > 1 and robot.base.unknown != "none" and all(_slides_together(robot, k) for k in range(1, i)):
-        held = f"axes 1 to {i} are nearly parallel: d{i} moves the tool as the base does"
-    yield _number(robot, f"d{i}", group, "m", joint.d, held)
-    yield _number(robot, f"theta{i}", group, "rad", joint.theta)
-
-
-def _slides_together(robot: Robot, i: int) -> bool:
-    """Whether joints i and i+1 (1-based) turn about nearly parallel axes, so that their d are one."""
-    return _parallel(robot.joints, i - 1) and all(j.kind == "revolute" for j in robot.joints[i - 1 : i + 1])
-
-
-def _loop(robot: Robot, k: int, loop: FourBar) -> Iterable[Parameter]:
-    names = _bar_names(k)
-    ground = abs(robot.joints[loop.driven - 1].a)
-    parallelogram = (
-        abs(loop.crank - loop.rocker) < NEAR_PARALLELOGRAM * loop.rocker
-        and abs(loop.coupler - ground) < NEAR_PARALLELOGRAM * ground
-    )
-    scale = f"only the difference {names['crank']} - {names['rocker']} turns the driven link of a parallelogram"
-    for bar, name in names.items():
-        held = scale if bar == "rocker" and parallelogram else ""
-        yield _number(robot, name, "loop", "m", getattr(loop, bar), held)
-
-
-def _compliance(robot: Robot, i: int, value: float) -> Parameter:
-    width = robot.widths["compliance"]
-    rotary = robot.joints[i - 1].kind == "revolute"
-    bound, prior = (width.angle_bound, width.angle_prior) if rotary else (width.length_bound, width.length_prior)
-    load = _greatest_load(robot, i)
-    unit = "rad/(N m)" if rotary else "m/N"
-    return Parameter(f"c{i}", "compliance", unit, value, 1e-3 / load, 0.0, value + bound / load, prior / load)
-
-
-def _greatest_load(robot: Robot, i: int) -> float:
-    """Roughly the greatest torque [N m] (or force [N]) at joint i: all weight beyond it at half the reach beyond."""
-    beyond = robot.joints[i - 1 :]
-    mass = sum(j.body.mass for j in beyond if j.body) + (robot.payload.mass if robot.payload else 0.0)
-    reach = sum(abs(j.a) + abs(j.d) for j in beyond) + float(np.linalg.norm(robot.tool.T[:3, 3]))
-    lever = 1.0 if robot.joints[i - 1].kind == "prismatic" else max(0.5 * reach, 0.05)
-    return max(mass * float(np.linalg.norm(robot.gravity)) * lever, 1e-3)
 
 
 def modified_dh(robot: Robot) -> list[dict[str, float | str | None]]:

@@ -14,7 +14,10 @@ from .terminal import Json, Quiet, progress
 
 
 def plan(
-    problem: Annotated[Path, typer.Argument(metavar="PROBLEM", help="Folder with the robot, or a robot file.")],
+    problem: Annotated[
+        Path,
+        typer.Argument(metavar="PROBLEM", help="Folder with the robot, or a robot file, such as calibrate writes."),
+    ],
     n: Annotated[
         int | None,
         typer.Option("-n", min=1, help="Number of joint readings to measure; without it, say how many are enough."),
@@ -75,7 +78,7 @@ def plan(
     from ..pose_selection.candidates import Circumstances
     from ..pose_selection.criteria import checked
     from ..pose_selection.information import Noise
-    from ..pose_selection.planning import look_ahead, robot_of
+    from ..pose_selection.planning import look_ahead, planned_with, robot_of
     from ..pose_selection.planning import plan as run
     from ..pose_selection.report import ahead_files, how_many, plan_files, report
     from ..pose_selection.room import read_room
@@ -109,6 +112,7 @@ def plan(
     write_together(texts)
     console = Console(quiet=quiet)
     console.print(said)
+    console.print(planned_with(problem, measured))
     for path in texts:
         console.print(f"wrote {path}", soft_wrap=True)
 

@@ -15,16 +15,37 @@ from ..problem import read_campaign_robot
 from ..robot import Robot
 from ..robot_file import read_robot
 from .candidates import Circumstances
+from .choice import select_poses
 from .criteria import Criterion
 from .information import Noise
-from .selection import Selection, select_poses
+from .selection import Selection
 from .stopping import Forecast, forecast
 from .workspace import Workspace
 
 
 def robot_of(path: Path) -> Robot:
-    """The robot of a problem folder, or of a robot file. Raises InputError."""
-    return read_robot(path) if path.is_file() else read_campaign_robot(path)
+    """The robot of a problem folder, of a robot file, or of what `calibrate --out` wrote. Raises InputError."""
+    if path.is_file():
+        return read_robot(path)
+    written = sorted(path.glob("*.robot.toml"))
+    if not (path / "problem.toml").exists() and written:
+        if len(written) > 1:
+            names = ", ".join(str(p) for p in written)
+            raise InputError(f"{path}: {len(written)} calibrated robots; give the one to plan with: {names}")
+        return read_robot(written[0])
+    return read_campaign_robot(path)
+
+
+def planned_with(path: Path, measured: Path | None) -> str:
+    """Which model the poses are chosen for, in a sentence."""
+    if measured is not None:
+        return f"Planned with the robot of {path}, calibrated with {measured}."
+    if not (path / "problem.toml").exists():
+        return f"Planned with the robot of {path}, as it stands there."
+    return (
+        f"Planned with the robot that {path} declares, its base and tool as declared too. Once something is measured, "
+        "give it with --measured, or plan with the robot file that calibrate --out wrote."
+    )
 
 
 def continued(robot: Robot, path: Path, noise: Noise | None) -> tuple[Robot, Measurements, Noise]:

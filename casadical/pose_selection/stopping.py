@@ -13,10 +13,10 @@ from ..measurements import Measurements
 from ..robot import Robot
 from ..transforms import Array
 from .candidates import Circumstances
+from .design_problem import prepare
 from .designs import inverse
 from .exchange import search
 from .information import MM, Noise, scaled_jacobian
-from .selection import prepare
 from .workspace import Workspace
 
 

@@ -4,7 +4,6 @@ Pairs of effects that a campaign of 40 poses cannot tell apart, and what 40 more
 proposes for the pair, and others drawn at random over everything that the robot can do. Measured in the physics engine
 (MuJoCo, `casadical.engine`), the truth being the one and the other effect of the pair in turn, each robot built anew.
 The first campaign is poor in one way each: joint ranges, payload, temperature.
-The figures kept were measured in two runs, of two pairs each.
 
 Isolated: of all causes on the standard list, and of the smooth unknown ones, the most probable is the true one, joint
 included. Claimed: with a probability of .9; wrong claims: of another cause. The pair: of the two alone, the truth is
@@ -69,6 +68,13 @@ PAIRS = {
         "kr210", ("base_compliance", "axis_wobble@1"), "one reach, joint 1 within 80 deg, no payload",
         {1: (-40, 40), 2: (-50, -35), 3: (20, 35)}, (0.0,), scale=2.0,
     ),
+    "coupling": Pair(
+        "kr210", ("link_flexure", "joint_coupling@5"), "small ranges of joints 2 to 4, no payload",
+        {2: (-70, -40), 3: (0, 40), 4: (-10, 10)}, (0.0,), scale=2.0,
+    ),
+    "spring": Pair(
+        "kr210", ("gravity_compensator@2", "gear_eccentricity@2"), "joint 2 within 60 deg", {2: (-110, -50)}
+    ),
 }  # fmt: skip
 
 
@@ -78,8 +84,10 @@ def hidden(machine, label, scale, rng):
     drawn = draw_effect(machine, name, rng)
     if name == "axis_wobble":
         drawn = replace(drawn, size={**drawn.size, "cycles": 1})
+    if name == "joint_coupling":
+        drawn = replace(drawn, size={**drawn.size, "source": int(joint) - 1})
     drawn = replace(drawn, size={**drawn.size, "size": scale * drawn.size["size"]})
-    return replace(drawn, joint=int(joint)) if joint else drawn
+    return drawn if drawn.joint is None else replace(drawn, joint=int(joint))
 
 
 def table_of(q_deg, degC, payload_kg, sides):

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from pose_arms import elbow, positions, readings
 
 from casadical import cli, read_measurements, write_robot
 from casadical.pose_selection.order import travel
+from casadical.transforms import frame
 
 pytest.importorskip("networkx", reason="casadical plan orders poses with networkx (extra 'plan')")
 
@@ -72,6 +74,22 @@ def test_a_plan_continues_from_a_file(monkeypatch, tmp_path, capsys, robot_file)
     noise = float(text.split("from noise of ")[1].split(" mm")[0])
     assert 0.02 < noise < 0.1  # 0.05 was planted; few degrees of freedom
     assert len(pd.read_csv(out)) == 6
+
+
+def test_a_plan_is_made_with_what_a_calibration_wrote(monkeypatch, tmp_path, capsys) -> None:
+    tool = replace(elbow().tool, T=frame(np.eye(3), np.array([0.25, 0.08, 0.12])))
+    results = tmp_path / "results"
+    results.mkdir()
+    write_robot(elbow(tool=tool), results / "SKCM.robot.toml", "Calibrated.")
+    assert run(monkeypatch, results, "-n", 15, "--out", tmp_path / "next.csv") == 0
+    assert f"Planned with the robot of {results}" in capsys.readouterr().out.replace("\n", "")
+    plan = pd.read_csv(tmp_path / "next.csv")
+    q = np.deg2rad(plan[[f"q{j}_deg" for j in range(1, 7)]].to_numpy())
+    where = 1e3 * positions(elbow(tool=tool), q, 0, 0.0).position
+    np.testing.assert_allclose(plan[["nominal_x_mm", "nominal_y_mm", "nominal_z_mm"]], where, atol=2e-3)
+    write_robot(elbow(), results / "KM.robot.toml")
+    assert run(monkeypatch, results, "-n", 15, "--out", tmp_path / "next.csv") == 2
+    assert "2 calibrated robots; give the one to plan with" in capsys.readouterr().err.replace("\n", " ")
 
 
 def test_without_a_number_it_is_the_stopping_rule(monkeypatch, tmp_path, capsys, robot_file) -> None:

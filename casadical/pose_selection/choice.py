@@ -1,0 +1,136 @@
+"""Which poses to measure: `select_poses`, an exchange of candidates and, where new ones may be drawn, of neighbours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from ..errors import InputError
+from ..measurements import Measurements
+from ..robot import Robot
+from ..transforms import Array
+from .candidates import Candidates, Circumstances, circumstanced
+from .criteria import Criterion
+from .design_problem import Problem, prepare
+from .exchange import improve, search
+from .information import Noise
+from .order import arranged
+from .selection import Selection
+from .workspace import Workspace
+
+# Neighbours of every chosen pose, and how far off as a share of the joints' ranges, in each round of refinement.
+NEIGHBOURS = 12
+REFINEMENTS = (0.2, 0.08, 0.03)
+
+
+def select_poses(
+    robot: Robot,
+    among: Array | tuple[Array, Array] | Workspace | None,
+    n: int,
+    criterion: Criterion = "V",
+    *,
+    workspace: Workspace | None = None,
+    circumstances: Circumstances | None = None,
+    measured: Measurements | None = None,
+    free: Iterable[str] | None = None,
+    interest: Iterable[str] = (),
+    task: Array | None = None,
+    noise: Noise | None = None,
+    min_distance: float | None = 0.0,
+    pool: int = 1000,
+    restarts: int = 2,
+    seed: int = 0,
+) -> Selection:
+    """Choose n readings to measure, by an exchange of candidates.
+
+    robot : its values are what the Jacobians are taken at, so give the calibrated one when continuing; its effects
+        (`with_effect`) are parameters like any other
+    among : readings to choose from, shape (N, joints) [rad or m]; or limits between which they are drawn, and then
+        refined in the neighbourhood of the best: a tuple (lower, upper), shape (joints,) each [rad or m], or a
+        workspace; None: the robot's own ranges
+    criterion : V (the mean variance of the position over the task), D or O1, A, O2 to O5; see `criteria`
+    workspace, circumstances : what else keeps a pose from being measured; payloads, approaches, repeats
+    measured : poses that were measured already: the choice adds to them and keeps its distance
+    free : what will be identified, as of `identify`; by default geometry, frames, compliance and all effects
+    interest : parameters (names, groups or labels, patterns) that matter most: A then regards only these, V weighs
+        them, in units of their priors, as much as the task
+    task : readings at which the robot is to be accurate, shape (T, joints) [rad or m]; None: all that is allowed
+    noise : of coordinates and joints; min_distance : between any two poses, in the joint that differs most, as a share
+        of its range, None where a pose may be chosen more than once; pool : candidates to draw; restarts : searches, of
+        which the best counts; seed : of all chance
+
+    Raises InputError where nothing can be chosen. Source: Mitchell (1974); Sun and Hollerbach (2008).
+    """
+    if n < 1:
+        raise InputError(f"n is {n}; at least one pose must be chosen")
+    candidates, workspace = _sources(among, workspace)
+    rng = np.random.default_rng(seed)
+    problem = prepare(
+        robot, n, criterion, candidates=candidates, workspace=workspace,
+        circumstances=circumstances or Circumstances(), measured=measured, free=free, interest=interest, task=task,
+        noise=noise or Noise(), pool=max(pool, 3 * n), rng=rng,
+    )  # fmt: skip
+    design = problem.design(problem.pool, criterion, min_distance)
+    chosen = problem.pool[search(design, n, restarts, seed)]
+    if problem.open:
+        for size in REFINEMENTS:
+            chosen = _refined(problem, chosen, criterion, min_distance, size, rng)
+    return selection(problem, chosen, criterion)
+
+
+def _sources(
+    among: Array | tuple[Array, Array] | Workspace | None, workspace: Workspace | None
+) -> tuple[Array | None, Workspace]:
+    """Candidates, if any were given, and the workspace with the limits that were given."""
+    if isinstance(among, Workspace):
+        if workspace is not None:
+            raise InputError("two workspaces were given; give one of them, or limits as a tuple (lower, upper)")
+        return None, among
+    room = workspace or Workspace()
+    if isinstance(among, tuple):
+        if len(among) != 2:
+            raise InputError(f"limits of {len(among)} parts; allowed: (lower, upper), one reading a joint each")
+        lower, upper = (np.asarray(side, dtype=float) for side in among)
+        return None, replace(room, lower=lower, upper=upper)
+    if among is not None and np.asarray(among).ndim == 0:
+        raise InputError(f"poses chosen among {among!r}; allowed: candidates, (lower, upper), a Workspace, None")
+    return among, room
+
+
+def selection(problem: Problem, chosen: Candidates, criterion: Criterion) -> Selection:
+    """The result of a search."""
+    return Selection(
+        robot=problem.robot,
+        chosen=chosen,
+        m=arranged(problem.robot, chosen, problem.circumstances, travel=False),
+        measured=problem.measured,
+        names=problem.names,
+        held=problem.held,
+        criterion=criterion,
+        noise=problem.noise,
+        task=problem.task,
+        circumstances=problem.circumstances,
+    )
+
+
+def _refined(
+    problem: Problem,
+    chosen: Candidates,
+    criterion: Criterion,
+    min_distance: float | None,
+    size: float,
+    rng: np.random.Generator,
+) -> Candidates:
+    """Exchange the chosen ones with new candidates near them."""
+    robot, workspace = problem.robot, problem.workspace
+    lower, upper = workspace.ranges(robot)
+    steps = size * (upper - lower) * rng.normal(size=(NEIGHBOURS, len(chosen), robot.n))
+    q = np.clip(chosen.q + steps, lower, upper).reshape(-1, robot.n)
+    q = q[workspace.allows(robot, q)]
+    pool = chosen.joined(circumstanced(robot, q, problem.circumstances, len(chosen), rng)) if len(q) else chosen
+    design = problem.design(pool, criterion, min_distance)
+    design.start(list(range(len(chosen))))
+    improve(design)
+    return pool[np.array(design.chosen)]

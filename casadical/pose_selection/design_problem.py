@@ -1,0 +1,167 @@
+"""What a search for poses works on: candidates, independent parameters, what is known already, what counts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..conditions import derive
+from ..errors import InputError
+from ..identifiability import Unidentifiable
+from ..measurements import Measurements
+from ..robot import Robot
+from ..transforms import Array
+from .candidates import Candidates, Circumstances, circumstanced, draw, draw_uniform
+from .criteria import Criterion, checked
+from .designs import Design, Determinant, Linear, Spectral, inverse
+from .information import Noise, independent, noise_covariance, scaled_jacobian, whitened
+from .workspace import Workspace
+
+TASK_POSES = 300
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What a search works on.
+
+    names, held, measured, task : as of `Selection`; pool : candidates; open : whether new ones may be drawn near them
+    fixed : information of what was measured, shape (p, p); weight : W of linear criteria, shape (p, p)
+    """
+
+    robot: Robot
+    workspace: Workspace
+    circumstances: Circumstances
+    noise: Noise
+    names: tuple[str, ...]
+    held: tuple[Unidentifiable, ...]
+    measured: Measurements | None
+    task: Measurements
+    pool: Candidates
+    open: bool
+    fixed: Array = field(repr=False)
+    weight: Array = field(repr=False)
+
+    def design(self, pool: Candidates, criterion: Criterion, min_distance: float | None) -> Design:
+        """The search's state over a pool; see `designs.Design`."""
+        lower, upper = self.workspace.ranges(self.robot)
+        span = upper - lower
+        occupied = np.empty((0, self.robot.n)) if self.measured is None else self.measured.q
+        plain = criterion in ("O1", "O2", "O3", "O4", "O5")
+        rows = _rows(self.robot, self.names, pool.measurements(self.robot), None if plain else self.noise)
+        # Passes repeat the same rows: they count by the root of their number.
+        once = rows.reshape(len(pool), pool.size, 3, -1)[:, pool.turn == 0]
+        rows = np.sqrt(self.circumstances.repeats) * once.reshape(len(pool), -1, len(self.names))
+        fixed = self.fixed
+        if plain and self.measured is not None:
+            A = _rows(self.robot, self.names, self.measured, None).reshape(-1, len(self.names))
+            fixed = A.T @ A
+        apart = -1.0 if min_distance is None else min_distance
+        common = (rows, fixed, (pool.q - lower) / span, apart, (occupied - lower) / span)
+        if criterion in ("D", "O1"):
+            return Determinant(*common)
+        if criterion in ("A", "V"):
+            return Linear(self.weight, *common)
+        return Spectral(criterion, *common)
+
+
+def _rows(robot: Robot, names: Sequence[str], m: Measurements, noise: Noise | None) -> Array:
+    """Scaled Jacobian, in units of sigma if noise is given, shape (n, 3, p)."""
+    J = scaled_jacobian(robot, names, m)
+    return J if noise is None else whitened(J, noise_covariance(robot, m, noise))
+
+
+def prepare(
+    robot: Robot,
+    n: int,
+    criterion: Criterion,
+    *,
+    candidates: Array | None,
+    workspace: Workspace,
+    circumstances: Circumstances,
+    measured: Measurements | None,
+    free: Iterable[str] | None,
+    interest: Iterable[str],
+    task: Array | None,
+    noise: Noise,
+    pool: int,
+    rng: np.random.Generator,
+) -> Problem:
+    """Candidates, independent parameters and weights; arguments as of `select_poses`. Raises InputError."""
+    criterion = checked(criterion)
+    words = ("kinematic", "compliance", *(e.label for e in robot.effects)) if free is None else tuple(free)
+    wanted = robot.parameters.select(words)
+    q = draw(robot, pool, workspace, rng) if candidates is None else _allowed(robot, candidates, workspace)
+    ready = circumstanced(robot, q, circumstances, n, rng)
+    m = ready.measurements(robot)
+    if measured is not None:
+        measured = _with_columns(robot, measured)
+    total = n * ready.size + (0 if measured is None else len(measured))
+    names, held = independent(robot, wanted, m, total, noise)
+    if 3 * total < len(names):
+        raise InputError(
+            f"{total} poses give {3 * total} numbers, but {len(names)} parameters are to be identified; "
+            f"at least {-(-len(names) // 3)} poses are needed, and some more tell how good they are"
+        )
+    task_q = draw_uniform(robot, TASK_POSES, workspace, rng) if task is None else np.atleast_2d(task)
+    one = replace(circumstances, every_payload=False, both_approaches=False, repeats=1)
+    goal = circumstanced(robot, task_q, one, n, rng).measurements(robot, "task")
+    p = len(names)
+    fixed = np.zeros((p, p))
+    if measured is not None:
+        A = _rows(robot, names, measured, noise).reshape(-1, p)
+        fixed = A.T @ A
+    chosen = _chosen(robot, interest, names)
+    J = scaled_jacobian(robot, names, goal)
+    A = _rows(robot, names, m, noise).reshape(-1, p)
+    weight = _weight(criterion, J, chosen, inverse(A.T @ A * total / len(m)))
+    return Problem(
+        robot, workspace, circumstances, noise, names, held, measured, goal, ready, candidates is None, fixed, weight
+    )
+
+
+def _weight(criterion: Criterion, J: Array, chosen: Array, C: Array) -> Array:
+    """W: the task's mean J'J, the identity, and the parameters of interest, each as important as the other.
+
+    C : covariance from as many poses taken by chance, which says what counts as important
+    """
+    of_interest = np.diag(chosen)
+    if criterion == "A":
+        return of_interest if chosen.any() else np.eye(len(C))
+    of_task = np.einsum("kip,kiq->pq", J, J) / len(J)
+    if chosen.any():
+        return np.asarray(of_task / np.sum(of_task * C) + of_interest / np.sum(of_interest * C))
+    return np.asarray(of_task)
+
+
+def _chosen(robot: Robot, interest: Iterable[str], names: Sequence[str]) -> Array:
+    """One over the square of the prior, in units of scale, of the parameters of interest; zero of others."""
+    words = tuple(interest)
+    hit = robot.parameters.select(words) if words else ()
+    lost = [n for n in hit if n not in names]
+    if lost and len(lost) == len(hit):
+        raise InputError(f"no poses would tell anything of {', '.join(lost)}: see what it is confounded with")
+    parameters = [robot.parameters[n] for n in names]
+    return np.array([(p.scale / p.prior) ** 2 if p.name in hit else 0.0 for p in parameters])
+
+
+def _allowed(robot: Robot, q: Array, workspace: Workspace) -> Array:
+    q = np.atleast_2d(np.asarray(q, dtype=float))
+    if q.ndim != 2 or q.shape[1] != robot.n or not np.isfinite(q).all():
+        raise InputError(f"candidates of shape {q.shape}; allowed: (poses, {robot.n}) finite readings [rad or m]")
+    kept = q[workspace.allows(robot, q)]
+    if not len(kept):
+        refused = {reason: int(mask.sum()) for reason, mask in workspace.refusals(robot, q).items()}
+        raise InputError(f"none of the {len(q)} candidates is allowed: {refused}; widen the workspace")
+    return np.asarray(kept)
+
+
+def _with_columns(robot: Robot, measured: Measurements) -> Measurements:
+    if measured.kind not in ("position", "pose") or measured.q.shape[1] != robot.n:
+        raise InputError(f"{measured.source}: measured poses must be positions of {robot.name}'s {robot.n} joints")
+    derived, missing = derive(measured, robot.conditions)
+    lost = [name for name in missing if name != "payload_kg"]
+    if lost:
+        raise InputError(f"{measured.source}: column {lost[0]!r} is missing, which {robot.name}'s effects need")
+    return replace(derived, kind="position", orientation=None)
