@@ -12,6 +12,7 @@ from .advice import told_apart
 from .network import NetworkGap
 from .refit import Check
 from .result import Cause, Diagnosis
+from .unlisted import Unlisted
 from .wording import missing_columns
 
 # Mechanical causes that leave the same signature in joint space.
@@ -72,6 +73,7 @@ def as_json(d: Diagnosis, campaign: str, extras: Extras | None = None) -> dict[s
         **({} if d.p_nothing is None else {"p_nothing": d.p_nothing}),
         "causes": [_cause(c) for c in d.causes],
         "unknown_rest": round(d.unknown_rest, 4),
+        **({} if d.unlisted is None else {"unlisted": _unlisted(d.unlisted)}),
         "course": _records(d.course),
         "where": {name: _records(table) for name, table in d.where.tables()},
         "noise": {"sigma_mm": _mm(d.noise.sigma), "repeatability_urad": round(1e6 * d.noise.repeatability, 2)},
@@ -96,6 +98,14 @@ def _next(poses: pd.DataFrame) -> list[dict[str, Any]]:
     """Poses that would tell apart what this data cannot."""
     rows = poses.to_dict("records")
     return [{str(k): v for k, v in row.items() if v == v and v is not None} for row in rows]
+
+
+def _unlisted(u: Unlisted) -> dict[str, Any]:
+    return {
+        "forms": list(u.labels),
+        "gap_mm": {"before": _mm(u.before), "after": _mm(u.after)},
+        "shrink_interval": [round(x, 4) for x in u.shrink_interval],
+    }
 
 
 def _network(n: NetworkGap) -> dict[str, Any]:

@@ -14,13 +14,12 @@ from functools import cached_property
 
 import numpy as np
 
+from ..effects.base import CHOSEN
 from ..transforms import Array
 
 SIGMAS = np.geomspace(3e-6, 300e-6, 33)
 # Joint repeatability over the instrument's sigma [rad/m].
 RHOS = np.array([0.0, 0.1, 0.2, 0.4, 0.8, 1.6])
-# One sigma, in sizes, of a cause once it is in the model: wide, since the data have spoken for it.
-CHOSEN = 8.0
 KAPPAS = np.array([0.35, 0.7, 1.4, 2.8, 5.6])
 KAPPA_WEIGHTS = np.array([0.15, 0.25, 0.3, 0.2, 0.1])
 

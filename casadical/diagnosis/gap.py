@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..effects.base import CHOSEN
 from ..transforms import Array
-from .evidence import CHOSEN, RHOS, SIGMAS, Evidence
+from .evidence import RHOS, SIGMAS, Evidence
 
 FOLDS = 5
 

@@ -36,6 +36,7 @@ from .rules import (
     detection,
 )
 from .two import two_causes
+from .unlisted import unlisted_forms
 from .which import Ranking, rank
 
 Show = Callable[[str], None]
@@ -167,6 +168,9 @@ class Investigation:
         course = self._course(noise)
         gap = Gap(float(before_all.mean()), float(after.mean()), floor)
         verdict, rest = self._verdict(end, gap, bool(causes))
+        named = self.columns(self.steps), frozenset(s.labels[0] for s in self.steps)
+        last = self.rankings[-1]
+        forms = unlisted_forms(self.case, last, named, self.errors, after, self.seed) if verdict == "unknown" else None
         return Diagnosis(
             verdict=verdict,
             causes=tuple(causes),
@@ -182,6 +186,7 @@ class Investigation:
             identification=self.identification,
             seed=self.seed,
             p_nothing=self.p_nothing,
+            unlisted=forms,
         )
 
     def _final_noise(self, end: str) -> Noise:

@@ -23,6 +23,7 @@ from .network import NetworkGap, network_gap
 from .next_poses import next_poses
 from .refit import Check, held_out_refit, refit
 from .replicates import Replicates
+from .unlisted import Unlisted
 from .where import Where, where
 from .which import Ranking
 
@@ -85,6 +86,7 @@ class Diagnosis:
     missing : label -> columns that would be needed to speak about it
     case, identification : what it was computed from; seed : of all chance
     p_nothing : how often noise alone would look as much like some cause; None without a bootstrap
+    unlisted : what the rest is most like, and the gap with that in the model; None unless the verdict is unknown
     """
 
     verdict: Verdict
@@ -101,6 +103,7 @@ class Diagnosis:
     identification: Identification
     seed: int = 0
     p_nothing: float | None = None
+    unlisted: Unlisted | None = None
 
     @cached_property
     def where(self) -> Where:
@@ -136,17 +139,21 @@ class Diagnosis:
         beside = ("none", *others[:1])
         return next_poses(self.case, labels, n, seed, beside=beside, workspace=workspace, payloads=payloads)
 
-    def effects(self, top: int | None = None) -> tuple[Effect, ...]:
-        """Effects of the first `top` causes (all by default), with their most likely settings."""
-        return tuple(e for c in self.causes[:top] for e in c.effects)
+    def effects(self, top: int | None = None, unlisted: bool = False) -> tuple[Effect, ...]:
+        """Effects of the first `top` causes (all by default), with their most likely settings.
 
-    def refit(self, top: int | None = None) -> Identification:
-        """Base model and the first `top` causes identified together by Ipopt, with standard errors (see `refit`)."""
-        return refit(self.case, self.effects(top), self.noise)
+        unlisted : also the forms of the unknown, which name no cause but describe what is left
+        """
+        named = tuple(e for c in self.causes[:top] for e in c.effects)
+        return (*named, *self.unlisted.effects) if unlisted and self.unlisted else named
 
-    def apply(self, top: int | None = None) -> Robot:
-        """The calibrated robot with the first `top` causes in its model: it predicts, and is exported, as any other."""
-        return self.refit(top).robot
+    def refit(self, top: int | None = None, unlisted: bool = False) -> Identification:
+        """Base model and these effects identified together by Ipopt, with standard errors (see `effects`, `refit`)."""
+        return refit(self.case, self.effects(top, unlisted), self.noise)
+
+    def apply(self, top: int | None = None, unlisted: bool = False) -> Robot:
+        """The calibrated robot with these effects in its model: it predicts, and is exported, as any other."""
+        return self.refit(top, unlisted).robot
 
     def check_refit(self, show: Callable[[str], None] = lambda _text: None) -> Check:
         """Held-out gap of the nonlinear refit beside that of the linearised model, on the same fifths."""

@@ -54,7 +54,15 @@ def resembles(d: Diagnosis) -> str:
     if not best or best in listed or ranking.probability[best] < 0.5:
         return ""
     rare = any(c.label == best and c.name != "unknown" for c in d.case.candidates)
-    return f"most like {best} ({ranking.probability[best]:.2f})" + (", see --effects extended" if rare else "")
+    words = f"most like {best} ({ranking.probability[best]:.2f})" + (", see --effects extended" if rare else "")
+    if d.unlisted is None:
+        return words
+    u, more = d.unlisted, "".join(f", and {label}" for label in d.unlisted.labels[1:])
+    low, high = (100 * x for x in u.shrink_interval)
+    return (
+        f"{words}{more}; with that in the model, cause or not, {1e3 * u.before:.3f} -> {1e3 * u.after:.3f} mm on poses "
+        f"held out, {low:.0f} to {high:.0f} % less (from Python: apply(unlisted=True))"
+    )
 
 
 def unsure_floor(d: Diagnosis) -> str:

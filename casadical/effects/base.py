@@ -65,6 +65,11 @@ class Context:
         return float(self.robot.torque_scale.max())
 
 
+# One sigma, in realistic sizes, of an effect once it is in a model: wide, for somebody had a reason to put it there,
+# and a robot's own may be many times the usual.
+CHOSEN = 8.0
+
+
 @dataclass(frozen=True)
 class Effect:
     """One unmodelled effect. Subclass it, name it, give its parameters, and override the seams it acts at.
@@ -96,9 +101,9 @@ class Effect:
         return {}
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Its parameters, named label.name, without bounds that matter."""
+        """Its parameters, named label.name, without bounds that matter and with a prior that hardly holds them back."""
         return tuple(
-            Parameter(f"{self.label}.{name}", self.label, unit, 0.0, size, -1e3 * size, 1e3 * size, size)
+            Parameter(f"{self.label}.{name}", self.label, unit, 0.0, size, -1e3 * size, 1e3 * size, CHOSEN * size)
             for name, (size, unit) in self.sizes().items()
         )
 

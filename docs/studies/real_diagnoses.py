@@ -98,7 +98,14 @@ def study(name: str, poses: int) -> Diagnosis:
         if cause.effects:
             robot = d.apply(top)
             line(f"{'and' if top > 1 else 'with'} {cause.label}", {k: errors(robot, t) for k, t in tests.items()}, base)
-    if d.effects():
+    if d.unlisted:
+        robot = d.apply(unlisted=True)
+        line(
+            f"{'and' if d.effects() else 'with'} its unknown forms",
+            {k: errors(robot, t) for k, t in tests.items()},
+            base,
+        )
+    if d.effects() or d.unlisted:
         word, error = with_network(robot, kept, tests)
         line(f"all causes + network{word}", error, base)
     print(flush=True)
@@ -112,7 +119,7 @@ def carried(found: dict[str, Diagnosis], poses: int) -> None:
     )
     print(f"   anew from {poses} poses and tried on up to 2000 others; mean error [mm]")
     for source, d in found.items():
-        refit = d.refit()
+        refit = d.refit(unlisted=True)
         values = {n: v for n, v in zip(refit.names, refit.estimate, strict=True) if "@" in n}
         for target in (t for t in found if t != source):
             bare = read_problem(ROOT / "problems" / target).robot
@@ -120,7 +127,7 @@ def carried(found: dict[str, Diagnosis], poses: int) -> None:
             order = np.random.default_rng(1).permutation(len(m))[: poses + 2000]
             train, test = m[order[:poses]], m[order[poses:]]
             means = []
-            for robot in (bare, bare.with_effect(*d.effects()).with_values(values)):
+            for robot in (bare, bare.with_effect(*d.effects(unlisted=True)).with_values(values)):
                 fit = identify(robot, train, ("kinematic", "compliance"), loss="huber", priors=True)
                 means.append(1e3 * np.sort(errors(fit.robot, test))[: int(0.99 * len(test))].mean())
             shrink = 100 * (1 - means[1] / means[0])

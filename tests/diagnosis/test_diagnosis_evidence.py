@@ -5,7 +5,8 @@ import pytest
 from cases import small_problem
 from scipy.stats import multivariate_normal
 
-from casadical.diagnosis.evidence import CHOSEN, KAPPAS, RHOS, SIGMAS, Evidence, log_sum
+from casadical.diagnosis.evidence import KAPPAS, RHOS, SIGMAS, Evidence, log_sum
+from casadical.effects.base import CHOSEN
 
 
 def direct(e: Evidence, rho: float, sigma: float, kappa: float, group: np.ndarray, chosen: np.ndarray) -> float:

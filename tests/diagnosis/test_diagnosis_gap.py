@@ -5,7 +5,7 @@ import pytest
 from cases import small_problem
 from scipy.optimize import lsq_linear
 
-from casadical.diagnosis.evidence import CHOSEN, RHOS, SIGMAS, Evidence
+from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence
 from casadical.diagnosis.gap import (
     Noise,
     covariance,
@@ -16,6 +16,7 @@ from casadical.diagnosis.gap import (
     remainders,
     shrink_interval,
 )
+from casadical.effects.base import CHOSEN
 
 NOISE = Noise(2e-5, 8e-6)
 
