@@ -23,7 +23,7 @@ def compare(name: str, effects: list[Effect]) -> None:
     assert Jq.shape == (len(poses), 3, 6)
     parameters = [p for e in effects for p in e.parameters()]
     assert E.shape == (len(poses), 3, len(parameters))
-    size = np.array([p.prior for p in parameters])
+    size = np.array([p.scale for p in parameters])
     step = np.hstack([np.zeros((len(size), len(base))), np.diag(size)])
     start = np.concatenate([base, np.zeros(len(size))])
     up, down = (moved_by(name, effects, start + sign * step, poses) for sign in (1, -1))
