@@ -5,9 +5,12 @@ from dataclasses import replace
 import numpy as np
 from cases import robot, simulated
 
+from casadical.accuracy import predicted
+from casadical.diagnosis.answer import as_json
 from casadical.diagnosis.case import make_case
 from casadical.diagnosis.diagnosis import diagnose
 from casadical.diagnosis.library import candidates_of
+from casadical.diagnosis.printed import page_of
 from casadical.diagnosis.two import two_causes
 from casadical.diagnosis.which import rank
 from casadical.identification import identify
@@ -46,3 +49,14 @@ def test_a_bump_in_a_joints_own_angle_is_unknown_and_its_joint_named() -> None:
     d = diagnose(r, replace(m, position=m.position + case.whole.Jq[:, :, 2] * bump[:, None]))
     assert (d.verdict, d.causes) == ("unknown", ())
     assert d.rankings[0].order[0] == "any function of q3 in joint 3"
+    assert d.unlisted is not None
+    assert d.unlisted.labels[0] == "any function of q3 in joint 3"
+    assert d.unlisted.shrink_interval[0] > 0.1
+    assert as_json(d, "bump")["unlisted"]["forms"][0] == "any function of q3 in joint 3"
+    assert "with that in the model, cause or not" in " ".join(page_of(d).split())
+    mapped, base = d.apply(unlisted=True), d.apply()
+    assert d.effects() == ()
+    assert len(d.effects(unlisted=True)) == len(d.unlisted.labels)
+    wrong = case.whole.Jq[:, :, 2] * bump[:, None]
+    far = [np.linalg.norm(m.position + wrong - predicted(r, m)[0], axis=1).mean() for r in (base, mapped)]
+    assert far[1] < 0.7 * far[0]
