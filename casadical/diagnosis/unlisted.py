@@ -1,7 +1,7 @@
 """What the unknown is worth: its likeliest forms taken into the model, and how far the gap shrinks with them.
 
-A form on no list (any function of a joint's own angle, smooth in time, ...) names no cause. It is a description all
-the same, and where it predicts poses that were held out it can be corrected.
+A form on no list (any function of a joint's own angle, smooth in time, ...) names no cause, nor does a listed effect
+beside it. Together they are a description all the same, and where it predicts poses held out it can be corrected.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from .gap import Noise, shrink_interval
 from .rules import DETECT_FURTHER
 from .which import Ranking, rank
 
-MOST_FORMS = 3
+MOST_FORMS = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Unlisted:
-    """Forms on no list, the likeliest first.
+    """Forms that describe the unknown.
 
-    labels : what they are; effects : they as effects of the model
+    labels : what they are, of listed effects too; effects : they as effects of the model
     before, after : mean held-out gap [m] with the named causes, and with these forms too
     shrink, shrink_interval : share by which it falls, with a 95 % interval
     """
@@ -46,29 +46,36 @@ def unlisted_forms(
     before: Array,
     seed: int,
 ) -> Unlisted | None:
-    """Forms taken up one by one while the likeliest is on no list; None where the first is not.
+    """Forms taken up one by one, the first of them on no list, each judged anew beside the others; None without one.
 
     ranking : the last one; named : columns and labels of the named causes; before : held-out errors with these,
     shape (kept,) [m]; errors : the same for other columns, with the noise that they leave
     """
     by_label = {c.label: c for c in case.candidates}
-    columns, skip = named
-    labels: list[str] = []
-    effects: list[Effect] = []
-    after = before
-    while len(labels) < MOST_FORMS and ranking.none <= DETECT_FURTHER:
-        label = ranking.order[0]
-        if by_label[label].listed:
-            break
-        found = by_label[label].variants[ranking.variant[label]]
-        columns, skip = np.union1d(columns, case.group(found)), skip | {label}
-        labels.append(label)
-        effects += found
-        after = errors(columns, ranking.noise[label])
-        ranking = rank(case, columns, skip)
-    if not labels:
+    if ranking.none > DETECT_FURTHER or by_label[ranking.order[0]].listed:
         return None
+    forms: dict[str, tuple[Effect, ...]] = {}
+
+    def beside(left_out: str = "") -> Ranking:
+        others = [case.group(e) for label, e in forms.items() if label != left_out]
+        return rank(case, np.unique(np.concatenate([named[0], *others])), named[1] | forms.keys() - {left_out})
+
+    def best(ranking: Ranking) -> tuple[str, tuple[Effect, ...]]:
+        label = ranking.order[0]
+        return label, by_label[label].variants[ranking.variant[label]]
+
+    while len(forms) < MOST_FORMS and ranking.none <= DETECT_FURTHER and ranking.probability[ranking.order[0]] > 0.5:
+        label, found = best(ranking)
+        forms[label] = found
+        ranking = beside()
+    for label in list(forms) if len(forms) > 1 else ():
+        again = beside(label)
+        del forms[label]
+        likelier, found = best(again)
+        forms[likelier] = found
+    columns = np.unique(np.concatenate([named[0], *(case.group(e) for e in forms.values())]))
+    after = errors(columns, beside().noise[""])
     means = float(before.mean()), float(after.mean())
-    return Unlisted(
-        tuple(labels), tuple(effects), *means, 1 - means[1] / means[0], shrink_interval(before, after, seed)
-    )
+    interval = shrink_interval(before, after, seed)
+    effects = tuple(e for found in forms.values() for e in found)
+    return Unlisted(tuple(forms), effects, *means, 1 - means[1] / means[0], interval)

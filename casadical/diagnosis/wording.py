@@ -57,10 +57,11 @@ def resembles(d: Diagnosis) -> str:
     words = f"most like {best} ({ranking.probability[best]:.2f})" + (", see --effects extended" if rare else "")
     if d.unlisted is None:
         return words
-    u, more = d.unlisted, "".join(f", and {label}" for label in d.unlisted.labels[1:])
+    u = d.unlisted
     low, high = (100 * x for x in u.shrink_interval)
     return (
-        f"{words}{more}; with that in the model, cause or not, {1e3 * u.before:.3f} -> {1e3 * u.after:.3f} mm on poses "
+        f"{words}; with {', '.join(u.labels[:-1])}{' and ' if u.labels[1:] else ''}{u.labels[-1]} in the model, causes "
+        f"or not, {1e3 * u.before:.3f} -> {1e3 * u.after:.3f} mm on poses "
         f"held out, {low:.0f} to {high:.0f} % less (from Python: apply(unlisted=True))"
     )
 
