@@ -13,6 +13,7 @@ import numpy as np
 from ..effects.base import CHOSEN
 from ..transforms import Array
 from .evidence import RHOS, SIGMAS, Evidence
+from .rules import PARTITIONS
 
 FOLDS = 5
 
@@ -84,6 +85,17 @@ def held_out_errors(e: Evidence, columns: Array, noise: Noise, folds: Array) -> 
         x = problem.solution(H - problem.H[test].sum(axis=0), g - problem.g[test].sum(axis=0))
         errors[test] = np.linalg.norm(e.r[test] - problem.A[test] @ x, axis=1)
     return errors
+
+
+def partitions(n: int, seed: int) -> list[Array]:
+    """Several partitions of n poses into folds."""
+    return [random_folds(n, seed + k) for k in range(PARTITIONS)]
+
+
+def partitioned_errors(e: Evidence, columns: Array, noise: Noise, seed: int) -> Array:
+    """Held-out error of each pose, shape (n,) [m], averaged over partitions."""
+    runs = [held_out_errors(e, columns, noise, folds) for folds in partitions(len(e.r), seed)]
+    return np.asarray(np.mean(runs, axis=0))
 
 
 def fitted_without(e: Evidence, columns: Array, noise: Noise, test: Array) -> Array:

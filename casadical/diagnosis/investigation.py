@@ -13,7 +13,7 @@ from ..identification import Identification
 from ..transforms import Array
 from .bootstrap import p_value
 from .case import Case
-from .gap import Noise, estimates, held_out_errors, random_folds, remainders, shrink_interval
+from .gap import Noise, estimates, held_out_errors, partitioned_errors, partitions, remainders, shrink_interval
 from .how_far import Stage, course, scatter
 from .library import Candidate
 from .refine import refined
@@ -30,13 +30,11 @@ from .rules import (
     MOST_CAUSES,
     MUCH,
     OUT,
-    PARTITIONS,
     SET_SHARE,
     SET_SIZE,
     detection,
 )
 from .two import two_causes
-from .unlisted import unlisted_forms
 from .which import Ranking, rank
 
 Show = Callable[[str], None]
@@ -86,12 +84,11 @@ class Investigation:
 
     @property
     def folds(self) -> list[Array]:
-        return [random_folds(int(self.case.kept.sum()), self.seed + k) for k in range(PARTITIONS)]
+        return partitions(int(self.case.kept.sum()), self.seed)
 
     def errors(self, columns: Array, noise: Noise) -> Array:
         """Held-out error of each pose, averaged over partitions."""
-        runs = [held_out_errors(self.case.evidence, columns, noise, folds) for folds in self.folds]
-        return np.asarray(np.mean(runs, axis=0))
+        return partitioned_errors(self.case.evidence, columns, noise, self.seed)
 
     def ranking(self, beside: Sequence[_Step]) -> Ranking:
         return rank(self.case, self.columns(beside), frozenset(s.labels[0] for s in beside))
@@ -168,9 +165,6 @@ class Investigation:
         course = self._course(noise)
         gap = Gap(float(before_all.mean()), float(after.mean()), floor)
         verdict, rest = self._verdict(end, gap, bool(causes))
-        named = self.columns(self.steps), frozenset(s.labels[0] for s in self.steps)
-        last = self.rankings[-1]
-        forms = unlisted_forms(self.case, last, named, self.errors, after, self.seed) if verdict == "unknown" else None
         return Diagnosis(
             verdict=verdict,
             causes=tuple(causes),
@@ -186,7 +180,6 @@ class Investigation:
             identification=self.identification,
             seed=self.seed,
             p_nothing=self.p_nothing,
-            unlisted=forms,
         )
 
     def _final_noise(self, end: str) -> Noise:

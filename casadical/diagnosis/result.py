@@ -23,7 +23,7 @@ from .network import NetworkGap, network_gap
 from .next_poses import next_poses
 from .refit import Check, held_out_refit, refit
 from .replicates import Replicates
-from .unlisted import Unlisted
+from .unlisted import Unlisted, unlisted_forms
 from .where import Where, where
 from .which import Ranking
 
@@ -86,7 +86,6 @@ class Diagnosis:
     missing : label -> columns that would be needed to speak about it
     case, identification : what it was computed from; seed : of all chance
     p_nothing : how often noise alone would look as much like some cause; None without a bootstrap
-    unlisted : what the rest is most like, and the gap with that in the model; None unless the verdict is unknown
     """
 
     verdict: Verdict
@@ -103,7 +102,15 @@ class Diagnosis:
     identification: Identification
     seed: int = 0
     p_nothing: float | None = None
-    unlisted: Unlisted | None = None
+
+    @cached_property
+    def unlisted(self) -> Unlisted | None:
+        """What the rest is most like, and the gap with that in the model; None unless the verdict is unknown."""
+        if self.verdict != "unknown":
+            return None
+        named = self.columns, frozenset(c.label for c in self.causes)
+        noise = self.noise if self.effects() else self.rankings[0].noise[""]
+        return unlisted_forms(self.case, self.rankings[-1], named, noise, self.seed)
 
     @cached_property
     def where(self) -> Where:

@@ -6,7 +6,6 @@ beside it. Together they are a description all the same, and where it predicts p
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +13,7 @@ import numpy as np
 from ..effects import Effect
 from ..transforms import Array
 from .case import Case
-from .gap import Noise, shrink_interval
+from .gap import Noise, partitioned_errors, shrink_interval
 from .rules import DETECT_FURTHER
 from .which import Ranking, rank
 
@@ -39,17 +38,11 @@ class Unlisted:
 
 
 def unlisted_forms(
-    case: Case,
-    ranking: Ranking,
-    named: tuple[Array, frozenset[str]],
-    errors: Callable[[Array, Noise], Array],
-    before: Array,
-    seed: int,
+    case: Case, ranking: Ranking, named: tuple[Array, frozenset[str]], noise: Noise, seed: int
 ) -> Unlisted | None:
     """Forms taken up one by one, the first of them on no list, each judged anew beside the others; None without one.
 
-    ranking : the last one; named : columns and labels of the named causes; before : held-out errors with these,
-    shape (kept,) [m]; errors : the same for other columns, with the noise that they leave
+    ranking : the last one; named : columns and labels of the named causes; noise : that these leave
     """
     by_label = {c.label: c for c in case.candidates}
     if ranking.none > DETECT_FURTHER or by_label[ranking.order[0]].listed:
@@ -74,7 +67,8 @@ def unlisted_forms(
         likelier, found = best(again)
         forms[likelier] = found
     columns = np.unique(np.concatenate([named[0], *(case.group(e) for e in forms.values())]))
-    after = errors(columns, beside().noise[""])
+    before = partitioned_errors(case.evidence, named[0], noise, seed)
+    after = partitioned_errors(case.evidence, columns, beside().noise[""], seed)
     means = float(before.mean()), float(after.mean())
     interval = shrink_interval(before, after, seed)
     effects = tuple(e for found in forms.values() for e in found)
