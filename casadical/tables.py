@@ -166,10 +166,17 @@ def _rows(result: Identification, *states: str) -> list[dict[str, Any]]:
     return [{str(k): v for k, v in row.items()} for row in frame[frame.status.isin(states)].to_dict("records")]
 
 
+def _stiff(compliance: float, error: float) -> str:
+    """Stiffness [N m/rad] of a compliance [urad/(N m)], or the least it can be where zero compliance is possible."""
+    if compliance <= 1.96 * error:
+        return f"above {1e6 / (compliance + 1.96 * error):.2g} (not told from rigid)"
+    return f"{1e6 / compliance:.3g}"
+
+
 def _stiffness(result: Identification) -> list[Text]:
     """Compliances in the unit that people compare: joint stiffness."""
     rows = [row for row in _rows(result, "identified") if row["group"] == "compliance" and row["value"] > 0]
-    text = ", ".join(f"joint {row['name'][1:]} {1e6 / row['value']:.3g}" for row in rows)
+    text = ", ".join(f"joint {row['name'][1:]} {_stiff(row['value'], row['std_error'])}" for row in rows)
     return [Text(f"Joint stiffness [N m/rad]: {text}")] if rows else []
 
 

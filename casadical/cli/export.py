@@ -107,7 +107,11 @@ def _about(sources: Sources, what: str, networked: bool) -> list[str]:
     """What went in, with hashes."""
     files = {"robot": sources.robot, "nominal": sources.nominal, "compensator": sources.compensator}
     used = ["robot", "compensator"] if what == "network" else list(files)
-    lines = [f"{label}: {path}, sha256 {_sha256(path)}" for label, path in files.items() if path and label in used]
+    lines = [
+        f"{label}: {path}, sha256 {_sha256(path)}"
+        for label, path in files.items()
+        if isinstance(path, Path) and label in used
+    ]
     if sources.compensator and not networked:
         lines.append("the compensator was refused when it was trained: it corrects nothing and is left out")
     if what == "command":

@@ -32,14 +32,16 @@ SAME_ROBOT = 0.1  # m between nominal and calibrated tool, median: above it the 
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """What a product is made of: the files, the mass on the flange [kg] (None: as declared), and whose tool counts.
+    """What a product is made of: the robots, the mass on the flange [kg] (None: as declared), and whose tool counts.
+
+    robot, nominal : files, or robots as they are, such as `diagnosis.apply()` with its causes in the model
 
     tool : "shared": both robots carry the calibrated file's tool. "own": each its file's, so that the difference is
         corrected too, for a measured point that is the controller's tool centre point itself.
     """
 
-    robot: Path
-    nominal: Path | None = None
+    robot: Path | Robot
+    nominal: Path | Robot | None = None
     compensator: Path | None = None
     payload_kg: float | None = None
     tool: Tool = "shared"
@@ -60,9 +62,10 @@ def command_of(sources: Sources, steps: int = 2) -> Command:
             "a command needs the robot as its controller computes it: give --nominal NOMINAL.toml, "
             "the robot file from before the calibration"
         )
-    real = _loaded(read_robot(sources.robot), sources.payload_kg)
-    nominal = _rigid(read_robot(sources.nominal))
+    real = _loaded(_robot(sources.robot), sources.payload_kg)
+    nominal = _rigid(_robot(sources.nominal))
     _refuse_other_robot(real, nominal, sources)
+    _refuse_circumstances(real)
     if sources.tool == "shared":
         nominal = replace(nominal, tool=real.tool)
     real, turn = in_own_frame(real, nominal)
@@ -89,7 +92,7 @@ def network_of(sources: Sources) -> Network:
     """The compensator alone: joints [rad] -> what to add to the computed position [mm], in the measuring frame."""
     if sources.compensator is None:
         raise InputError("a network needs its file: give --compensator NET.json, as save_compensator wrote it")
-    network = _network(sources, read_robot(sources.robot).n)
+    network = _network(sources, _robot(sources.robot).n)
     if network is None:
         raise InputError(
             f"{sources.compensator}: this network does not help and was refused when it was trained; there is nothing "
@@ -116,6 +119,25 @@ def in_own_frame(robot: Robot, nominal: Robot) -> tuple[Robot, Array]:
     return own, turn
 
 
+def _robot(source: Path | Robot) -> Robot:
+    return source if isinstance(source, Robot) else read_robot(source)
+
+
+def _word(source: Path | Robot | None) -> str:
+    """How messages name a robot."""
+    return source.name if isinstance(source, Robot) else str(source)
+
+
+def _refuse_circumstances(robot: Robot) -> None:
+    for effect in robot.effects:
+        lost = [c for c in effect.conditions if c != "payload_kg"]
+        if lost:
+            raise InputError(
+                f"{effect.label} follows {', '.join(lost)}, which the correction of a joint command does not know; "
+                "leave this effect out of the robot"
+            )
+
+
 def _loaded(robot: Robot, payload_kg: float | None) -> Robot:
     """The robot with another mass on its flange, at the declared mass centre."""
     if payload_kg is None:
@@ -139,15 +161,15 @@ def _compliant(robot: Robot) -> bool:
 
 
 def _refuse_other_robot(real: Robot, nominal: Robot, sources: Sources) -> None:
-    for robot, path in ((real, sources.robot), (nominal, sources.nominal)):
+    for robot, path in ((real, _word(sources.robot)), (nominal, _word(sources.nominal))):
         slides = [i for i, j in enumerate(robot.joints, 1) if j.kind != "revolute"]
         if slides:
             raise InputError(f"{path}: joint {slides[0]} is prismatic; only arms of revolute joints can be exported")
     loops = [[(loop.driven, loop.carrier) for loop in robot.loops] for robot in (real, nominal)]
     if real.n != nominal.n or loops[0] != loops[1]:
         raise InputError(
-            f"{sources.nominal}: {nominal.n} joints, {len(nominal.loops)} four-bars; {sources.robot} has {real.n} and "
-            f"{len(real.loops)}: both files must be of one robot"
+            f"{_word(sources.nominal)}: {nominal.n} joints, {len(nominal.loops)} four-bars; {_word(sources.robot)} has "
+            f"{real.n} and {len(real.loops)}: both files must be of one robot"
         )
 
 
@@ -156,7 +178,8 @@ def _refuse_far_apart(command: Command, sources: Sources) -> None:
     apart = np.linalg.norm(command.calibrated.map(200)(q.T).full() - command.nominal.map(200)(q.T).full(), axis=0)
     if np.isnan(apart).all() or np.nanmedian(apart) > SAME_ROBOT:
         raise InputError(
-            f"{sources.nominal}: its tool is {1e3 * np.nanmedian(apart):.0f} mm from that of {sources.robot} (median "
+            f"{_word(sources.nominal)}: its tool is {1e3 * np.nanmedian(apart):.0f} mm from that of "
+            f"{_word(sources.robot)} (median "
             f"over the joints' ranges); at most {1e3 * SAME_ROBOT:.0f} mm can be corrected: are both files of one "
             "robot, and with --tool own, is the nominal tool really the one that the controller holds?"
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 from ..effects import Effect
@@ -56,6 +57,8 @@ def diagnose(
 def _of(robot: Robot, m: Measurements, show: Show) -> Identification:
     """The base model calibrated; gross errors have little weight, and are screened with the causes, not before."""
     show("calibrating the base model")
+    if m.kind == "pose":  # by their positions: an orientation that is off by a convention would spoil the base model
+        m = replace(m, kind="position", orientation=None)
     return identify(robot, m, ("kinematic", "compliance"), loss="huber", priors=True, screen=False)
 
 

@@ -156,8 +156,13 @@ def signature(c: Cause) -> tuple[str, str]:
 
 
 def _estimate(name: str, value: float, error: float, unit: str) -> str:
-    factor, word = READABLE.get(unit, (1.0, unit))
+    factor, word = readable(unit, max(abs(value), error))
     return f"{name} {factor * value:.3g} +- {factor * error:.2g} {word}".rstrip()
+
+
+def readable(unit: str, size: float) -> tuple[float, str]:
+    """Factor and unit in which a parameter of this size is shown; lengths of a millimetre and more in mm."""
+    return (1e3, "mm") if unit == "m" and size >= 1e-3 else READABLE.get(unit, (1.0, unit))
 
 
 def _how_far(d: Diagnosis, e: Extras) -> Iterator[str]:

@@ -27,6 +27,8 @@ from .unlisted import Unlisted, unlisted_forms
 from .where import Where, where
 from .which import Ranking
 
+# Two forms are not in question where one has this share of what both have.
+CERTAIN = 0.99
 Verdict = Literal["none", "explained", "ambiguous", "unknown"]
 
 
@@ -128,8 +130,10 @@ class Diagnosis:
         for cause in self.causes:
             if cause.indistinguishable and cause.label in self.rankings[0].probability:
                 return (cause.label, *cause.indistinguishable)
+        last = self.rankings[-1].probability
         order = [k for k in self.rankings[-1].order if k in self.rankings[0].probability]
-        return tuple(order[:2]) if self.verdict in ("ambiguous", "unknown") else ()
+        certain = len(order) > 1 and last[order[0]] > CERTAIN * (last[order[0]] + last[order[1]])
+        return tuple(order[:2]) if self.verdict in ("ambiguous", "unknown") and not certain else ()
 
     def next_poses(
         self, n: int, seed: int = 0, *, workspace: Workspace | None = None, payloads: Sequence[float] = ()

@@ -46,8 +46,8 @@ def ahead_files(path: Path | None, json_file: Path | None, forecast: Forecast) -
     return ({path: table} if path else {}) | ({json_file: text} if json_file else {})
 
 
-def report(plan: Selection, forecast: Forecast, target: float | None = None) -> RenderableType:
-    """What `casadical plan` prints; target : accuracy that is wanted [m]."""
+def report(plan: Selection, forecast: Forecast, target: float | None = None, room: bool = False) -> RenderableType:
+    """What `casadical plan` prints; target : accuracy that is wanted [m]; room : whether it is known what is free."""
     before = 0 if plan.measured is None else len(plan.measured)
     noise = f"{1e3 * plan.noise.sigma:.3g} mm a coordinate"
     if plan.noise.joint_sigma:
@@ -62,12 +62,24 @@ def report(plan: Selection, forecast: Forecast, target: float | None = None) -> 
         Text(head, style="bold"),
         Text(f"Criterion {plan.criterion}; observability {indices}; travel {_degrees(plan)} deg."),
         Text(how_many(forecast, target)),
+        *([] if room else _under_the_base(plan)),
         Text(),
         _map(plan),
         Text(),
         _errors(plan),
     ]
     return Group(*parts)
+
+
+def _under_the_base(plan: Selection) -> list[Text]:
+    """A warning of poses below the base frame's plane, where a floor may be."""
+    assert plan.m.position is not None
+    height = ((plan.m.position - plan.robot.base.T[:3, 3]) @ plan.robot.base.T[:3, :3])[:, 2]
+    low = int((height < 0).sum())
+    if not low:
+        return []
+    words = f"{low} of {len(plan)} poses lie below the base frame's plane, the lowest by {-1e3 * height.min():.0f} mm"
+    return [Text(f"{words}; no room was given, so nothing was checked for floor or obstacles: --room FILE.toml")]
 
 
 def _degrees(plan: Selection) -> str:

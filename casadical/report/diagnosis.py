@@ -10,7 +10,7 @@ import numpy as np
 
 from ..diagnosis.advice import kinds, told_apart
 from ..diagnosis.answer import NEXT, Extras, settings
-from ..diagnosis.printed import READABLE, refitted, signature
+from ..diagnosis.printed import readable, refitted, signature
 from ..diagnosis.rules import PARTITIONS
 from ..diagnosis.wording import alike, has_rest, headline, invisible, left_over, not_logged, resembles, unsure_floor
 from .look import mm
@@ -192,7 +192,7 @@ def _estimates(c: Cause) -> Iterator[tuple[str, ...]]:
     for effect in c.effects:
         yield from ((c.label, name, f"{value:.4g}", "chosen", "") for name, value in settings(effect).items())
     for name, (value, error, unit) in (c.estimates or {}).items():
-        factor, shown = READABLE.get(unit, (1.0, unit))
+        factor, shown = readable(unit, max(abs(value), error))
         yield c.label, name, f"{factor * value:.4g}", f"{factor * error:.2g}", shown
 
 

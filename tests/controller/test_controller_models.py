@@ -16,6 +16,7 @@ from casadical.axes import row_matrix
 from casadical.compensator import Compensator, save_compensator
 from casadical.controller.correct import model_corrector
 from casadical.controller.models import Sources, command_of, network_of
+from casadical.effects import GearEccentricity, PayloadError, ThermalGrowth
 from casadical.errors import InputError
 from casadical.robot_file import read_robot, write_robot
 
@@ -86,6 +87,26 @@ def test_after_correction_the_real_tool_is_where_the_nominal_one_would_be(name, 
         base = row_matrix(robot.joints[0]) @ np.linalg.inv(row_matrix(rigid(name).joints[0]))
     assert pytest.approx(base[:3, :3], abs=1e-5) == R
     assert pytest.approx(base[:3, 3], abs=2e-5) == t
+
+
+def test_a_robot_with_effects_in_its_model_is_corrected_like_its_file(files):
+    robot = read_robot(files / "hh800.toml").with_effect(GearEccentricity(3), PayloadError())
+    robot = robot.with_values({"gear_eccentricity@3.sin1": 300e-6, "payload_error.mass": 0.05})
+    sources = Sources(robot, read_robot(nominal_path("hh800")))
+    q = poses(robot, 100)
+    wanted = positions(rigid("hh800", tool=robot.tool), q)
+    dq, status = model_corrector(command_of(sources, 3)).correct(q)
+    plain, _ = model_corrector(command_of(Sources(files / "hh800.toml", nominal_path("hh800")), 3)).correct(q)
+    fine = status == 0
+    assert fine.mean() > 0.9
+    assert rigid_motion(wanted[fine], positions(robot, q + dq)[fine])[2].max() < 20 * MICROMETRE
+    assert rigid_motion(wanted[fine], positions(robot, q + plain)[fine])[2].mean() > 100 * MICROMETRE
+
+
+def test_an_effect_of_what_the_controller_does_not_know_is_refused(files):
+    robot = read_robot(files / "hh800.toml").with_effect(ThermalGrowth(None, 300.0))
+    with pytest.raises(InputError, match="thermal_growth follows warmth_300s"):
+        command_of(Sources(robot, nominal_path("hh800")))
 
 
 def test_the_network_is_turned_from_the_measuring_frame_into_the_robots(files, compensator):
