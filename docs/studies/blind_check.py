@@ -1,7 +1,7 @@
 """Count the committed blind checks again: python docs/studies/blind_check.py (seconds)
 
 A run is a folder with withheld.json, key.json and answers.METHOD.jsonl, where `casadical withheld` wrote them; those
-of data/withheld/third are packed by xz when they are found unpacked. Of every large run this writes the whole print
+of data/withheld/third are packed by xz when they are found unpacked. Of the large runs this writes the whole print
 beside this file and score.json beside the answers; of all of them the tables of docs/blind-check.md; of the last large
 one the picture. The answers themselves were made by the commands on that page (hours of one core).
 """
@@ -28,8 +28,8 @@ from casadical.withheld.scoring import Score, in_common, score
 ROOT = Path(__file__).parents[2]
 DATA, PAGE, HERE = ROOT / "data" / "withheld", ROOT / "docs" / "blind-check.md", ROOT / "docs" / "studies"
 RUNS = {"first run": DATA, "second run": DATA / "second", "third run": DATA / "third"}
-# Whose print and score.json are kept, and where the print lies.
-LARGE = {"first run": HERE / "blind_check.txt", "third run": HERE / "blind_check_third.txt"}
+# Whose print and score.json are kept.
+LARGE, PRINT = ("first run", "third run"), HERE / "blind_check.txt"
 METHODS = ("diagnosis", "f-test", "bic", "ebic", "gp")
 
 
@@ -114,7 +114,7 @@ def made(found: dict[str, list[Score]]) -> str:
         command = f"`casadical withheld make --n {len(s.key.campaigns)} --seed {s.key.seed}`"
         versions = ", ".join(f"{name} {number}" for name, number in (s.key.versions | s.head.versions).items())
         folder = f"`{RUNS[run].relative_to(ROOT).as_posix()}`"
-        whole = f"[{LARGE[run].name}](studies/{LARGE[run].name})" if run in LARGE else "-"
+        whole = f"[{PRINT.name}](studies/{PRINT.name})" if run in LARGE else "-"
         rows.append(cells([run, folder, command, versions, f"`{s.head.key_sha256}`", whole]))
     return "\n".join(rows)
 
@@ -131,14 +131,16 @@ def filled(page: str, tables: dict[str, str]) -> str:
 def main() -> None:
     packed(RUNS["third run"])
     found = {run: scores for run in RUNS if (scores := answered(run))}
-    for run, path in LARGE.items():
+    prints = []
+    for run in LARGE:
         if run in found:
             text = io.StringIO()
             Console(file=text, width=260).print(report(found[run][:1]))
-            write_whole(path, re.sub(r" +$", "", text.getvalue(), flags=re.MULTILINE))
+            prints.append(f"THE {run.upper()}\n\n" + re.sub(r" +$", "", text.getvalue(), flags=re.MULTILINE))
             whole = json.dumps(found[run][0].as_json(), indent=1, allow_nan=False)
             write_whole(RUNS[run] / "score.json", whole + "\n")
             draw(found[run][0], ROOT / "docs" / "images" / "blind_check_confusion.png")
+    write_whole(PRINT, "\n\n".join(prints))
     tables = {
         "runs": made(found),
         "figures": markdown(columns(found)),

@@ -122,7 +122,9 @@ assert abs(table.value["c5"] / (1e6 / plant.stiffness[4]) - 1) < 0.05
 # %%
 # Judge it on poses that had no part
 # ----------------------------------
-# The first 70 poses identify, the last 30 judge. Wrong causes that fit well still predict worse than the right one.
+# The first 70 poses identify, the last 30 judge. The two wrong causes predict as well as the right one: with five
+# parameters they imitate a smooth pull of one joint. Prediction cannot tell them apart. The posterior does, for it
+# asks what is the lesser coincidence: five parameters that happen to agree, or one of a realistic size.
 
 early, late = with_hose[:70], with_hose[70:]
 
@@ -140,7 +142,7 @@ left = {
 }
 for name, value in left.items():
     print(f"{name:14s} {value:.3f} mm")
-assert left["own effect"] < 0.6 * left["standard list"] < left["base"]
+assert max(left["own effect"], left["standard list"]) < 0.2 * left["base"]
 
 q5 = np.rad2deg(with_hose.q[:, 4])
 figure, ax = plt.subplots(figsize=(8, 3.4), layout="constrained")
