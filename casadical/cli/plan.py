@@ -91,8 +91,7 @@ def plan(
     noise = Noise(1e-3 * (0.02 if noise_mm is None else noise_mm), 1e-6 * joint_noise_urad) if given else None
     target = None if target_mm is None else 1e-3 * target_mm
     workspace = read_room(room, robot) if room else None
-    masses = _numbers(payloads) or (_mounted(measured) if added else ())
-    circumstances = Circumstances(masses, every_payload, both_approaches, repeats)
+    circumstances = Circumstances(_numbers(payloads), every_payload, both_approaches, repeats)
     word = checked(criterion)
     with progress(quiet) as bar:
         bar.add_task("choosing poses", total=None)
@@ -116,15 +115,6 @@ def plan(
     console.print(planned_with(problem, measured))
     for path in texts:
         console.print(f"wrote {path}", soft_wrap=True)
-
-
-def _mounted(measured: Path | None) -> tuple[float, ...]:
-    """Payloads of the poses measured so far, where there were several: those can be mounted again."""
-    import pandas as pd
-
-    table = pd.read_csv(measured) if measured else pd.DataFrame()
-    states = sorted(set(table["payload_kg"])) if "payload_kg" in table else []
-    return tuple(float(kg) for kg in states) if len(states) > 1 else ()
 
 
 def _numbers(text: str | None) -> tuple[float, ...]:

@@ -40,14 +40,14 @@ def p_value(case: Case, ranking: Ranking, draws: int, seed: int, show: Callable[
     seen = float(np.log1p(-ranking.none) - np.log(max(ranking.none, 1e-300)))
     rng = np.random.default_rng(seed)
     beyond = done = 0
-    for odds in _batches(case, draws, rng):
+    for odds in noise_odds(case, draws, rng):
         beyond += int((odds >= seen).sum())
         done += len(odds)
         show(f"bootstrap: {done} of {draws} draws, {beyond} beyond the data")
     return (1 + beyond) / (1 + draws)
 
 
-def _batches(case: Case, draws: int, rng: np.random.Generator) -> Iterator[Array]:
+def noise_odds(case: Case, draws: int, rng: np.random.Generator) -> Iterator[Array]:
     """Log odds of any cause against none, of draws of noise alone, batch by batch."""
     e = case.evidence
     share = np.exp(e.log_base() - log_sum(e.log_base()))

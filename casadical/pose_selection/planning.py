@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from ..conditions import derive
 from ..effects import Effect
@@ -74,6 +76,13 @@ def _start(robot: Robot, effects: Sequence[Effect], measured: Path | None, noise
     return _Start(robot, None, noise) if measured is None else _Start(*continued(robot, measured, noise))
 
 
+def _mounted(given: Circumstances | None, effects: Sequence[Effect], measured: Measurements | None) -> Circumstances:
+    """Where effects are to be told, payloads that were mounted before can be mounted again."""
+    known = given or Circumstances()
+    states = np.unique(measured.conditions["payload_kg"]) if measured and "payload_kg" in measured.conditions else ()
+    return known if known.payloads or not effects or len(states) < 2 else replace(known, payloads=tuple(states))
+
+
 def look_ahead(
     robot: Robot,
     effects: Sequence[Effect] = (),
@@ -91,6 +100,7 @@ def look_ahead(
     Raises InputError.
     """
     start = _start(robot, effects, measured, noise)
+    circumstances = _mounted(circumstances, effects, start.measured)
     before = 0 if start.measured is None else len(start.measured)
     return forecast(
         start.robot, before + most, workspace=workspace, circumstances=circumstances, measured=start.measured,
@@ -119,6 +129,7 @@ def plan(
     """
     start = _start(robot, effects, measured, noise)
     before, noise = start.measured, start.noise
+    circumstances = _mounted(circumstances, effects, before)
     found = select_poses(
         start.robot, workspace, n, criterion, circumstances=circumstances, measured=before,
         interest=tuple(e.label for e in effects), noise=noise, min_distance=min_distance, seed=seed,

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from casadical.diagnosis.bootstrap import _batches
+from casadical.diagnosis.bootstrap import noise_odds
 from casadical.diagnosis.case import Case, make_case
 from casadical.diagnosis.library import standard_candidates
 from casadical.diagnosis.rules import detection
@@ -38,7 +38,7 @@ def case(robot_name: str, poses: int, number: int) -> Case:
 
 def passes(c: Case, thresholds: list[float]) -> list[float]:
     """Share of the draws in which "nothing" is less probable than each threshold."""
-    odds = np.concatenate(list(_batches(c, DRAWS, np.random.default_rng(1))))
+    odds = np.concatenate(list(noise_odds(c, DRAWS, np.random.default_rng(1))))
     return [float(np.mean(odds >= np.log((1 - x) / x))) for x in thresholds]
 
 

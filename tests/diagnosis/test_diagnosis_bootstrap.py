@@ -27,7 +27,7 @@ def test_odds_of_noise_are_those_of_the_full_judgement(monkeypatch: pytest.Monke
     drawn = []
     noise = bootstrap._noise
     monkeypatch.setattr(bootstrap, "_noise", lambda *a: drawn.append(noise(*a)) or drawn[-1])
-    (odds,) = bootstrap._batches(c, 6, np.random.default_rng(3))
+    (odds,) = bootstrap.noise_odds(c, 6, np.random.default_rng(3))
     for k in range(6):
         assert odds[k] == pytest.approx(
             odds_in_full(c, drawn[0].E[:, :, k]), abs=0.2

@@ -153,6 +153,14 @@ def test_a_wrong_payload_is_found_though_it_was_not_logged() -> None:
     as_json(d, "bare")
 
 
+def test_full_poses_are_diagnosed_by_their_positions_whatever_their_orientations_are() -> None:
+    m = practice("ur10e-P06")
+    turned = np.tile(np.eye(3), (len(m), 1, 1))  # of another convention than the robot's: hundreds of degrees off
+    d, same = diagnose(robot("ur10e"), replace(m, kind="pose", orientation=turned)), diagnose(robot("ur10e"), m)
+    assert (d.verdict, named(d)) == (same.verdict, named(same))
+    assert d.gap.before == pytest.approx(same.gap.before, rel=1e-6)
+
+
 def test_distances_cannot_be_diagnosed() -> None:
     m = practice("ur10e-P03")
     far = np.array([3.0, 0.0, 0.0])

@@ -6,7 +6,7 @@ import arms
 import numpy as np
 import pytest
 
-from casadical import InputError, identify
+from casadical import InputError, identify, tables
 
 ARM = arms.six_axis()
 
@@ -193,3 +193,9 @@ def test_correlations_are_listed_the_strongest_first(result):
     i, j = (result.names.index(first[c]) for c in ("parameter", "with"))
     expected = result.covariance[i, j] / (result.standard_errors[i] * result.standard_errors[j])
     assert first["correlation"] == pytest.approx(expected)
+
+
+def test_a_stiffness_that_may_be_rigid_is_said_to_be() -> None:
+    assert tables._stiff(5.0, 1.0) == "2e+05"
+    assert tables._stiff(5.0, float("nan")) == "2e+05"
+    assert tables._stiff(3.0, 4.9) == "above 7.9e+04 (not told from rigid)"

@@ -14,6 +14,8 @@ from casadical import cli, read_measurements, write_robot
 from casadical.pose_selection.order import travel
 from casadical.transforms import frame
 
+ROOT = Path(__file__).parents[2]
+
 pytest.importorskip("networkx", reason="casadical plan orders poses with networkx (extra 'plan')")
 
 
@@ -60,6 +62,46 @@ def test_a_plan_is_written_and_can_be_measured(monkeypatch, tmp_path, capsys, ro
     assert len(read_measurements(tmp_path / "measured.csv", 6)) == 22
     shuffled = np.random.default_rng(0).permutation(22)
     assert travel(robot, q) < travel(robot, q[shuffled])
+
+
+def test_a_missing_file_of_measured_poses_is_said(monkeypatch, tmp_path, capsys, robot_file) -> None:
+    words = (
+        robot_file,
+        "-n",
+        6,
+        "--for",
+        "backlash@2",
+        "--measured",
+        tmp_path / "none.csv",
+        "--out",
+        tmp_path / "n.csv",
+    )
+    assert run(monkeypatch, *words) == 2
+    assert "none.csv: no such file" in capsys.readouterr().err
+    assert not (tmp_path / "n.csv").exists()
+
+
+def test_without_a_room_poses_below_the_base_are_said_and_with_one_not(
+    monkeypatch, tmp_path, capsys, robot_file
+) -> None:
+    assert run(monkeypatch, robot_file, "-n", 12, "--out", tmp_path / "free.csv") == 0
+    low = (pd.read_csv(tmp_path / "free.csv")["nominal_z_mm"] < 0).sum()
+    assert low > 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert f"{low} of 12 poses lie below the base frame's plane" in text
+    room = tmp_path / "room.toml"
+    room.write_text("casadical = 1\nfloor_mm = 0\n", encoding="utf-8")
+    assert run(monkeypatch, robot_file, "-n", 12, "--room", room, "--out", tmp_path / "room.csv") == 0
+    assert "below the base" not in " ".join(capsys.readouterr().out.split())
+
+
+def test_payloads_of_the_measured_poses_are_planned_where_effects_are_to_be_told(monkeypatch, tmp_path) -> None:
+    practice = ROOT / "data" / "campaigns" / "practice" / "kr210-P05.csv"
+    words = (ROOT / "problems" / "kr210", "-n", 10, "--measured", practice, "--no-order", "--out")
+    assert run(monkeypatch, *words, tmp_path / "told.csv", "--for", "gravity_compensator@2") == 0
+    assert set(pd.read_csv(tmp_path / "told.csv")["payload_kg"]) == {0, 120}
+    assert run(monkeypatch, *words, tmp_path / "plain.csv") == 0
+    assert set(pd.read_csv(tmp_path / "plain.csv")["payload_kg"]) == {120}
 
 
 def test_a_plan_continues_from_a_file(monkeypatch, tmp_path, capsys, robot_file) -> None:

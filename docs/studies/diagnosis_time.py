@@ -1,0 +1,46 @@
+"""How long a diagnosis takes: python docs/studies/diagnosis_time.py > docs/studies/diagnosis_time.txt (a minute)
+
+Wall time on one core of `diagnose`, calibration included, of synthetic campaigns of 100 poses with one effect each. The
+first of a robot builds its signatures, which later ones of the same process share.
+"""
+
+import os
+import time
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from diagnosis_campaigns import ROBOTS, hidden, machine
+
+from casadical.diagnosis.diagnosis import diagnose
+from casadical.measurements import Measurements, from_table
+from casadical.robot import Robot
+from casadical.simulation import campaign, perturb
+
+CAMPAIGNS, DRAWS = 36, 2000
+
+
+def measured(number: int) -> tuple[Robot, Measurements]:
+    rng = np.random.default_rng([5, number])
+    robot, nominal = machine(ROBOTS[number % 3])
+    plant = perturb(nominal, number)
+    secret = tuple(hidden("one", rng).values())
+    table = campaign(plant, 100, disturbances=secret, noise_mm=0.02, repeatability_urad=4.0, seed=number)
+    return robot, from_table(table, 6, "position")
+
+
+def seconds(robot: Robot, m: Measurements, draws: int = 0) -> float:
+    began = time.perf_counter()
+    diagnose(robot, m, bootstrap=draws)
+    return time.perf_counter() - began
+
+
+if __name__ == "__main__":
+    every = [measured(k) for k in range(CAMPAIGNS)]
+    first = [seconds(*every[k]) for k in range(3)]
+    later = [seconds(*one) for one in every[3:]]
+    drawn = [seconds(*every[k], DRAWS) for k in range(3)]
+    print("first of a robot [s]: " + ", ".join(f"{r} {s:.1f}" for r, s in zip(ROBOTS, first, strict=True)))
+    nine = np.quantile(later, 0.9)
+    print(f"later ones [s]: median {np.median(later):.2f}, nine in ten under {nine:.2f} (of {len(later)})")
+    print(f"with {DRAWS} bootstrap draws [s]: " + ", ".join(f"{r} {s:.1f}" for r, s in zip(ROBOTS, drawn, strict=True)))
