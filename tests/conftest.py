@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from casadical.calibration import Run, calibrate_problem
+from casadical.project.calibration import Run, calibrate_problem
 
 ROOT = Path(__file__).parents[1]
 

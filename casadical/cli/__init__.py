@@ -8,9 +8,9 @@ from __future__ import annotations
 import sys
 import traceback
 
-from ..errors import ConvergenceError, InputError
-from .root import app as app
-from .terminal import BAD_INPUT, NO_CONVERGENCE, OUR_BUG
+from casadical.cli.root import app as app
+from casadical.cli.terminal import BAD_INPUT, NO_CONVERGENCE, OUR_BUG
+from casadical.core.errors import ConvergenceError, InputError
 
 
 def main() -> None:

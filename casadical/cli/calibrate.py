@@ -9,9 +9,9 @@ import typer
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
-from ..errors import InputError
-from .terminal import Json, Problems, Quiet, Report, as_text, as_typed, progress
-from .words import losses, methods
+from casadical.cli.completion import losses, methods
+from casadical.cli.terminal import Json, Problems, Quiet, Report, as_text, as_typed, progress
+from casadical.core.errors import InputError
 
 
 def calibrate(
@@ -60,12 +60,12 @@ def calibrate(
 
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug of ours.
     """
-    from ..calibration import calibrate_problem, problem_networks, result_files
-    from ..files import write_together
-    from ..tables import as_json, report
+    from casadical.core.files import write_together
+    from casadical.project.calibration import calibrate_problem, problem_networks, result_files
+    from casadical.report.calibration_text import as_json, report
 
     if report_file:
-        from ..report.lazy import require
+        from casadical.report.optional_imports import require
 
         require()
     console = Console(quiet=quiet, soft_wrap=False)
@@ -90,7 +90,7 @@ def calibrate(
     if json_file:
         texts[json_file] = as_text(found if len(found) > 1 else next(iter(found.values())))
     if report_file:
-        from ..report import calibration_report
+        from casadical.report import calibration_report
 
         with progress(quiet) as bar:
             bar.add_task("writing the report", total=None)

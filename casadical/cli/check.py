@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from .terminal import BAD_INPUT, Json, Problems, Quiet, keep_json, progress
+from casadical.cli.terminal import BAD_INPUT, Json, Problems, Quiet, keep_json, progress
 
 
 def check(
@@ -31,8 +31,8 @@ def check(
 
     Exit codes: 0 ready, 2 something is wrong, 70 a bug of ours.
     """
-    from ..precheck import precheck
-    from ..precheck.report import as_json, report
+    from casadical.project.check import precheck
+    from casadical.project.check.report import as_json, report
 
     console = Console(quiet=quiet)
     found = []

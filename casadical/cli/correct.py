@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from ..errors import InputError
-from .sources import Compensator, Nominal, Payload
-from .terminal import Json, Quiet, keep_json, plain
+from casadical.cli.sources import Compensator, Nominal, Payload
+from casadical.cli.terminal import Json, Quiet, keep_json, plain
+from casadical.core.errors import InputError
 
 
 def correct(
@@ -41,10 +41,10 @@ def correct(
 
     Exit codes: 0 written, with or without refused rows; 2 bad input; 70 a bug of ours.
     """
-    from ..controller.correct import corrected, kernel_corrector, model_corrector
-    from ..controller.models import Sources, command_of
-    from ..controller.program import read_program
-    from ..files import write_whole
+    from casadical.core.files import write_whole
+    from casadical.export.controller.correct import corrected, kernel_corrector, model_corrector
+    from casadical.export.controller.models import Sources, command_of
+    from casadical.export.controller.program import read_program
 
     if out.exists() and not overwrite:
         raise InputError(f"{out} is there already; give another file, or --overwrite")

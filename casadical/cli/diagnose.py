@@ -9,16 +9,16 @@ import typer
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
-from . import words
-from .terminal import Json, Quiet, Report, as_text, as_typed, keep_json, progress
+from casadical.cli import completion as words
+from casadical.cli.terminal import Json, Quiet, Report, as_text, as_typed, keep_json, progress
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from ..diagnosis.answer import Extras
-    from ..diagnosis.result import Diagnosis
-    from ..pose_selection.workspace import Workspace
-    from ..robot import Robot
+    from casadical.diagnosis.json_answer import Extras
+    from casadical.diagnosis.result import Diagnosis
+    from casadical.pose_selection.workspace import Workspace
+    from casadical.robot.robot import Robot
 
 
 def diagnose(
@@ -66,16 +66,16 @@ def diagnose(
 
     Exit codes: 0 done, 2 bad input, 70 a bug of ours.
     """
-    from ..diagnosis.answer import as_json
-    from ..diagnosis.diagnosis import diagnose as run
-    from ..diagnosis.printed import report
-    from ..files import write_together, write_whole
-    from ..measurements import read_measurements
-    from ..pose_selection.room import read_room
-    from ..problem import read_campaign_robot
+    from casadical.core.files import write_together, write_whole
+    from casadical.diagnosis.diagnose import diagnose as run
+    from casadical.diagnosis.json_answer import as_json
+    from casadical.diagnosis.text import report
+    from casadical.measurements.measurements import read_measurements
+    from casadical.pose_selection.room import read_room
+    from casadical.project.problem import read_campaign_robot
 
     if report_file:
-        from ..report.lazy import require
+        from casadical.report.optional_imports import require
 
         require()
     console = Console(quiet=quiet)
@@ -107,7 +107,7 @@ def diagnose(
             console.print(f"wrote {file}" if len(extras.poses) else f"{file}: not written, for nothing is in question")
     texts = {json_file: as_text(answers)} if json_file else {}
     if report_file:
-        from ..report import diagnosis_report
+        from casadical.report import diagnosis_report
 
         with progress(quiet) as bar:
             bar.add_task("writing the report", total=None)
@@ -126,7 +126,7 @@ def _extras(
     show: Callable[[str], None],
 ) -> Extras:
     """The parts that take longer."""
-    from ..diagnosis.answer import Extras
+    from casadical.diagnosis.json_answer import Extras
 
     show("where it lies")
     _ = found.where
@@ -139,9 +139,9 @@ def _extras(
 def _print_isolability(
     robot: Robot, campaigns: list[Path], effects: str | None, json_file: Path | None, console: Console
 ) -> None:
-    from ..diagnosis.isolability import isolability
-    from ..diagnosis.isolability_report import as_json, report
-    from ..measurements import read_readings
+    from casadical.diagnosis.isolability import isolability
+    from casadical.diagnosis.isolability_report import as_json, report
+    from casadical.measurements.measurements import read_readings
 
     answers = []
     for path in campaigns:

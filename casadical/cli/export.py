@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..errors import InputError
-from .export_model import export_mjcf, export_urdf
-from .sources import Compensator, Nominal, Payload, Tool
-from .terminal import Json, Quiet, keep_json, plain
+from casadical.cli.export_model import export_mjcf, export_urdf
+from casadical.cli.sources import Compensator, Nominal, Payload, Tool
+from casadical.cli.terminal import Json, Quiet, keep_json, plain
+from casadical.core.errors import InputError
 
 if TYPE_CHECKING:
-    from ..controller.models import Sources
+    from casadical.export.controller.models import Sources
 
 export_app = typer.Typer(
     help="Turn a calibrated robot into code for its controller, or into a model for a simulator.",
@@ -59,9 +59,9 @@ def export_c(
 
     Exit codes: 0 done, 2 bad input, 70 a bug of ours.
     """
-    from ..controller.models import Sources, command_of, network_of
-    from ..export import write_c
-    from ..robot_file import read_robot
+    from casadical.export import write_c
+    from casadical.export.controller.models import Sources, command_of, network_of
+    from casadical.robot.robot_file import read_robot
 
     if what not in ("network", "command"):
         raise InputError(f"--what {what}: not known; allowed: network, command")

@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from ..errors import InputError
-from . import words
-from .sources import Nominal
-from .terminal import Json, Quiet, keep_json, plain, progress
+from casadical.cli import completion as words
+from casadical.cli.sources import Nominal
+from casadical.cli.terminal import Json, Quiet, keep_json, plain, progress
+from casadical.core.errors import InputError
 
 _Source = Annotated[
     Path,
@@ -64,9 +64,9 @@ def export_mjcf(
 
     Exit codes: 0 written, 2 bad input, 3 no optimum found, 70 a bug of ours.
     """
-    from ..files import write_whole
-    from ..sim_export.mjcf import mjcf
-    from ..sim_export.sources import into_users, robot_to_write
+    from casadical.core.files import write_whole
+    from casadical.export.mjcf.mjcf import mjcf
+    from casadical.export.mjcf.sources import into_users, robot_to_write
 
     _refuse_taken(out, overwrite)
     if (into is None) != (joints is None) or (into is None and (springs or nominal)):
@@ -99,9 +99,9 @@ def export_urdf(
 
     Exit codes: 0 written, 2 bad input, 3 no optimum found, 70 a bug of ours.
     """
-    from ..files import write_whole
-    from ..sim_export.sources import calibrated, robot_to_write
-    from ..sim_export.urdf import urdf
+    from casadical.core.files import write_whole
+    from casadical.export.mjcf.sources import calibrated, robot_to_write
+    from casadical.export.mjcf.urdf import urdf
 
     _refuse_taken(out, overwrite)
     into = None
@@ -115,7 +115,7 @@ def export_urdf(
     if into is None:
         text = urdf(robot)
     else:
-        from ..urdf_export import calibrated_urdf_text
+        from casadical.robot.urdf_export import calibrated_urdf_text
 
         text = calibrated_urdf_text(problem.robot, robot, *into, measured_link="casadical_measured_point")
     write_whole(out, text)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from .terminal import Json, Quiet, keep_json
+from casadical.cli.terminal import Json, Quiet, keep_json
 
 
 def new(
@@ -42,7 +42,7 @@ def new(
 
     Exit codes: 0 written, 2 bad input (then nothing was written), 70 a bug of ours.
     """
-    from ..starter import new_problem
+    from casadical.project.new import new_problem
 
     problem = new_problem(
         folder, urdf=urdf, base_link=base_link, tip_link=tip_link, dh=dh, convention=convention, data=data

@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 from rich.console import Console, RenderableType
 
-from ..errors import InputError
-from . import words
-from .terminal import Json, Quiet, progress
+from casadical.cli import completion as words
+from casadical.cli.terminal import Json, Quiet, progress
+from casadical.core.errors import InputError
 
 
 def plan(
@@ -73,15 +73,15 @@ def plan(
 
     Exit codes: 0 done, 2 bad input, 70 a bug of ours.
     """
-    from ..diagnosis.library import named
-    from ..files import write_together
-    from ..pose_selection.candidates import Circumstances
-    from ..pose_selection.criteria import checked
-    from ..pose_selection.information import Noise
-    from ..pose_selection.planning import look_ahead, planned_with, robot_of
-    from ..pose_selection.planning import plan as run
-    from ..pose_selection.report import ahead_files, how_many, plan_files, report
-    from ..pose_selection.room import read_room
+    from casadical.core.files import write_together
+    from casadical.diagnosis.candidates import named
+    from casadical.pose_selection.candidates import Circumstances
+    from casadical.pose_selection.criteria import checked
+    from casadical.pose_selection.information import Noise
+    from casadical.pose_selection.planning import look_ahead, planned_with, robot_of
+    from casadical.pose_selection.planning import plan as run
+    from casadical.pose_selection.report import ahead_files, how_many, plan_files, report
+    from casadical.pose_selection.room import read_room
 
     robot = robot_of(problem)
     wanted = [c for c in named(robot, effects.split(",")) if c.listed] if effects else []

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import typer
 from rich.progress import Progress, TaskID
 
-from . import words
-from .terminal import Json, Quiet, keep_json, plain, progress
+from casadical.cli import completion as words
+from casadical.cli.terminal import Json, Quiet, keep_json, plain, progress
 
 
 def replay(
@@ -36,11 +36,11 @@ def replay(
 
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug of ours.
     """
-    from ..files import write_together
-    from ..measurements import read_measurements
-    from ..problem import read_campaign_robot
-    from ..sim_export.replay import as_json, replay_campaign
-    from ..sim_export.rest import load_mujoco
+    from casadical.core.files import write_together
+    from casadical.export.mjcf.equilibrium import load_mujoco
+    from casadical.export.mjcf.replay import as_json, replay_campaign
+    from casadical.measurements.measurements import read_measurements
+    from casadical.project.problem import read_campaign_robot
 
     load_mujoco()
     console = plain(quiet)

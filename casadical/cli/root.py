@@ -6,16 +6,16 @@ from typing import Annotated
 
 import typer
 
-from .. import __version__
-from .calibrate import calibrate
-from .check import check
-from .correct import correct
-from .diagnose import diagnose
-from .export import export_app
-from .new import new
-from .plan import plan
-from .replay import replay
-from .withheld import withheld_app
+from casadical import __version__
+from casadical.cli.calibrate import calibrate
+from casadical.cli.check import check
+from casadical.cli.correct import correct
+from casadical.cli.diagnose import diagnose
+from casadical.cli.export import export_app
+from casadical.cli.new import new
+from casadical.cli.plan import plan
+from casadical.cli.replay import replay
+from casadical.cli.withheld import withheld_app
 
 app = typer.Typer(
     name="casadical",

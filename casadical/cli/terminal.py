@@ -40,7 +40,7 @@ def plain(quiet: bool) -> Console:
 
 def keep_json(path: Path | None, figures: Mapping[str, Any] | Sequence[Mapping[str, Any]], console: Console) -> None:
     """Write figures where `--json` says, if it does, and say so. Raises InputError."""
-    from ..files import write_whole
+    from casadical.core.files import write_whole
 
     if path is None:
         return

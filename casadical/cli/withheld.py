@@ -10,8 +10,8 @@ import typer
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
-from ..errors import InputError
-from .terminal import Json, Quiet, keep_json, progress
+from casadical.cli.terminal import Json, Quiet, keep_json, progress
+from casadical.core.errors import InputError
 
 withheld_app = typer.Typer(
     help="Check the diagnosis blindly: on campaigns of another engine, whose hidden effect is kept apart.",
@@ -62,8 +62,8 @@ def make_command(
 
     Exit codes: 0 done, 2 bad input, 70 a bug of ours.
     """
-    from ..withheld.making import make
-    from ..withheld.running import workers as pool
+    from casadical.blind_check.making import make
+    from casadical.blind_check.running import workers as pool
 
     sizes = _whole(poses)
     place = key or out.with_name(f"{out.resolve().name}-key")
@@ -105,8 +105,8 @@ def predict_command(
 
     Exit codes: 0 done, 2 bad input, 70 a bug of ours.
     """
-    from ..withheld.predicting import predict
-    from ..withheld.running import workers as pool
+    from casadical.blind_check.predicting import predict
+    from casadical.blind_check.running import workers as pool
 
     try:
         with progress(quiet) as bar, pool(None, workers) as executor:
@@ -137,8 +137,8 @@ def score_command(
 
     Exit codes: 0 done, 2 bad input, 70 a bug of ours.
     """
-    from ..withheld.report import draw, report
-    from ..withheld.scoring import in_common, score
+    from casadical.blind_check.report import draw, report
+    from casadical.blind_check.scoring import in_common, score
 
     scores = in_common([score(folder, key, path) for path in answers])
     console = Console(quiet=quiet)

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadical.compensator.layout import Array
-from casadical.errors import InputError
+from casadical.core.errors import InputError
 
 
 def joint_angles(q: ArrayLike, joints: int) -> Array:

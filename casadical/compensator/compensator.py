@@ -20,7 +20,7 @@ from casadical.compensator.report import BeforeAfter, table
 from casadical.compensator.task import Loss, make_task
 from casadical.compensator.trainers import Trainer, trainer_named
 from casadical.compensator.training import Progress, Training, train_all
-from casadical.errors import InputError
+from casadical.core.errors import InputError
 
 if TYPE_CHECKING:
     import casadi

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from casadical.compensator.layout import Array
 from casadical.compensator.packing import pack, unpack
-from casadical.errors import InputError
+from casadical.core.errors import InputError
 
 
 @dataclass(frozen=True)

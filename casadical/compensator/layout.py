@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from casadical.errors import InputError
+from casadical.core.errors import InputError
 
 Array = NDArray[np.float64]
 

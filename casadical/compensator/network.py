@@ -8,7 +8,7 @@ import numpy as np
 from casadical.compensator.checks import joint_angles
 from casadical.compensator.forward import forward
 from casadical.compensator.layout import Array, Box, Layout, network_inputs
-from casadical.errors import InputError
+from casadical.core.errors import InputError
 
 if TYPE_CHECKING:
     import casadi

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from casadical.compensator.checksummed_json import read_sealed, sealed, write_sealed
 from casadical.compensator.compensator import Compensator
 from casadical.compensator.layout import Box, Layout
 from casadical.compensator.network import Network
 from casadical.compensator.report import BeforeAfter, Errors
-from casadical.compensator.sealed import read_sealed, sealed, write_sealed
-from casadical.errors import InputError
+from casadical.core.errors import InputError
 
 KIND, VERSION = "casadical-compensator", 1
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from casadical.compensator.forward import Floats, forward
 from casadical.compensator.layout import Array, Box, Layout, network_inputs
-from casadical.errors import InputError
+from casadical.core.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from math import erf, log, sqrt
 import numpy as np
 import pandas as pd
 
-from ..measurements import Measurements
-from .case import Case
-from .result import Diagnosis
+from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.result import Diagnosis
+from casadical.measurements.measurements import Measurements
 
 # Torque of this share of a great one counts as none.
 IDLE = 0.15

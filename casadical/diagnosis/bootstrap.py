@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..transforms import Array
-from .case import Case
-from .evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, Evidence, Whitened, log_sum
-from .which import PRIOR_FIRST, Ranking, prior_weights
+from casadical.core.transforms import Array
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, Evidence, Whitened, log_sum
+from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, prior_weights
 
 BATCH = 500
 # Noise less probable than this, given the data, is not drawn and not summed over.

@@ -14,8 +14,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ..effects.base import CHOSEN
-from ..transforms import Array
+from casadical.core.transforms import Array
+from casadical.effects.base import CHOSEN
 
 SIGMAS = np.geomspace(3e-6, 300e-6, 33)
 # Joint repeatability over the instrument's sigma [rad/m].

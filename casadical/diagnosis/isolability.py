@@ -15,16 +15,16 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from ..conditions import derive
-from ..effects import Effect
-from ..measurements import Measurements
-from ..robot import Robot
-from ..transforms import Array
-from .case import Case, base_prior, column_numbers, widths
-from .evidence import Evidence
-from .gap import Noise
-from .library import Candidate, candidates_of, choose
-from .signatures import signatures
+from casadical.core.transforms import Array
+from casadical.diagnosis.candidates import Candidate, candidates_of, choose
+from casadical.diagnosis.cross_validation import Noise
+from casadical.diagnosis.evidence import Evidence
+from casadical.diagnosis.linear_problem import Case, base_prior, column_numbers, widths
+from casadical.diagnosis.linearisation import signatures
+from casadical.effects import Effect
+from casadical.measurements.derived_columns import derive
+from casadical.measurements.measurements import Measurements
+from casadical.robot.robot import Robot
 
 # Noncentrality at which one among a hundred or so candidates is found nine times in ten.
 FOUND = 36.0

@@ -10,8 +10,8 @@ import numpy as np
 from rich.console import RenderableType
 from rich.text import Text
 
-from .isolability import Isolability
-from .wording import columns_to_log, gathered_by_columns
+from casadical.diagnosis.isolability import Isolability
+from casadical.diagnosis.phrases import columns_to_log, gathered_by_columns
 
 SHOWN_RIVALS = 3
 WIDTH = 112

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..compensator import Compensator, Trainer
-from ..transforms import Array
-from .case import Case
-from .gap import FOLDS, Noise, fitted_without, random_folds
+from casadical.compensator import Compensator, Trainer
+from casadical.core.transforms import Array
+from casadical.diagnosis.cross_validation import FOLDS, Noise, fitted_without, random_folds
+from casadical.diagnosis.linear_problem import Case
 
 
 @dataclass(frozen=True)

@@ -16,16 +16,16 @@ from itertools import combinations
 import numpy as np
 import pandas as pd
 
-from ..effects import Effect
-from ..errors import InputError
-from ..measurements import Measurements
-from ..pose_selection.workspace import Workspace
-from ..transforms import Array
-from .case import Case, widths
-from .evidence import KAPPA_WEIGHTS, Evidence, log_sum
-from .gap import Noise, covariance, likely_noise
-from .pose_pool import Pool, draw_pool, news
-from .signatures import signatures
+from casadical.core.errors import InputError
+from casadical.core.transforms import Array
+from casadical.diagnosis.cross_validation import Noise, covariance, likely_noise
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence, log_sum
+from casadical.diagnosis.linear_problem import Case, widths
+from casadical.diagnosis.linearisation import signatures
+from casadical.diagnosis.pose_pool import Pool, draw_pool, news
+from casadical.effects import Effect
+from casadical.measurements.measurements import Measurements
+from casadical.pose_selection.workspace import Workspace
 
 POOL = 800
 # One sigma, in sizes, of a cause's parameters before the data.

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..effects import Effect
-from ..measurements import Measurements
-from ..pose_selection.workspace import Workspace
-from ..transforms import Array
-from .case import Case
+from casadical.core.transforms import Array
+from casadical.diagnosis.linear_problem import Case
+from casadical.effects import Effect
+from casadical.measurements.measurements import Measurements
+from casadical.pose_selection.workspace import Workspace
 
 # An arm is warmed up by at least so much [K] where a cause follows the temperature.
 RISE_K = 5.0

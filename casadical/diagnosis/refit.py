@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..accuracy import errors
-from ..conditions import derive
-from ..effects import Effect
-from ..identification import Identification, identify
-from ..measurements import Measurements
-from ..transforms import Array
-from .case import Case
-from .gap import FOLDS, Noise, random_folds
+from casadical.core.transforms import Array
+from casadical.diagnosis.cross_validation import FOLDS, Noise, random_folds
+from casadical.diagnosis.linear_problem import Case
+from casadical.effects import Effect
+from casadical.identification.accuracy import errors
+from casadical.identification.identification import Identification, identify
+from casadical.measurements.derived_columns import derive
+from casadical.measurements.measurements import Measurements
 
 
 def refit(case: Case, effects: tuple[Effect, ...], noise: Noise, use: Array | None = None) -> Identification:

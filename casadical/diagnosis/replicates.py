@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..measurements import Measurements
-from ..transforms import Array
+from casadical.core.transforms import Array
+from casadical.measurements.measurements import Measurements
 
 # Readings that differ by less than this [rad or m] are one pose; the model's own small difference is taken off.
 SAME_POSE = 1e-3

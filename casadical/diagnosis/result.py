@@ -10,22 +10,22 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from ..compensator import Trainer
-from ..effects import Effect
-from ..identification import Identification
-from ..pose_selection.workspace import Workspace
-from ..robot import Robot
-from ..transforms import Array
-from .case import Case
-from .gap import Noise, held_out_errors, random_folds
-from .isolability import Isolability, isolability_of
-from .network import NetworkGap, network_gap
-from .next_poses import next_poses
-from .refit import Check, held_out_refit, refit
-from .replicates import Replicates
-from .unlisted import Unlisted, unlisted_forms
-from .where import Where, where
-from .which import Ranking
+from casadical.compensator import Trainer
+from casadical.core.transforms import Array
+from casadical.diagnosis.cross_validation import Noise, held_out_errors, random_folds
+from casadical.diagnosis.isolability import Isolability, isolability_of
+from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.localisation import Where, where
+from casadical.diagnosis.network import NetworkGap, network_gap
+from casadical.diagnosis.next_poses import next_poses
+from casadical.diagnosis.posterior import Ranking
+from casadical.diagnosis.refit import Check, held_out_refit, refit
+from casadical.diagnosis.replicates import Replicates
+from casadical.diagnosis.smooth_description import Unlisted, unlisted_forms
+from casadical.effects import Effect
+from casadical.identification.identification import Identification
+from casadical.pose_selection.workspace import Workspace
+from casadical.robot.robot import Robot
 
 # Two forms are not in question where one has this share of what both have.
 CERTAIN = 0.99

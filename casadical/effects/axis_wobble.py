@@ -8,8 +8,8 @@ from typing import ClassVar
 
 import casadi as ca
 
-from ..transforms import Symbolic, small_frame
-from .base import Context, Effect
+from casadical.core.transforms import Symbolic, small_frame
+from casadical.effects.base import Context, Effect
 
 
 @dataclass(frozen=True)

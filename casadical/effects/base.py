@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, ClassVar
 
 import casadi as ca
 
-from ..parameters import Parameter
-from ..transforms import Symbolic, apply
+from casadical.core.parameters import Parameter
+from casadical.core.transforms import Symbolic, apply
 
 if TYPE_CHECKING:
-    from ..robot import Robot
+    from casadical.robot.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Effect:
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """Columns that the model needs, logged or derived from logged ones (see `casadical.conditions`)."""
+        """Columns that the model needs, logged or derived from logged ones (see `derived_columns`)."""
         return self.needs
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from ..transforms import Symbolic
-from .base import Context, Effect
+from casadical.core.transforms import Symbolic
+from casadical.effects.base import Context, Effect
 
 
 @dataclass(frozen=True)

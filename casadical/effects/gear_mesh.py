@@ -8,8 +8,8 @@ from typing import ClassVar
 
 import casadi as ca
 
-from ..transforms import Symbolic
-from .base import Context, Effect
+from casadical.core.transforms import Symbolic
+from casadical.effects.base import Context, Effect
 
 
 @dataclass(frozen=True)

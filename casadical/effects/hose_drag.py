@@ -9,8 +9,8 @@ from typing import ClassVar
 import casadi as ca
 import numpy as np
 
-from ..transforms import Symbolic, apply
-from .base import Context, Effect
+from casadical.core.transforms import Symbolic, apply
+from casadical.effects.base import Context, Effect
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,14 @@ from typing import Any
 
 # Public name -> module that defines it.
 _HOME: dict[str, str] = {
-    "Command": "casadical.export.products",
-    "Export": "casadical.export.write",
-    "Kernel": "casadical.export.kernel",
-    "Limits": "casadical.export.products",
-    "Network": "casadical.export.products",
-    "Status": "casadical.export.reference",
-    "load": "casadical.export.kernel",
-    "write_c": "casadical.export.write",
+    "Command": "casadical.export.c.products",
+    "Export": "casadical.export.c.write",
+    "Kernel": "casadical.export.c.kernel",
+    "Limits": "casadical.export.c.products",
+    "Network": "casadical.export.c.products",
+    "Status": "casadical.export.c.reference",
+    "load": "casadical.export.c.kernel",
+    "write_c": "casadical.export.c.write",
 }
 
 __all__ = ["Command", "Export", "Kernel", "Limits", "Network", "Status", "load", "write_c"]

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..accuracy import predicted
-from ..conditions import derive
-from ..errors import InputError
-from ..measurements import Measurements
-from ..robot import Robot
-from ..transforms import Array
-from .workspace import Workspace
+from casadical.core.errors import InputError
+from casadical.core.transforms import Array
+from casadical.identification.accuracy import predicted
+from casadical.measurements.derived_columns import derive
+from casadical.measurements.measurements import Measurements
+from casadical.pose_selection.workspace import Workspace
+from casadical.robot.robot import Robot
 
 _TIMED = re.compile(r"progress|time_s|temperature_degC|warmth_\d+s")
 _APPROACH = re.compile(r"approach\d+")

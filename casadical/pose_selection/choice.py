@@ -7,18 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..errors import InputError
-from ..measurements import Measurements
-from ..robot import Robot
-from ..transforms import Array
-from .candidates import Candidates, Circumstances, circumstanced
-from .criteria import Criterion
-from .design_problem import Problem, prepare
-from .exchange import improve, search
-from .information import Noise
-from .order import arranged
-from .selection import Selection
-from .workspace import Workspace
+from casadical.core.errors import InputError
+from casadical.core.transforms import Array
+from casadical.measurements.measurements import Measurements
+from casadical.pose_selection.candidates import Candidates, Circumstances, circumstanced
+from casadical.pose_selection.criteria import Criterion
+from casadical.pose_selection.design_problem import Problem, prepare
+from casadical.pose_selection.exchange import improve, search
+from casadical.pose_selection.information import Noise
+from casadical.pose_selection.order import arranged
+from casadical.pose_selection.selection import Selection
+from casadical.pose_selection.workspace import Workspace
+from casadical.robot.robot import Robot
 
 # Neighbours of every chosen pose, and how far off as a share of the joints' ranges, in each round of refinement.
 NEIGHBOURS = 12

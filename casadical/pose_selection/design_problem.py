@@ -7,17 +7,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..conditions import derive
-from ..errors import InputError
-from ..identifiability import Unidentifiable
-from ..measurements import Measurements
-from ..robot import Robot
-from ..transforms import Array
-from .candidates import Candidates, Circumstances, circumstanced, draw, draw_uniform
-from .criteria import Criterion, checked
-from .designs import Design, Determinant, Linear, Spectral, inverse
-from .information import Noise, independent, noise_covariance, scaled_jacobian, whitened
-from .workspace import Workspace
+from casadical.core.errors import InputError
+from casadical.core.transforms import Array
+from casadical.identification.identifiability import Unidentifiable
+from casadical.measurements.derived_columns import derive
+from casadical.measurements.measurements import Measurements
+from casadical.pose_selection.candidates import Candidates, Circumstances, circumstanced, draw, draw_uniform
+from casadical.pose_selection.criteria import Criterion, checked
+from casadical.pose_selection.designs import Design, Determinant, Linear, Spectral, inverse
+from casadical.pose_selection.information import Noise, independent, noise_covariance, scaled_jacobian, whitened
+from casadical.pose_selection.workspace import Workspace
+from casadical.robot.robot import Robot
 
 TASK_POSES = 300
 

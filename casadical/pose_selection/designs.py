@@ -14,8 +14,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..transforms import Array
-from .criteria import SPECTRAL
+from casadical.core.transforms import Array
+from casadical.pose_selection.criteria import SPECTRAL
 
 # After so many updates, C and the blocks are computed anew.
 REFRESH = 50

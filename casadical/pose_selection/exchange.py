@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import InputError
-from ..transforms import Array
-from .designs import Design
+from casadical.core.errors import InputError
+from casadical.core.transforms import Array
+from casadical.pose_selection.designs import Design
 
 # How many poses an excursion adds (or takes away) before it returns to the number wanted.
 DEPTH = 4

@@ -13,13 +13,13 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from ..errors import InputError
-from ..identifiability import Unidentifiable, correlated, poorly_determined
-from ..least_squares import LeastSquares
-from ..measurements import Measurements
-from ..robot import Robot
-from ..transforms import Array
-from .designs import inverse
+from casadical.core.errors import InputError
+from casadical.core.transforms import Array
+from casadical.identification.identifiability import Unidentifiable, correlated, poorly_determined
+from casadical.identification.least_squares import LeastSquares
+from casadical.measurements.measurements import Measurements
+from casadical.pose_selection.designs import inverse
+from casadical.robot.robot import Robot
 
 MM = 1e-3
 # Jacobians of more poses than this are computed in parts, which keeps them from being compiled for one use.

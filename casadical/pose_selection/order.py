@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
-from ..measurements import Measurements
-from ..robot import Robot
-from ..transforms import Array
-from .candidates import Candidates, Circumstances, expected, timeline
+from casadical.core.errors import InputError
+from casadical.core.transforms import Array
+from casadical.measurements.measurements import Measurements
+from casadical.pose_selection.candidates import Candidates, Circumstances, expected, timeline
+from casadical.robot.robot import Robot
 
 # Parts of a campaign within which poses that are meant for a time may change places.
 TIME_PARTS = 4

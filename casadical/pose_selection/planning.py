@@ -8,21 +8,21 @@ from pathlib import Path
 
 import numpy as np
 
-from ..conditions import derive
-from ..effects import Effect
-from ..errors import InputError
-from ..identification import identify
-from ..measurements import Measurements, read_measurements
-from ..problem import read_campaign_robot
-from ..robot import Robot
-from ..robot_file import read_robot
-from .candidates import Circumstances
-from .choice import select_poses
-from .criteria import Criterion
-from .information import Noise
-from .selection import Selection
-from .stopping import Forecast, forecast
-from .workspace import Workspace
+from casadical.core.errors import InputError
+from casadical.effects import Effect
+from casadical.identification.identification import identify
+from casadical.measurements.derived_columns import derive
+from casadical.measurements.measurements import Measurements, read_measurements
+from casadical.pose_selection.candidates import Circumstances
+from casadical.pose_selection.choice import select_poses
+from casadical.pose_selection.criteria import Criterion
+from casadical.pose_selection.information import Noise
+from casadical.pose_selection.selection import Selection
+from casadical.pose_selection.stopping import Forecast, forecast
+from casadical.pose_selection.workspace import Workspace
+from casadical.project.problem import read_campaign_robot
+from casadical.robot.robot import Robot
+from casadical.robot.robot_file import read_robot
 
 
 def robot_of(path: Path) -> Robot:

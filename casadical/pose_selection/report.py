@@ -10,10 +10,10 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from ..transforms import Array
-from .order import travel
-from .selection import Selection
-from .stopping import Forecast
+from casadical.core.transforms import Array
+from casadical.pose_selection.order import travel
+from casadical.pose_selection.selection import Selection
+from casadical.pose_selection.stopping import Forecast
 
 _HEIGHTS, _DISTANCES = ("low", "middle", "high"), ("near", "middle", "far")
 

@@ -8,10 +8,10 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from ..errors import InputError
-from ..robot import Robot
-from ..schema import ANGLE, LENGTH, READING, Angle, Length, Pair, Table, Triple, check, load_toml
-from .workspace import Box, Tracker, Workspace
+from casadical.core.errors import InputError
+from casadical.core.schema import ANGLE, LENGTH, READING, Angle, Length, Pair, Table, Triple, check, load_toml
+from casadical.pose_selection.workspace import Box, Tracker, Workspace
+from casadical.robot.robot import Robot
 
 
 class _Joint(Table):

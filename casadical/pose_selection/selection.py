@@ -8,15 +8,15 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
-from ..identifiability import Unidentifiable
-from ..measurements import Measurements
-from ..robot import Robot
-from ..transforms import Array
-from .candidates import Candidates, Circumstances
-from .criteria import Criterion, observability
-from .designs import inverse
-from .information import MM, Noise, noise_covariance, scaled_jacobian
-from .order import arranged
+from casadical.core.transforms import Array
+from casadical.identification.identifiability import Unidentifiable
+from casadical.measurements.measurements import Measurements
+from casadical.pose_selection.candidates import Candidates, Circumstances
+from casadical.pose_selection.criteria import Criterion, observability
+from casadical.pose_selection.designs import inverse
+from casadical.pose_selection.information import MM, Noise, noise_covariance, scaled_jacobian
+from casadical.pose_selection.order import arranged
+from casadical.robot.robot import Robot
 
 
 @dataclass(frozen=True, eq=False)

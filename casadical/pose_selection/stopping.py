@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from ..errors import InputError
-from ..measurements import Measurements
-from ..robot import Robot
-from ..transforms import Array
-from .candidates import Circumstances
-from .design_problem import prepare
-from .designs import inverse
-from .exchange import search
-from .information import MM, Noise, scaled_jacobian
-from .workspace import Workspace
+from casadical.core.errors import InputError
+from casadical.core.transforms import Array
+from casadical.measurements.measurements import Measurements
+from casadical.pose_selection.candidates import Circumstances
+from casadical.pose_selection.design_problem import prepare
+from casadical.pose_selection.designs import inverse
+from casadical.pose_selection.exchange import search
+from casadical.pose_selection.information import MM, Noise, scaled_jacobian
+from casadical.pose_selection.workspace import Workspace
+from casadical.robot.robot import Robot
 
 
 @dataclass(frozen=True, eq=False)

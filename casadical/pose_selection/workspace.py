@@ -8,11 +8,11 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from ..errors import InputError
-from ..kinematics import LEAST_MARGIN, link_frames
-from ..model import base_frame
-from ..robot import Robot
-from ..transforms import Array
+from casadical.core.errors import InputError
+from casadical.core.transforms import Array
+from casadical.robot.kinematics import LEAST_MARGIN, link_frames
+from casadical.robot.model import base_frame
+from casadical.robot.robot import Robot
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,17 +6,17 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .calibration import calibration_report as calibration_report
-    from .diagnosis import diagnosis_report as diagnosis_report
-    from .look import dark as dark
-    from .of_calibration import calibration_figures as calibration_figures
-    from .of_diagnosis import diagnosis_figures as diagnosis_figures
+    from casadical.report.calibration import calibration_report as calibration_report
+    from casadical.report.diagnosis import diagnosis_report as diagnosis_report
+    from casadical.report.figures_of_calibration import calibration_figures as calibration_figures
+    from casadical.report.figures_of_diagnosis import diagnosis_figures as diagnosis_figures
+    from casadical.report.style import dark as dark
 
 _HOME = {
-    "calibration_figures": "of_calibration",
+    "calibration_figures": "figures_of_calibration",
     "calibration_report": "calibration",
-    "dark": "look",
-    "diagnosis_figures": "of_diagnosis",
+    "dark": "style",
+    "diagnosis_figures": "figures_of_diagnosis",
     "diagnosis_report": "diagnosis",
 }
 __all__ = [*_HOME]

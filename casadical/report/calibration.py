@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from ..accuracy import Accuracy
-from ..identifiability import CONFOUNDED
-from ..identification import Identification
-from ..networks import Networks
-from ..problem import Problem
-from ..tables import NEARLY_CONFOUNDED, SetAccuracies
-from .error_tables import error_tables, network_table
-from .look import mm
-from .of_calibration import Results, calibration_figures, last_of
-from .page import Block, Drawing, Part, Section, Table, Tile, Words, report_html
-from .parameter_tables import confounded, correlated, parameter_table
-from .provenance import problem_files, provenance_of
-from .where_blocks import where_drawings
+from casadical.identification.accuracy import Accuracy
+from casadical.identification.identifiability import CONFOUNDED
+from casadical.identification.identification import Identification
+from casadical.project.networks import Networks
+from casadical.project.problem import Problem
+from casadical.report.calibration_text import NEARLY_CONFOUNDED, SetAccuracies
+from casadical.report.error_tables import error_tables, network_table
+from casadical.report.figures_of_calibration import Results, calibration_figures, last_of
+from casadical.report.page import Block, Drawing, Part, Section, Table, Tile, Words, report_html
+from casadical.report.parameter_tables import confounded, correlated, parameter_table
+from casadical.report.provenance import problem_files, provenance_of
+from casadical.report.style import mm
+from casadical.report.where_blocks import where_drawings
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go

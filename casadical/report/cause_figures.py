@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from ..diagnosis.answer import SIGNATURES
-from .look import BLUE, GREEN, GREY, INK, ORANGE, new_figure, plain
-from .share_figures import intervals
+from casadical.diagnosis.json_answer import SIGNATURES
+from casadical.report.share_figures import intervals
+from casadical.report.style import BLUE, GREEN, GREY, INK, ORANGE, new_figure, plain
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-    from ..diagnosis.network import NetworkGap
-    from ..diagnosis.result import Diagnosis
+    from casadical.diagnosis.network import NetworkGap
+    from casadical.diagnosis.result import Diagnosis
 
 MOST_SHOWN = 8
 ROW = 30

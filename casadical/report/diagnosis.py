@@ -8,25 +8,34 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..diagnosis.advice import kinds, told_apart
-from ..diagnosis.answer import NEXT, Extras, settings
-from ..diagnosis.printed import readable, refitted, signature
-from ..diagnosis.rules import PARTITIONS
-from ..diagnosis.wording import alike, has_rest, headline, invisible, left_over, not_logged, resembles, unsure_floor
-from .look import mm
-from .of_diagnosis import diagnosis_figures, held_out_poses
-from .page import Block, Drawing, Part, Section, Table, Tile, Words, report_html
-from .parameter_tables import confounded, correlated, parameter_table
-from .pose_errors import BEFORE
-from .provenance import campaign_files, provenance_of
-from .replay_blocks import replay_blocks
-from .where_blocks import where_drawings
+from casadical.diagnosis.advice import kinds, told_apart
+from casadical.diagnosis.json_answer import NEXT, Extras, settings
+from casadical.diagnosis.phrases import (
+    alike,
+    has_rest,
+    headline,
+    invisible,
+    left_over,
+    not_logged,
+    resembles,
+    unsure_floor,
+)
+from casadical.diagnosis.text import readable, refitted, signature
+from casadical.diagnosis.thresholds import PARTITIONS
+from casadical.report.figures_of_diagnosis import diagnosis_figures, held_out_poses
+from casadical.report.page import Block, Drawing, Part, Section, Table, Tile, Words, report_html
+from casadical.report.parameter_tables import confounded, correlated, parameter_table
+from casadical.report.pose_errors import BEFORE
+from casadical.report.provenance import campaign_files, provenance_of
+from casadical.report.replay_blocks import replay_blocks
+from casadical.report.style import mm
+from casadical.report.where_blocks import where_drawings
 
 if TYPE_CHECKING:
     import pandas as pd
     import plotly.graph_objects as go
 
-    from ..diagnosis.result import Cause, Diagnosis
+    from casadical.diagnosis.result import Cause, Diagnosis
 
 
 def diagnosis_report(

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .look import GRID, MUTED, PAPER, new_figure, plain, style
-from .pose_errors import BEFORE, Left, PoseErrors
+from casadical.report.pose_errors import BEFORE, Left, PoseErrors
+from casadical.report.style import GRID, MUTED, PAPER, new_figure, plain, style
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ..accuracy import Accuracy
-from ..networks import Networks
-from ..tables import SetAccuracies
-from .look import mm
-from .page import Table
+from casadical.identification.accuracy import Accuracy
+from casadical.project.networks import Networks
+from casadical.report.calibration_text import SetAccuracies
+from casadical.report.page import Table
+from casadical.report.style import mm
 
 COLUMNS = ("model", "mean", "max", "std", "rms", "95 %")
 NUMBERS = frozenset(range(1, len(COLUMNS)))

@@ -10,9 +10,9 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from .lazy import jinja, plotly_js
-from .look import COLOURS, DARK
-from .provenance import Provenance
+from casadical.report.optional_imports import jinja, plotly_js
+from casadical.report.provenance import Provenance
+from casadical.report.style import COLOURS, DARK
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..identification import Identification
-from .look import MUTED, RED, plain
-from .share_figures import intervals
+from casadical.identification.identification import Identification
+from casadical.report.share_figures import intervals
+from casadical.report.style import MUTED, RED, plain
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from ..identification import Identification
-from ..tables import PLACED, was_placed
-from .page import Block, Table, Words
+from casadical.identification.identification import Identification
+from casadical.report.calibration_text import PLACED, was_placed
+from casadical.report.page import Block, Table, Words
 
 STATUS = {"identified": "", "at bound": "AT BOUND", "not identifiable": "not identifiable", "held": "held"}
 

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..accuracy import errors, predicted
-from ..identification import Identification
-from ..measurements import Measurements
-from ..networks import NetworkResult, Networks
-from ..problem import Problem
-from ..robot import Robot
-from ..transforms import Array
+from casadical.core.transforms import Array
+from casadical.identification.accuracy import errors, predicted
+from casadical.identification.identification import Identification
+from casadical.measurements.measurements import Measurements
+from casadical.project.networks import NetworkResult, Networks
+from casadical.project.problem import Problem
+from casadical.robot.robot import Robot
 
 BEFORE = "before"
 SETS = {

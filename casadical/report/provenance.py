@@ -11,8 +11,8 @@ from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from ..errors import InputError
-from ..schema import load_toml
+from casadical.core.errors import InputError
+from casadical.core.schema import load_toml
 
 PACKAGES = ("casadical", "casadi", "numpy", "pandas", "plotly")
 

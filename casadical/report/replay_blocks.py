@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import ConvergenceError, InputError
-from ..sim_export.replay import Replay, Stage, replay_diagnosis
-from ..sim_export.rest import load_mujoco
-from .look import BLUE, GREEN, GREY, INK, mm, new_figure, plain
-from .page import Block, Drawing, Table, Words
+from casadical.core.errors import ConvergenceError, InputError
+from casadical.export.mjcf.equilibrium import load_mujoco
+from casadical.export.mjcf.replay import Replay, Stage, replay_diagnosis
+from casadical.report.page import Block, Drawing, Table, Words
+from casadical.report.style import BLUE, GREEN, GREY, INK, mm, new_figure, plain
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-    from ..diagnosis.result import Diagnosis
+    from casadical.diagnosis.result import Diagnosis
 
 DRAWS = 1000
 NAMES = ("nominal, placed", "calibrated")

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from ..transforms import Array
-from .look import BLUE, GREY, MUTED, new_figure, plain
+from casadical.core.transforms import Array
+from casadical.report.style import BLUE, GREY, MUTED, new_figure, plain
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..networks import Networks
-from .look import new_figure, plain, style
+from casadical.project.networks import Networks
+from casadical.report.style import new_figure, plain, style
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go

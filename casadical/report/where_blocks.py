@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
-from .page import Drawing
+from casadical.report.page import Drawing
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go

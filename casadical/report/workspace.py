@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from ..kinematics import link_frames
-from ..model import base_frame
-from ..robot import Robot
-from ..transforms import Array
-from .look import COLOURS, GRID, INK, LINE, MUTED, STYLES, new_figure, plain, style
-from .pose_errors import BEFORE, Left, PoseErrors
+from casadical.core.transforms import Array
+from casadical.report.pose_errors import BEFORE, Left, PoseErrors
+from casadical.report.style import COLOURS, GRID, INK, LINE, MUTED, STYLES, new_figure, plain, style
+from casadical.robot.kinematics import link_frames
+from casadical.robot.model import base_frame
+from casadical.robot.robot import Robot
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go

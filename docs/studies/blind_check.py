@@ -17,13 +17,13 @@ import numpy as np
 from diagnosis_scores import power
 from rich.console import Console
 
-from casadical.files import write_whole
-from casadical.withheld import figures
-from casadical.withheld.intervals import Figure
-from casadical.withheld.packed import pack, stored
-from casadical.withheld.paired import pairs
-from casadical.withheld.report import draw, report
-from casadical.withheld.scoring import Score, in_common, score
+from casadical.blind_check import figures
+from casadical.blind_check.intervals import Figure
+from casadical.blind_check.packed import pack, stored
+from casadical.blind_check.paired import pairs
+from casadical.blind_check.report import draw, report
+from casadical.blind_check.scoring import Score, in_common, score
+from casadical.core.files import write_whole
 
 ROOT = Path(__file__).parents[2]
 DATA, PAGE, HERE = ROOT / "data" / "withheld", ROOT / "docs" / "blind-check.md", ROOT / "docs" / "studies"

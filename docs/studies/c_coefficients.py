@@ -1,7 +1,7 @@
 """Run `python docs/studies/c_coefficients.py` (needs mpmath): the polynomials of the exported C's elementary functions.
 
 Near-minimax fits through Chebyshev nodes in 120 digits, rounded to the format; prints the table that
-casadical/export/coefficients.py holds, with the largest error of each polynomial (relative to the function's scale).
+casadical/export/c/coefficients.py holds, with the largest error of each polynomial (relative to the function's scale).
 """
 
 import mpmath as mp

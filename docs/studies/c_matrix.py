@@ -1,7 +1,7 @@
 """Run `python docs/studies/c_matrix.py` (as root it installs what is missing): every figure of the exported C.
 
 Compilers, processors under QEMU, analysers, fuzzing, instruction counts and times beside CasADi's own generated C. The
-robot and the network are those of tests/export. `--quick` takes a hundredth of the vectors. What a machine cannot run
+robot and the network are those of tests/export/c. `--quick` takes a hundredth of the vectors. What a machine cannot run
 is printed as not run, with the reason.
 """
 
@@ -20,16 +20,16 @@ import casadi as ca
 import numpy as np
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "tests" / "export"))
+sys.path.insert(0, str(ROOT / "tests" / "export" / "c"))
 
 import export_models as models  # noqa: E402
 import export_targets as targets  # noqa: E402
 
 from casadical.export import Command, Network, Status, load, write_c  # noqa: E402
-from casadical.export.program import program_of  # noqa: E402
-from casadical.export.reference import correct, network  # noqa: E402
-from casadical.export.toolchain import WARNINGS, compilers  # noqa: E402
-from casadical.export.vectors import inside  # noqa: E402
+from casadical.export.c.program import program_of  # noqa: E402
+from casadical.export.c.reference import correct, network  # noqa: E402
+from casadical.export.c.toolchain import WARNINGS, compilers  # noqa: E402
+from casadical.export.c.vectors import inside  # noqa: E402
 
 PACKAGES = {
     "gcc": "gcc",
@@ -117,8 +117,8 @@ def three_million(folders, count):
         q = inside(program, count, seed=1)
         expected, _ = network(program, q)
         for compiler in compilers():
-            from casadical.export.kernel import build
-            from casadical.export.verify import shape_of
+            from casadical.export.c.kernel import build
+            from casadical.export.c.verify import shape_of
 
             folder = folders["network", real]
             sources = [folder / "arm.c", folder / "arm_self_test.c"]
@@ -178,7 +178,7 @@ def casadi_c(real):
 
 def portable(path, real):
     """CasADi's C with its tanh replaced by the exporter's: the second way to get there, for comparison."""
-    from casadical.export.emit import elementary_functions
+    from casadical.export.c.emit import elementary_functions
 
     function = elementary_functions([program_of(PRODUCTS["network"], real).tapes["network"]], "arm", real)
     text = path.read_text().replace("#include <math.h>", f"#include <stdint.h>\ntypedef {real} arm_real;\n{function}\n")
@@ -564,7 +564,7 @@ def main():
     parser.add_argument("--quick", action="store_true")
     share = 100 if parser.parse_args().quick else 1
     install()
-    print("Exported C: 6R arm with 30 calibrated values and compliance, 6-5-3 network; tests/export/export_models.py")
+    print("Exported C: 6R arm with 30 calibrated values and compliance, 6-5-3 network; tests/export/c/export_models.py")
     for compiler in compilers():
         print(f"  {compiler.version}")
     folders = export_all(200_000 // share)

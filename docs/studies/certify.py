@@ -1,4 +1,4 @@
-"""Write problems/*/certified.toml: `python docs/studies/certify.py [NAME...]`; tests/problems holds these figures.
+"""Write problems/*/certified.toml: `python docs/studies/certify.py [NAME...]`; tests/project holds these figures.
 
 A certified figure is what casadical finds with the problem's own seed and methods, so a changed one means that the
 program or the data changed: look why before you certify anew. `git diff problems` shows what moved.
@@ -12,7 +12,7 @@ from typing import Any
 
 import tomlkit
 
-from casadical.calibration import Run, calibrate_problem
+from casadical.project.calibration import Run, calibrate_problem
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 TOLERANCE_MM = 0.002  # what another machine's rounding and solver build may move

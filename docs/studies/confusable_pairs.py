@@ -1,9 +1,9 @@
 """OMP_NUM_THREADS=1 python docs/studies/confusable_pairs.py [CAMPAIGNS [PAIR]] > docs/studies/confusable_pairs.txt
 
 Pairs of effects that a campaign of 40 poses cannot tell apart, and what 40 more poses say: those that `next_poses`
-proposes for the pair, and others drawn at random over everything that the robot can do. Measured in the physics engine
-(MuJoCo, `casadical.engine`), the truth being the one and the other effect of the pair in turn, each robot built anew.
-The first campaign is poor in one way each: joint ranges, payload, temperature.
+proposes for the pair, and others drawn at random over everything that the robot can do. Measured in MuJoCo
+(`casadical.blind_check.mujoco_physics`), the truth being the one and the other effect of the pair in turn, each
+robot built anew. The first campaign is poor in one way each: joint ranges, payload, temperature.
 
 Isolated: of all causes on the standard list, and of the smooth unknown ones, the most probable is the true one, joint
 included. Claimed: with a probability of .9; wrong claims: of another cause. The pair: of the two alone, the truth is
@@ -18,18 +18,18 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from casadical.diagnosis.case import make_case
-from casadical.diagnosis.library import candidates_of
+from casadical.blind_check.mujoco_physics import draw_effect, measure
+from casadical.blind_check.numpy_physics import Plant, perturb
+from casadical.diagnosis.candidates import candidates_of
+from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.next_poses import next_poses
-from casadical.diagnosis.rules import CLAIM, detection
-from casadical.diagnosis.which import rank
-from casadical.engine import draw_effect, measure
-from casadical.identification import identify
-from casadical.measurements import from_table
+from casadical.diagnosis.posterior import rank
+from casadical.diagnosis.thresholds import CLAIM, detection
+from casadical.identification.identification import identify
+from casadical.measurements.measurements import from_table
 from casadical.pose_selection import Workspace
 from casadical.pose_selection.candidates import draw_uniform
-from casadical.problem import read_campaign_robot
-from casadical.simulation import Plant, perturb
+from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]
 CAMPAIGNS, FIRST, MORE = 30, 40, 40

@@ -15,10 +15,10 @@ import numpy as np
 from synthetic import NOISE, measured, planted, readings
 
 from casadical import Body, Identification, Joint, Measurements, Placement, Robot, identify
-from casadical.accuracy import predicted
-from casadical.residuals import Loss
-from casadical.statistics import student_t
-from casadical.transforms import Array, frame
+from casadical.core.statistics import student_t
+from casadical.core.transforms import Array, frame
+from casadical.identification.accuracy import predicted
+from casadical.identification.residuals import Loss
 
 RUNS = 200
 RIGHT = np.pi / 2

@@ -1,10 +1,11 @@
 """Diagnose campaigns of the independent simulator and score: python docs/studies/diagnosis_campaigns.py
 
 Some 1,500 campaigns (half an hour on two idle cores), a part for each figure; --share 0.1 makes a tenth. Three robots;
-effects, sizes and joints are drawn by casadical.simulation, whose physics shares no formula with the candidates; joint
-repeatability and instrument noise are always there. The same campaign made without the effect tells how far the gap
-can shrink. Synthetic data throughout. Seeds are [2027, part, number], which nobody had seen when the rules were fixed
-(commit 033c84f); these were chosen on seeds [77, number], [2026, part, number] and on campaigns of casadical.engine.
+effects, sizes and joints are drawn by casadical.blind_check.numpy_physics, which shares no formula with the candidates;
+joint repeatability and instrument noise are always there. The same campaign made without the effect tells how far
+the gap can shrink. Synthetic data throughout. Seeds are [2027, part, number], which nobody had seen when the rules
+were fixed (commit 033c84f); these were chosen on seeds [77, number], [2026, part, number] and on campaigns
+of casadical.blind_check.mujoco_physics.
 """
 
 import argparse
@@ -23,17 +24,17 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from diagnosis_scores import Trial, near_rival, table, visible
 
-from casadical.diagnosis.case import Case, make_case
-from casadical.diagnosis.diagnosis import diagnose
-from casadical.diagnosis.gap import Noise, held_out_errors, likely_noise, random_folds
-from casadical.diagnosis.library import standard_candidates
-from casadical.diagnosis.rules import PARTITIONS
-from casadical.identification import Identification, identify
-from casadical.measurements import Measurements, from_table
-from casadical.problem import read_campaign_robot
-from casadical.robot import Robot
-from casadical.simulation import Disturbance, Plant, campaign, draw_disturbance, perturb
-from casadical.simulation.disturbances import LISTED, UNLISTED
+from casadical.blind_check.numpy_physics import Disturbance, Plant, campaign, draw_disturbance, perturb
+from casadical.blind_check.numpy_physics.disturbances import LISTED, UNLISTED
+from casadical.diagnosis.candidates import standard_candidates
+from casadical.diagnosis.cross_validation import Noise, held_out_errors, likely_noise, random_folds
+from casadical.diagnosis.diagnose import diagnose
+from casadical.diagnosis.linear_problem import Case, make_case
+from casadical.diagnosis.thresholds import PARTITIONS
+from casadical.identification.identification import Identification, identify
+from casadical.measurements.measurements import Measurements, from_table
+from casadical.project.problem import read_campaign_robot
+from casadical.robot.robot import Robot
 
 ROOT = Path(__file__).parents[2]
 ROBOTS = ("hh800", "kr210", "ur10e")

@@ -1,6 +1,6 @@
 """How diagnoses of campaigns with a known answer are scored: figures, targets, theoretical limits.
 
-Figures and intervals are those of the blind check (casadical.withheld); limits are its own.
+Figures and intervals are those of the blind check (casadical.blind_check); limits are its own.
 """
 
 from collections.abc import Sequence
@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from casadical.diagnosis.case import Case
+from casadical.blind_check import figures
+from casadical.blind_check import trials as check
+from casadical.blind_check.intervals import Figure, quantile, share
+from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.evidence import Evidence, Whitened
-from casadical.diagnosis.gap import Noise
-from casadical.withheld import figures
-from casadical.withheld import trials as check
-from casadical.withheld.intervals import Figure, quantile, share
+from casadical.diagnosis.linear_problem import Case
 
 # Name, value, target, theoretical limit.
 Row = tuple[str, Figure, str, str]

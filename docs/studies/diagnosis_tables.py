@@ -6,10 +6,11 @@ Writes the tables of docs/diagnosis.md anew from the effect classes and the thre
 import re
 from pathlib import Path
 
-from casadical.diagnosis import rules, which
-from casadical.diagnosis.answer import SIGNATURES
-from casadical.diagnosis.library import Candidate, extended_candidates, standard_candidates
-from casadical.problem import read_campaign_robot
+from casadical.diagnosis import posterior as which
+from casadical.diagnosis import thresholds as rules
+from casadical.diagnosis.candidates import Candidate, extended_candidates, standard_candidates
+from casadical.diagnosis.json_answer import SIGNATURES
+from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "diagnosis.md"

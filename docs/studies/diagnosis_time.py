@@ -12,10 +12,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from diagnosis_campaigns import ROBOTS, hidden, machine
 
-from casadical.diagnosis.diagnosis import diagnose
-from casadical.measurements import Measurements, from_table
-from casadical.robot import Robot
-from casadical.simulation import campaign, perturb
+from casadical.blind_check.numpy_physics import campaign, perturb
+from casadical.diagnosis.diagnose import diagnose
+from casadical.measurements.measurements import Measurements, from_table
+from casadical.robot.robot import Robot
 
 CAMPAIGNS, DRAWS = 36, 2000
 

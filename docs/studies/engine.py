@@ -14,16 +14,16 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import mujoco
 import numpy as np
 
-from casadical import engine
-from casadical.engine.rest import Engine, Stop
-from casadical.engine.robot import start
-from casadical.simulation import Plant, perturb
-from casadical.simulation.fourbar import unfolded
-from casadical.simulation.machine import settle, tool_point
-from casadical.simulation.stops import Stops, draw_poses
+from casadical.blind_check import mujoco_physics as engine
+from casadical.blind_check.mujoco_physics.equilibrium import Engine, Stop
+from casadical.blind_check.mujoco_physics.robot import start
+from casadical.blind_check.numpy_physics import Plant, perturb
+from casadical.blind_check.numpy_physics.fourbar import unfolded
+from casadical.blind_check.numpy_physics.machine import settle, tool_point
+from casadical.blind_check.numpy_physics.stops import Stops, draw_poses
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
-from engine.oracle import rest as by_pinocchio
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "blind_check"))
+from mujoco_physics.oracle import rest as by_pinocchio
 
 ROBOTS = ("hh800", "kr210", "ur10e")
 FOLDER = Path(__file__).parents[2] / "data" / "campaigns" / "robots"

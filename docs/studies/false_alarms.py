@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
+from casadical.blind_check.numpy_physics import Plant, campaign, perturb
 from casadical.diagnosis.bootstrap import noise_odds
-from casadical.diagnosis.case import Case, make_case
-from casadical.diagnosis.library import standard_candidates
-from casadical.diagnosis.rules import detection
-from casadical.identification import identify
-from casadical.measurements import from_table
-from casadical.problem import read_campaign_robot
-from casadical.simulation import Plant, campaign, perturb
+from casadical.diagnosis.candidates import standard_candidates
+from casadical.diagnosis.linear_problem import Case, make_case
+from casadical.diagnosis.thresholds import detection
+from casadical.identification.identification import identify
+from casadical.measurements.measurements import from_table
+from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]
 ROBOTS, POSES, CAMPAIGNS, DRAWS = ("hh800", "kr210", "ur10e"), (40, 60, 100, 200), 3, 1000

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from casadical.simulation import hh800_twin
+from casadical.blind_check.numpy_physics import hh800_twin
 
 if __name__ == "__main__":
     path = Path(__file__).parents[2] / "data" / "hh800_twin" / "hh800_twin.csv"

@@ -6,8 +6,8 @@ would vanish in an identification), and how much of all of them does not repeat 
 
 import numpy as np
 
-from casadical.simulation import campaign, hh800_true, hh800_twin
-from casadical.simulation.twin import UNMODELLED, WARMUP
+from casadical.blind_check.numpy_physics import campaign, hh800_true, hh800_twin
+from casadical.blind_check.numpy_physics.twin import UNMODELLED, WARMUP
 
 Q = [f"q{j}_deg" for j in range(1, 7)]
 TRUE = ["x_true_mm", "y_true_mm", "z_true_mm"]

@@ -7,8 +7,8 @@ at. `earlier` is what an experiment on an arm like the HH800 had found.
 from pathlib import Path
 
 from casadical.diagnosis.isolability import isolability
-from casadical.measurements import read_measurements
-from casadical.problem import read_campaign_robot
+from casadical.measurements.measurements import read_measurements
+from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]
 DESIGNS = ("hh800-P01", "kr210-P02", "ur10e-P03")

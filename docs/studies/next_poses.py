@@ -11,18 +11,18 @@ from pathlib import Path
 
 import numpy as np
 
-from casadical.diagnosis.case import make_case
-from casadical.diagnosis.library import candidates_of
+from casadical.blind_check.numpy_physics import Plant, Warmup, draw_disturbance, perturb
+from casadical.blind_check.numpy_physics.machine import settle, tool_point
+from casadical.blind_check.numpy_physics.stops import Stops, draw_poses, draw_stops
+from casadical.core.errors import InputError
+from casadical.diagnosis.candidates import candidates_of
+from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.next_poses import next_poses
-from casadical.diagnosis.which import Ranking, rank
-from casadical.errors import InputError
-from casadical.identification import identify
-from casadical.measurements import Measurements
-from casadical.problem import read_campaign_robot
-from casadical.robot import Robot
-from casadical.simulation import Plant, Warmup, draw_disturbance, perturb
-from casadical.simulation.machine import settle, tool_point
-from casadical.simulation.stops import Stops, draw_poses, draw_stops
+from casadical.diagnosis.posterior import Ranking, rank
+from casadical.identification.identification import identify
+from casadical.measurements.measurements import Measurements
+from casadical.project.problem import read_campaign_robot
+from casadical.robot.robot import Robot
 
 ROOT = Path(__file__).parents[2]
 FIRST, MORE = 50, 15

@@ -14,9 +14,9 @@ import numpy as np
 from synthetic import measured, planted, random_robot, readings
 
 from casadical import Measurements, identify
-from casadical.accuracy import errors
-from casadical.residuals import Loss
-from casadical.transforms import Array
+from casadical.core.transforms import Array
+from casadical.identification.accuracy import errors
+from casadical.identification.residuals import Loss
 
 SEEDS = 12
 POSES = (50, 150)

@@ -11,12 +11,12 @@ from __future__ import annotations
 import numpy as np
 from synthetic import NOISE, correct_set, measured, planted, random_robot, readings
 
-import casadical.residuals
+import casadical.identification.residuals
 from casadical import identify
-from casadical.accuracy import errors
-from casadical.least_squares import LeastSquares
-from casadical.robot import Robot
-from casadical.transforms import Array
+from casadical.core.transforms import Array
+from casadical.identification.accuracy import errors
+from casadical.identification.least_squares import LeastSquares
+from casadical.robot.robot import Robot
 
 ROBOTS = 200
 SIZES = (30, 50, 100, 300, 1000, 2000)
@@ -36,7 +36,7 @@ def floor(built: Robot, names: tuple[str, ...], q: Array, probe: Array) -> float
 
 def main() -> None:
     # One compiler run a robot would take longer than its fits.
-    casadical.residuals.COMPILE_FROM = 10**9
+    casadical.identification.residuals.COMPILE_FROM = 10**9
     rows: dict[tuple[bool, int], list[tuple[bool, float, bool]]] = {}
     wrong: list[str] = []
     for k in range(ROBOTS):

@@ -17,8 +17,8 @@ from matplotlib.axes import Axes
 from matplotlib.offsetbox import AnnotationBbox, HPacker, TextArea
 from matplotlib.patheffects import withStroke
 
-from casadical.accuracy import errors
-from casadical.calibration import calibrate_problem
+from casadical.identification.accuracy import errors
+from casadical.project.calibration import calibrate_problem
 
 ROOT = Path(__file__).parents[2]
 ROWS = {

@@ -16,13 +16,13 @@ import numpy as np
 from scipy.stats import chi2
 
 from casadical import identify, read_robot
-from casadical.measurements import from_table
+from casadical.blind_check.numpy_physics import campaign, perturb
+from casadical.blind_check.numpy_physics.plant import Plant
+from casadical.measurements.measurements import from_table
 from casadical.pose_selection import Box, Noise, Tracker, Workspace, forecast, select_poses
 from casadical.pose_selection.candidates import draw_uniform, expected
 from casadical.pose_selection.designs import inverse
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian, whitened
-from casadical.simulation import campaign, perturb
-from casadical.simulation.plant import Plant
 
 HERE = Path(__file__).parent
 PROBLEMS = HERE.parents[1] / "problems"

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from casadical.calibration import calibrate_problem
-from casadical.problem import read_problem
+from casadical.project.calibration import calibrate_problem
+from casadical.project.problem import read_problem
 
 ROOT = Path(__file__).parents[2]
 SEEDS = range(10)

@@ -18,14 +18,14 @@ import numpy as np
 import pandas as pd
 
 from casadical import Diagnosis, InputError, diagnose, identify
-from casadical.accuracy import errors, predicted
 from casadical.compensator import Compensator
-from casadical.conditions import derive
-from casadical.diagnosis.answer import Extras
-from casadical.diagnosis.printed import page_of
-from casadical.measurements import Measurements, from_table
-from casadical.problem import read_problem
-from casadical.robot import Robot
+from casadical.diagnosis.json_answer import Extras
+from casadical.diagnosis.text import page_of
+from casadical.identification.accuracy import errors, predicted
+from casadical.measurements.derived_columns import derive
+from casadical.measurements.measurements import Measurements, from_table
+from casadical.project.problem import read_problem
+from casadical.robot.robot import Robot
 
 ROOT = Path(__file__).parents[2]
 SERIES = {

@@ -17,8 +17,8 @@ import numpy as np
 
 from casadical import Identification, identify, read_problem
 from casadical.compensator import Compensator, Layout, LevenbergMarquardt, Trainer
-from casadical.networks import TRAINERS, Material, training_material
-from casadical.problem import Problem
+from casadical.project.networks import TRAINERS, Material, training_material
+from casadical.project.problem import Problem
 
 ROOT = Path(__file__).parents[2]
 NAMES = ("ur10_grid", "ur10_joints", "ur10", "fr3_camera", "panda_1", "panda_3")

@@ -12,9 +12,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from casadical import read_measurements
-from casadical.problem import read_campaign_robot
-from casadical.sim_export import replay_campaign
-from casadical.sim_export.rest import load_mujoco
+from casadical.export.mjcf import replay_campaign
+from casadical.export.mjcf.equilibrium import load_mujoco
+from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]
 CAMPAIGNS = ("hh800-P01", "hh800-P04", "kr210-P05", "ur10e-P06", "ur10e-P09", "kr210-P08")

@@ -8,9 +8,9 @@ import json
 from pathlib import Path
 
 from casadical import diagnose, read_measurements
-from casadical.diagnosis.answer import as_json
-from casadical.files import write_whole
-from casadical.problem import read_campaign_robot
+from casadical.core.files import write_whole
+from casadical.diagnosis.json_answer import as_json
+from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from casadical import Joint, Measurements, Placement, Robot
-from casadical.accuracy import predicted
-from casadical.transforms import Array, frame, from_rpy
+from casadical.core.transforms import Array, frame, from_rpy
+from casadical.identification.accuracy import predicted
 
 RIGHT = np.pi / 2
 NOISE = 2e-5

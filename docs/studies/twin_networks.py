@@ -21,10 +21,10 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from casadical import from_table, identify, read_problem
+from casadical.blind_check.numpy_physics import campaign, hh800_true, hh800_twin
+from casadical.blind_check.numpy_physics.twin import UNMODELLED, WARMUP
 from casadical.compensator import Compensator, Layout, LevenbergMarquardt, Trainer
-from casadical.networks import TRAINERS, residual_mm
-from casadical.simulation import campaign, hh800_true, hh800_twin
-from casadical.simulation.twin import UNMODELLED, WARMUP
+from casadical.project.networks import TRAINERS, residual_mm
 
 HH800 = Path(__file__).parents[2] / "problems" / "hh800"
 SEEDS, EXPERIMENTS, STARTS = 50, 30, 20

@@ -15,10 +15,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
-from casadical.accuracy import errors
-from casadical.calibration import calibrate_problem, problem_networks
 from casadical.compensator import Backprop, Box, Iwo, Layout, Network, make_task, train
-from casadical.networks import residual_mm
+from casadical.identification.accuracy import errors
+from casadical.project.calibration import calibrate_problem, problem_networks
+from casadical.project.networks import residual_mm
 
 ROOT = Path(sys.argv[0]).resolve().parents[2]  # this file lies in docs/tutorials
 

@@ -15,11 +15,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from casadical import diagnose, identify, read_measurements
-from casadical.accuracy import errors, predicted
-from casadical.conditions import derive
 from casadical.diagnosis.isolability import isolability
 from casadical.diagnosis.next_poses import next_poses
-from casadical.problem import read_campaign_robot
+from casadical.identification.accuracy import errors, predicted
+from casadical.measurements.derived_columns import derive
+from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(sys.argv[0]).resolve().parents[2]  # this file lies in docs/tutorials
 CAMPAIGNS = ROOT / "data/campaigns/practice"

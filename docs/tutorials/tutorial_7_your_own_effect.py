@@ -18,11 +18,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from casadical import diagnose, identify
-from casadical.accuracy import errors
+from casadical.blind_check.numpy_physics import Disturbance, Plant, campaign, disturbances, perturb
 from casadical.effects import Effect
-from casadical.measurements import from_table
-from casadical.problem import read_campaign_robot
-from casadical.simulation import Disturbance, Plant, campaign, disturbances, perturb
+from casadical.identification.accuracy import errors
+from casadical.measurements.measurements import from_table
+from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(sys.argv[0]).resolve().parents[2]  # this file lies in docs/tutorials
 robot = read_campaign_robot(ROOT / "problems/ur10e")

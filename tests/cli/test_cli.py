@@ -12,9 +12,9 @@ import pandas as pd
 import pytest
 
 from casadical import cli
-from casadical.accuracy import errors, summarise
-from casadical.problem import read_problem
-from casadical.robot_file import read_robot
+from casadical.identification.accuracy import errors, summarise
+from casadical.project.problem import read_problem
+from casadical.robot.robot_file import read_robot
 
 ROOT = Path(__file__).parents[2]
 PLANAR = ROOT / "problems" / "planar"
@@ -177,7 +177,7 @@ def test_a_mistake_in_the_second_problem_keeps_nothing_of_the_first(tmp_path: Pa
 def test_no_optimum_ends_in_3_and_keeps_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("casadical.solver.MAX_ITERATIONS", 1)
+    monkeypatch.setattr("casadical.identification.solver.MAX_ITERATIONS", 1)
     assert main(monkeypatch, "calibrate", PLANAR, "--out", tmp_path / "out") == 3
     message = capfd.readouterr().err
     assert "no optimum found, nothing was written" in message
@@ -193,7 +193,7 @@ def test_a_bug_of_ours_ends_in_70_with_its_traceback(
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("planted")
 
-    monkeypatch.setattr("casadical.calibration.calibrate_problem", broken)
+    monkeypatch.setattr("casadical.project.calibration.calibrate_problem", broken)
     assert main(monkeypatch, "calibrate", PLANAR) == 70
     message = capfd.readouterr().err
     assert "ZeroDivisionError: planted" in message

@@ -22,8 +22,8 @@ from casadical.compensator import (
     load_compensator,
     save_compensator,
 )
-from casadical.compensator.sealed import digest, sealed_text
-from casadical.errors import InputError
+from casadical.compensator.checksummed_json import digest, sealed_text
+from casadical.core.errors import InputError
 from problems import smooth
 
 QUICK = LevenbergMarquardt(restarts=2, iterations=30, ridges=(0.1, 0.01, 0.001), folds=3, fold_starts=2)

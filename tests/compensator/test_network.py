@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from casadical.compensator import Box, Layout, Network
 from casadical.compensator.forward import forward, gradient, outputs_and_jacobian
 from casadical.compensator.layout import network_inputs
-from casadical.errors import InputError
+from casadical.core.errors import InputError
 
 LAYOUTS = [
     Layout(),
@@ -155,6 +155,6 @@ def test_import_loads_nothing_else_of_casadical_and_no_casadi():
     code += "; print('casadi' in sys.modules)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     names, casadi_loaded = run.stdout.strip().splitlines()
-    stray = [m for m in names.split() if m not in ("casadical", "casadical.errors") and "compensator" not in m]
+    stray = [m for m in names.split() if m not in ("casadical", "casadical.core.errors") and "compensator" not in m]
     assert stray == []
     assert casadi_loaded == "False"

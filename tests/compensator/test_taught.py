@@ -7,8 +7,8 @@ from scipy.stats import multivariate_normal
 
 from casadical.compensator import Compensator, Layout, Taught, train
 from casadical.compensator.trainers import LevenbergMarquardt
-from casadical.compensator.trainers.process import GaussianProcess, cost_and_slope
-from casadical.errors import InputError
+from casadical.compensator.trainers.gaussian_process import GaussianProcess, cost_and_slope
+from casadical.core.errors import InputError
 
 from problems import small_task  # isort: skip
 

@@ -6,21 +6,12 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares, minimize
 
-from casadical.compensator import (
-    Backprop,
-    Iwo,
-    IwoSettings,
-    IwoThenLm,
-    LevenbergMarquardt,
-    Loss,
-    train,
-    train_all,
-)
+from casadical.compensator import Backprop, Iwo, IwoSettings, IwoThenLm, LevenbergMarquardt, Loss, train, train_all
 from casadical.compensator.folds import training_masks
 from casadical.compensator.forward import forward
 from casadical.compensator.task import random_weights
 from casadical.compensator.trainers.levenberg import advance, begin_batch
-from casadical.errors import InputError
+from casadical.core.errors import InputError
 from problems import small_task
 
 QUICK = {

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from casadical.diagnosis.case import Case, make_case
-from casadical.diagnosis.diagnosis import Diagnosis, diagnose
+from casadical.blind_check.numpy_physics import Disturbance, Plant, campaign, perturb
+from casadical.diagnosis.candidates import candidates_of
+from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.diagnosis.evidence import Evidence
-from casadical.diagnosis.library import candidates_of
-from casadical.identification import Identification, identify
-from casadical.measurements import Measurements, from_table, read_measurements
-from casadical.problem import read_campaign_robot
-from casadical.robot import Robot
-from casadical.simulation import Disturbance, Plant, campaign, perturb
+from casadical.diagnosis.linear_problem import Case, make_case
+from casadical.identification.identification import Identification, identify
+from casadical.measurements.measurements import Measurements, from_table, read_measurements
+from casadical.project.problem import read_campaign_robot
+from casadical.robot.robot import Robot
 
 ROOT = Path(__file__).parents[2]
 PRACTICE = ROOT / "data" / "campaigns" / "practice"

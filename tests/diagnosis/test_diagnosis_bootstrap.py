@@ -8,8 +8,8 @@ from cases import case, practice, robot
 
 from casadical import InputError
 from casadical.diagnosis import bootstrap
-from casadical.diagnosis.diagnosis import diagnose
-from casadical.diagnosis.which import rank
+from casadical.diagnosis.diagnose import diagnose
+from casadical.diagnosis.posterior import rank
 
 NOTHING = np.zeros(0, dtype=np.int64)
 FEW = ("backlash@2", "friction_windup@2", "gear_eccentricity@3")

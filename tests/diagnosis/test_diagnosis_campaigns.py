@@ -8,13 +8,13 @@ import pytest
 from cases import ANSWERS, diagnosed, practice, robot, simulated
 
 from casadical import InputError
-from casadical.diagnosis.answer import as_json
-from casadical.diagnosis.diagnosis import Diagnosis, diagnose
-from casadical.diagnosis.printed import page_of
-from casadical.diagnosis.rules import CLAIM
-from casadical.identification import identify
-from casadical.measurements import Measurements
-from casadical.simulation import disturbances
+from casadical.blind_check.numpy_physics import disturbances
+from casadical.diagnosis.diagnose import Diagnosis, diagnose
+from casadical.diagnosis.json_answer import as_json
+from casadical.diagnosis.text import page_of
+from casadical.diagnosis.thresholds import CLAIM
+from casadical.identification.identification import identify
+from casadical.measurements.measurements import Measurements
 
 FEW = ["friction_windup", "backlash"]
 VERDICTS = {"none", "explained", "ambiguous", "unknown"}
@@ -175,7 +175,7 @@ def test_applied_cause_can_be_identified() -> None:
     with_cause = d.apply()
     assert [e.label for e in with_cause.effects] == ["friction_windup@3"]
     free = ("kinematic", "compliance", *(p.name for e in with_cause.effects for p in e.parameters()))
-    from casadical.conditions import derive
+    from casadical.measurements.derived_columns import derive
 
     m, _ = derive(practice("ur10e-P06"), with_cause.conditions)
     refit = identify(with_cause, m, free, priors=True)

@@ -5,8 +5,7 @@ import pytest
 from cases import small_problem
 from scipy.optimize import lsq_linear
 
-from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence
-from casadical.diagnosis.gap import (
+from casadical.diagnosis.cross_validation import (
     Noise,
     covariance,
     estimates,
@@ -16,6 +15,7 @@ from casadical.diagnosis.gap import (
     remainders,
     shrink_interval,
 )
+from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence
 from casadical.effects.base import CHOSEN
 
 NOISE = Noise(2e-5, 8e-6)

@@ -8,19 +8,19 @@ from cases import case, practice, robot, simulated, small_problem
 from test_diagnosis_gap import NOISE, refit
 
 from casadical import InputError
-from casadical.accuracy import errors, predicted
+from casadical.blind_check.numpy_physics import disturbances
 from casadical.compensator import LevenbergMarquardt
-from casadical.conditions import derive
-from casadical.diagnosis.case import Case
-from casadical.diagnosis.diagnosis import Diagnosis, diagnose
-from casadical.diagnosis.gap import Noise, held_out_errors, random_folds
-from casadical.diagnosis.how_far import Stage, course, of_time, time_blocks
+from casadical.diagnosis.cross_validation import Noise, held_out_errors, random_folds
+from casadical.diagnosis.diagnose import Diagnosis, diagnose
+from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.network import network_gap
 from casadical.diagnosis.replicates import replicates
+from casadical.diagnosis.shrink_course import Stage, course, of_time, time_blocks
 from casadical.effects import FrameDrift, FrictionWindup, ThermalGrowth
-from casadical.identification import identify
-from casadical.measurements import Measurements
-from casadical.simulation import disturbances
+from casadical.identification.accuracy import errors, predicted
+from casadical.identification.identification import identify
+from casadical.measurements.derived_columns import derive
+from casadical.measurements.measurements import Measurements
 
 FEW = ["friction_windup", "backlash"]
 NOTHING = np.zeros(0, dtype=np.int64)

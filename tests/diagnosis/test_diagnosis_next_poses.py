@@ -10,12 +10,12 @@ from cases import case, robot
 from scipy.linalg import block_diag
 
 from casadical import InputError, identify
-from casadical.accuracy import predicted
-from casadical.diagnosis.case import make_case
-from casadical.diagnosis.library import candidates_of
+from casadical.diagnosis.candidates import candidates_of
+from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.next_poses import _causes, _Duel, _Model, _noise_at, _predict, _Prediction, next_poses
 from casadical.diagnosis.pose_pool import draw_pool
-from casadical.measurements import Measurements, from_table
+from casadical.identification.accuracy import predicted
+from casadical.measurements.measurements import Measurements, from_table
 from casadical.pose_selection import Workspace
 from casadical.pose_selection.candidates import draw_uniform
 

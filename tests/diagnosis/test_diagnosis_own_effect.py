@@ -11,8 +11,8 @@ from cases import robot, simulated
 from rich.console import Console
 
 from casadical import InputError, diagnose, identify
-from casadical.diagnosis.answer import as_json
-from casadical.diagnosis.printed import report
+from casadical.diagnosis.json_answer import as_json
+from casadical.diagnosis.text import report
 from casadical.effects import Context, Effect
 
 

@@ -9,19 +9,19 @@ import pytest
 from cases import practice, robot
 
 from casadical.diagnosis.advice import after_gain
-from casadical.diagnosis.answer import Extras, as_json
-from casadical.diagnosis.diagnosis import Diagnosis, diagnose
-from casadical.diagnosis.gap import Noise
-from casadical.diagnosis.how_far import COLUMNS
+from casadical.diagnosis.cross_validation import Noise
+from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.diagnosis.isolability import Isolability
+from casadical.diagnosis.json_answer import Extras, as_json
+from casadical.diagnosis.localisation import BINS, DIRECTIONS, PARTS, Where
 from casadical.diagnosis.network import NetworkGap
-from casadical.diagnosis.printed import WIDTH, page_of
+from casadical.diagnosis.phrases import missing_columns, not_logged
+from casadical.diagnosis.posterior import Ranking
 from casadical.diagnosis.refit import Check
 from casadical.diagnosis.replicates import Replicates
 from casadical.diagnosis.result import Cause, Gap, Outlier
-from casadical.diagnosis.where import BINS, DIRECTIONS, PARTS, Where
-from casadical.diagnosis.which import Ranking
-from casadical.diagnosis.wording import missing_columns, not_logged
+from casadical.diagnosis.shrink_course import COLUMNS
+from casadical.diagnosis.text import WIDTH, page_of
 from casadical.effects import Backlash, ThermalZeroDrift
 
 GOLDEN = Path(__file__).parent / "golden"

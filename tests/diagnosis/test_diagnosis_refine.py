@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from cases import case, robot, simulated
 
-from casadical.diagnosis.case import Case, make_case
+from casadical.blind_check.numpy_physics import disturbances
+from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
-from casadical.diagnosis.library import candidates_of
-from casadical.diagnosis.refine import neighbours, refined
-from casadical.diagnosis.which import rank
+from casadical.diagnosis.linear_problem import Case, make_case
+from casadical.diagnosis.posterior import rank
+from casadical.diagnosis.settings_search import neighbours, refined
 from casadical.effects import Backlash, Effect, FrictionWindup, TransmissionRipple
-from casadical.identification import identify
-from casadical.simulation import disturbances
+from casadical.identification.identification import identify
 
 NOTHING = np.zeros(0, dtype=np.int64)
 

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 from cases import robot, simulated
 
-from casadical.accuracy import errors
-from casadical.diagnosis.answer import as_json
-from casadical.diagnosis.case import make_case
-from casadical.diagnosis.diagnosis import diagnose
-from casadical.diagnosis.library import candidates_of
-from casadical.diagnosis.printed import page_of
-from casadical.diagnosis.two import two_causes
-from casadical.diagnosis.which import rank
-from casadical.identification import identify
-from casadical.simulation import disturbances
+from casadical.blind_check.numpy_physics import disturbances
+from casadical.diagnosis.candidates import candidates_of
+from casadical.diagnosis.diagnose import diagnose
+from casadical.diagnosis.json_answer import as_json
+from casadical.diagnosis.linear_problem import make_case
+from casadical.diagnosis.pair_search import two_causes
+from casadical.diagnosis.posterior import rank
+from casadical.diagnosis.text import page_of
+from casadical.identification.accuracy import errors
+from casadical.identification.identification import identify
 
 NOTHING = np.zeros(0, dtype=np.int64)
 

@@ -7,12 +7,12 @@ import pandas as pd
 import pytest
 from cases import case, diagnosed, robot, simulated
 
-from casadical.diagnosis.case import Case, make_case
-from casadical.diagnosis.gap import Noise
-from casadical.diagnosis.library import candidates_of
-from casadical.diagnosis.where import BINS, DIRECTIONS, PARTS, Where, _directions, _payload, _Split, where
-from casadical.identification import identify
-from casadical.simulation import Disturbance, disturbances
+from casadical.blind_check.numpy_physics import Disturbance, disturbances
+from casadical.diagnosis.candidates import candidates_of
+from casadical.diagnosis.cross_validation import Noise
+from casadical.diagnosis.linear_problem import Case, make_case
+from casadical.diagnosis.localisation import BINS, DIRECTIONS, PARTS, Where, _directions, _payload, _Split, where
+from casadical.identification.identification import identify
 
 NOISE = Noise(15e-6, 6e-6)
 

@@ -12,7 +12,10 @@ from walk import ROOT
 
 PACKAGES = (
     "casadical",
-    *(f"casadical.{part}" for part in ("compensator", "effects", "export", "pose_selection", "report", "simulation")),
+    *(
+        f"casadical.{part}"
+        for part in ("compensator", "effects", "export", "pose_selection", "report", "blind_check.numpy_physics")
+    ),
 )
 ARRAY = re.compile(r"\b(?:Array|NDArray|ArrayLike|Vector|ndarray|Buffer)\b")
 SHAPE = re.compile(r"shapes? \(|\((?:\w+, ?)*\w*\d?,?\)|see `|see :func|as of `|inverse of `")

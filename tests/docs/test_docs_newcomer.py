@@ -84,7 +84,7 @@ def test_a_problems_readme_names_its_own_command(folder: Path) -> None:
 
 
 def test_the_problem_file_shown_is_one() -> None:
-    from casadical.problem import _ProblemFile
+    from casadical.project.problem import _ProblemFile
 
     (text,) = [b.text for b in blocks(ROOT / "docs" / "measurements.md") if b.language == "toml"]
     assert _ProblemFile.model_validate(tomllib.loads(text)).measurements[0].separation

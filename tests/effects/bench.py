@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from casadical.conditions import derive
-from casadical.diagnosis.library import extended_candidates
+from casadical.diagnosis.candidates import extended_candidates
 from casadical.effects import Effect
-from casadical.measurements import Measurements, read_measurements
-from casadical.problem import read_campaign_robot
-from casadical.robot import Robot
+from casadical.measurements.derived_columns import derive
+from casadical.measurements.measurements import Measurements, read_measurements
+from casadical.project.problem import read_campaign_robot
+from casadical.robot.robot import Robot
 
 ROOT = Path(__file__).parents[2]
 FIRST = {"hh800": "hh800-P01", "kr210": "kr210-P02", "ur10e": "ur10e-P03"}

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from casadical.conditions import derive
-from casadical.measurements import Measurements
+from casadical.measurements.derived_columns import derive
+from casadical.measurements.measurements import Measurements
 
 
 def poses(n: int, **conditions: np.ndarray) -> Measurements:

@@ -7,10 +7,10 @@ import pytest
 from bench import FIRST, batches, campaign, moved_by, robot, with_columns
 
 import casadical.effects
-from casadical.accuracy import predicted
-from casadical.diagnosis.answer import SIGNATURES
-from casadical.diagnosis.library import extended_candidates, standard_candidates
+from casadical.diagnosis.candidates import extended_candidates, standard_candidates
+from casadical.diagnosis.json_answer import SIGNATURES
 from casadical.effects import Effect
+from casadical.identification.accuracy import predicted
 
 CLASSES = [
     c for _, c in inspect.getmembers(casadical.effects, inspect.isclass) if issubclass(c, Effect) and c is not Effect

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from bench import campaign, robot, with_columns
 
-from casadical.accuracy import predicted
 from casadical.effects import (
     CrossCoupling,
     Effect,
@@ -18,7 +17,8 @@ from casadical.effects import (
     SmrOffset,
     TrackerScale,
 )
-from casadical.measurements import Measurements
+from casadical.identification.accuracy import predicted
+from casadical.measurements.measurements import Measurements
 
 NAME = "ur10e"
 
@@ -138,7 +138,7 @@ def test_instrument_effects() -> None:
 
 
 def test_known_ratio_is_not_refined_away() -> None:
-    from casadical.diagnosis.refine import neighbours
+    from casadical.diagnosis.settings_search import neighbours
     from casadical.effects import TransmissionRipple
 
     assert neighbours(GearMesh(3, 171.5), 1.0) == []

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from bench import FIRST, batches, campaign, moved_by, robot, with_columns
 
-from casadical.accuracy import predicted
-from casadical.diagnosis.signatures import signatures
+from casadical.diagnosis.linearisation import signatures
 from casadical.effects import AxisWobble, Effect
+from casadical.identification.accuracy import predicted
 
 ROUND_OFF = 3e-16 * 5  # m, of a position some metres away
 

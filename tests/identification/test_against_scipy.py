@@ -9,9 +9,9 @@ from scipy.optimize import approx_fprime, least_squares
 from scipy.stats import t as student
 
 from casadical import identify
-from casadical.least_squares import LeastSquares
-from casadical.residuals import _KNEE
-from casadical.statistics import student_t
+from casadical.core.statistics import student_t
+from casadical.identification.least_squares import LeastSquares
+from casadical.identification.residuals import _KNEE
 
 ARM = arms.six_axis()
 

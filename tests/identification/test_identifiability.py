@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from casadical import InputError, identify
-from casadical.identifiability import analyse
+from casadical.identification.identifiability import analyse
 
 ARM = arms.six_axis()
 

@@ -7,8 +7,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadical import compiled, identify, residuals
-from casadical.least_squares import LeastSquares
+from casadical import identify
+from casadical.core import compile_cache as compiled
+from casadical.identification import residuals
+from casadical.identification.least_squares import LeastSquares
 
 ARM = arms.six_axis()
 NAMES = ("base_x", "a1", "alpha2", "theta3", "d4", "tool_x")

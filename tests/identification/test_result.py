@@ -6,7 +6,8 @@ import arms
 import numpy as np
 import pytest
 
-from casadical import InputError, identify, tables
+from casadical import InputError, identify
+from casadical.report import calibration_text as tables
 
 ARM = arms.six_axis()
 

@@ -19,8 +19,8 @@ from casadical import (
     identify,
     read_measurements,
 )
-from casadical.checks import check_against
-from casadical.transforms import frame
+from casadical.core.transforms import frame
+from casadical.identification.plausibility import check_against
 
 N = 24
 ARM = Robot(

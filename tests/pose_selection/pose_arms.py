@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from casadical import Body, FourBar, Joint, Measurements, Placement, Robot
-from casadical.accuracy import predicted
-from casadical.transforms import frame
+from casadical.core.transforms import frame
+from casadical.identification.accuracy import predicted
 
 RIGHT = np.pi / 2
 

@@ -11,8 +11,8 @@ import pytest
 from pose_arms import elbow, positions, readings
 
 from casadical import cli, read_measurements, write_robot
+from casadical.core.transforms import frame
 from casadical.pose_selection.order import travel
-from casadical.transforms import frame
 
 ROOT = Path(__file__).parents[2]
 

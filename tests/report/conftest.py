@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from casadical.calibration import problem_networks
-from casadical.diagnosis.diagnosis import diagnose
-from casadical.measurements import read_measurements
-from casadical.problem import read_campaign_robot
+from casadical.diagnosis.diagnose import diagnose
+from casadical.measurements.measurements import read_measurements
+from casadical.project.calibration import problem_networks
+from casadical.project.problem import read_campaign_robot
 from casadical.report import calibration_report, diagnosis_report
 
 ROOT = Path(__file__).parents[2]

@@ -7,12 +7,12 @@ import json
 import numpy as np
 import pytest
 
-from casadical.errors import InputError
+from casadical.core.errors import InputError
 from casadical.report import calibration_figures, dark, diagnosis_figures
-from casadical.report import lazy as libraries
-from casadical.report.look import COLOURS, STYLES
+from casadical.report import optional_imports as libraries
 from casadical.report.page import safe_json
 from casadical.report.pose_errors import Left, PoseErrors
+from casadical.report.style import COLOURS, STYLES
 from casadical.report.workspace import round_factor, skeleton, workspace
 
 

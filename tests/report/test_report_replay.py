@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from casadical.accuracy import errors
-from casadical.identification import identify
+from casadical.identification.accuracy import errors
+from casadical.identification.identification import identify
 from casadical.report.page import Drawing, Table, Words
 from casadical.report.replay_blocks import replay_blocks, replay_figure, stage_names
 
@@ -45,7 +45,7 @@ def test_geometry_in_the_engine_is_that_of_casadical_on_the_same_poses(diagnosis
 
 def test_a_cause_without_a_counterpart_is_no_stage(diagnosis) -> None:
     pytest.importorskip("mujoco", reason="mujoco is not installed: nothing was replayed")
-    from casadical.sim_export import replay_diagnosis
+    from casadical.export.mjcf import replay_diagnosis
 
     found = replay_diagnosis(diagnosis)
     assert stage_names(found)[-1] == "with backlash@5"

@@ -2,11 +2,11 @@
 
 from casadical.compensator.trainers.backprop import Backprop
 from casadical.compensator.trainers.base import Run, Trainer
+from casadical.compensator.trainers.distilled import Taught
 from casadical.compensator.trainers.iwo import Iwo
 from casadical.compensator.trainers.iwo_lm import IwoThenLm
 from casadical.compensator.trainers.lm import LevenbergMarquardt
-from casadical.compensator.trainers.taught import Taught
-from casadical.errors import InputError
+from casadical.core.errors import InputError
 
 __all__ = [
     "TRAINERS",

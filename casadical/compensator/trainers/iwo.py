@@ -9,7 +9,7 @@ from casadical.compensator.iwo import InvasiveWeeds, IwoSettings
 from casadical.compensator.layout import Array
 from casadical.compensator.task import Task
 from casadical.compensator.trainers.base import Trainer
-from casadical.errors import InputError
+from casadical.core.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from casadical.compensator.packing import pack, unpack
 from casadical.compensator.task import Task, random_weights
 from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.levenberg import Batch, advance, begin_batch
-from casadical.errors import InputError
+from casadical.core.errors import InputError
 
 _FIRST, _WARM = 100, 20  # iterations at the weakest ridge and at each stronger one
 

@@ -13,8 +13,8 @@ VARIANTS = {"casadical": {"compile_from": 1000000000}, "casadical-compiled": {"c
 
 def contend(data, clock, compile_from):
     import casadical
-    from casadical import residuals
-    from casadical.accuracy import predicted
+    from casadical.identification import residuals
+    from casadical.identification.accuracy import predicted
 
     residuals.COMPILE_FROM = compile_from
     with clock("build"):

@@ -1,0 +1,120 @@
+"""Answers on disk: a line of JSON for each campaign, added as it is found, so that a run that is cut loses nothing."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from casadical.blind_check.packed import content, stored
+from casadical.blind_check.protocol import label
+from casadical.core.errors import InputError
+
+Rows = tuple[tuple[float, float, float], ...]
+
+
+class _Loose(BaseModel):
+    """Of an answer, what is scored; the rest is for people to read."""
+
+    model_config = ConfigDict(extra="allow", allow_inf_nan=False, frozen=True)
+
+
+class Head(_Loose):
+    """The first line: which check was answered (by the hash of its key), by what, and with which versions."""
+
+    key_sha256: str
+    by: str
+    versions: dict[str, str] = {}
+
+
+class GapMm(_Loose):
+    before: float
+    after: float
+
+
+class Named(_Loose):
+    """A cause that an answer names."""
+
+    effect: str
+    joint: int | None = None
+    indistinguishable: tuple[str, ...] = ()
+
+    @property
+    def label(self) -> str:
+        return label(self.effect, self.joint)
+
+    @property
+    def alike(self) -> tuple[str, ...]:
+        """The others of its set, by the labels in which truth is told."""
+        return tuple(relabelled(text) for text in self.indistinguishable)
+
+
+class Unseen(_Loose):
+    """Positions foretold at the unseen poses: by the base model, and with the named causes added."""
+
+    base_mm: Rows
+    with_causes_mm: Rows
+
+
+class Answer(_Loose):
+    """One answer, as `casadical diagnose --json` writes it, with what the check adds.
+
+    posterior : probability of every label that has some, none and unknown among them
+    """
+
+    campaign: str
+    verdict: Literal["none", "explained", "ambiguous", "unknown"]
+    gap_mm: GapMm
+    causes: tuple[Named, ...] = ()
+    posterior: dict[str, float] = {}
+    unseen: Unseen
+
+    @property
+    def probabilities(self) -> dict[str, float]:
+        """The posterior by the labels in which truth is told."""
+        found: dict[str, float] = {}
+        for text, p in self.posterior.items():
+            found[relabelled(text)] = found.get(relabelled(text), 0.0) + p
+        return found
+
+
+def relabelled(text: str) -> str:
+    """name or name@joint as truth is told: without a joint where the effect belongs to none."""
+    name, _, joint = text.partition("@")
+    return label(name, int(joint) if joint.isdigit() else None)
+
+
+def line(data: Mapping[str, Any]) -> str:
+    return json.dumps(data, allow_nan=False, separators=(",", ":")) + "\n"
+
+
+def read_answers(path: Path) -> tuple[Head, dict[str, Answer]]:
+    """A file of answers by campaign, without what failed and a last line that was cut short. Raises InputError.
+
+    Where a file is missing, the one packed by xz beside it is read.
+    """
+    path = stored(path)
+    try:
+        lines = content(path).decode("utf-8").splitlines(keepends=True)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; make it with `casadical withheld predict`") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from None
+    whole = [text for text in lines if text.endswith("\n")]
+    if not whole:
+        raise InputError(f"{path}: holds no answers; its first line must say which check they answer")
+    tried = [(k, text) for k, text in enumerate(whole[1:], 2) if '"failed":' not in text]
+    answers = [_read(Answer, path, k, text) for k, text in tried]
+    return _read(Head, path, 1, whole[0]), {a.campaign: a for a in answers}
+
+
+def _read(schema: Any, path: Path, number: int, text: str) -> Any:
+    try:
+        return schema.model_validate_json(text)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"])) or "the line"
+        raise InputError(f"{path}: line {number}: {place}: {first['msg']}; delete the file and predict again") from None

@@ -1,0 +1,186 @@
+"""What is done without a diagnosis: forward choice by F-test, or by a Bayesian information criterion.
+
+All look at the same candidates as the diagnosis, in the residual that the base model leaves, as textbooks have it:
+white noise, ordinary least squares, no priors, no word for what is on no list, every choice a claim. How far the gap
+shrinks they tell from the residuals of the fit. (Montgomery, Peck and Vining 2012, chapter 10; Schwarz 1978; Chen and
+Chen 2008, whose extended criterion is for more candidates than data can tell apart.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from casadical.blind_check.predictor import Session, foretold, rounded
+from casadical.core.errors import InputError
+from casadical.core.transforms import Array
+from casadical.diagnosis.candidates import Candidate, standard_candidates
+from casadical.diagnosis.linear_problem import Case, make_case
+from casadical.effects import Effect
+from casadical.identification.identification import identify
+
+SIGNIFICANT = 0.01
+MOST = 4
+_RANK = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """What the base model leaves: y, shape (rows,), and candidates' columns E, shape (rows, columns), orthogonal to it.
+
+    freedom : rows less the rank of what is in the model
+    """
+
+    y: Array
+    E: Array
+    freedom: int
+
+    def gains(self, groups: Sequence[Array]) -> Array:
+        """By how much each group of columns lowers the sum of squares, shape (groups,)."""
+        b, found = self.E.T @ self.y, np.zeros(len(groups))
+        widths = np.array([len(g) for g in groups])
+        for width in np.unique(widths):
+            which = np.flatnonzero(widths == width)
+            columns = np.stack([groups[int(k)] for k in which])
+            G = np.einsum("rgi,rgj->gij", self.E[:, columns], self.E[:, columns])
+            value, vector = np.linalg.eigh(G)
+            turned = np.einsum("gij,gi->gj", vector, b[columns])
+            kept = value > _RANK * value.max(axis=1, keepdims=True)
+            found[which] = np.sum(np.where(kept, turned**2 / np.where(kept, value, 1.0), 0.0), axis=1)
+        return found
+
+    def without(self, columns: Array) -> Regression:
+        """The same once these columns are in the model."""
+        y, E, rank = _left(self.E[:, columns], self.y, self.E)
+        return Regression(y, E, self.freedom - rank)
+
+
+def regression(case: Case) -> Regression:
+    e = case.evidence
+    rows = e.r.size
+    y, E, rank = _left(e.J.reshape(rows, -1), e.r.ravel(), e.E.reshape(rows, -1))
+    return Regression(y, E, rows - rank)
+
+
+def _left(A: Array, y: Array, E: Array) -> tuple[Array, Array, int]:
+    """What columns A leave of y and E, and their rank."""
+    U, s, _ = np.linalg.svd(A / np.maximum(np.linalg.norm(A, axis=0), 1e-300), full_matrices=False)
+    Q = U[:, s > _RANK * s[0]]
+    return y - Q @ (Q.T @ y), E - Q @ (Q.T @ E), Q.shape[1]
+
+
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """A step: probability of each label (none among them), and the variant to take, or None to stop."""
+
+    probability: dict[str, float]
+    take: tuple[Candidate, int] | None
+
+
+# What is left, the candidates, and how many were taken already.
+Step = Callable[[Regression, Case, int], _Choice]
+
+
+def tested(s: Session) -> dict[str, Any]:
+    """Forward choice by F-test, the level shared among all candidates and settings (Bonferroni)."""
+    return _forward(s, _by_f)
+
+
+def scored(s: Session) -> dict[str, Any]:
+    """Forward choice by the Bayesian information criterion."""
+    return _forward(s, lambda left, case, _taken: _by_bic(left, case, 0.0))
+
+
+def scored_among_many(s: Session) -> dict[str, Any]:
+    """The same by the extended criterion (gamma = 1): all models with as many causes are together as likely as those
+    with one fewer."""
+    return _forward(s, lambda left, case, n: _by_bic(left, case, 2 * np.log((len(case.variants) - n) / (n + 1))))
+
+
+def _by_f(left: Regression, case: Case, _taken: int) -> _Choice:
+    try:
+        from scipy.stats import f
+    except ImportError:
+        raise InputError("--by f-test needs scipy: pip install 'casadical[withheld]'") from None
+    total, widths = float(left.y @ left.y), np.array([len(g) for g in case.groups])
+    gain = np.minimum(left.gains(case.groups), total * (1 - 1e-12))
+    freedom = left.freedom - widths
+    ratio = gain / widths / ((total - gain) / freedom)
+    p = np.minimum(1.0, f.sf(ratio, widths, freedom) * len(widths))
+    # Beyond what a float can hold, the greater ratio decides.
+    best = int(np.lexsort((-ratio, p))[0])
+    candidate = case.candidates[case.variants[best][0]]
+    sure = bool(p[best] < SIGNIFICANT)
+    return _Choice({candidate.label if sure else "none": 1.0}, (candidate, case.variants[best][1]) if sure else None)
+
+
+def _by_bic(left: Regression, case: Case, dearer: float) -> _Choice:
+    """The setting that lowers the criterion most; dearer : what any of them costs beyond its parameters."""
+    total, widths, rows = float(left.y @ left.y), np.array([len(g) for g in case.groups]), len(left.y)
+    gain = np.minimum(left.gains(case.groups), total * (1 - 1e-12))
+    # Less the criterion of the model as it is.
+    score = rows * np.log1p(-gain / total) + widths * np.log(rows) + dearer
+    best = int(np.argmin(score))
+    low: dict[str, float] = {"none": 0.0}
+    for (c, _), value in zip(case.variants, score, strict=True):
+        text = case.candidates[c].label
+        low[text] = min(low.get(text, np.inf), float(value))
+    least = min(low.values())
+    weight = {text: float(np.exp(-0.5 * (value - least))) for text, value in low.items()}
+    whole = sum(weight.values())
+    taken = (case.candidates[case.variants[best][0]], case.variants[best][1]) if score[best] < 0 else None
+    return _Choice({text: w / whole for text, w in weight.items()}, taken)
+
+
+@dataclass(frozen=True, eq=False)
+class _Taken:
+    """A cause that was taken into the model: its probability then, and the mean residual that it leaves [m]."""
+
+    candidate: Candidate
+    effects: tuple[Effect, ...]
+    probability: float
+    left: float
+
+
+def _forward(s: Session, step: Step) -> dict[str, Any]:
+    found = identify(s.robot, s.measured, ("kinematic", "compliance"), loss="huber", priors=True, screen=False)
+    case = make_case(found, [c for c in standard_candidates(s.robot) if c.listed])
+    left = regression(case)
+    before = _mean_length(left.y)
+    taken: list[_Taken] = []
+    choice = first = step(left, case, 0)
+    while choice.take is not None and len(taken) < MOST:
+        candidate, variant = choice.take
+        effects = candidate.variants[variant]
+        left = left.without(case.group(effects))
+        taken.append(_Taken(candidate, effects, choice.probability[candidate.label], _mean_length(left.y)))
+        # A label is taken once; its columns stay where they are.
+        case = replace(case, candidates=tuple(c for c in case.candidates if c.label != candidate.label))
+        choice = step(left, case, len(taken))
+    together = dict.fromkeys(e for t in taken for e in t.effects)
+    return {
+        "campaign": s.name,
+        "verdict": "explained" if taken else "none",
+        "gap_mm": {"before": round(1e3 * before, 5), "after": round(1e3 * _mean_length(left.y), 5)},
+        "causes": [_cause(t, before) for t in taken],
+        "posterior": rounded(first.probability),
+        "unseen": foretold(s, found.robot, s.robot.with_effect(*together), case.m.row[~case.kept]),
+    }
+
+
+def _cause(t: _Taken, before: float) -> dict[str, Any]:
+    """A cause in the campaigns' format; shrink: of all up to this one."""
+    return {
+        "effect": t.candidate.name,
+        "joint": t.candidate.joint,
+        "confidence": round(t.probability, 4),
+        "shrink": round(1 - t.left / before, 4),
+        "indistinguishable": [],
+    }
+
+
+def _mean_length(y: Array) -> float:
+    return float(np.linalg.norm(y.reshape(-1, 3), axis=1).mean())

@@ -1,0 +1,95 @@
+"""What the check consists of: how often nothing, one effect, several or one on no list; poses, robots, lost columns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import TypeVar
+
+import numpy as np
+
+from casadical.blind_check.protocol import Kind
+
+SHARES: dict[Kind, float] = {"none": 0.25, "one": 0.45, "several": 0.15, "unlisted": 0.15}
+POSES = (40, 100, 200)
+ROBOTS = ("hh800", "kr210", "ur10e")
+COLUMNS = ("temperature", "payload", "approach", "time")
+STRUCK = 1 / 3
+NOISES = (10e-6, 20e-6, 30e-6)
+REPEATABILITIES = (2e-6, 8e-6)
+
+Thing = TypeVar("Thing")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One campaign before it is measured; noise [m], repeatability [rad], seed of all further chance."""
+
+    name: str
+    robot: str
+    kind: Kind
+    effects: tuple[str, ...]
+    poses: int
+    missing: str | None
+    noise: float
+    repeatability: float
+    seed: int
+
+
+def plans(n: int, seed: int, words: tuple[Sequence[str], Sequence[str]], poses: Sequence[int] = POSES) -> list[Plan]:
+    """n campaigns in shuffled order; shares are kept as nearly as whole numbers allow, all else takes turns.
+
+    words : effects that are on the diagnosis' list, and on none; poses : of a campaign
+    """
+    rng = np.random.default_rng([seed, 1])
+    kinds = shuffled(rng, in_shares(n, SHARES))
+    struck = shuffled(rng, in_shares(n, {True: STRUCK, False: 1 - STRUCK}))
+    robots, sizes, columns = turns(rng, ROBOTS), turns(rng, poses), turns(rng, COLUMNS)
+    known, foreign = (turns(rng, pool) for pool in words)
+    found = []
+    for k, kind in enumerate(kinds):
+        count = {"none": 0, "one": 1, "unlisted": 1}.get(kind) if kind != "several" else int(rng.integers(2, 4))
+        pool = foreign if kind == "unlisted" else known
+        robot = next(robots)
+        found.append(
+            Plan(
+                name=f"{robot}-{k + 1:03d}",
+                robot=robot,
+                kind=kind,
+                effects=distinct(pool, count or 0),
+                poses=next(sizes),
+                missing=next(columns) if struck[k] else None,
+                noise=float(rng.choice(NOISES)),
+                repeatability=float(rng.uniform(*REPEATABILITIES)),
+                seed=int(rng.integers(1 << 62)),
+            )
+        )
+    return found
+
+
+def in_shares(n: int, shares: dict[Thing, float]) -> list[Thing]:
+    """n things in the given shares, rounded by largest remainder."""
+    exact = {thing: n * share for thing, share in shares.items()}
+    counts = {thing: int(count) for thing, count in exact.items()}
+    for thing in sorted(exact, key=lambda t: counts[t] - exact[t])[: n - sum(counts.values())]:
+        counts[thing] += 1
+    return [thing for thing, count in counts.items() for _ in range(count)]
+
+
+def shuffled(rng: np.random.Generator, things: Sequence[Thing]) -> list[Thing]:
+    return [things[int(k)] for k in rng.permutation(len(things))]
+
+
+def turns(rng: np.random.Generator, things: Sequence[Thing]) -> Iterator[Thing]:
+    """Every thing once in random order, then every one again in another, without end."""
+    while True:
+        yield from shuffled(rng, things)
+
+
+def distinct(pool: Iterator[Thing], count: int) -> tuple[Thing, ...]:
+    """The next things of a pool that are not the same; what is drawn twice is left out."""
+    found: dict[Thing, None] = {}
+    while len(found) < count:
+        found.update(dict.fromkeys(islice(pool, 1)))
+    return tuple(found)

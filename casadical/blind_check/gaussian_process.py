@@ -1,0 +1,86 @@
+"""A Gaussian process on what the base model leaves: no cause, only how far the gap shrinks without one.
+
+Its inputs are sines and cosines of all joints and whatever else was logged; one length scale for each, found by the
+marginal likelihood (Rasmussen and Williams 2006, chapter 5; by scikit-learn).
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+
+from casadical.blind_check.likelihood import optimizer
+from casadical.blind_check.predictor import Session, in_mm
+from casadical.blind_check.trials import far
+from casadical.core.errors import InputError
+from casadical.core.transforms import Array
+from casadical.diagnosis.cross_validation import random_folds, shrink_interval
+from casadical.identification.accuracy import predicted
+from casadical.measurements.derived_columns import derive
+from casadical.measurements.measurements import Measurements
+
+# Length scales to start from, in spreads of an input.
+STARTS = (3.0, 1.0)
+_LOGGED = ("progress", "temperature_degC", "payload_kg", *(f"approach{j}" for j in range(1, 7)))
+
+
+def smoothed(s: Session) -> dict[str, Any]:
+    """Learn the residuals; something is there if held-out ones become smaller, and nothing is ever named."""
+    base = s.fitted(s.robot, np.zeros(0, dtype=int))
+    m, _ = derive(s.everything, base.conditions)
+    p = predicted(base, m)[0]
+    X = _inputs(m)
+    assert m.position is not None
+    # Points that are wrong by much would be learnt by all of their neighbours.
+    whole = (m.position - p)[s.seen]
+    r, Xr = whole[~far(whole)], X[s.seen][~far(whole)]
+    unit = float(np.sqrt(np.mean(r**2)))
+    folds = random_folds(len(r), 0)
+    learnt = np.empty_like(r)
+    for fold in np.unique(folds):
+        test = folds == fold
+        # Scales and all, or what is held out would have been seen.
+        learnt[test] = unit * _fitted(Xr[~test], r[~test] / unit).predict(Xr[test])
+    before, after = (np.linalg.norm(e, axis=1) for e in (r, r - learnt))
+    shrinks = shrink_interval(before, after, 0)[0] > 0
+    base_mm = p[~s.seen]
+    better = base_mm + unit * _fitted(Xr, r / unit).predict(X[~s.seen]) if shrinks else base_mm
+    return {
+        "campaign": s.name,
+        "verdict": "unknown" if shrinks else "none",
+        "gap_mm": {
+            "before": round(1e3 * float(before.mean()), 5),
+            "after": round(1e3 * float((after if shrinks else before).mean()), 5),
+        },
+        "causes": [],
+        "posterior": {},
+        "unseen": {"base_mm": in_mm(base_mm), "with_causes_mm": in_mm(better)},
+    }
+
+
+def _inputs(m: Measurements) -> Array:
+    """Shape (poses, inputs), each of unit spread; what never changes is left out."""
+    parts = [np.sin(m.q), np.cos(m.q), *(m.conditions[c][:, None] for c in _LOGGED if c in m.conditions)]
+    X = np.concatenate(parts, axis=1)
+    spread = X.std(axis=0)
+    return np.asarray((X - X.mean(axis=0))[:, spread > 1e-9] / spread[spread > 1e-9])
+
+
+def _fitted(X: Array, y: Array) -> Any:
+    try:
+        from sklearn.exceptions import ConvergenceWarning
+        from sklearn.gaussian_process import GaussianProcessRegressor
+        from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+    except ImportError:
+        raise InputError("--by gp needs scikit-learn: pip install 'casadical[withheld]'") from None
+    fits = []
+    for scale in STARTS:
+        shape = ConstantKernel(0.5, (1e-3, 1e2)) * RBF(np.full(X.shape[1], scale), (0.3, 1e3))
+        kernel = shape + WhiteKernel(0.5, (1e-3, 1e1))
+        with warnings.catch_warnings():
+            # A length scale at its bound only says that an input does not matter.
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            fits.append(GaussianProcessRegressor(kernel, optimizer=optimizer(X, y)).fit(X, y))
+    return max(fits, key=lambda process: float(process.log_marginal_likelihood_value_))

@@ -1,0 +1,181 @@
+"""Make a blind check: campaigns for everyone to see, and apart from them the key, whose hash goes with them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import secrets
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from casadical.blind_check.drawing import POSES, Plan, plans
+from casadical.blind_check.physics import Record, reality
+from casadical.blind_check.predictor import nominal
+from casadical.blind_check.protocol import KEY, MANIFEST, ROBOTS, HiddenEffect, Key, Listed, Manifest, Secret, sha256
+from casadical.blind_check.running import results, workers
+from casadical.blind_check.visible import base_jacobian, visible
+from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.files import write_together
+from casadical.core.transforms import Array
+from casadical.measurements.measurements import from_table
+from casadical.project.problem import read_campaign_robot
+from casadical.robot.robot_file import to_toml
+
+UNSEEN = 50
+LEAST_POSES = 20
+REDRAWN = 5
+_TRUE = ["x_true_mm", "y_true_mm", "z_true_mm"]
+_MEASURED = ["x_mm", "y_mm", "z_mm"]
+_STRUCK = {
+    "temperature": ["temperature_degC"],
+    "payload": ["payload_kg"],
+    "approach": [f"approach{j}" for j in range(1, 7)],
+    "time": ["time_s"],
+}
+
+
+@dataclass(frozen=True, eq=False)
+class _Campaign:
+    """A campaign on its way to the disk."""
+
+    name: str
+    seen: str
+    unseen: str
+    secret: Secret
+
+
+def make(
+    folder: str | Path,
+    key: str | Path,
+    n: int,
+    seed: int | None = None,
+    *,
+    poses: Sequence[int] = POSES,
+    engine: str = "mujoco",
+    project: str | Path = ".",
+    executor: Executor | None = None,
+    show: Callable[[str, int, int], None] = lambda _text, _done, _all: None,
+) -> Manifest:
+    """Write n campaigns to a folder and their key to another, and publish the key's hash with the campaigns.
+
+    seed : of all chance, kept in the key; by default one that nobody knows, which a real test needs
+    poses : of a campaign, one of these; each has 50 more that are not told
+    engine : mujoco, or numpy for the project's own simulator; project : folder with problems/ and data/
+    executor : any of `concurrent.futures`' kind; by default a process for each core
+    show : called with a word, how many are done, and how many there are
+
+    Raises InputError: too few campaigns, a folder that is in use, or a key within the campaigns' folder.
+    """
+    folder, key_folder = Path(folder), Path(key)
+    _check(folder, key_folder, n, poses)
+    seed = secrets.randbits(62) if seed is None else seed
+    physics = reality(engine)
+    todo = plans(n, seed, physics.words(), poses)
+    drawings = {r: _drawing(Path(project), r) for r in sorted({p.robot for p in todo})}
+    made: dict[str, _Campaign] = {}
+    with workers(executor) as pool:
+        tasks = [(engine, *drawings[p.robot], p) for p in todo]
+        for done, campaign in enumerate(results(pool, campaign_of, tasks), 1):
+            made[campaign.name] = campaign
+            show(campaign.name, done, len(todo))
+    inside = Key(
+        salt=hashlib.sha256(f"casadical withheld {seed}".encode()).hexdigest(),
+        seed=seed,
+        reality=engine,
+        versions={"casadical": version("casadical"), **physics.versions()},
+        campaigns={p.name: made[p.name].secret for p in todo},
+    )
+    manifest = Manifest(key_sha256=sha256(inside.text()), campaigns={p.name: Listed(robot=p.robot) for p in todo})
+    texts = {folder / ROBOTS / f"{name}.robot.toml": text for name, (_, text) in drawings.items()}
+    texts |= {folder / f"{c.name}.csv": c.seen for c in made.values()}
+    texts |= {folder / f"{c.name}.unseen.csv": c.unseen for c in made.values()}
+    texts |= {folder / MANIFEST: manifest.model_dump_json(indent=1) + "\n", key_folder / KEY: inside.text()}
+    write_together(texts)
+    return manifest
+
+
+def _check(folder: Path, key: Path, n: int, poses: Sequence[int]) -> None:
+    if n < 4:
+        raise InputError(f"n is {n}; a blind check needs at least 4 campaigns, one of each kind")
+    if not poses or min(poses) < LEAST_POSES:
+        raise InputError(f"poses of {list(poses)}; a campaign needs at least {LEAST_POSES}, or no robot is identified")
+    if key.resolve() == folder.resolve() or folder.resolve() in key.resolve().parents:
+        raise InputError(f"{key}: the key must lie apart from the campaigns in {folder}; name another folder")
+    for path in (folder / MANIFEST, key / KEY):
+        if path.exists():
+            raise InputError(f"{path}: is there already; name a new folder, or delete that check first")
+
+
+def _drawing(project: Path, robot: str) -> tuple[dict[str, Any], str]:
+    """The engine's table of a nominal robot, and the text of the base model that the diagnosis is given."""
+    path = project / "data" / "campaigns" / "robots" / f"{robot}.json"
+    if not path.is_file():
+        raise InputError(f"{path}: no such robot; name the project's folder (with problems/ and data/) by --project")
+    return json.loads(path.read_text(encoding="utf-8")), to_toml(read_campaign_robot(project / "problems" / robot))
+
+
+def campaign_of(engine: str, table: Mapping[str, Any], model: str, plan: Plan) -> _Campaign:
+    """One campaign of a plan; runs in a worker. model : text of the base model's robot file."""
+    plan, record = _recorded(engine, table, plan)
+    rng = np.random.default_rng([plan.seed, 2])
+    # Among the others, so that nothing has to be foretold beyond the campaign's time and temperature.
+    kept = np.ones(plan.poses + UNSEEN, dtype=bool)
+    kept[1 + rng.choice(len(kept) - 2, UNSEEN, replace=False)] = False
+    struck = _STRUCK[plan.missing] if plan.missing else []
+    shown = record.session.drop(columns=[*struck, *_TRUE])
+    unseen = record.session[~kept]
+    return _Campaign(
+        name=plan.name,
+        seen=shown[kept].to_csv(index=False),
+        unseen=shown[~kept].drop(columns=_MEASURED).to_csv(index=False),
+        secret=_secret(plan, record, kept, model, unseen),
+    )
+
+
+def _recorded(engine: str, table: Mapping[str, Any], plan: Plan) -> tuple[Plan, Record]:
+    """The session of a plan. Where the engine finds no rest, everything but the plan is drawn anew, a few times."""
+    for _ in range(REDRAWN):
+        try:
+            return plan, reality(engine).record(table, plan, plan.poses + UNSEEN)
+        except ConvergenceError:
+            plan = replace(plan, seed=plan.seed + 1)
+    return plan, reality(engine).record(table, plan, plan.poses + UNSEEN)
+
+
+def _secret(plan: Plan, record: Record, kept: Array, model: str, unseen: pd.DataFrame) -> Secret:
+    robot = nominal(model)
+    clean = from_table(record.clean[kept].drop(columns=_TRUE), robot.n, "position")
+    J = base_jacobian(robot, clean)
+
+    def seen(table: pd.DataFrame) -> float:
+        shift = table[_MEASURED].to_numpy(float) - record.clean[_MEASURED].to_numpy(float)
+        return round(visible(J, 1e-3 * shift[kept]), 9)
+
+    together = seen(record.session)
+    alone = [seen(t) for t in record.alone] or [together] * len(record.hidden)
+    return Secret(
+        robot=plan.robot,
+        kind=plan.kind,
+        hidden=tuple(
+            HiddenEffect(effect=a.effect, joint=a.joint, about=a.about, visible=v)
+            for a, v in zip(record.hidden, alone, strict=True)
+        ),
+        poses=plan.poses,
+        missing=plan.missing,
+        noise=plan.noise,
+        repeatability=plan.repeatability,
+        visible=together,
+        measured_mm=_rows(unseen, _MEASURED),
+        true_mm=_rows(unseen, _TRUE),
+    )
+
+
+def _rows(table: pd.DataFrame, columns: list[str]) -> tuple[tuple[float, float, float], ...]:
+    return tuple((round(x, 4), round(y, 4), round(z, 4)) for x, y, z in table[columns].to_numpy(float).tolist())

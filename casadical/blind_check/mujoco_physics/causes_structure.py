@@ -1,0 +1,164 @@
+"""Causes in the structure: links and pedestal that bend, grow, wobble, are loose, or carry another load."""
+
+# ruff: noqa: ARG002 - every cause is called with the same arguments, whether it needs them or not
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casadical.blind_check.mujoco_physics.cause import (
+    Cause,
+    beam_axes,
+    into_parent,
+    length_of,
+    triple,
+    turned,
+    warmth_inside,
+)
+from casadical.blind_check.mujoco_physics.equilibrium import Setting
+from casadical.blind_check.mujoco_physics.mechanism import Array, Body, Mechanism, X, Y
+from casadical.blind_check.mujoco_physics.robot import spring
+from casadical.blind_check.numpy_physics.disturbances_structure import plant_stretch
+from casadical.blind_check.numpy_physics.plant import Plant
+from casadical.blind_check.numpy_physics.stops import Stops
+
+
+@dataclass(frozen=True)
+class LinkFlexure(Cause):
+    """Link ``link`` is a beam: cut at a quarter and at three quarters of its length, with three sprung hinges each.
+
+    ``size`` [rad] is the slope of its end by the moment there if all beyond hung at full stretch; ``torsion`` is twist
+    over bend stiffness.
+    """
+
+    link: int
+    size: float
+    torsion: float
+
+    def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
+        name = f"link{self.link}"
+        whole, length = mechanism.body(name), length_of(plant, self.link)
+        e, across, aside = beam_axes(length)
+        bend = 2 * plant_stretch(plant, self.link)[0] / self.size
+        hinges = [("up", across, bend), ("side", aside, bend), ("twist", e, self.torsion * bend)]
+        for cut, at in (("b", 0.75), ("a", 0.25)):
+            joints = tuple(spring(f"{name}{cut}_{n}", k, axis=triple(axis)) for n, axis, k in hinges)
+            place = np.eye(4)
+            place[:3, 3] = at * length
+            part = Body(f"{name}{cut}", name, place, joints)
+            if cut == "a":  # the middle piece carries the link's weight
+                part = replace(part, mass=whole.mass, com=triple(np.array(whole.com) - place[:3, 3]))
+            mechanism = mechanism.with_body_after(name, part)
+        return mechanism.with_body(replace(mechanism.body(name), mass=0.0))
+
+
+@dataclass(frozen=True)
+class BaseCompliance(Cause):
+    """The pedestal stands on anchors that give: it rocks about two axes ``height_m`` below the base, and sinks.
+
+    ``size`` [rad] is its tilt by the full overturning moment, ``across`` the share of that across its foot.
+    """
+
+    size: float
+    across: float
+    height_m: float
+
+    def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
+        k, at = plant_stretch(plant, 0)[1] / self.size, (0.0, 0.0, -self.height_m)
+        width = 0.15 * float(np.linalg.norm(np.diff(plant.stations, axis=0), axis=-1).sum())
+        joints = (
+            spring("anchors_x", k, axis=X, at=at),
+            spring("anchors_y", k / self.across, axis=Y, at=at),
+            spring("anchors_z", 2 * k / width**2, kind="slide"),
+        )
+        return mechanism.with_body_after("pedestal", Body("column", "pedestal", np.eye(4), joints))
+
+
+@dataclass(frozen=True)
+class AxisWobble(Cause):
+    """A joint's turning ring rides on three pads; its track waves ``cycles`` times a turn over two of them.
+
+    ``size`` [rad] is about the tilt of the plane through the pads when one of them is on a crest; the ring also shifts
+    by up to ``shift_m`` sideways.
+    """
+
+    joint: int
+    size: float
+    shift_m: float
+    cycles: int
+    phase: float
+
+    def settings(self, plant: Plant, stops: Stops) -> Sequence[Setting]:
+        pads = np.array([0.0, 2.0, 4.2])
+        track = self.cycles * (turned(plant, stops, self.joint)[:, None] - pads) + self.phase
+        height = np.cos(track) * np.array([1.0, 1.0, 0.0])
+        plane = height @ np.linalg.inv(np.column_stack([np.cos(pads), np.sin(pads), np.ones(3)])).T
+        tilt = self.size * np.column_stack([plane[:, 1], -plane[:, 0], np.zeros(len(stops))])
+        shift = self.shift_m * np.column_stack([height[:, 0], height[:, 1], np.zeros(len(stops))])
+        R, link = into_parent(plant, self.joint), f"link{self.joint}"
+        return Setting("turn", link, tilt @ R.T), Setting("shift", link, shift @ R.T)
+
+
+@dataclass(frozen=True)
+class ThermalGrowth(Cause):
+    """All links lengthen by ``size`` [1/K]; the cores of the first are the last to get warm, the tool stays cooler."""
+
+    size: float
+    lag_minutes: float
+
+    def settings(self, plant: Plant, stops: Stops) -> Sequence[Setting]:
+        warm = [warmth_inside(stops, self.lag_minutes * (1.6 - 0.2 * i)) for i in range(7)]
+        settings = [Setting("shift", "link1", self._longer(warm[0], plant.home[0, :3, 3]))]
+        settings += [Setting("shift", f"link{i + 1}", self._longer(warm[i], length_of(plant, i))) for i in range(1, 6)]
+        settings.append(Setting("mark", "reflector", self._longer(0.3 * warm[6], plant.reflector)))
+        if plant.four_bar is not None:
+            bar, angle = plant.four_bar, plant.four_bar.crank_zero_rad
+            end = bar.crank_m * np.array([np.cos(angle), np.sin(angle), 0.0])
+            rocker = bar.rocker_m * np.array([np.cos(bar.passive_offset_rad), -np.sin(bar.passive_offset_rad), 0.0])
+            rocker = plant.home[2, :3, :3].T @ plant.home[1, :3, :3] @ rocker
+            settings += [
+                Setting("shift", "crank", self._longer(warm[1], length_of(plant, 1))),
+                Setting("shift", "coupler", self._longer(warm[2], end)),
+                Setting("mark", "coupler_end", self._longer(warm[2], np.array([bar.coupler_m, 0.0, 0.0]))),
+                Setting("mark", "rocker_end", self._longer(warm[3], rocker)),
+            ]
+        return settings
+
+    def _longer(self, warmth: Array, length: Array) -> Array:
+        return np.outer(self.size * warmth, length)
+
+
+@dataclass(frozen=True)
+class PayloadError(Cause):
+    """The payload is heavier than declared by the share ``size`` and hangs off its place by ``shift_m`` in frame 6."""
+
+    size: float
+    shift_m: tuple[float, float, float]
+
+    @property
+    def payload_factor(self) -> float:
+        return 1 + self.size
+
+    def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
+        body = mechanism.body("payload")
+        place = body.place.copy()
+        place[:3, 3] += self.shift_m
+        return mechanism.with_body(replace(body, place=place))
+
+
+@dataclass(frozen=True)
+class ThermalBend(Cause):
+    """The column is warmed from one side: it leans by ``size`` [rad/K] towards ``towards``; on no list."""
+
+    size: float
+    towards: float
+    lag_minutes: float
+
+    def settings(self, plant: Plant, stops: Stops) -> Sequence[Setting]:
+        lean = np.array([np.cos(self.towards), np.sin(self.towards), 0.0])
+        difference = stops.warmth_K - warmth_inside(stops, self.lag_minutes)
+        turn = np.outer(self.size * difference, lean) @ plant.home[0, :3, :3]
+        sideways = np.cross(turn, length_of(plant, 1)) / 2
+        links = ("link2",) if plant.four_bar is None else ("link2", "crank")
+        return [Setting("turn", link, turn) for link in links] + [Setting("shift", link, sideways) for link in links]

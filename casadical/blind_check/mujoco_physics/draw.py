@@ -1,0 +1,145 @@
+"""Hidden effects drawn by chance, with the sizes that real robots have."""
+
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from casadical.blind_check.mujoco_physics.hidden import LISTED, UNLISTED, Hidden
+from casadical.blind_check.numpy_physics.machine import rated_torque
+from casadical.blind_check.numpy_physics.plant import Plant
+from casadical.core.errors import InputError
+
+Kind = Literal["none", "one", "pair", "three", "unlisted"]
+_COUNT = {"none": 0, "one": 1, "pair": 2, "three": 3, "unlisted": 1}
+_LOADED = ("backlash", "nonlinear_stiffness", "rubber_coupling")  # seen only where there is torque
+_ANY = (
+    *("gear_eccentricity", "transmission_ripple", "joint_scale", "joint_zero_step", "thermal_zero_drift"),
+    *("axis_wobble", "friction_windup", "bearing_play", "encoder_pit", "damaged_tooth"),
+    *("tight_cable", "lost_bits"),
+)
+
+
+def draw_hidden(machine: Plant, kind: Kind, rng: np.random.Generator, *, poses: int = 100) -> tuple[Hidden, ...]:
+    """No effect, one, two or three different listed ones, or one that is on no list.
+
+    Sizes scatter by about a factor of two about what is usual. Steps in time fall into the middle of a campaign of
+    ``poses`` poses. Raises InputError for an unknown kind.
+    """
+    if kind not in _COUNT:
+        raise InputError(f"kind {kind!r} is unknown; it must be one of {', '.join(get_args(Kind))}")
+    pool = list(UNLISTED if kind == "unlisted" else LISTED)
+    chosen = rng.choice(pool, _COUNT[kind], replace=False)
+    return tuple(draw_effect(machine, str(effect), rng, poses=poses) for effect in chosen)
+
+
+def draw_effect(machine: Plant, effect: str, rng: np.random.Generator, *, poses: int = 100) -> Hidden:
+    """One effect by its name, its joint and sizes by chance. Raises InputError for an unknown name."""
+    if effect not in {**LISTED, **UNLISTED}:
+        raise InputError(f"effect {effect!r} is unknown; there are {', '.join([*LISTED, *UNLISTED])}")
+    joint = _joint(machine, effect, rng)
+    usual = float(np.exp(rng.normal(0.2, 0.4)))
+    return Hidden(effect, joint, _size(machine, effect, joint, usual, rng, 30.0 * poses))
+
+
+def _joint(machine: Plant, effect: str, rng: np.random.Generator) -> int | None:
+    if effect in _LOADED:
+        torque = rated_torque(machine)
+        return int(rng.choice(np.flatnonzero(torque > 0.06 * torque.max()) + 1))
+    if effect == "joint_coupling":
+        return int(rng.integers(4, 7))
+    return int(rng.integers(1, 7)) if effect in _ANY else None
+
+
+def _size(
+    machine: Plant, effect: str, joint: int | None, usual: float, rng: np.random.Generator, lasts_s: float
+) -> dict[str, Any]:
+    """Everything but the joint, ``usual`` times as large as it is on most robots."""
+    sign, angle = float(rng.choice([-1.0, 1.0])), float(rng.uniform(0, 2 * np.pi))
+    middle = float(np.round(rng.uniform(0.3, 0.7) * lasts_s))
+    inside = float(rng.uniform(*machine.ranges[(joint or 1) - 1]))
+    sizes: dict[str, dict[str, Any]] = {
+        "gear_eccentricity": {
+            "size": 40e-6 * usual,
+            "towards": angle,
+            "oval": float(rng.uniform(0.2, 0.8)) * 40e-6 * usual,
+            "oval_towards": float(rng.uniform(0, 2 * np.pi)),
+        },
+        "transmission_ripple": {
+            "size": 20e-6 * usual,
+            "cycles": int(rng.choice([2, 3, 4, 6, 8, 16, 32])),
+            "phase": angle,
+        },
+        "joint_scale": {"size": 60e-6 * usual * sign},
+        "joint_coupling": {"source": 5 if joint == 4 else (joint or 5) - 1, "size": 80e-6 * usual * sign},
+        "joint_zero_step": {"size": 40e-6 * usual * sign, "at_s": middle},
+        "thermal_growth": {"size": 11.5e-6 * float(np.clip(usual, 0.8, 2.0)), "lag_minutes": float(rng.uniform(4, 12))},
+        "thermal_zero_drift": {"size": 5e-6 * usual * sign, "lag_minutes": float(rng.uniform(4, 15))},
+        "target_shift": {"shift_m": _direction(rng, 50e-6 * usual), "at_s": middle},
+        "payload_error": {"size": 0.05 * usual * sign, "shift_m": _direction(rng, 0.03 * usual)},
+        "axis_wobble": {
+            "size": 25e-6 * usual,
+            "shift_m": 10e-6 * usual,
+            "cycles": int(rng.choice([1, 2])),
+            "phase": angle,
+        },
+        "gravity_compensator": {
+            "size": 0.2 * usual,
+            "lean": float(rng.uniform(-0.4, 0.4)),
+            "post": float(rng.uniform(1.5, 4)),
+        },
+        "nonlinear_stiffness": {
+            "size": 90e-6 * usual,
+            "knee": float(rng.choice([0.0, rng.uniform(0.1, 0.3)])),
+            "linear": float(rng.uniform(0.1, 0.3)),
+        },
+        "backlash": {"size": 60e-6 * usual, "friction": float(rng.uniform(0.01, 0.05))},
+        "friction_windup": {"size": 40e-6 * usual, "load_share": float(rng.uniform(0, 0.8))},
+        "link_flexure": {
+            "link": int(rng.choice([2, 3])),
+            "size": 60e-6 * usual,
+            "torsion": float(rng.uniform(0.6, 1.0)),
+        },
+        "base_compliance": {"size": 50e-6 * usual, "across": float(rng.uniform(0.5, 1.0)), "height_m": 0.3},
+        "frame_drift": {
+            "shift_m": _direction(rng, 50e-6 * usual),
+            "turn_rad": _direction(rng, 20e-6 * usual),
+            "settling_minutes": float(rng.uniform(15, 60)),
+        },
+        "outliers": {"share": float(rng.uniform(0.02, 0.05)), "size": 0.7e-3 * usual},
+        "loose_flange": {"size": 60e-6 * usual},
+        "tool_slip": {"size": 40e-6 * usual, "grip": float(rng.uniform(0.3, 0.6))},
+        "bearing_play": {"size": 30e-6 * usual},
+        "hose_pull": {"size": 100e-6 * usual},
+        "cracked_link": {"link": int(rng.choice([2, 3])), "size": 100e-6 * usual, "towards": angle},
+        "loose_anchor": {"size": 40e-6 * usual, "towards": angle},
+        "thermal_bend": {"size": 15e-6 * usual, "towards": angle, "lag_minutes": float(rng.uniform(15, 40))},
+        "encoder_pit": {"size": 100e-6 * usual * sign, "at_rad": inside, "width_rad": float(rng.uniform(0.3, 0.9))},
+        "damaged_tooth": {"size": 80e-6 * usual, "ratio": float(rng.choice([3.0, 5.0, 7.5, 10.0])), "at_rad": angle},
+    }
+    # Those drawn apart leave the sizes of the others as they were for the same seed.
+    return sizes[effect] if effect in sizes else _odd(machine, usual, sign, angle, inside, rng)[effect]
+
+
+def _odd(
+    machine: Plant, usual: float, sign: float, angle: float, inside: float, rng: np.random.Generator
+) -> dict[str, dict[str, Any]]:
+    return {
+        "loose_cargo": {"size": 80e-6 * usual},
+        "tight_cable": {"size": 100e-6 * usual, "free": float(rng.uniform(0.2, 0.6))},
+        "lost_bits": {"size": 100e-6 * usual, "at_rad": inside},
+        "rubber_coupling": {"size": 120e-6 * usual, "lag_minutes": float(rng.uniform(0.7, 4.0))},
+        "range_offset": {"size": 150e-6 * usual * sign, "stand_m": _stand(machine, angle, rng)},
+    }
+
+
+def _stand(machine: Plant, towards: float, rng: np.random.Generator) -> tuple[float, float, float]:
+    """Where a tracker stands: out of the robot's reach, at about a man's height or lower."""
+    reach = float(np.linalg.norm(np.diff(machine.stations, axis=0), axis=-1).sum())
+    away = reach * float(rng.uniform(1.3, 2.0))
+    return away * float(np.cos(towards)), away * float(np.sin(towards)), float(rng.uniform(0.0, 1.5))
+
+
+def _direction(rng: np.random.Generator, length: float) -> tuple[float, float, float]:
+    v = rng.standard_normal(3)
+    x, y, z = (float(c) for c in length * v / np.linalg.norm(v))
+    return x, y, z

@@ -1,0 +1,161 @@
+"""A mechanism as a physics engine knows one: bodies, joints, loops, cords. No robot, no effect, no engine in here."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal, Self, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadical.core.errors import InputError
+
+Array: TypeAlias = NDArray[np.float64]
+X, Y, Z, ORIGIN = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A hinge or a slide of a body in its parent; the joints of one body act in turn, the first at the parent.
+
+    Attributes
+    ----------
+    name : unique in the mechanism
+    kind, axis, at : hinge or slide, its direction and a point on it [m], in the body's frame
+    ref : coordinate [rad or m] at which the body is where its ``place`` says
+    stiffness, hardening : spring torque ``stiffness x + hardening x^3`` [N m, N] at the deflection ``x`` from its rest
+    motor : 1-based number of the motor whose angle is the spring's rest; without one the rest is 0
+    friction, rubbing : dry friction [N m, N], and what each unit of the spring's torque adds to it
+    limits : coordinates at which hard stops are, or None
+    inertia, damping : of the joint itself (a rotor behind its gear) [kg m^2, kg] and [N m s/rad, N s/m]
+    keeps : the coordinate at one pose is where the motion to the next begins
+    """
+
+    name: str
+    kind: Literal["hinge", "slide"] = "hinge"
+    axis: tuple[float, float, float] = Z
+    at: tuple[float, float, float] = ORIGIN
+    ref: float = 0.0
+    stiffness: float = 0.0
+    hardening: float = 0.0
+    motor: int | None = None
+    friction: float = 0.0
+    rubbing: float = 0.0
+    limits: tuple[float, float] | None = None
+    inertia: float = 0.0
+    damping: float = 0.0
+    keeps: bool = False
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid body: its ``place`` (4, 4) in its parent, mass [kg], mass centre and named points ``marks`` (3,) [m].
+
+    Without joints it is fixed to its parent. ``gyration`` [m] is its radius of gyration about the mass centre.
+    """
+
+    name: str
+    parent: str
+    place: Array
+    joints: tuple[Joint, ...] = ()
+    mass: float = 0.0
+    com: tuple[float, float, float] = ORIGIN
+    gyration: float = 0.1
+    marks: Mapping[str, Array] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Two marks that are one ball joint: it closes a chain of bodies to a loop."""
+
+    name: str
+    first: str
+    second: str
+
+
+@dataclass(frozen=True)
+class Cord:
+    """A spring between two marks: no force while its length [m] is within ``rest``, then ``stiffness`` [N/m]."""
+
+    name: str
+    first: str
+    second: str
+    stiffness: float
+    rest: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Shaft:
+    """A torsion spring or dry friction on a weighted sum of joint coordinates.
+
+    The spring's rest is the angle of ``motor``; there is no torque within ``slack`` [rad] of it.
+    """
+
+    name: str
+    joints: Mapping[str, float]
+    stiffness: float = 0.0
+    motor: int | None = None
+    slack: float = 0.0
+    friction: float = 0.0
+    damping: float = 0.0
+
+
+@dataclass(frozen=True)
+class Mechanism:
+    """Bodies, parents before their children, and what connects them besides their joints."""
+
+    bodies: tuple[Body, ...]
+    loops: tuple[Loop, ...] = ()
+    cords: tuple[Cord, ...] = ()
+    shafts: tuple[Shaft, ...] = ()
+
+    def body(self, name: str) -> Body:
+        """The body of that name; InputError when there is none."""
+        for body in self.bodies:
+            if body.name == name:
+                return body
+        raise InputError(f"no body {name!r}; there are {', '.join(b.name for b in self.bodies)}")
+
+    def holder(self, joint: str) -> Body:
+        """The body that has the joint of that name; InputError when none has."""
+        for body in self.bodies:
+            if any(j.name == joint for j in body.joints):
+                return body
+        names = [j.name for b in self.bodies for j in b.joints]
+        raise InputError(f"no joint {joint!r}; there are {', '.join(names)}")
+
+    def joint(self, name: str) -> Joint:
+        """The joint of that name; InputError when there is none."""
+        return next(j for j in self.holder(name).joints if j.name == name)
+
+    def with_body(self, changed: Body) -> Self:
+        """The same with the body of that name replaced."""
+        self.body(changed.name)
+        return replace(self, bodies=tuple(changed if b.name == changed.name else b for b in self.bodies))
+
+    def with_joint(self, changed: Joint) -> Self:
+        """The same with the joint of that name replaced."""
+        body = self.holder(changed.name)
+        return self.with_body(
+            replace(body, joints=tuple(changed if j.name == changed.name else j for j in body.joints))
+        )
+
+    def with_more(self, joint: str, *, before: tuple[Joint, ...] = (), after: tuple[Joint, ...] = ()) -> Self:
+        """The same with more joints around the joint of that name, in the same body."""
+        body = self.holder(joint)
+        k = [j.name for j in body.joints].index(joint)
+        return self.with_body(
+            replace(body, joints=(*body.joints[:k], *before, body.joints[k], *after, *body.joints[k + 1 :]))
+        )
+
+    def with_body_after(self, name: str, new: Body) -> Self:
+        """The same with ``new`` on the body ``name`` and everything that this one carried on ``new``, where it was."""
+        self.body(name)
+        bodies: list[Body] = []
+        for body in self.bodies:
+            if body.parent == name:
+                place: Array = np.linalg.inv(new.place) @ body.place
+                body = replace(body, parent=new.name, place=place)
+            bodies.append(body)
+            if body.name == name:
+                bodies.append(replace(new, parent=name))
+        return replace(self, bodies=tuple(bodies))

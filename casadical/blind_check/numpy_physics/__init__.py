@@ -1,0 +1,29 @@
+"""Synthetic measurement campaigns from a physical simulator that shares no formula with the calibration model.
+
+``Plant.from_dict`` reads a nominal robot, ``perturb`` makes a real one of it, ``campaign`` measures it with any of the
+``disturbances``; ``hh800_twin`` is the paper's experiment. It uses numpy and pandas only and no other part of casadical
+than the errors, so that a diagnosis checked against it is not checked against its own formulas.
+"""
+
+from casadical.blind_check.numpy_physics import disturbances
+from casadical.blind_check.numpy_physics.campaigns import campaign
+from casadical.blind_check.numpy_physics.disturbance import Disturbance
+from casadical.blind_check.numpy_physics.draw import draw_disturbance
+from casadical.blind_check.numpy_physics.perturb import perturb
+from casadical.blind_check.numpy_physics.plant import FourBar, Plant
+from casadical.blind_check.numpy_physics.stops import Warmup
+from casadical.blind_check.numpy_physics.twin import HH800, hh800_true, hh800_twin
+
+__all__ = [
+    "HH800",
+    "Disturbance",
+    "FourBar",
+    "Plant",
+    "Warmup",
+    "campaign",
+    "disturbances",
+    "draw_disturbance",
+    "hh800_true",
+    "hh800_twin",
+    "perturb",
+]

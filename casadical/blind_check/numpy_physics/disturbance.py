@@ -1,0 +1,58 @@
+"""The base of all disturbances: the places in the machine where one may act. Each does nothing unless it is given."""
+
+# ruff: noqa: ARG002 - every disturbance is called with the same arguments, whether it needs them or not
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from casadical.blind_check.numpy_physics.plant import Plant
+from casadical.blind_check.numpy_physics.rigid import Array
+from casadical.blind_check.numpy_physics.stops import Stops
+
+if TYPE_CHECKING:
+    from casadical.blind_check.numpy_physics.machine import Rest
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """One thing about a robot that geometry and linear joint compliance do not contain.
+
+    A disturbance is pure: what it does follows from its own numbers and the arguments, never from a hidden state.
+    """
+
+    def altered(self, plant: Plant) -> Plant:
+        """The robot as it is really built."""
+        return plant
+
+    def misread(self, stops: Stops) -> Array | float:
+        """What the true joint angles are beyond the readings, without load: (n, 6) [rad]."""
+        return 0.0
+
+    def torque(self, rest: "Rest") -> Array | float:
+        """Torques on the actuated joints beside those of the weights: (n, 6) [N m]."""
+        return 0.0
+
+    def twist(self, rest: "Rest") -> Array | float:
+        """Twists of the joints beside torque over stiffness: (n, 6) [rad]."""
+        return 0.0
+
+    def outboard(self, link: int, rest: "Rest") -> Array | None:
+        """Motion (n, 4, 4) [m] of all beyond ``link`` (0 pedestal, 6 flange), seen from that link at zero readings."""
+        return None
+
+    def reflector(self, stops: Stops) -> Array | float:
+        """How far the reflector sits off its place, (n, 3) [m] in frame 6."""
+        return 0.0
+
+    def measured(self, xyz: Array, stops: Stops, rng: np.random.Generator) -> Array:
+        """What the instrument makes of the positions ``xyz`` (n, 3) [m]."""
+        return xyz
+
+
+def only(joint: int, values: Array) -> Array:
+    """Zeros (n, 6) with ``values`` (n,) in the column of ``joint`` (1-based)."""
+    columns = np.zeros((len(values), 6))
+    columns[:, joint - 1] = values
+    return columns

@@ -1,0 +1,87 @@
+"""The four-bar loop by the intersection of two circles, and its lever arms from the force in the coupler."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadical.blind_check.numpy_physics.plant import FourBar, Plant
+from casadical.blind_check.numpy_physics.rigid import Array
+from casadical.core.errors import InputError
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """The loop in the plane of link 2, axis 2 at the origin: points (n, 2) [m] and the passive angle (n,) [rad]."""
+
+    crank_end: Array
+    coupler_end: Array
+    pivot: Array
+    passive: Array
+
+    @property
+    def lever(self) -> Array:
+        """Crank torque for a unit torque on link 3, shape (n,): the coupler is a bar with no force but along itself."""
+        along = self.crank_end - self.coupler_end
+        return _cross(self.crank_end, along) / _cross(self.coupler_end - self.pivot, along)
+
+
+def pivot(plant: Plant) -> Array:
+    """Joint 3 in the plane of link 2, shape (2,) [m], seen from axis 2 and the x axis of link 2."""
+    R, p = plant.home[1, :3, :3], plant.home[2, :3, 3] - plant.home[1, :3, 3]
+    flat: Array = (R.T @ p)[:2]
+    return flat
+
+
+def crank_end(bar: FourBar, crank: Array) -> Array:
+    """End of the crank (n, 2) [m] in the plane of link 2; ``crank`` (n,) is theta3 - theta2 [rad]."""
+    angle = crank + bar.crank_zero_rad
+    return bar.crank_m * np.stack([np.cos(angle), np.sin(angle)], -1)
+
+
+def crank_distance(plant: Plant, q: Array) -> Array:
+    """Distance (n,) [m] between the crank's end and joint 3 at the readings ``q`` (n, 6) [rad]."""
+    bar = _bar(plant)
+    distance: Array = np.linalg.norm(crank_end(bar, q[:, 2] - q[:, 1]) - pivot(plant), axis=-1)
+    return distance
+
+
+def unfolded(plant: Plant) -> tuple[float, float] | None:
+    """Crank distances [m] that stay a quarter of the rocker away from the folded and the stretched loop."""
+    bar = plant.four_bar
+    if bar is None:
+        return None
+    short, long = sorted((bar.coupler_m, bar.rocker_m))
+    return long - short + bar.rocker_m / 4, long + short - bar.rocker_m / 4
+
+
+def close_loop(plant: Plant, crank: Array) -> ClosedLoop:
+    """Close the loop, not crossed, at the crank angles theta3 - theta2 (n,) [rad].
+
+    Raises InputError at the first pose where the bars do not reach each other.
+    """
+    bar, P, C = _bar(plant), pivot(plant), crank_end(_bar(plant), crank)
+    reach = C - P
+    d = np.linalg.norm(reach, axis=-1)
+    along = (bar.rocker_m**2 - bar.coupler_m**2 + d**2) / (2 * d)
+    aside_2 = bar.rocker_m**2 - along**2
+    if (aside_2 < 0).any():
+        row = int(np.argmax(aside_2 < 0))
+        raise InputError(
+            f"pose {row + 1}: the four-bar is open, crank end and joint 3 are {d[row]:.4f} m apart; coupler and rocker "
+            f"reach {abs(bar.coupler_m - bar.rocker_m):.4f} to {bar.coupler_m + bar.rocker_m:.4f} m; drop the pose"
+        )
+    unit = reach / d[:, None]
+    left = np.stack([-unit[:, 1], unit[:, 0]], -1)
+    D = P + along[:, None] * unit - np.sqrt(aside_2)[:, None] * left
+    passive = np.arctan2(D[:, 1] - P[1], D[:, 0] - P[0]) + bar.passive_offset_rad
+    return ClosedLoop(C, D, P, passive)
+
+
+def _bar(plant: Plant) -> FourBar:
+    if plant.four_bar is None:
+        raise InputError(f"robot {plant.name!r} has no four-bar")
+    return plant.four_bar
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

@@ -1,0 +1,118 @@
+"""The circumstances of n measured poses: readings, time, warmth, payload, approach; and how they are drawn."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from casadical.blind_check.numpy_physics.fourbar import crank_distance
+from casadical.blind_check.numpy_physics.plant import Plant
+from casadical.blind_check.numpy_physics.rigid import Array
+from casadical.core.errors import InputError
+
+
+@dataclass(frozen=True)
+class Stops:
+    """What is known of n poses when the robot has stopped.
+
+    Attributes
+    ----------
+    q : array (n, 6), joint readings [rad]
+    time_s : array (n,), since the start
+    warmth_K : array (n,), the arm's surface over its temperature at time 0
+    payload_kg : array (n,), declared
+    approach : array (n, 6) of -1 and 1, each joint's last motion before it stopped
+    """
+
+    q: Array
+    time_s: Array
+    warmth_K: Array
+    payload_kg: Array
+    approach: Array
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def warmth_after(self, lag_minutes: float) -> Array:
+        """Warmth (n,) [K] of a part that follows the surface with a lag: heat flows in proportion to the difference."""
+        steps = np.diff(self.time_s, prepend=0.0)
+        share = -np.expm1(-steps / (60.0 * lag_minutes))
+        part, followed = 0.0, np.empty(len(self))
+        for k in range(len(self)):
+            part += (self.warmth_K[k] - part) * share[k]
+            followed[k] = part
+        return followed
+
+    @property
+    def progress(self) -> Array:
+        """Share of the campaign that is over, shape (n,), from 0 to 1."""
+        return np.arange(len(self)) / max(len(self) - 1, 1)
+
+
+@dataclass(frozen=True)
+class Warmup:
+    """The arm's temperature while it works: it rises from ``start_degC`` towards ``rise_K`` more."""
+
+    start_degC: float = 20.0
+    rise_K: float = 7.0
+    minutes: float = 35.0
+    sensor_K: float = 0.05
+
+    def course(self, time_s: Array) -> Array:
+        """Warmth (n,) [K] at the times (n,) [s]."""
+        rise: Array = -self.rise_K * np.expm1(-np.asarray(time_s, float) / (60.0 * self.minutes))
+        return rise
+
+
+def draw_poses(
+    plant: Plant, n: int, rng: np.random.Generator, ranges: Array, crank_distance_m: tuple[float, float] | None
+) -> Array:
+    """Readings (n, 6) [rad], uniform in ``ranges`` (6, 2) [rad], the loop within its distance limits.
+
+    Raises InputError when hardly any pose in the ranges keeps the limits.
+    """
+    kept = np.empty((0, 6))
+    for _ in range(200):
+        q = rng.uniform(ranges[:, 0], ranges[:, 1], (max(2 * n, 64), 6))
+        if plant.four_bar is not None and crank_distance_m is not None:
+            distance = crank_distance(plant, q)
+            q = q[(distance >= crank_distance_m[0]) & (distance <= crank_distance_m[1])]
+        kept = np.vstack([kept, q])[:n]
+        if len(kept) == n:
+            return kept
+    raise InputError(
+        f"only {len(kept)} of {n} poses keep the four-bar within {crank_distance_m} m; widen it or the joint ranges"
+    )
+
+
+def spread_poses(
+    plant: Plant, n: int, rng: np.random.Generator, ranges: Array, crank_distance_m: tuple[float, float] | None
+) -> Array:
+    """As ``draw_poses``, but spread evenly: each next pose is, of 30 drawn, the one farthest from those there are."""
+    drawn = draw_poses(plant, 30 * n, rng, ranges, crank_distance_m)
+    unit = (drawn - ranges[:, 0]) / (ranges[:, 1] - ranges[:, 0])
+    chosen = [0]
+    for k in range(1, n):
+        block = np.arange(30 * k, 30 * (k + 1))
+        nearest = np.linalg.norm(unit[block, None] - unit[None, chosen], axis=-1).min(1)
+        chosen.append(int(block[np.argmax(nearest)]))
+    return drawn[chosen]
+
+
+def draw_stops(
+    q: Array,
+    seeds: Sequence[np.random.SeedSequence],
+    payload_states: Sequence[float],
+    warmup: Warmup,
+    approach: Literal["chance", "motion"] = "chance",
+) -> Stops:
+    """The circumstances of the readings ``q`` (n, 6) [rad]: 20 to 40 s a pose, payloads in turn, approaches."""
+    n = len(q)
+    time = np.cumsum(np.round(np.random.default_rng(seeds[0]).uniform(20.0, 40.0, n), 1))
+    came = np.random.default_rng(seeds[1]).choice([-1.0, 1.0], (n, 6))
+    if approach == "motion":
+        came[1:] = np.where(np.diff(q, axis=0) < 0, -1.0, 1.0)
+    blocks = 1 if len(payload_states) == 1 else 2 * len(payload_states)
+    turn = (np.arange(n) * blocks // n) % len(payload_states)
+    return Stops(q, time, warmup.course(time), np.asarray(payload_states, float)[turn], came)

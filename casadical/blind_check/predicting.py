@@ -1,0 +1,88 @@
+"""Answer a blind check: each campaign is diagnosed from what lies in the folder, and its unseen poses are foretold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from importlib.metadata import version
+from pathlib import Path
+from typing import IO, Any
+
+import pandas as pd
+
+from casadical.blind_check.answers import line, read_answers
+from casadical.blind_check.predictor import METHODS, guess
+from casadical.blind_check.protocol import MANIFEST, ROBOTS, Manifest, read_manifest, read_table
+from casadical.blind_check.running import results, workers
+from casadical.core.errors import InputError
+from casadical.robot.robot_file import read_robot, to_toml
+
+
+def predict(
+    folder: str | Path,
+    out: str | Path | None = None,
+    *,
+    by: str = "diagnosis",
+    executor: Executor | None = None,
+    show: Callable[[str, int, int], None] = lambda _text, _done, _all: None,
+) -> Path:
+    """Answer every campaign of a folder that `make` wrote; answers that are in the file already are kept.
+
+    A campaign that cannot be answered has a line that says why; it is tried again by the next call.
+
+    out : file of answers, a line each; by default answers.METHOD.jsonl in the folder
+    by : diagnosis; or what it is measured against, f-test, bic, ebic or gp
+    executor : any of `concurrent.futures`' kind, a cluster's among them; by default a process for each core
+    show : called with a word, how many are done, and how many there are
+
+    Raises InputError: no such folder or method, tables that cannot be read, or a file that answers another check.
+    """
+    folder = Path(folder)
+    if by not in METHODS:
+        raise InputError(f"--by {by}: not known; allowed: {', '.join(METHODS)}")
+    manifest = read_manifest(folder)
+    path = Path(out) if out else folder / f"answers.{by}.jsonl"
+    done = _begun(path, manifest, by)
+    left = [name for name in manifest.campaigns if name not in done]
+    models = {c.robot: _model(folder, c.robot) for c in manifest.campaigns.values()}
+    tasks = [(by, name, models[manifest.campaigns[name].robot], *_tables(folder, name)) for name in left]
+    with workers(executor) as pool, path.open("a", encoding="utf-8") as file:
+        if not path.stat().st_size:
+            _write(file, {"key_sha256": manifest.key_sha256, "by": by, "versions": _versions()})
+        for count, answer in enumerate(results(pool, guess, tasks), len(done) + 1):
+            _write(file, answer)
+            show(answer["campaign"], count, len(manifest.campaigns))
+    return path
+
+
+def _begun(path: Path, manifest: Manifest, by: str) -> set[str]:
+    """Campaigns that are answered already; a line that was cut short is removed."""
+    if not path.exists() or not path.stat().st_size:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return set()
+    head, answers = read_answers(path)
+    if (head.key_sha256, head.by) != (manifest.key_sha256, by):
+        raise InputError(f"{path}: holds answers by {head.by} to another check; name another file by --out")
+    data = path.read_bytes()
+    path.write_bytes(data[: data.rfind(b"\n") + 1])
+    return set(answers)
+
+
+def _write(file: IO[str], data: dict[str, Any]) -> None:
+    file.write(line(data))
+    file.flush()
+
+
+def _model(folder: Path, robot: str) -> str:
+    return to_toml(read_robot(folder / ROBOTS / f"{robot}.robot.toml"))
+
+
+def _tables(folder: Path, name: str) -> tuple[pd.DataFrame, pd.DataFrame]:
+    seen, unseen = (read_table(folder, name + end) for end in ("", ".unseen"))
+    if {"x_mm", "y_mm", "z_mm"} & set(unseen):
+        raise InputError(f"{folder / name}.unseen.csv: holds positions; they belong into the key alone ({MANIFEST})")
+    return seen, unseen
+
+
+def _versions() -> dict[str, str]:
+    return {name: version(name) for name in ("casadical", "casadi", "numpy")}

@@ -1,0 +1,140 @@
+"""One answer to one campaign, from its tables and its nominal robot alone; what a worker runs."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.transforms import Array
+from casadical.identification.accuracy import predicted
+from casadical.identification.identification import identify
+from casadical.measurements.derived_columns import derive
+from casadical.measurements.measurements import Measurements, from_table
+from casadical.robot.robot import Robot
+from casadical.robot.robot_file import robot_from
+
+METHODS = {
+    "diagnosis": ("predictor", "diagnosed"),
+    "f-test": ("baselines", "tested"),
+    "bic": ("baselines", "scored"),
+    "ebic": ("baselines", "scored_among_many"),
+    "gp": ("gaussian_process", "smoothed"),
+}
+# What the order of the poses tells, unseen ones among them.
+_BY_ORDER = ("progress", *(f"approach{j}" for j in range(1, 7)))
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """A campaign and its unseen poses.
+
+    robot : nominal; everything : all poses in the order in which the robot took them, positions of unseen ones zero
+    seen : mask, shape (all poses,)
+    """
+
+    name: str
+    robot: Robot
+    everything: Measurements
+    seen: Array
+
+    @property
+    def measured(self) -> Measurements:
+        return self.everything[self.seen]
+
+    def foretold(self, robot: Robot) -> Array:
+        """Positions of a robot at the unseen poses, shape (unseen, 3) [m]."""
+        m, _ = derive(self.everything, robot.conditions)
+        return predicted(robot, m[~self.seen])[0]
+
+    def fitted(self, robot: Robot, leave_out: Array) -> Robot:
+        """A robot, effects included, identified from the measured poses but those of the rows given."""
+        m, _ = derive(self.everything, robot.conditions)
+        m = m[self.seen & ~np.isin(m.row, leave_out)]
+        free = ("kinematic", "compliance", *dict.fromkeys(e.label for e in robot.effects))
+        return identify(robot, m, free, loss="huber", priors=True, screen=False).robot
+
+
+Method = Callable[[Session], dict[str, Any]]
+
+
+@lru_cache(maxsize=16)
+def nominal(model: str) -> Robot:
+    """The robot of a file's text; kept, because what CasADi derives from it is costly."""
+    return robot_from(tomllib.loads(model), "the folder's robot")
+
+
+def session(name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFrame) -> Session:
+    """The session of a campaign's two tables; model : text of the nominal robot's file. Raises InputError."""
+    robot = nominal(model)
+    blank = unseen.assign(x_mm=0.0, y_mm=0.0, z_mm=0.0)
+    table = pd.concat([seen.assign(seen=1.0), blank.assign(seen=0.0)]).sort_values("pose", kind="stable")
+    joints = [j.kind for j in robot.joints]
+    everything = from_table(table.drop(columns="seen"), joints, "position", source=f"{name}.csv")
+    everything, _ = derive(everything, _BY_ORDER)
+    return Session(name, robot, everything, table["seen"].to_numpy() == 1.0)
+
+
+def guess(by: str, name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFrame) -> dict[str, Any]:
+    """The answer of one method to one campaign, as plain data; runs in a worker.
+
+    Where a campaign cannot be answered, the entry `failed` says why, and all others are answered still.
+    """
+    module, name_of = METHODS[by]
+    method: Method = getattr(import_module(f"{__package__}.{module}"), name_of)
+    try:
+        return method(session(name, model, seen, unseen))
+    except (InputError, ConvergenceError) as error:
+        return {"campaign": name, "failed": str(error)}
+
+
+def diagnosed(s: Session) -> dict[str, Any]:
+    """What the diagnosis answers."""
+    from casadical.diagnosis.diagnose import diagnose
+    from casadical.diagnosis.json_answer import Extras, as_json
+
+    found = diagnose(s.robot, s.measured)
+    # Nobody will measure on: the poses that would tell are left out.
+    answer = as_json(found, s.name, Extras(poses=pd.DataFrame()))
+    first = found.rankings[0]
+    posterior = {"none": first.none, "unknown": 0.0}
+    for candidate in found.case.candidates:
+        text = candidate.label if candidate.listed else "unknown"
+        posterior[text] = posterior.get(text, 0.0) + first.probability.get(candidate.label, 0.0)
+    if any(c.effect == "outliers" for c in found.causes):
+        # The screening has no probability; where it speaks, it is sure, and the ranking is of the poses that are left.
+        posterior["outliers"] = next(c.confidence for c in found.causes if c.effect == "outliers")
+    out = np.array([o.row for o in found.outliers], dtype=int)
+    return answer | {
+        "posterior": rounded(posterior),
+        "unseen": foretold(s, found.identification.robot, found.apply(), out),
+    }
+
+
+def foretold(s: Session, base: Robot, robot: Robot, leave_out: Array) -> dict[str, Any]:
+    """Positions at the unseen poses by the base model and by a robot with effects, both fitted to the same poses.
+
+    base : as calibrated on all poses; leave_out : rows of those that are outliers
+    """
+    before = s.foretold(s.fitted(s.robot, leave_out) if len(leave_out) else base)
+    try:
+        after = s.foretold(s.fitted(robot, leave_out)) if robot.effects else before
+    except ConvergenceError:
+        after = before
+    return {"base_mm": in_mm(before), "with_causes_mm": in_mm(after)}
+
+
+def in_mm(positions: Array) -> list[list[float]]:
+    return [[round(float(x), 4) for x in row] for row in 1e3 * positions]
+
+
+def rounded(posterior: Mapping[str, float]) -> dict[str, float]:
+    """Probabilities that are worth a word."""
+    return {text: round(float(p), 5) for text, p in posterior.items() if p >= 1e-5}

@@ -1,0 +1,172 @@
+"""The two sides of the check on disk: the folder that everyone sees, and the key whose hash stands in that folder.
+
+The folder holds withheld.json, the nominal robots, and for each campaign NAME.csv (measured poses) and NAME.unseen.csv
+(further readings, without positions). The key is one file, key.json; its first entry is a salt, so its SHA-256 tells
+nothing of what it holds, and `sha256sum key.json` is all that a sceptical reader needs.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+import pandas as pd
+from pydantic import BaseModel, ConfigDict, Field
+
+from casadical.blind_check.packed import content, stored
+from casadical.core.errors import InputError
+from casadical.core.schema import check
+
+MANIFEST, KEY, ROBOTS = "withheld.json", "key.json", "robots"
+Kind = Literal["none", "one", "several", "unlisted"]
+
+# Effects that belong to no joint, so that an answer need not name one.
+JOINTLESS = frozenset(
+    (
+        "thermal_growth",
+        "target_shift",
+        "payload_error",
+        "gravity_compensator",
+        "link_flexure",
+        "base_compliance",
+        "frame_drift",
+        "outliers",
+        "none",
+        "unknown",
+    )
+)
+
+
+def label(effect: str, joint: int | None) -> str:
+    """The word by which an effect at a joint is compared: name, or name@joint."""
+    return effect if joint is None or effect in JOINTLESS else f"{effect}@{joint}"
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
+
+
+class Listed(_Strict):
+    """What is told of a campaign: whose it is."""
+
+    robot: str
+
+
+class Manifest(_Strict):
+    """withheld.json: the campaigns, and the hash of the key that was written with them."""
+
+    format: Literal["casadical withheld 1"] = "casadical withheld 1"
+    key_sha256: str = Field(pattern="^[0-9a-f]{64}$")
+    campaigns: dict[str, Listed] = Field(min_length=1)
+
+
+class HiddenEffect(_Strict):
+    """One effect that was switched on.
+
+    visible : rms of a coordinate [m] that it alone adds and the base model cannot absorb
+    """
+
+    effect: str
+    joint: int | None
+    about: str
+    visible: float
+
+    @property
+    def label(self) -> str:
+        return label(self.effect, self.joint)
+
+
+class Secret(_Strict):
+    """What a campaign hides.
+
+    noise : standard deviation of a measured coordinate [m]; repeatability : of a joint [rad]
+    visible : rms of a coordinate [m] that all effects together add and the base model cannot absorb
+    missing : the column that was struck out, or None
+    measured_mm, true_mm : positions at the unseen poses, with and without noise, each three numbers a pose
+    """
+
+    robot: str
+    kind: Kind
+    hidden: tuple[HiddenEffect, ...]
+    poses: int
+    missing: str | None
+    noise: float
+    repeatability: float
+    visible: float
+    measured_mm: tuple[tuple[float, float, float], ...]
+    true_mm: tuple[tuple[float, float, float], ...]
+
+    @property
+    def truth(self) -> tuple[str, ...]:
+        """Labels that a right answer names; none for what is on no list."""
+        return () if self.kind == "unlisted" else tuple(h.label for h in self.hidden)
+
+
+class Key(_Strict):
+    """key.json: salt, how it was made, and every campaign's secret."""
+
+    salt: str
+    seed: int
+    reality: str
+    versions: dict[str, str]
+    campaigns: dict[str, Secret]
+
+    def text(self) -> str:
+        """The file's text, a line for each campaign; the same key gives the same text."""
+        head = self.model_dump(exclude={"campaigns"})
+        lines = [f"  {json.dumps(n)}: {json.dumps(s.model_dump())}" for n, s in self.campaigns.items()]
+        return json.dumps(head, indent=1)[:-2] + ',\n "campaigns": {\n' + ",\n".join(lines) + "\n }\n}\n"
+
+
+def sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """What a folder made by `make` holds. Raises InputError."""
+    path = folder / MANIFEST
+    if not path.is_file():
+        raise InputError(f"{folder}: holds no {MANIFEST}; name the folder that `casadical withheld make` wrote")
+    return check(Manifest, _json(path, path.read_text(encoding="utf-8")), str(path))
+
+
+def read_key(folder: Path, manifest: Manifest) -> Key:
+    """The key, after its hash was found to be the published one. Raises InputError if it is another or was changed."""
+    path = stored(folder / KEY if folder.is_dir() else folder)
+    if not path.is_file():
+        raise InputError(f"{path}: no such key; name the folder that `make --key` wrote, or its {KEY}")
+    data = content(path)
+    found = hashlib.sha256(data).hexdigest()
+    if found != manifest.key_sha256:
+        raise InputError(
+            f"{path}: its SHA-256 is {found}, but {manifest.key_sha256} was published with the campaigns; "
+            "the key was changed after it was made, or belongs to other campaigns: nothing is scored"
+        )
+    key = check(Key, _json(path, data.decode()), str(path))
+    if key.campaigns.keys() != manifest.campaigns.keys():
+        raise InputError(f"{path}: its campaigns are not those of {MANIFEST}")
+    return key
+
+
+def read_table(folder: Path, name: str) -> pd.DataFrame:
+    """A campaign's table, or with `.unseen` behind the name its further readings. Raises InputError."""
+    path = folder / f"{name}.csv"
+    try:
+        return pd.read_csv(path)
+    except FileNotFoundError:
+        raise InputError(f"{path}: is missing, though {MANIFEST} names it; take the folder whole") from None
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not a readable CSV table: {str(error).strip()}") from None
+
+
+def _json(path: Path, text: str) -> Mapping[str, object]:
+    try:
+        data = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise InputError(f"{path}: not valid JSON: {error}") from None
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: holds {type(data).__name__}; a JSON object is expected")
+    return data

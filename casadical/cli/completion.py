@@ -1,0 +1,37 @@
+"""What may stand after an option, for the shell's completion; looked up only when the shell asks."""
+
+from __future__ import annotations
+
+
+def _begun(words: tuple[str, ...], incomplete: str) -> list[str]:
+    return [word for word in words if word.lower().startswith(incomplete.lower())]
+
+
+def methods(incomplete: str) -> list[str]:
+    """Words for `--method`."""
+    from casadical.project.problem import ALL_METHODS
+
+    return _begun(ALL_METHODS, incomplete)
+
+
+def losses(incomplete: str) -> list[str]:
+    """Words for `--loss`."""
+    from casadical.identification.residuals import LOSSES
+
+    return _begun(LOSSES, incomplete)
+
+
+def criteria(incomplete: str) -> list[str]:
+    """Words for `--criterion`."""
+    from casadical.pose_selection import CRITERIA
+
+    return _begun(CRITERIA, incomplete)
+
+
+def effects(incomplete: str) -> list[str]:
+    """Names of effects; after a comma, of the next one."""
+    from casadical import effects as package
+
+    names = tuple(sorted({str(getattr(getattr(package, c), "name", "")) for c in package.__all__} - {""}))
+    before, comma, last = incomplete.rpartition(",")
+    return [f"{before}{comma}{word}" for word in _begun(names, last)]

@@ -1,0 +1,88 @@
+"""JSON files that carry their own sha256, written in one piece and refused when anything in them was changed.
+
+The seal guards against damage and careless edits, not against someone who computes a new one.
+"""
+
+import hashlib
+import json
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from casadical.core.errors import InputError
+
+
+def digest(body: dict[str, Any]) -> str:
+    """Return the sha256 of a JSON body: keys sorted, no spaces, numbers as Python's shortest exact decimals."""
+    return hashlib.sha256(_canonical(body).encode("utf-8")).hexdigest()
+
+
+def sealed_text(document: dict[str, Any]) -> str:
+    """Return the text of a sealed file: the one way in which its document is written."""
+    return json.dumps(document, indent=1, allow_nan=False) + "\n"
+
+
+def sealed(kind: str, version: int, body: dict[str, Any]) -> str:
+    """Return the text of a body as a sealed file."""
+    document = {"format": kind, "version": version, **body}
+    return sealed_text(document | {"sha256": digest(document)})
+
+
+def write_sealed(path: str | os.PathLike[str], kind: str, version: int, body: dict[str, Any]) -> None:
+    """Write a body as a sealed file: into a new file beside it, flushed to disk, then put in its place."""
+    text = sealed(kind, version, body)
+    target = Path(path)
+    handle, name = tempfile.mkstemp(dir=target.parent, prefix=target.name + ".", suffix=".part")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(name, 0o666 & ~_umask())
+        os.replace(name, target)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def read_sealed(path: str | os.PathLike[str], kind: str, version: int) -> dict[str, Any]:
+    """Read a sealed file.
+
+    Raises InputError when it is not there, truncated, changed, of another kind, or of a later version.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+        document = json.loads(text)
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}") from None
+    except (UnicodeDecodeError, ValueError, RecursionError) as error:
+        raise InputError(f"{path} is truncated or not JSON ({error}); take an undamaged copy") from None
+    if not isinstance(document, dict) or document.get("format") != kind:
+        raise InputError(f"{path} is not a {kind} file")
+    if document.get("version") != version:
+        raise InputError(
+            f"{path} has version {document.get('version')!r} of {kind}; this casadical reads version {version}"
+        )
+    if not _intact(document, text):
+        raise InputError(f"{path} was changed after it was written (its sha256 does not match); take an undamaged copy")
+    return {name: value for name, value in document.items() if name != "sha256"}
+
+
+def _canonical(body: dict[str, Any]) -> str:
+    return json.dumps(body, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def _intact(document: dict[str, Any], text: str) -> bool:
+    """Tell whether the seal fits and the text is the one its values are written as: no digit may differ."""
+    try:
+        body = {name: value for name, value in document.items() if name != "sha256"}
+        return document.get("sha256") == digest(body) and sealed_text(document) == text
+    except ValueError:  # NaN or Infinity, which a sealed file never holds
+        return False
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

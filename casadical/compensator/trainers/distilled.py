@@ -1,0 +1,87 @@
+"""A network taught by a Gaussian process: the process learns from the few measured poses, the network from many of its.
+
+Fifty poses do not tell a network with one ridge for all weights which joints matter; a process with a length for each
+joint they do (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, ch. 5). Its mean at poses drawn in
+the box of the measured ones is then what Levenberg-Marquardt fits.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from casadical.compensator.layout import Array
+from casadical.compensator.task import Task
+from casadical.compensator.trainers.base import Trainer
+from casadical.compensator.trainers.gaussian_process import GaussianProcess
+from casadical.compensator.trainers.lm import LevenbergMarquardt, LmRun
+from casadical.core.errors import InputError
+
+
+@dataclass(frozen=True)
+class Taught(Trainer):
+    """Settings: poses that the process answers, and the training on its answers.
+
+    Not for periodic inputs, whose box is no box of joint angles.
+    """
+
+    lessons: int = 600
+    lm: LevenbergMarquardt = field(default_factory=lambda: LevenbergMarquardt(restarts=4, ridges=(1e-5,)))
+
+    def __post_init__(self) -> None:
+        if self.lessons < 10:
+            raise InputError(f"lessons must be at least 10 poses; got {self.lessons}")
+
+    @property
+    def name(self) -> str:
+        return "taught"
+
+    def begin(self, task: Task, seed: int) -> "TaughtRun":
+        lessons, note = self._lessons(task, seed)
+        return TaughtRun(self.lm.begin(lessons, seed), note)
+
+    def resume(self, task: Task, seed: int, state: dict[str, Any]) -> "TaughtRun":
+        lessons, note = self._lessons(task, seed)  # the same ones: nothing in it is left to chance
+        return TaughtRun(self.lm.resume(lessons, seed, state["lm"]), note)
+
+    def _lessons(self, task: Task, seed: int) -> tuple[Task, str]:
+        """The task to learn from, and what the process found."""
+        if task.layout.periodic:
+            raise InputError("the trainer 'taught' takes no periodic inputs; take 'lm', or a layout without them")
+        inputs, ones = task.inputs[:-1].T, task.inputs[-1]
+        process = GaussianProcess.fit(inputs, task.targets.T)
+        low, high = inputs.min(axis=0), inputs.max(axis=0)
+        drawn = np.random.default_rng((seed, 2)).uniform(low, high, (self.lessons, len(low)))
+        rows = np.vstack([drawn, inputs])
+        taught = np.ascontiguousarray(process.mean(rows).T)
+        lengths = ", ".join(f"{v:.2g}" for v in process.lengths)
+        note = f"taught by a Gaussian process, lengths {lengths} half ranges"
+        return Task(
+            task.layout, np.vstack([rows.T, np.full(len(rows), ones[0])]), taught, task.scale_mm, task.loss
+        ), note
+
+
+class TaughtRun:
+    """One training; a step is one of Levenberg-Marquardt's on the lessons."""
+
+    def __init__(self, run: LmRun, note: str):
+        self.run, self._note = run, note
+
+    @property
+    def steps(self) -> int:
+        return self.run.steps
+
+    def step(self) -> None:
+        self.run.step()
+
+    def reasons(self) -> tuple[str, ...]:
+        return self.run.reasons()
+
+    def best(self) -> Array:
+        return self.run.best()
+
+    def note(self) -> str:
+        return self._note
+
+    def state(self) -> dict[str, Any]:
+        return {"lm": self.run.state()}

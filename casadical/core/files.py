@@ -1,0 +1,40 @@
+"""Results are written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+from casadical.core.errors import InputError
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write text to a file by way of a temporary one beside it, so that no half-written file is ever seen.
+
+    Raises InputError if it cannot be written there.
+    """
+    write_together({path: text})
+
+
+def write_together(texts: Mapping[Path, str]) -> None:
+    """Write several files: all of them or, if one cannot be written, none. Raises InputError."""
+    scratch: dict[Path, Path] = {}
+    try:
+        for path, text in texts.items():
+            if path.is_dir():
+                raise InputError(f"{path}: is a folder; name a file")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+            scratch[path] = Path(name)
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(text)
+            Path(name).chmod(0o644)
+        for path, temporary in scratch.items():
+            temporary.replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}; nothing was written") from error
+    finally:
+        for temporary in scratch.values():
+            temporary.unlink(missing_ok=True)

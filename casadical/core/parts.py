@@ -1,0 +1,120 @@
+"""What a robot is made of: rows with their joints and bodies, four-bars, base and tool, how far each may be off."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from casadical.core.errors import InputError
+from casadical.core.transforms import Array
+
+NEAR_PARALLEL = np.deg2rad(5.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Mass [kg] and mass centre, shape (3,) [m], in its link's frame."""
+
+    mass: float
+    com: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """One row of the modified DH table and the joint that it carries; SI units.
+
+    kind : revolute, or prismatic (then the reading is added to d)
+    lower, upper : range of the reading [rad or m]
+    compliance : of the drive train [rad/(N m) or m/N]; None: taken as rigid
+    body : of the link that the joint moves
+    """
+
+    alpha: float = 0.0
+    a: float = 0.0
+    theta: float = 0.0
+    d: float = 0.0
+    beta: float | None = None
+    b: float | None = None
+    kind: Literal["revolute", "prismatic"] = "revolute"
+    lower: float = -np.pi
+    upper: float = np.pi
+    compliance: float | None = None
+    body: Body | None = None
+
+
+def refuse_joint(robot: str, i: int, joint: Joint) -> None:
+    """Raises InputError for a joint that cannot be; i : its number, from 1."""
+    if joint.kind not in ("revolute", "prismatic"):
+        raise InputError(f"robot {robot!r}, joint {i}: kind {joint.kind!r}; allowed: revolute, prismatic")
+    for name in ("alpha", "a", "theta", "d", "beta", "b", "lower", "upper", "compliance"):
+        value = getattr(joint, name)
+        if value is not None and not np.isfinite(value):
+            raise InputError(f"robot {robot!r}, joint {i}: {name} is {value}; it must be a finite number")
+    if joint.lower >= joint.upper:
+        raise InputError(
+            f"robot {robot!r}, joint {i}: range [{joint.lower:.6g}, {joint.upper:.6g}]; lower must be below upper"
+        )
+    if joint.compliance is not None and joint.compliance < 0:
+        raise InputError(f"robot {robot!r}, joint {i}: compliance {joint.compliance:.6g}; it must be zero or more")
+    if joint.body is not None and not joint.body.mass >= 0:
+        raise InputError(f"robot {robot!r}, joint {i}: mass {joint.body.mass:.6g} kg; it must be zero or more")
+
+
+@dataclass(frozen=True)
+class FourBar:
+    """A closed loop: the reading of joint `driven` is the crank's angle in the plane of joint `carrier` (1-based).
+
+    The ground bar is the link between the two joints (its length is the driven row's a). The driven link's angle
+    against the carrier is: direction of the rocker - angle of the carrier + offset. Lengths in metres.
+    """
+
+    driven: int
+    carrier: int
+    crank: float
+    coupler: float
+    rocker: float
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """A frame given by its nominal transform T, shape (4, 4) [m], and what of it is to be identified."""
+
+    T: Array
+    unknown: Literal["none", "position", "pose"] = "none"
+
+
+@dataclass(frozen=True)
+class Width:
+    """Half width of bounds and one sigma of the prior, for the lengths [m] and angles [rad] of one group."""
+
+    length_bound: float
+    angle_bound: float
+    length_prior: float
+    angle_prior: float
+
+
+WIDTHS: Mapping[str, Width] = {
+    "base": Width(1.0, np.deg2rad(20), 0.1, 0.05),
+    "geometry": Width(0.03, np.deg2rad(6), 0.003, 0.01),
+    "loop": Width(0.02, np.deg2rad(6), 0.002, 0.01),
+    "tool": Width(0.3, np.deg2rad(30), 0.05, 0.1),
+    # Compliance: deflection under the joint's greatest torque.
+    "compliance": Width(0.02, 0.05, 0.001, 0.001),
+}
+
+
+def parallel(joints: tuple[Joint, ...], i: int) -> bool:
+    """Whether the axes of joints i and i+1 (0-based rows) are nearly parallel or antiparallel."""
+    return i + 1 < len(joints) and abs(np.sin(joints[i + 1].alpha)) < np.sin(NEAR_PARALLEL)
+
+
+def with_hayati(joints: tuple[Joint, ...]) -> tuple[Joint, ...]:
+    """Insert beta in every row whose axis is nearly parallel to the one before."""
+    return tuple(
+        replace(j, beta=0.0) if i > 0 and j.beta is None and parallel(joints, i - 1) else j
+        for i, j in enumerate(joints)
+    )

@@ -1,0 +1,176 @@
+"""TOML tables checked key by key: units in the keys, and messages that name file, key, value and what is allowed."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from casadical.core.errors import InputError
+
+
+class FaultError(ValueError):
+    """What is wrong with the value at a place inside of the table that is being checked."""
+
+    def __init__(self, place: str | tuple[int | str, ...], text: str) -> None:
+        super().__init__(text)
+        self.place = (place,) if isinstance(place, str) else place
+
+
+@dataclass(frozen=True, eq=False)
+class Quantity:
+    """What a number measures: the unit suffixes that its key may have, each with its factor to SI."""
+
+    factors: Mapping[str, float]
+
+
+LENGTH = Quantity({"_mm": 1e-3, "_m": 1.0})
+ANGLE = Quantity({"_deg": np.pi / 180, "_rad": 1.0, "_mrad": 1e-3})
+READING = Quantity({**ANGLE.factors, **LENGTH.factors})  # of a joint, revolute or prismatic
+
+Length = Annotated[float, LENGTH]
+Angle = Annotated[float, ANGLE]
+Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+Schema = TypeVar("Schema", bound=BaseModel)
+
+
+class Table(BaseModel):
+    """A TOML table. A field that is a `Quantity` is written with its unit in the key and is SI here."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _units(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        found: dict[str, Any] = {}
+        for key, value in data.items():
+            name, factor = cls.field_of(key)
+            if name in found:
+                raise FaultError(key, f"{name} is given twice, with different units; keep one")
+            found[name] = value if factor is None else _to_si(value, factor)
+        return found
+
+    @classmethod
+    def field_of(cls, key: str) -> tuple[str, float | None]:
+        """The field that a key of the file means, and its factor to SI, None for fields without a unit."""
+        for name, field in cls.model_fields.items():
+            quantity = _quantity(field.metadata)
+            if quantity is None:
+                continue
+            if key == name:
+                raise FaultError(key, f"write its unit too: {' or '.join(name + u for u in quantity.factors)}")
+            for unit, factor in quantity.factors.items():
+                if key == name + unit:
+                    return name, factor
+        return key, None
+
+    @classmethod
+    def keys(cls) -> list[str]:
+        """Every key as it is written in a file, with its first unit."""
+        quantities = {name: _quantity(field.metadata) for name, field in cls.model_fields.items()}
+        return [name + next(iter(q.factors)) if q else name for name, q in quantities.items()]
+
+
+def _quantity(metadata: list[Any]) -> Quantity | None:
+    return next((m for m in metadata if isinstance(m, Quantity)), None)
+
+
+def _to_si(value: Any, factor: float) -> Any:
+    if isinstance(value, list):
+        return [_to_si(v, factor) for v in value]
+    return value * factor if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+def load_toml(path: Path) -> dict[str, Any]:
+    """Tables of a TOML file. Raises InputError."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from None
+
+
+def check(schema: type[Schema], data: Mapping[str, Any], source: str) -> Schema:
+    """Data checked against a schema, with an InputError that lists every fault by key."""
+    try:
+        return schema.model_validate(data)
+    except ValidationError as error:
+        faults = [f"  {_fault(schema, data, e)}" for e in error.errors()]
+        raise InputError(f"{source}: {len(faults)} fault(s)\n" + "\n".join(faults)) from None
+
+
+def _fault(schema: type[BaseModel], data: Mapping[str, Any], error: Any) -> str:
+    """One fault as the user wrote it: key with its unit, value, what is allowed."""
+    cause = error.get("ctx", {}).get("error")
+    place = (*error["loc"], *(cause.place if isinstance(cause, FaultError) else ()))
+    key, value = _as_written(schema, data, place)
+    if error["type"] == "extra_forbidden":
+        table = _table(schema, error["loc"][:-1])
+        keys = table.keys() if issubclass(table, Table) else list(table.model_fields)
+        near = difflib.get_close_matches(str(error["loc"][-1]), keys, 1, 0.6)
+        hint = f" (is {near[0]} meant?)" if near else ""
+        return f"{key} = {_short(value)}: not a known key{hint}; allowed here: {', '.join(keys)}"
+    if error["type"] == "missing":
+        return f"{key}: is missing"
+    given = f" = {_short(value)}" if not isinstance(value, Mapping) else ""
+    return f"{key}{given}: {_text(error)}"
+
+
+_LIMITS = {"most": "max_length", "least": "min_length"}
+
+
+def _text(error: Any) -> str:
+    """What pydantic says, in our words."""
+    if error["type"] in ("too_long", "too_short"):
+        wanted = next(f"at {w} {error['ctx'][k]}" for w, k in _LIMITS.items() if k in error["ctx"])
+        return f"must have {wanted} entries, not {error['ctx']['actual_length']}"
+    return str(error["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) < 60 else f"{text[:57]}..."
+
+
+def _as_written(schema: type[BaseModel], data: Any, location: tuple[int | str, ...]) -> tuple[str, Any]:
+    """Key, with its unit, and value in the file of a place in the schema."""
+    words: list[str] = []
+    for depth, part in enumerate(location):
+        if isinstance(part, int):
+            words.append(f"[{part + 1}]")
+            data = data[part] if isinstance(data, list) and part < len(data) else None
+            continue
+        table = _table(schema, location[:depth])
+        key = part
+        if isinstance(data, Mapping) and part not in data and issubclass(table, Table):
+            key = next((k for k in data if table.field_of(k)[0] == part), _written_key(table, part))
+        words.append(f".{key}")
+        data = data.get(key) if isinstance(data, Mapping) else None
+    return "".join(words).lstrip(".") or "file", data
+
+
+def _written_key(table: type[Table], field: str) -> str:
+    names = list(table.model_fields)
+    return table.keys()[names.index(field)] if field in names else field
+
+
+def _table(schema: type[BaseModel], location: tuple[int | str, ...]) -> type[BaseModel]:
+    """The schema of the table at a location."""
+    for part in location:
+        if isinstance(part, str) and part in schema.model_fields:
+            inner = schema.model_fields[part].annotation
+            candidates = [inner, *getattr(inner, "__args__", ())]
+            schema = next((c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)), schema)
+    return schema

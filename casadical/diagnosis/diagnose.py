@@ -1,0 +1,74 @@
+"""Diagnose what is left after calibration: the verdict, its causes, and how far the gap shrinks without them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
+
+from casadical.core.errors import InputError
+from casadical.diagnosis.candidates import candidates_of
+from casadical.diagnosis.evidence import SIGMAS
+from casadical.diagnosis.linear_problem import make_case
+from casadical.diagnosis.result import Diagnosis
+from casadical.diagnosis.search import Investigation, Show
+from casadical.effects import Effect
+from casadical.identification.identification import Identification, identify
+from casadical.identification.least_squares import spread
+from casadical.measurements.measurements import Measurements
+from casadical.robot.robot import Robot
+
+__all__ = ["Diagnosis", "diagnose"]
+
+
+def diagnose(
+    robot: Robot | Identification,
+    m: Measurements | None = None,
+    effects: Sequence[str | Effect] | Literal["standard", "extended"] = "standard",
+    *,
+    seed: int = 0,
+    bootstrap: int = 0,
+    show: Show = lambda _text: None,
+) -> Diagnosis:
+    """Diagnose the gap that calibration leaves on a campaign.
+
+    robot : nominal model, with the compliances that it should have, which is calibrated on the campaign first; or an
+        identification, whose own measurements are diagnosed unless others of the same robot are given
+    m : one set of measured positions; of full poses, the positions are used
+    effects : "standard" or "extended", or names (backlash), labels (backlash@5) and own effects
+    seed : of all chance; show : called with a line of progress
+    bootstrap : draws of noise alone that calibrate whether something is there (2000 take some seconds); 0 for none
+
+    Raises InputError where the measurements cannot carry a diagnosis.
+    """
+    if bootstrap < 0:
+        raise InputError(f"bootstrap is {bootstrap}; give the number of draws, 2000 say, or 0 for none")
+    if isinstance(robot, Identification):
+        identification = robot if m is None else _of(robot.given, m, show)
+    elif m is None:
+        raise InputError("measurements are missing; give diagnose(robot, measurements), or an identification alone")
+    else:
+        identification = _of(robot, m, show)
+    show("signatures of the candidates")
+    case = make_case(identification, candidates_of(identification.given, effects))
+    return _refuse_coarse(Investigation(identification, case, seed, bootstrap, show).conclude())
+
+
+def _of(robot: Robot, m: Measurements, show: Show) -> Identification:
+    """The base model calibrated; gross errors have little weight, and are screened with the causes, not before."""
+    show("calibrating the base model")
+    if m.kind == "pose":  # by their positions: an orientation that is off by a convention would spoil the base model
+        m = replace(m, kind="position", orientation=None)
+    return identify(robot, m, ("kinematic", "compliance"), loss="huber", priors=True, screen=False)
+
+
+def _refuse_coarse(found: Diagnosis) -> Diagnosis:
+    """Where even the best model leaves more than the noise grid holds, noise would be taken for structure."""
+    most = float(SIGMAS[-1])
+    if found.noise.sigma < most:
+        return found
+    left = 1e3 * spread(found.case.whole.r)
+    raise InputError(
+        f"{found.case.m.source}: {left:.2g} mm a coordinate are left, and noise beyond {1e3 * most:.2g} mm is not told "
+        "from its causes; correct the robot file or units, or measure with a finer instrument"
+    )

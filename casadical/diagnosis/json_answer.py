@@ -1,0 +1,137 @@
+"""A diagnosis as plain data to keep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import pandas as pd
+
+from casadical.diagnosis.advice import told_apart
+from casadical.diagnosis.network import NetworkGap
+from casadical.diagnosis.phrases import missing_columns
+from casadical.diagnosis.refit import Check
+from casadical.diagnosis.result import Cause, Diagnosis
+from casadical.diagnosis.smooth_description import Unlisted
+from casadical.effects import Effect
+
+# Mechanical causes that leave the same signature in joint space.
+SIGNATURES = {
+    "gear_eccentricity": "once-per-turn error (gear, encoder disc, coupling; balancer on joint 2)",
+    "transmission_ripple": "periodic error at a fixed number of cycles a turn (mesh, wave generator)",
+    "joint_scale": "error that grows with the reading (ratio; eccentricity over part of a turn)",
+    "joint_coupling": "error that follows another joint's reading (wrist gears, hoses)",
+    "joint_zero_step": "a jump of one joint's zero",
+    "thermal_growth": "links that lengthen with temperature",
+    "thermal_zero_drift": "a joint's zero that follows the temperature",
+    "target_shift": "a jump of the reflector in its nest",
+    "payload_error": "torque errors where the payload is mounted",
+    "axis_wobble": "an axis that tilts and shifts as it turns (bearing, eccentric flange)",
+    "gravity_compensator": "a smooth torque on joint 2 (spring, gas balancer)",
+    "nonlinear_stiffness": "deflection that saturates with torque (gear bedding in)",
+    "cubic_stiffness": "deflection that grows less than the torque (hardening)",
+    "backlash": "two positions, by the sign of gravity's torque",
+    "friction_windup": "a lag behind the last motion",
+    "link_flexure": "a link that bends under the weight beyond it",
+    "base_compliance": "a foot that tilts under the overturning moment",
+    "frame_drift": "a measuring frame that creeps with time",
+    "outliers": "single points that are wrong",
+    "bearing_play": "a bearing or flange that rocks under the weight beyond it",
+    "load_hysteresis": "a lag behind the last motion that grows with the load",
+    "gear_mesh": "periodic error once and twice a turn of the motor or wave generator",
+    "cross_coupling": "a joint that gives way to another one's torque (parallelogram, link bending)",
+    "missing_compliance": "deflection of a joint that the model takes as rigid",
+    "hose_drag": "a pull at the wrist that grows as hose or cable is drawn out",
+    "tracker_scale": "all lengths wrong by one factor",
+    "refraction": "a beam bent by warm air",
+    "smr_offset": "an offset that stays fixed against the beam",
+}
+
+
+# Poses to measure next.
+NEXT = 15
+
+
+@dataclass(frozen=True, eq=False)
+class Extras:
+    """What takes longer than the diagnosis: held-out gap of the refit, of networks, and poses to measure next."""
+
+    check: Check | None = None
+    networks: tuple[NetworkGap, NetworkGap] | None = None
+    poses: pd.DataFrame | None = None
+    file: str = ""
+
+
+def as_json(d: Diagnosis, campaign: str, extras: Extras | None = None) -> dict[str, Any]:
+    """The answer in the campaigns' format; lengths in mm, readable by any tool."""
+    e = extras or Extras()
+    poses = d.next_poses(NEXT) if e.poses is None else e.poses
+    return {
+        "campaign": campaign,
+        "verdict": d.verdict,
+        "gap_mm": {"before": _mm(d.gap.before), "after": _mm(d.gap.after), "floor": _mm(d.gap.floor)},
+        **({} if d.p_nothing is None else {"p_nothing": d.p_nothing}),
+        "causes": [_cause(c) for c in d.causes],
+        "unknown_rest": round(d.unknown_rest, 4),
+        **({} if d.unlisted is None else {"unlisted": _unlisted(d.unlisted)}),
+        "course": _records(d.course),
+        "where": {name: _records(table) for name, table in d.where.tables()},
+        "noise": {"sigma_mm": _mm(d.noise.sigma), "repeatability_urad": round(1e6 * d.noise.repeatability, 2)},
+        "replicates": {"sigma_mm": _mm(d.replicates.sigma), "poses": d.replicates.poses, "used": d.replicates.enough},
+        "outliers": [{"row": o.row, "distance_mm": _mm(o.distance), "sigmas": round(o.sigmas, 2)} for o in d.outliers],
+        "outlier_rows": [o.row for o in d.outliers],
+        "missing_columns": {label: list(columns) for label, columns in missing_columns(d).items()},
+        "next_measurements": _next(poses),
+        **({"told_rightly": [round(p, 4) for p in told_apart(d, poses)]} if len(poses) else {}),
+        **({"refit_mm": {"held_out": _mm(e.check.refit), "linearised": _mm(e.check.linearised)}} if e.check else {}),
+        **({"network_mm": [_network(n) for n in e.networks]} if e.networks else {}),
+    }
+
+
+def settings(effect: Effect) -> dict[str, float]:
+    """Values of an effect in which it is not linear (cycles, knee, lag, time of a step)."""
+    values = {f.name: getattr(effect, f.name) for f in fields(effect)}
+    return {name: value for name, value in values.items() if isinstance(value, float)}
+
+
+def _next(poses: pd.DataFrame) -> list[dict[str, Any]]:
+    """Poses that would tell apart what this data cannot."""
+    rows = poses.to_dict("records")
+    return [{str(k): v for k, v in row.items() if v == v and v is not None} for row in rows]
+
+
+def _unlisted(u: Unlisted) -> dict[str, Any]:
+    return {
+        "forms": list(u.labels),
+        "gap_mm": {"before": _mm(u.before), "after": _mm(u.after)},
+        "shrink_interval": [round(x, 4) for x in u.shrink_interval],
+    }
+
+
+def _network(n: NetworkGap) -> dict[str, Any]:
+    return {"before": _mm(n.before), "used": _mm(n.used), "forced": _mm(n.forced), "refused": n.refused}
+
+
+def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows of a table as plain data."""
+    return [{str(k): v for k, v in row.items()} for row in table.round(5).to_dict("records")]
+
+
+def _mm(value: float) -> float:
+    return round(1e3 * value, 5)
+
+
+def _cause(c: Cause) -> dict[str, Any]:
+    return {
+        "effect": c.effect,
+        "joint": c.joint,
+        "confidence": round(c.confidence, 4),
+        "shrink": round(c.shrink, 4),
+        "shrink_interval": [round(v, 4) for v in c.shrink_interval],
+        "indistinguishable": list(c.indistinguishable),
+        "settings": [settings(e) for e in c.effects],
+        "parameters": {
+            name: {"value": value, "std_error": error, "unit": unit}
+            for name, (value, error, unit) in (c.estimates or {}).items()
+        },
+    }

@@ -1,0 +1,83 @@
+"""Which cause: posteriors over none, every listed cause and the unknown, step by step while the gap shrinks."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadical.core.transforms import Array
+from casadical.diagnosis.cross_validation import Noise, likely_noise
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
+from casadical.diagnosis.linear_problem import Case
+
+# Before any data: nothing, one of the listed effects, something on no list; and the same once causes were found.
+PRIOR_FIRST = {"none": 0.25, "listed": 0.60, "unknown": 0.15}
+PRIOR_FURTHER = {"none": 0.75, "listed": 0.20, "unknown": 0.05}
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """What the data say about the next cause, given those already chosen.
+
+    none : probability that there is no further one; probability : of each candidate, by label, summing to one with it
+    log_factor : log Bayes factor of each candidate against none, by label
+    variant : its most likely settings, by label (index of the variant)
+    noise : most likely noise, without a further cause (key "") and with each candidate
+    """
+
+    none: float
+    probability: Mapping[str, float]
+    log_factor: Mapping[str, float]
+    variant: Mapping[str, int]
+    noise: Mapping[str, Noise]
+
+    @property
+    def order(self) -> tuple[str, ...]:
+        """Labels, the most probable first."""
+        return tuple(sorted(self.probability, key=lambda label: -self.probability[label]))
+
+
+# A further cause at a joint that has one already is more likely a flaw of the first one's equation.
+SAME_JOINT = 0.05
+
+
+def rank(case: Case, chosen: Array, skip: frozenset[str] = frozenset()) -> Ranking:
+    """Posterior over the next cause.
+
+    chosen : columns of causes that are in the model already; skip : their labels, no longer candidates
+    """
+    problem = case.evidence.with_base(chosen) if len(chosen) else case.evidence
+    grids = problem.log_grids(case.groups) + np.log(KAPPA_WEIGHTS)
+    base_grid = problem.log_base()
+    base = float(log_sum(base_grid))
+    log_variant = log_sum(grids.reshape(len(grids), -1), axis=1) - base
+    owner = np.array([c for c, _ in case.variants])
+    prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
+    weights = prior_weights(case, prior, skip)
+    factor, variant, noise = {}, {}, {"": likely_noise(base_grid)}
+    for c, candidate in enumerate(case.candidates):
+        if candidate.label in weights:
+            own = np.flatnonzero(owner == c)
+            factor[candidate.label] = float(log_sum(log_variant[own])) - float(np.log(len(own)))
+            best = int(own[np.argmax(log_variant[own])])
+            variant[candidate.label] = case.variants[best][1]
+            noise[candidate.label] = likely_noise(grids[best])
+    logs = np.array([np.log(prior["none"]), *(np.log(weights[k]) + f for k, f in factor.items())])
+    share = np.exp(logs - log_sum(logs))
+    return Ranking(float(share[0]), dict(zip(factor, share[1:].tolist(), strict=True)), factor, variant, noise)
+
+
+def prior_weights(case: Case, prior: Mapping[str, float], skip: frozenset[str]) -> dict[str, float]:
+    """Listed effects share alike, then each its joints; so do the rarer ones, and all smooth forms have as much."""
+    open_ = [c for c in case.candidates if c.label not in skip]
+    taken = {c.joint for c in case.candidates if c.label in skip and c.joint is not None}
+    names = Counter(c.name for c in open_)
+    kinds = {c.name: c.listed for c in open_}
+    rare = [name for name, listed in kinds.items() if not listed and name != "unknown"]
+    part = {name: prior["listed"] / sum(kinds.values()) for name, listed in kinds.items() if listed}
+    part |= {name: prior["unknown"] / 2 / len(rare) for name in rare}
+    part["unknown"] = prior["unknown"] / (2 if rare else 1)
+    return {c.label: part[c.name] / names[c.name] * (SAME_JOINT if c.joint in taken else 1.0) for c in open_}

@@ -1,0 +1,71 @@
+"""Settings in which a cause is not linear (knee, lag, cycles, time of a step), between the grid's points."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from casadical.core.transforms import Array
+from casadical.diagnosis.candidates import CYCLES, PHASES, TIMES
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
+from casadical.diagnosis.linear_problem import Case
+from casadical.effects import Effect
+
+# Steps are halved once none of them helps, so often at most; a gain of log evidence below the second is none.
+HALVINGS, GAIN, MOST_ROUNDS = 2, 0.3, 10
+
+# Spacing of the grid for settings that are places on a line; other settings are sizes and are scaled.
+_SPACING = {"at": TIMES[1] - TIMES[0], "cycles": CYCLES[1] - CYCLES[0], "phase": PHASES[1] - PHASES[0], "shape": 0.5}
+
+
+def neighbours(effect: Effect, fineness: float) -> list[Effect]:
+    """The effect with one setting moved by a fraction of the grid's spacing, each in turn.
+
+    Only fields of type float are moved, and none whose metadata say that it is given (a known gear ratio).
+    """
+    found = []
+    for f in fields(effect):
+        value = getattr(effect, f.name)
+        if not isinstance(value, float) or f.metadata.get("given"):
+            continue
+        if f.name in _SPACING:
+            moved = [value + step * fineness * _SPACING[f.name] for step in (-0.67, -0.33, 0.33, 0.67)]
+        else:
+            moved = [value * float(np.exp(step * fineness)) for step in (-0.5, -0.25, 0.25, 0.5)]
+        settings: list[dict[str, Any]] = [{f.name: v} for v in moved if v > 0 or f.name == "phase"]
+        found += [replace(effect, **s) for s in settings]
+    return found
+
+
+def refined(case: Case, label: str, variant: tuple[Effect, ...], chosen: Array) -> tuple[Case, tuple[Effect, ...]]:
+    """The case with the best settings found near a variant, and these settings.
+
+    chosen : columns of causes that are in the model already
+    """
+    if len(variant) != 1:
+        return case, variant
+    halved = 0
+    for _ in range(MOST_ROUNDS):
+        near = [(e,) for e in neighbours(variant[0], 0.5**halved)]
+        if not near:
+            break
+        case = case.with_variants(label, near)
+        trial = [variant, *near]
+        log = _log_evidence(case, [case.group(v) for v in trial], chosen)
+        best = int(np.argmax(log))
+        if log[best] - log[0] < GAIN:
+            halved += 1
+        variant = trial[best]
+        if halved == HALVINGS:
+            break
+    return case, variant
+
+
+def _log_evidence(case: Case, groups: list[Array], chosen: Array) -> Array:
+    """Of each group of columns, up to what they share, shape (groups,); no other column is looked at."""
+    used = np.unique(np.concatenate([*groups, chosen.astype(np.int64)]))
+    few = replace(case.evidence, E=case.evidence.E[:, :, used])
+    grids = few.log_grids([np.searchsorted(used, g) for g in groups], also=np.searchsorted(used, chosen))
+    return log_sum((grids + np.log(KAPPA_WEIGHTS)).reshape(len(groups), -1), axis=1)

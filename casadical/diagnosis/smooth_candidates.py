@@ -1,0 +1,205 @@
+"""What is on no list: smooth errors of all joints in one joint, in two, in time; of the point in the measuring frame.
+
+Each is a Gaussian process written as harmonics whose size falls with their order, so that it is an effect like any
+other and its marginal likelihood competes with those of named causes on equal terms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import casadi as ca
+
+from casadical.core.transforms import Symbolic
+from casadical.effects import Context, Effect
+
+if TYPE_CHECKING:
+    from casadical.robot.robot import Robot
+
+SIZE = 30e-6
+SIZE_LENGTH = 30e-6
+
+
+@dataclass(frozen=True)
+class _Series(Effect):
+    """Errors of all joint variables as a series; `terms` gives its functions and their share of the size."""
+
+    moved: int = 6
+
+    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+        raise NotImplementedError
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        names = [(n, s) for n, s, _ in self.terms(None)]
+        return {f"q{i}_{n}": (SIZE * s, "rad") for i in range(1, self.moved + 1) for n, s in names}
+
+    def joint_angle(self, context: Context) -> Symbolic:
+        terms = self.terms(context)
+        return ca.vertcat(
+            *(sum(self.value(context, f"q{i}_{n}") * f for n, _, f in terms) for i in range(1, self.moved + 1))
+        )
+
+
+@dataclass(frozen=True)
+class SmoothInJoint(_Series):
+    """A smooth function of joint `driver`."""
+
+    driver: int = 1
+
+    name: ClassVar[str] = "unknown_in_joint"
+
+    @property
+    def label(self) -> str:
+        return f"smooth in q{self.driver}"
+
+    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+        q = context.q[self.driver - 1] if context else 0.0
+        return [(f"{name}{h}", 1 / h, f(h * q)) for h in (1, 2, 3, 4) for name, f in (("s", ca.sin), ("c", ca.cos))]
+
+
+@dataclass(frozen=True)
+class AnyOfOwnAngle(Effect):
+    """An error of one joint that is any function of its own angle, as a damaged tooth or a stained disc gives."""
+
+    orders: int = 12
+
+    name: ClassVar[str] = "unknown_of_own_angle"
+
+    @property
+    def label(self) -> str:
+        return f"any function of q{self.joint} in joint {self.joint}"
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        return {f"{n}{h}": (SIZE, "rad") for h in range(1, self.orders + 1) for n in "sc"}
+
+    def angle(self, context: Context, q: Symbolic) -> Symbolic:
+        waves = {"s": ca.sin, "c": ca.cos}
+        return sum(self.value(context, n) * waves[n[0]](int(n[1:]) * q) for n in self.sizes())
+
+
+@dataclass(frozen=True)
+class SmoothInJoints(_Series):
+    """A smooth function of two joints together."""
+
+    first: int = 1
+    second: int = 2
+
+    name: ClassVar[str] = "unknown_in_joints"
+
+    @property
+    def label(self) -> str:
+        return f"smooth in q{self.first} and q{self.second}"
+
+    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+        a, b = (context.q[self.first - 1], context.q[self.second - 1]) if context else (0.0, 0.0)
+        parts = (("s", ca.sin), ("c", ca.cos))
+        return [(f"{m}{n}", 1.0, f(a) * g(b)) for m, f in parts for n, g in parts]
+
+
+@dataclass(frozen=True)
+class SmoothInTime(_Series):
+    """A smooth function of time, of the joints, the measuring frame and the tool."""
+
+    name: ClassVar[str] = "unknown_in_time"
+
+    @property
+    def label(self) -> str:
+        return "smooth in time"
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        return ("progress",)
+
+    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+        t = context.conditions["progress"] if context else 0.0
+        return [(f"t{h}", 1 / h, ca.cos(ca.pi * h * t)) for h in (1, 2, 3, 4, 5, 6)]
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        points = {
+            f"{w}{c}_{n}": (SIZE_LENGTH * s, "m") for w in ("m", "e") for c in "xyz" for n, s, _ in self.terms(None)
+        }
+        return {**super().sizes(), **points}
+
+    def measurement(self, point: Symbolic, context: Context) -> Symbolic:
+        return point + self._moved(context, "m")
+
+    def tool(self, context: Context) -> Symbolic:
+        T = ca.SX.eye(4)
+        T[:3, 3] = self._moved(context, "e")
+        return T
+
+    def _moved(self, context: Context, what: str) -> Symbolic:
+        terms = self.terms(context)
+        return ca.vertcat(*(sum(self.value(context, f"{what}{c}_{n}") * f for n, _, f in terms) for c in "xyz"))
+
+
+@dataclass(frozen=True)
+class SmoothInSpace(Effect):
+    """A quadratic distortion of the measuring space, as an instrument's scale or refraction error gives."""
+
+    reach: float = 2.0
+
+    name: ClassVar[str] = "unknown_in_space"
+
+    @property
+    def label(self) -> str:
+        return "smooth in the measured space"
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        products = [a + b for k, a in enumerate("xyz") for b in "xyz"[k:]]
+        return {f"{c}_{p}": (SIZE_LENGTH, "m") for c in "xyz" for p in ("x", "y", "z", *products)}
+
+    def measurement(self, point: Symbolic, context: Context) -> Symbolic:
+        x = dict(zip("xyz", ca.vertsplit(point / self.reach), strict=True))
+        names = {p: ca.SX(1) for p in self.sizes()}
+        moved = ca.SX.zeros(3)
+        for name in names:
+            axis, product = name.split("_")
+            term = self.value(context, name)
+            for c in product:
+                term = term * x[c]
+            moved["xyz".index(axis)] += term
+        return point + moved
+
+
+@dataclass(frozen=True)
+class SmoothInLoad(_Series):
+    """Errors of all joints that follow the direction of gravity in the flange and the approach directions."""
+
+    name: ClassVar[str] = "unknown_in_load"
+
+    @property
+    def label(self) -> str:
+        return "smooth in load and approach"
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        return tuple(f"approach{i}" for i in range(1, self.moved + 1))
+
+    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+        if context is None:
+            down, loads, sides = [0.0] * 3, [0.0] * self.moved, [0.0] * self.moved
+        else:
+            turn = context.frames[-1][:3, :3]
+            down = ca.vertsplit(turn.T @ context.gravity / 9.81)
+            loads = [ca.tanh(2 * context.load(i)) for i in range(1, self.moved + 1)]
+            sides = [context.conditions[c] for c in self.conditions]
+        found = [(f"g{c}", 1.0, d) for c, d in zip("xyz", down, strict=True)]
+        found += [(f"l{i}", 1.0, load) for i, load in enumerate(loads, 1)]
+        return found + [(f"a{i}", 0.7, side) for i, side in enumerate(sides, 1)]
+
+
+def unknowns(robot: Robot) -> list[Effect]:
+    """All forms of the unknown for a robot."""
+    n = robot.n
+    pairs = [(i, j) for i in range(1, n + 1) for j in range(i + 1, n + 1)]
+    return [
+        *(SmoothInJoint(None, n, i) for i in range(1, n + 1)),
+        *(AnyOfOwnAngle(i) for i, joint in enumerate(robot.joints, 1) if joint.kind == "revolute"),
+        *(SmoothInJoints(None, n, i, j) for i, j in pairs),
+        SmoothInTime(None, n),
+        SmoothInSpace(None, max(robot.reach, 0.1)),
+        SmoothInLoad(None, n),
+    ]

@@ -1,0 +1,75 @@
+"""What the unknown is worth: its likeliest forms taken into the model, and how far the gap shrinks with them.
+
+A form on no list (any function of a joint's own angle, smooth in time, ...) names no cause, nor does a listed effect
+beside it. Together they are a description all the same, and where it predicts poses held out it can be corrected.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadical.core.transforms import Array
+from casadical.diagnosis.cross_validation import Noise, partitioned_errors, shrink_interval
+from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.posterior import Ranking, rank
+from casadical.diagnosis.thresholds import DETECT_FURTHER
+from casadical.effects import Effect
+
+MOST_FORMS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Unlisted:
+    """Forms that describe the unknown.
+
+    labels : what they are, of listed effects too; effects : they as effects of the model
+    before, after : mean held-out gap [m] with the named causes, and with these forms too
+    shrink, shrink_interval : share by which it falls, with a 95 % interval
+    """
+
+    labels: tuple[str, ...]
+    effects: tuple[Effect, ...]
+    before: float
+    after: float
+    shrink: float
+    shrink_interval: tuple[float, float]
+
+
+def unlisted_forms(
+    case: Case, ranking: Ranking, named: tuple[Array, frozenset[str]], noise: Noise, seed: int
+) -> Unlisted | None:
+    """Forms taken up one by one, the first of them on no list, each judged anew beside the others; None without one.
+
+    ranking : the last one; named : columns and labels of the named causes; noise : that these leave
+    """
+    by_label = {c.label: c for c in case.candidates}
+    if ranking.none > DETECT_FURTHER or by_label[ranking.order[0]].listed:
+        return None
+    forms: dict[str, tuple[Effect, ...]] = {}
+
+    def beside(left_out: str = "") -> Ranking:
+        others = [case.group(e) for label, e in forms.items() if label != left_out]
+        return rank(case, np.unique(np.concatenate([named[0], *others])), named[1] | forms.keys() - {left_out})
+
+    def best(ranking: Ranking) -> tuple[str, tuple[Effect, ...]]:
+        label = ranking.order[0]
+        return label, by_label[label].variants[ranking.variant[label]]
+
+    while len(forms) < MOST_FORMS and ranking.none <= DETECT_FURTHER and ranking.probability[ranking.order[0]] > 0.5:
+        label, found = best(ranking)
+        forms[label] = found
+        ranking = beside()
+    for label in list(forms) if len(forms) > 1 else ():
+        again = beside(label)
+        del forms[label]
+        likelier, found = best(again)
+        forms[likelier] = found
+    columns = np.unique(np.concatenate([named[0], *(case.group(e) for e in forms.values())]))
+    before = partitioned_errors(case.evidence, named[0], noise, seed)
+    after = partitioned_errors(case.evidence, columns, beside().noise[""], seed)
+    means = float(before.mean()), float(after.mean())
+    interval = shrink_interval(before, after, seed)
+    effects = tuple(e for found in forms.values() for e in found)
+    return Unlisted(tuple(forms), effects, *means, 1 - means[1] / means[0], interval)

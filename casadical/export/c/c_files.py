@@ -1,0 +1,184 @@
+"""The text of the exported header and source: templates filled with a program's tapes, box and limits."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, Real, literal
+from casadical.export.c.emit import elementary_functions, filled, kernel, template
+from casadical.export.c.products import Command, Vector
+from casadical.export.c.program import Program, prepared_size
+
+SCHEMA = 1
+_METHODS = {
+    "float": (0, 16, 32),
+    "double": (0, 1, 16, 32, 64),
+}  # FLT_EVAL_METHOD where the type keeps its own precision
+
+
+@dataclass(frozen=True)
+class Label:
+    """What the files say about themselves: a C identifier, and hashes of the model and the data it came from."""
+
+    name: str
+    model_sha256: str = "not given"
+    data_sha256: str = "not given"
+
+
+def header(program: Program, label: Label) -> str:
+    """Text of NAME.h."""
+    values = common_values(program, label)
+    command, network = program.command, program.network
+    parts = [template("network.h")] if network else []
+    parts += [template("command.h")] if command else []
+    values["prototypes"] = "".join(filled(part, values) for part in parts).rstrip("\n") + "\n"
+    values["defines"] = filled(_COMMAND_DEFINES, values) if command else ""
+    values["command_statuses"] = filled(_COMMAND_STATUSES, values) if command else ""
+    values["not_finite_output"] = "; zeros are written"
+    values["title"] = "correction of joint commands" if command else "compensation network"
+    return filled(template("header.h"), values)
+
+
+def source(program: Program, label: Label) -> str:
+    """Text of NAME.c."""
+    values = common_values(program, label)
+    parts = [template("network.c")] if program.network else []
+    parts += [template("command.c")] if program.command else []
+    values["functions"] = "".join(filled(part, values) for part in parts)
+    values["elementary"] = elementary_functions(list(program.tapes.values()), label.name, program.real)
+    values["kernels"] = "\n".join(
+        kernel(tape, label.name, f"{name}_values", program.real) for name, tape in sorted(program.tapes.items())
+    )
+    return filled(template("source.c"), values)
+
+
+_COMMAND_DEFINES = """
+/* Largest correction of a joint [rad], and its largest change in one call of @name@_step [rad] */
+#define @NAME@_DELTA_LIMIT @delta_decimal@
+#define @NAME@_CHANGE_LIMIT @change_decimal@
+"""
+_COMMAND_STATUSES = """\
+ *   RATE_LIMITED   the correction is on its way, as fast as it may change
+ *   NOT_CONVERGED  more than @tolerance_mm@ mm is estimated to remain; the correction is the best so far
+ *   LIMITED        the correction is at its limit, all joints scaled alike
+ *   SINGULAR       the arm can hardly move its tool in some direction; the correction is damped and within its limit
+"""
+
+
+def common_values(program: Program, label: Label) -> dict[str, str]:
+    """Placeholders that every template may use."""
+    real, command = program.real, program.command
+    c = COEFFICIENTS[real]
+    values = {
+        "name": label.name,
+        "NAME": label.name.upper(),
+        "model_sha256": label.model_sha256,
+        "data_sha256": label.data_sha256,
+        "real": real,
+        "schema": str(SCHEMA),
+        "bits": "binary32" if real == "float" else "binary64",
+        "n": str(program.n),
+        "steps": str(command.steps if command else 0),
+        "box": _box_text(program.product.lower, program.product.upper),
+        "wider": " && ".join(f"(FLT_EVAL_METHOD != {m})" for m in _METHODS[real]),
+        "MANT_DIG": "FLT_MANT_DIG" if real == "float" else "DBL_MANT_DIG",
+        "mant_dig": "24" if real == "float" else "53",
+        "0": literal(0.0, real),
+        "1": literal(1.0, real),
+        "9": literal(9.0, real),
+        "share": literal(box_share(program.n), real),
+        "largest": literal(c.largest, real),
+    }
+    values |= {f"box_table:{key}": _table(pair, real) for key, pair in boxes(program).items()}
+    if program.network is not None:
+        values["n_dp"] = str(len(program.network_bounds))
+        values["network_bounds"] = "".join(
+            f" *   dp_mm[{i}]  {low:.9g} to {high:.9g}\n" for i, (low, high) in enumerate(program.network_bounds)
+        )
+    return values | (_command_values(command, program, real) if command else {})
+
+
+@dataclass(frozen=True)
+class CommandNumbers:
+    """The command's limits as the C compares with them."""
+
+    delta: float
+    step: float
+    change: float
+    ramp: float
+    tolerance2: float
+    weakness: float
+
+
+def command_numbers(command: Command) -> CommandNumbers:
+    """Limits in the units of the C: per call, squared where squares are compared."""
+    limits = command.limits
+    return CommandNumbers(
+        delta=limits.delta_rad,
+        step=limits.step_rad,
+        change=limits.rate_rad_s * limits.cycle_s,
+        ramp=min(limits.cycle_s / limits.ramp_s, 1.0),
+        tolerance2=(1e-3 * limits.tolerance_mm) ** 2,
+        weakness=1.0 / (limits.singular_m_per_rad**2 + limits.damping**2),
+    )
+
+
+def _command_values(command: Command, program: Program, real: Real) -> dict[str, str]:
+    numbers, n_p, n = command_numbers(command), len(program.tapes["forward"].outputs), program.n
+    prepared = prepared_size(command)
+    pose = "position p [m]" if n_p == 3 else "position p[0..2] [m], then the columns of the rotation matrix"
+    integers = {
+        "n_p": n_p,
+        "n_prepared": prepared,
+        "n_work": prepared + n_p,
+        "i_weakness": prepared - 1,
+        "n_moved": n + 2,
+        "i_error": n,
+        "i_rest": n + 1,
+    }
+    return {key: str(value) for key, value in integers.items()} | {
+        "pose_text": pose,
+        "damping2": f"{command.limits.damping**2:.6g}",
+        "cycle_s": f"{command.limits.cycle_s:.6g}",
+        "ramp_s": f"{command.limits.ramp_s:.6g}",
+        "step_limit": literal(numbers.step, real),
+        "tolerance2": literal(numbers.tolerance2, real),
+        "ramp": literal(numbers.ramp, real),
+        "weakness_limit": literal(numbers.weakness, real),
+        "delta_decimal": _decimal(numbers.delta, real),
+        "change_decimal": _decimal(numbers.change, real),
+        "tolerance_mm": f"{command.limits.tolerance_mm:.6g}",
+    }
+
+
+def _decimal(value: float, real: Real) -> str:
+    """A constant for the header, where C++ before 17 takes no hexadecimal one; read back it is the same number."""
+    return repr(float(DTYPE[real](value))) + ("F" if real == "float" else "")
+
+
+def _box_text(lower: Vector, upper: Vector) -> str:
+    return "".join(
+        f" *   q[{i}]  {low:.9g} to {high:.9g}  ({np.rad2deg(low):.6g} to {np.rad2deg(high):.6g} deg)\n"
+        for i, (low, high) in enumerate(zip(lower, upper, strict=True))
+    )
+
+
+def box_share(n: int) -> float:
+    """A power of two by which n finite numbers can be multiplied so that their sum is finite."""
+    return 2.0 ** -(n - 1).bit_length()
+
+
+def boxes(program: Program) -> dict[str, tuple[Vector, Vector]]:
+    """The boxes that inputs are moved into, by what they are for."""
+    found: dict[str, tuple[Vector, Vector]] = {}
+    if program.command is not None:
+        lower, upper, reach = program.command.lower, program.command.upper, program.command.limits.delta_rad
+        found |= {"command": (lower, upper), "reach": (lower - reach, upper + reach)}
+    if program.network is not None:
+        found["network"] = (program.network.lower, program.network.upper)
+    return found
+
+
+def _table(pair: tuple[Vector, Vector], real: Real) -> str:
+    rows = ("{ " + ", ".join(literal(float(v), real) for v in side) + " }" for side in pair)
+    return "{\n            " + ",\n            ".join(rows) + "\n        }"

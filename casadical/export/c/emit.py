@@ -1,0 +1,131 @@
+"""C99 text of a tape, and of the elementary functions it calls.
+
+CasADi's own generator with these elementary functions would run as fast (docs/studies/c_matrix.txt, "portable");
+walking the tape gives exact constants, no MISRA findings, guards where they are needed, and a second reader of the same
+list: the NumPy mirror that the compiled C is compared with.
+"""
+
+import re
+from importlib.resources import files
+
+from casadical.export.c.coefficients import COEFFICIENTS, EXP_LIMIT, SQRT_GUESS, TAN_PI_8, Real, literal
+from casadical.export.c.tape import Node, Tape
+
+_CALLS = ("sincos", "tansig", "exp", "sqrt", "atan2")
+_INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
+
+
+def template(name: str) -> str:
+    """The text of a file in the package's templates folder."""
+    return (files("casadical.export") / "templates" / name).read_text(encoding="utf-8")
+
+
+def filled(text: str, values: dict[str, str]) -> str:
+    """Replace every @key@ of a template; a key without a value is our own mistake and raises KeyError."""
+    return re.sub(r"@([\w:.\-]+)@", lambda match: values[match.group(1)], text)
+
+
+def functions_used(tapes: list[Tape]) -> list[str]:
+    """Elementary functions that the tapes call, in a fixed order."""
+    used = {node.op for tape in tapes for node in tape.nodes}
+    return [name for name in _CALLS if name in used]
+
+
+def elementary_functions(tapes: list[Tape], name: str, real: Real) -> str:
+    """C text of the static functions that the tapes call."""
+    used = functions_used(tapes)
+    values = _constants(real) | {"name": name, "real": f"{name}_real"}
+    return "\n".join(filled(template(f"{snippet}.c"), values) for snippet in used)
+
+
+def kernel(tape: Tape, prefix: str, name: str, real: Real) -> str:
+    """C text of the static function PREFIX_NAME that evaluates a tape; it returns 1, or 0 where a guard was touched."""
+    real_name = f"{prefix}_real"
+    names = [_value_name(k, node, real) for k, node in enumerate(tape.nodes)]
+    lines = [_statement(k, node, [names[a] for a in node.args], prefix, real) for k, node in enumerate(tape.nodes)]
+    guarded = any(node.op.startswith("guard") for node in tape.nodes)
+    arguments = f"const {real_name} in[{tape.n_in}], {real_name} out[{len(tape.outputs)}]"
+    head = f"static uint32_t {prefix}_{name}({arguments})\n{{\n"
+    body = ["uint32_t fine = 1U;"] if guarded else []
+    body += [line for line in lines if line]
+    body += [f"out[{i}] = {names[k]};" for i, k in enumerate(tape.outputs)]
+    body += ["return fine;" if guarded else "return 1U;"]
+    return head + "".join(f"    {line}\n" for line in "\n".join(body).split("\n")) + "}\n"
+
+
+def _value_name(k: int, node: Node, real: Real) -> str:
+    if node.op != "const":
+        return f"v{k}"
+    text = literal(node.value, real)
+    return f"({text})" if text.startswith("-") else text
+
+
+def _statement(k: int, node: Node, a: list[str], prefix: str, real: Real) -> str:
+    if node.op == "const":
+        return ""
+    if node.op == "sincos":
+        return f"{prefix}_real v{k}[2];\n{prefix}_sincos({a[0]}, v{k});"
+    text = _expression(node, a, prefix, real)
+    line = f"const {prefix}_real v{k} = {text};"
+    if node.op.startswith("guard"):
+        sign = ">=" if node.op == "guard_min" else "<="
+        line += f"\nif (!({a[0]} {sign} {literal(node.value, real)}))\n{{\n    fine = 0U;\n}}"
+    return line
+
+
+def _expression(node: Node, a: list[str], prefix: str, real: Real) -> str:
+    zero, one = literal(0.0, real), literal(1.0, real)
+    if node.op in _INFIX:
+        return f"{a[0]} {_INFIX[node.op]} {a[1]}"
+    if node.op in _CALLS:
+        return f"{prefix}_{node.op}({', '.join(a)})"
+    if node.op == "input":
+        return f"in[{int(node.value)}]"
+    limit = literal(node.value, real)
+    return {
+        "sin": lambda: f"{a[0]}[0]",
+        "cos": lambda: f"{a[0]}[1]",
+        "neg": lambda: f"-{a[0]}",
+        "fabs": lambda: f"({a[0]} < {zero}) ? -{a[0]} : {a[0]}",
+        "fmin": lambda: f"({a[0]} < {a[1]}) ? {a[0]} : {a[1]}",
+        "fmax": lambda: f"({a[0]} > {a[1]}) ? {a[0]} : {a[1]}",
+        "lt": lambda: f"({a[0]} < {a[1]}) ? {one} : {zero}",
+        "le": lambda: f"({a[0]} <= {a[1]}) ? {one} : {zero}",
+        "select": lambda: f"({a[0]} > {zero}) ? {a[1]} : {zero}",
+        "not": lambda: f"({a[0]} > {zero}) ? {zero} : {one}",
+        "sign": lambda: f"({a[0]} < {zero}) ? -{one} : (({a[0]} > {zero}) ? {one} : {zero})",
+        "guard_min": lambda: f"({a[0]} >= {limit}) ? {a[0]} : {limit}",
+        "guard_max": lambda: f"({a[0]} <= {limit}) ? {a[0]} : {limit}",
+    }[node.op]()
+
+
+def _polynomial(terms: tuple[float, ...], real: Real) -> str:
+    text = literal(terms[-1], real)
+    for term in reversed(terms[:-1]):
+        text = f"({literal(term, real)} + (z * {text}))"
+    return text
+
+
+def _constants(real: Real) -> dict[str, str]:
+    """Every number that the templates of elementary functions name."""
+    c = COEFFICIENTS[real]
+    numbers = {
+        "half_pi_high": c.half_pi[0],
+        "half_pi_low": c.half_pi[1],
+        "ln2_high": c.ln2[0],
+        "ln2_low": c.ln2[1],
+        "tan_pi_8": TAN_PI_8,
+        "exp_limit": EXP_LIMIT,
+    }
+    numbers |= {k: getattr(c, k) for k in ("two_over_pi", "one_over_ln2", "pi", "pi_2", "pi_4")}
+    numbers |= {k: getattr(c, k) for k in ("tansig_limit", "smallest", "largest")}
+    numbers |= {f"guess_{i}": g for i, g in enumerate(SQRT_GUESS)}
+    numbers |= {text: float(text) for text in ("0", "1", "2", "4", "0.5", "1024", "1024.5")}
+    values = {key: literal(value, real) for key, value in numbers.items()}
+    values |= {f"poly:{key}": _polynomial(getattr(c, key), real) for key in ("sin", "cos", "coth", "atan")}
+    values |= {f"powers:{s}": ", ".join(literal(2.0 ** (s * i), real) for i in range(8)) for s in (1, 8)}
+    steps = c.sqrt_steps
+    values |= {"sqrt_count": str(len(steps)), "heron": str(c.heron_steps)}
+    lists = {"power": 1.0, "root": 0.5, "inverse": -1.0, "inverse_root": -0.5}
+    values |= {f"sqrt_{k}": ", ".join(literal(2.0 ** (e * s), real) for s in steps) for k, e in lists.items()}
+    return values

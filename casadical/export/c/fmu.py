@@ -1,0 +1,111 @@
+"""An FMI 2.0 co-simulation unit with the C sources inside, for TwinCAT, Simulink and other importers that compile."""
+
+import hashlib
+import io
+import zipfile
+from xml.sax.saxutils import quoteattr
+
+from casadical.export.c.build_files import box_middle
+from casadical.export.c.c_files import Label, common_values
+from casadical.export.c.emit import filled, template
+from casadical.export.c.program import Program
+
+_DATE = (1980, 1, 1, 0, 0, 0)  # the same bytes each time
+
+_STATE = "    @name@_state state;\n"
+_RESET = """\
+    for (i = 0U; i < @NAME@_JOINTS; i++)
+    {
+        it->state.dq[i] = (@name@_real)0;
+    }
+    it->state.gain = (@name@_real)0;
+"""
+_CYCLES = """\
+    {
+        /* as many controller cycles as fit the communication step */
+        const double wanted = (size / @cycle_s@) + 0.5;
+        const double most = (wanted < 100000.0) ? wanted : 100000.0;
+        const unsigned int cycles = (most >= 1.0) ? (unsigned int)most : 1U;
+        unsigned int i;
+        for (i = 0U; i < cycles; i++)
+        {
+            call(it);
+        }
+    }
+"""
+
+
+def fmu(program: Program, label: Label, texts: dict[str, str]) -> bytes:
+    """The archive: modelDescription.xml and sources; ``texts`` holds the exported C by file name."""
+    name = label.name
+    files = {f"sources/{file}": texts[file] for file in (f"{name}.h", f"{name}.c", f"{name}_self_test.c")}
+    files[f"sources/{name}_fmu.c"] = _source(program, label)
+    digest = hashlib.sha256("".join(files[key] for key in sorted(files)).encode()).hexdigest()
+    files["modelDescription.xml"] = _description(program, label, digest)
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for key in sorted(files):
+            entry = zipfile.ZipInfo(key, _DATE)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, files[key])
+    return buffer.getvalue()
+
+
+def _output_count(program: Program) -> int:
+    return program.n if program.command else len(program.network_bounds)
+
+
+def _source(program: Program, label: Label) -> str:
+    name, command = label.name, program.command
+    values = common_values(program, label) | {"n_out": str(_output_count(program))}
+    values["middle"] = ", ".join(repr(v) for v in box_middle(program))
+    values["state"] = filled(_STATE, values) if command else ""
+    values["reset"] = filled(_RESET, values) if command else ""
+    values["call"] = (
+        f"{name}_step(&it->state, q, (unsigned int)it->enable, out)" if command else f"{name}_network(q, out)"
+    )
+    values["do_step"] = filled(_CYCLES, values) if command else "    (void)size;\n    call(it);\n"
+    values["initial"] = "" if command else "    call((instance *)c);\n"
+    return filled(template("fmu.c"), values)
+
+
+def _description(program: Program, label: Label, digest: str) -> str:
+    name, command = label.name, program.command
+    guid = f"{{{digest[:8]}-{digest[8:12]}-{digest[12:16]}-{digest[16:20]}-{digest[20:32]}}}"
+    variables = [
+        f'    <ScalarVariable name="q[{i + 1}]" valueReference="{i}" causality="input" variability="continuous" '
+        f'description="commanded joint angle"><Real unit="rad" start="{v!r}"/></ScalarVariable>'
+        for i, v in enumerate(box_middle(program))
+    ]
+    out, unit, what = ("dq", "rad", "joint correction") if command else ("dp_mm", "mm", "tool correction")
+    variables += [
+        f'    <ScalarVariable name="{out}[{i + 1}]" valueReference="{program.n + i}" causality="output" '
+        f'variability="continuous" initial="calculated" description="{what}"><Real unit="{unit}"/></ScalarVariable>'
+        for i in range(_output_count(program))
+    ]
+    first = program.n + 1
+    outputs = list(range(first, first + _output_count(program) + 1))
+    variables.append(
+        '    <ScalarVariable name="status" valueReference="0" causality="output" variability="discrete" '
+        'initial="calculated" description="0 is OK, see the C header"><Integer/></ScalarVariable>'
+    )
+    if command:
+        variables.append(
+            '    <ScalarVariable name="enable" valueReference="0" causality="input" variability="discrete" '
+            'description="ramps the correction in and out"><Boolean start="true"/></ScalarVariable>'
+        )
+    unknowns = "\n".join(f'      <Unknown index="{k}"/>' for k in outputs)
+    sources = "\n".join(f'      <File name="{name}{end}.c"/>' for end in ("_fmu", "", "_self_test"))
+    return filled(
+        template("modelDescription.xml"),
+        {
+            "name": name,
+            "guid": guid,
+            "description": quoteattr(f"model {label.model_sha256}, data {label.data_sha256}"),
+            "sources": sources,
+            "step": f"{command.limits.cycle_s:.6g}" if command else "0.004",
+            "variables": "\n".join(variables),
+            "unknowns": unknowns,
+        },
+    )

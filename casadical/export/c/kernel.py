@@ -1,0 +1,169 @@
+"""The compiled C called from Python on many rows at once: for batch correction, and for the comparison at export."""
+
+import ctypes
+import hashlib
+import json
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadical.core.errors import CasadicalError, InputError
+from casadical.export.c.coefficients import DTYPE, Real
+from casadical.export.c.emit import filled, template
+from casadical.export.c.toolchain import Compiler, compilers, shared_library
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What must be known of an export to call it: its C name, real type, joints, and outputs of each function."""
+
+    name: str
+    real: Real
+    joints: int
+    outputs: dict[str, int]
+
+
+class Kernel:
+    """Functions of a compiled export on arrays; made by :func:`load` or :func:`build`.
+
+    Calls are re-entrant, as the C is; a row costs a microsecond or less.
+    """
+
+    def __init__(self, shape: Shape, library: Path) -> None:
+        self.shape = shape
+        self._library = ctypes.CDLL(str(library))
+
+    def rows(self, function: str, q: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int32]]:
+        """Call ``network``, ``forward`` or ``correct`` for each row of joints.
+
+        Parameters
+        ----------
+        q : array, shape (k, n) [rad]; converted to the kernel's real type
+
+        Returns
+        -------
+        values : array, shape (k, outputs of the function)
+        status : array, shape (k,), see :class:`casadical.export.Status`
+
+        Raises
+        ------
+        InputError
+            The export has no such function, or q another number of joints.
+        """
+        shape = self.shape
+        if function not in shape.outputs:
+            raise InputError(f"the export {shape.name!r} has no function {function!r}; it has {sorted(shape.outputs)}")
+        table = np.ascontiguousarray(q, DTYPE[shape.real])
+        if table.ndim != 2 or table.shape[1] != shape.joints:
+            raise InputError(f"joints have shape {table.shape}; expected (rows, {shape.joints}) in rad")
+        out = np.empty((len(table), shape.outputs[function]), table.dtype)
+        status = np.empty(len(table), np.int32)
+        call = getattr(self._library, f"{shape.name}_{function}_rows")
+        call(_pointer(table), ctypes.c_uint64(len(table)), _pointer(out), _pointer(status))
+        return out, status
+
+    def network(self, q: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int32]]:
+        """Network correction [mm], shape (k, m), and status."""
+        return self.rows("network", q)
+
+    def forward(self, q: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int32]]:
+        """Calibrated position [m], shape (k, 3), or (k, 12) with the rotation, and status."""
+        return self.rows("forward", q)
+
+    def correct(self, q: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int32]]:
+        """Joint corrections [rad], shape (k, n), and status."""
+        return self.rows("correct", q)
+
+    def steps(self, q: NDArray[Any], enable: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int32]]:
+        """``step`` for consecutive cycles from the zero state: corrections [rad], shape (k, n), and status."""
+        table = np.ascontiguousarray(q, DTYPE[self.shape.real])
+        on = np.ascontiguousarray(enable, np.uint32)
+        out, status = np.empty_like(table), np.empty(len(table), np.int32)
+        call = getattr(self._library, f"{self.shape.name}_step_rows")
+        call(_pointer(table), ctypes.c_uint64(len(table)), _pointer(on), _pointer(out), _pointer(status))
+        return out, status
+
+    def self_test(self) -> int:
+        """Status of the C's own self-test."""
+        return int(getattr(self._library, f"{self.shape.name}_self_test")())
+
+
+def _pointer(array: NDArray[Any]) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def rows_source(shape: Shape) -> str:
+    """C text of the loops over rows; compiled with the export, not part of it."""
+    values = {"name": shape.name, "n": str(shape.joints)}
+    parts = [f'#include "{shape.name}.h"\n']
+    for function, size in shape.outputs.items():
+        parts.append(filled(template("rows.c"), values | {"function": function, "size": str(size)}))
+    if "correct" in shape.outputs:
+        parts.append(filled(template("rows_step.c"), values))
+    return "".join(parts)
+
+
+def build(shape: Shape, sources: list[Path], folder: Path, compiler: Compiler, flags: tuple[str, ...] = ()) -> Kernel:
+    """Compile an export's sources with the loops over rows into a new library in a folder, and load it."""
+    wrapper = folder / f"{shape.name}_rows.c"
+    wrapper.write_text(rows_source(shape), encoding="utf-8")
+    library = (
+        folder
+        / f"{shape.name}_{Path(compiler.command).name}_{hashlib.sha256(' '.join(flags).encode()).hexdigest()[:8]}.so"
+    )
+    include = f"-I{sources[0].parent}"
+    shared_library(compiler, [*sources, wrapper], library, ("-O2", include, *flags))
+    return Kernel(shape, library)
+
+
+def load(export: str | Path, folder: str | Path | None = None) -> Kernel:
+    """Compile what an export folder holds and load it.
+
+    Parameters
+    ----------
+    export : folder that ``write_c`` wrote
+    folder : where the library goes; a temporary folder, removed at once (the loaded code stays), when not given
+
+    Raises
+    ------
+    InputError
+        The folder has no manifest, or a source is not the one that was written.
+    CasadicalError
+        There is no C compiler, it fails, or the compiled code fails its self-test.
+    """
+    export = Path(export)
+    manifest = _manifest(export)
+    facts = manifest["kernel"]
+    shape = Shape(facts["name"], facts["real"], facts["joints"], facts["outputs"])
+    sources = [export / f"{shape.name}.c", export / f"{shape.name}_self_test.c"]
+    for path in (*sources, export / f"{shape.name}.h"):
+        found = hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "missing"
+        if found != manifest["files"].get(path.name):
+            raise InputError(f"{path} is not the file that was exported (sha256 {found[:12]}); export again")
+    available = compilers()
+    if not available:
+        raise CasadicalError("no C compiler found (gcc, clang or cc); install one, for example: apt-get install gcc")
+    kernel = _loaded(shape, sources, Path(folder) if folder else None, available[0])
+    if kernel.self_test() != 0:
+        raise CasadicalError(f"{shape.name} fails its self-test when compiled with {available[0].version}")
+    return kernel
+
+
+def _loaded(shape: Shape, sources: list[Path], folder: Path | None, compiler: Compiler) -> Kernel:
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        return build(shape, sources, folder, compiler)
+    with tempfile.TemporaryDirectory() as temporary:  # a loaded library stays usable when its file is gone
+        return build(shape, sources, Path(temporary), compiler)
+
+
+def _manifest(export: Path) -> dict[str, Any]:
+    path = export / "manifest.json"
+    if not path.is_file():
+        raise InputError(f"{export} has no manifest.json; give a folder that `casadical export c` wrote")
+    manifest: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return manifest

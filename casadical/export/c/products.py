@@ -1,0 +1,122 @@
+"""What can be exported: a network alone, or the whole correction of a joint command."""
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from casadical.core.errors import InputError
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the correction may do at most, and when it says that it did not get there.
+
+    delta_rad bounds each joint's correction, step_rad each of its least-squares steps, rate_rad_s its change in time;
+    ramp_s is the time from no correction to all of it. A remaining error above tolerance_mm is reported, and so is a
+    pose whose weakest direction moves the tool by less than about singular_m_per_rad.
+    """
+
+    delta_rad: float = 0.15
+    step_rad: float = 0.1
+    rate_rad_s: float = 0.5
+    cycle_s: float = 0.004
+    ramp_s: float = 1.0
+    damping: float = 0.01  # lambda [m/rad]; lambda^2 = 1e-4
+    singular_m_per_rad: float = 0.07
+    tolerance_mm: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (np.isfinite(value) and value > 0):
+                raise InputError(f"limit {name} is {value}; it must be a positive number")
+
+
+@dataclass(frozen=True)
+class Network:
+    """A function q[n] -> dp_mm[m] and the box of joint angles it was trained in (arrays of shape (n,) [rad])."""
+
+    function: casadi.Function
+    lower: Vector
+    upper: Vector
+
+    def __post_init__(self) -> None:
+        _checked_box(self)
+        _checked_signature(self.function, len(self.lower), None)
+
+
+@dataclass(frozen=True)
+class Command:
+    """The correction of joint commands: where the nominal robot would be is where the real tool shall be.
+
+    nominal, calibrated : q[n] -> p[3] [m], or q[n] -> (p[3], R[3x3]) for position and orientation; the calibrated one
+        is the whole model of the real robot (loop, compliance, network).
+    lower, upper : box of joint angles in which the model was identified, shape (n,) [rad]
+    jacobian_of, jacobian_at : the calibrated robot's part in the chord steps' Jacobian is the one of ``jacobian_of`` (a
+        function like ``calibrated``, which it is when not given) with respect to its joints, at the joints
+        ``jacobian_at(q)`` (q when not given). With the chain without compliance and network for the one and the bent
+        joints for the other it costs a third.
+    network : exported beside the correction when given.
+    steps : least-squares steps, 1 to 10. With one step NOT_CONVERGED sees only what the damping leaves; with more it
+        also extrapolates from the last two errors, without evaluating the robot once more.
+    length_m : what one radian of orientation error counts, for poses.
+    """
+
+    nominal: casadi.Function
+    calibrated: casadi.Function
+    lower: Vector
+    upper: Vector
+    jacobian_of: casadi.Function | None = None
+    jacobian_at: casadi.Function | None = None
+    network: Network | None = None
+    limits: Limits = field(default_factory=Limits)
+    steps: int = 2
+    length_m: float = 0.3
+
+    def __post_init__(self) -> None:
+        _checked_box(self)
+        if not 1 <= self.steps <= 10:
+            raise InputError(f"{self.steps} least-squares steps; 1 to 10 are allowed")
+        n = len(self.lower)
+        size = _checked_signature(self.calibrated, n, (3, 12))
+        for other in (self.nominal, self.jacobian_of):
+            if other is not None and _checked_signature(other, n, (size,)) != size:
+                raise AssertionError
+        if self.jacobian_at is not None:
+            _checked_signature(self.jacobian_at, n, (n,))
+        if self.network is not None and len(self.network.lower) != n:
+            raise InputError(f"the network has {len(self.network.lower)} joints and the robot {n}; both must be equal")
+
+
+Product = Network | Command
+
+
+def with_steps(command: Command, steps: int) -> Command:
+    """The same correction with another number of least-squares steps."""
+    return replace(command, steps=steps)
+
+
+def _checked_box(product: Any) -> None:
+    lower, upper = (np.array(b, float).ravel() for b in (product.lower, product.upper))
+    if lower.shape != upper.shape or len(lower) == 0:
+        raise InputError(f"the box has {len(lower)} lower and {len(upper)} upper bounds; give one of each per joint")
+    if not (np.isfinite(lower) & np.isfinite(upper) & (lower < upper) & (abs(lower) < 100) & (abs(upper) < 100)).all():
+        raise InputError(f"the box {lower} to {upper} [rad] must be finite, below 100 rad, and not empty")
+    object.__setattr__(product, "lower", lower)
+    object.__setattr__(product, "upper", upper)
+
+
+def _checked_signature(function: casadi.Function, n: int, sizes: tuple[int, ...] | None) -> int:
+    n_in = sum(function.numel_in(i) for i in range(function.n_in()))
+    n_out = sum(function.numel_out(i) for i in range(function.n_out()))
+    if n_in != n or (sizes is not None and n_out not in sizes) or n_out == 0:
+        allowed = "some" if sizes is None else " or ".join(map(str, sizes))
+        raise InputError(
+            f"function {function!s} takes {n_in} numbers and gives {n_out}; expected {n} joint angles and {allowed} "
+            "outputs; fix parameters with a wrapper such as casadi.Function('p', [q], [f(q, values)])"
+        )
+    return int(n_out)

@@ -1,0 +1,158 @@
+"""What the exported functions must return, computed in NumPy on many inputs at once, bit for bit.
+
+Each function follows the C template of the same name, statuses included.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadical.export.c.c_files import CommandNumbers, box_share, boxes, command_numbers
+from casadical.export.c.coefficients import DTYPE
+from casadical.export.c.mirror import Array, run
+from casadical.export.c.products import Command, Vector
+from casadical.export.c.program import Program, prepared_size
+
+
+class Status(IntEnum):
+    """What every exported function returns; where several apply, the highest number wins."""
+
+    OK = 0
+    CLAMPED = 1
+    RATE_LIMITED = 2
+    NOT_CONVERGED = 3
+    LIMITED = 4
+    SINGULAR = 5
+    NOT_FINITE = 6
+    NULL_ARG = 7
+    SELF_TEST_FAILED = 8
+
+
+Flags = NDArray[np.bool_]
+Statuses = NDArray[np.int64]
+
+
+def boxed(q: Array, box: tuple[Vector, Vector]) -> tuple[Array, Statuses]:
+    """Inputs moved into a box of the same real type, and OK, CLAMPED or NOT_FINITE for each row."""
+    T = q.dtype.type
+    lower, upper = box[0].astype(T), box[1].astype(T)
+    moved = np.zeros(len(q), T)
+    with np.errstate(all="ignore"):
+        a = np.where(q > lower, q, lower)
+        x = np.where(a < upper, a, upper)
+        distance = np.where(x < q, q - x, x - q)
+        for i in range(q.shape[1]):
+            moved = moved + T(box_share(q.shape[1])) * distance[:, i]
+    status = np.where(moved > 0, Status.CLAMPED, Status.OK)
+    return x, np.where(moved <= np.finfo(T).max, status, Status.NOT_FINITE)
+
+
+def network(program: Program, q: Array) -> tuple[Array, Statuses]:
+    """dp_mm, shape (k, m), and status, shape (k,), for joints q of shape (k, n)."""
+    return _values(program, q, "network", "network")
+
+
+def forward(program: Program, q: Array) -> tuple[Array, Statuses]:
+    """Calibrated position (or position and rotation) and status."""
+    return _values(program, q, "forward", "reach")
+
+
+def _values(program: Program, q: Array, tape: str, box: str) -> tuple[Array, Statuses]:
+    q = np.ascontiguousarray(q, DTYPE[program.real])
+    x, status = boxed(q, boxes(program)[box])
+    values, fine = run(program.tapes[tape], x, program.real)
+    status = np.where(fine & np.isfinite(values).all(1), status, Status.NOT_FINITE)
+    values[status == Status.NOT_FINITE] = 0
+    return values, status
+
+
+def correct(program: Program, q: Array) -> tuple[Array, Statuses]:
+    """Joint corrections dq, shape (k, n), and status, shape (k,)."""
+    assert program.command is not None
+    q = np.ascontiguousarray(q, DTYPE[program.real])
+    x, status = boxed(q, boxes(program)["command"])
+    dq, chord_status = _chord(program, program.command, x)
+    bad = status == Status.NOT_FINITE
+    dq[bad] = 0
+    return dq, np.where(bad, status, np.maximum(status, chord_status))
+
+
+def _limited(v: Array, limit: Any) -> tuple[Array, Flags]:
+    most = np.zeros(len(v), v.dtype)
+    for i in range(v.shape[1]):
+        magnitude = np.where(v[:, i] < 0, -v[:, i], v[:, i])
+        most = np.where(magnitude > most, magnitude, most)
+    beyond = most > limit
+    scaled = v * (limit / np.where(beyond, most, limit))[:, None]
+    low = np.where(scaled > -limit, scaled, -limit)
+    return np.where(low < limit, low, limit), beyond
+
+
+def _chord(program: Program, command: Command, x: Array) -> tuple[Array, Statuses]:
+    T, real, numbers = DTYPE[program.real], program.real, command_numbers(command)
+    n, end = program.n, prepared_size(command)
+    work, fine = run(program.tapes["prepare"], x, real)
+    dq = np.zeros_like(x)
+    moved = np.zeros((len(x), n + 2), T)
+    before = np.full(len(x), np.finfo(T).max, T)
+    wrong = work[:, end - 1] - work[:, end - 1]
+    with np.errstate(all="ignore"):
+        for step in range(command.steps):
+            if step > 0:
+                before = moved[:, n].copy()
+                work[:, end:], fine_now = run(program.tapes["forward"], x + dq, real)
+                fine &= fine_now
+            moved, fine_now = run(program.tapes["advance"], work, real)
+            fine &= fine_now
+            wrong = wrong + (moved[:, n:] - moved[:, n:]).sum(1)
+            moved[:, :n], step_clamped = _limited(moved[:, :n], T(numbers.step))
+            dq, limited = _limited(dq + moved[:, :n], T(numbers.delta))
+        fine &= wrong >= 0
+        status = _chord_status(numbers, T, work[:, end - 1], moved[:, n:], before, limited, step_clamped)
+    dq[~fine] = 0
+    return dq, np.where(fine, status, Status.NOT_FINITE)
+
+
+def _chord_status(
+    numbers: CommandNumbers, T: Any, weakness: Array, ends: Array, before: Array, limited: Flags, clamped: Flags
+) -> Statuses:
+    tolerance2 = T(numbers.tolerance2)
+    far = clamped | (ends[:, 1] > tolerance2) | (T(9) * (ends[:, 0] * ends[:, 0]) > tolerance2 * before)
+    status = np.where(far, Status.NOT_CONVERGED, Status.OK)
+    status = np.where(limited, Status.LIMITED, status)
+    return np.where(weakness > T(numbers.weakness), Status.SINGULAR, status)
+
+
+@dataclass
+class StepState:
+    """The exported state struct: the correction last given, shape (n,), and the gain."""
+
+    dq: Array
+    gain: Any
+
+
+def started(program: Program) -> StepState:
+    """The state to start from."""
+    T = DTYPE[program.real]
+    return StepState(np.zeros(program.n, T), T(0))
+
+
+def step(program: Program, state: StepState, q: Array, enable: bool) -> tuple[Array, Status]:
+    """One cycle: the correction for joints q of shape (n,); the state is changed as the C changes it."""
+    assert program.command is not None
+    T, numbers = DTYPE[program.real], command_numbers(program.command)
+    delta, change_limit, ramp = T(numbers.delta), T(numbers.change), T(numbers.ramp)
+    want, statuses = correct(program, q[None, :])
+    status = Status(int(statuses[0]))
+    if not (np.isfinite(state.dq).all() and (abs(state.dq) <= delta).all() and T(0) <= state.gain <= T(1)):
+        state.dq, state.gain, status = np.zeros(program.n, T), T(0), Status.NOT_FINITE
+    state.gain = min(max(state.gain + (ramp if enable else -ramp), T(0)), T(1))
+    change = state.gain * want[0] - state.dq
+    if (abs(change) > change_limit).any():
+        status = max(status, Status.RATE_LIMITED)
+    moved = state.dq + np.clip(change, -change_limit, change_limit)
+    state.dq = np.clip(moved, -delta, delta)
+    return state.dq.copy(), status

@@ -1,0 +1,109 @@
+"""The exported C compiled and compared: with the NumPy reference bit for bit, with CasADi's doubles in micrometres."""
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from casadical.export.c.kernel import Kernel, Shape, build
+from casadical.export.c.mirror import Array
+from casadical.export.c.program import Program
+from casadical.export.c.reference import Status
+from casadical.export.c.toolchain import WARNINGS, Compiler
+from casadical.export.c.vectors import comparison_inputs, functions, inside
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One function of the C, as one compiler made it, against the NumPy reference."""
+
+    function: str
+    compiler: str
+    vectors: int
+    outputs: int
+    different: int  # outputs or statuses that are not the same bits
+
+    def __str__(self) -> str:
+        verdict = "identical bits" if self.different == 0 else f"{self.different} DIFFERENT"
+        return f"{self.function}: {self.vectors} vectors, {self.outputs} outputs, {verdict} ({self.compiler})"
+
+
+def shape_of(program: Program, name: str) -> Shape:
+    """What the kernel loader must know of a program."""
+    sizes: dict[str, int] = {}
+    if program.network is not None:
+        sizes["network"] = len(program.tapes["network"].outputs)
+    if program.command is not None:
+        sizes |= {"forward": len(program.tapes["forward"].outputs), "correct": program.n}
+    return Shape(name, program.real, program.n, sizes)
+
+
+def compared(program: Program, name: str, texts: dict[str, str], found: list[Compiler], count: int) -> list[Comparison]:
+    """Compile the texts with each compiler and compare every function on ``count`` vectors.
+
+    The self-test counts as a comparison of one vector.
+    """
+    if not found:
+        return []
+    q = comparison_inputs(program, count)
+    expected = {key: compute(program, q) for key, compute in functions(program).items()}
+    results: list[Comparison] = []
+    with tempfile.TemporaryDirectory() as folder:
+        for compiler in found:
+            kernel = _built(program, name, texts, Path(folder), compiler)
+            results.append(Comparison("self_test", compiler.version, 1, 1, int(kernel.self_test() != Status.OK)))
+            for key, (out, status) in expected.items():
+                mine, my_status = kernel.rows(key, q)
+                different = int((_bits(mine) != _bits(out)).sum() + (my_status != status).sum())
+                results.append(Comparison(key, compiler.version, count, out.size, different))
+    return results
+
+
+def _built(program: Program, name: str, texts: dict[str, str], folder: Path, compiler: Compiler) -> Kernel:
+    for file in (f"{name}.h", f"{name}.c", f"{name}_self_test.c"):
+        (folder / file).write_text(texts[file], encoding="utf-8")
+    sources = [folder / f"{name}.c", folder / f"{name}_self_test.c"]
+    return build(shape_of(program, name), sources, folder, compiler, WARNINGS)
+
+
+def _bits(values: Array) -> NDArray[Any]:
+    return np.ascontiguousarray(values).view(np.uint32 if values.dtype == np.float32 else np.uint64)
+
+
+def accuracy(program: Program, count: int = 10_000) -> dict[str, float]:
+    """Figures of this model, from the reference arithmetic and CasADi's doubles on joints inside the box.
+
+    Largest errors of the network [um] and of the forward kinematics [um]; for a command, the tool's error before and
+    what remains after the correction [um], over the poses that are not reported as anything but OK, and their share.
+    """
+    q = inside(program, count)
+    figures: dict[str, float] = {}
+    exact = q.astype(np.float64)
+    for key, compute in functions(program).items():
+        values, status = compute(program, q)
+        if key == "network" and program.network is not None:
+            figures["network_error_um"] = 1e3 * float(abs(values - _mapped(program.network.function, exact)).max())
+        if key == "forward" and program.command is not None:
+            error = abs(values - _mapped(program.command.calibrated, exact))[:, :3].max()
+            figures["forward_error_um"] = 1e6 * float(error)
+        if key == "correct" and program.command is not None:
+            target = _mapped(program.command.nominal, exact)[:, :3]
+            before = np.linalg.norm(_mapped(program.command.calibrated, exact)[:, :3] - target, axis=1)
+            moved = _mapped(program.command.calibrated, exact + values)[:, :3]
+            fine = status == Status.OK
+            rest = np.linalg.norm(moved - target, axis=1)[fine]
+            figures |= {"start_error_um_mean": 1e6 * float(before.mean()), "share_ok": float(fine.mean())}
+            if fine.any():
+                figures |= {"rest_um_median": 1e6 * float(np.median(rest)), "rest_um_worst": 1e6 * float(rest.max())}
+    return {key: float(f"{value:.3g}") for key, value in figures.items()}
+
+
+def _mapped(function: casadi.Function, q: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The function's outputs in one row for each row of joints."""
+    out = function.map(len(q)).call([casadi.DM(q.T)])
+    columns = [np.array(o).reshape(o.shape[0], len(q), -1, order="F") for o in out]
+    return np.hstack([c.transpose(1, 2, 0).reshape(len(q), -1) for c in columns])

@@ -1,0 +1,174 @@
+"""Write an export: every file made in memory, compiled and compared, and only then put into the folder."""
+
+import hashlib
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from casadical.core.errors import CasadicalError, InputError
+from casadical.export.c.build_files import cmake, cross_check, pkg_config
+from casadical.export.c.c_files import SCHEMA, Label, header, source
+from casadical.export.c.coefficients import Real
+from casadical.export.c.fmu import fmu
+from casadical.export.c.products import Product
+from casadical.export.c.program import Program, program_of
+from casadical.export.c.structured_text import structured_text
+from casadical.export.c.toolchain import Compiler, compilers
+from casadical.export.c.vectors import example_source, self_test_source
+from casadical.export.c.verify import Comparison, accuracy, compared, shape_of
+
+_NAME = re.compile(r"[a-z][a-z0-9_]{0,23}")
+
+
+@dataclass(frozen=True)
+class Export:
+    """What was written, and what is known of it."""
+
+    folder: Path
+    files: tuple[str, ...]
+    comparisons: tuple[Comparison, ...]
+    figures: dict[str, float]
+
+    @property
+    def verified(self) -> bool:
+        """Whether a compiler was there and the compiled C gave the reference's bits."""
+        return bool(self.comparisons)
+
+    def __str__(self) -> str:
+        head = (
+            "verified: compiled, and the same bits as the reference"
+            if self.verified
+            else "UNVERIFIED: no C compiler found (gcc, clang, cc); install one and export again"
+        )
+        lines = [head, *map(str, self.comparisons)]
+        lines += [f"{key}: {value:g}" for key, value in self.figures.items()]
+        return "\n".join([*lines, f"{len(self.files)} files in {self.folder}"])
+
+
+def write_c(
+    product: Product,
+    folder: str | Path,
+    *,
+    name: str,
+    real: Real = "double",
+    model_sha256: str = "not given",
+    data_sha256: str = "not given",
+    vectors: int = 100_000,
+    overwrite: bool = False,
+) -> Export:
+    """Turn a network or a command into C99 with everything an integrator needs, compiled and compared.
+
+    Parameters
+    ----------
+    product : :class:`Network` or :class:`Command`
+    folder : made when missing; what is in it already stays
+    name : prefix of the C functions and files: a lower-case C identifier of at most 24 characters
+    vectors : joint vectors on which the compiled C is compared with the reference
+    overwrite : replace files that this function did not write, or that were changed since
+
+    Raises
+    ------
+    InputError
+        A name, type or function cannot be used, or a file is in the way.
+    CasadicalError
+        The C does not compile without warnings, or gives other bits than the reference; nothing was written.
+    """
+    label = _checked_label(name, real, model_sha256, data_sha256)
+    folder = Path(folder)
+    program = program_of(product, real)
+    texts = _texts(program, label)
+    blobs = {key: text.encode() for key, text in texts.items()} | {f"{name}.fmu": fmu(program, label, texts)}
+    _check_nothing_in_the_way(folder, [*blobs, "manifest.json"], overwrite)
+    found = compilers()
+    comparisons = compared(program, name, texts, found, vectors)
+    wrong = [str(c) for c in comparisons if c.different]
+    if wrong:
+        raise CasadicalError("the compiled C differs from its reference; nothing was written:\n" + "\n".join(wrong))
+    figures = accuracy(program)
+    blobs["manifest.json"] = _manifest(program, label, blobs, comparisons, figures, found)
+    for key, blob in blobs.items():
+        (folder / key).parent.mkdir(parents=True, exist_ok=True)
+        (folder / key).write_bytes(blob)
+    return Export(folder, tuple(sorted(blobs)), tuple(comparisons), figures)
+
+
+def _checked_label(name: str, real: str, model_sha256: str, data_sha256: str) -> Label:
+    if not _NAME.fullmatch(name):
+        raise InputError(f"{name!r} cannot prefix C functions; use 1 to 24 of a-z, 0-9, _, beginning with a letter")
+    if real not in ("float", "double"):
+        raise InputError(f"real type {real!r}; it must be 'float' or 'double'")
+    for value in (model_sha256, data_sha256):
+        if not re.fullmatch(r"[0-9a-f]{64}|not given", value):
+            raise InputError(f"{value!r} is no sha256; give 64 hexadecimal digits in lower case, or leave it out")
+    return Label(name, model_sha256, data_sha256)
+
+
+def _texts(program: Program, label: Label) -> dict[str, str]:
+    name = label.name
+    return {
+        f"{name}.h": header(program, label),
+        f"{name}.c": source(program, label),
+        f"{name}_self_test.c": self_test_source(program, label),
+        f"{name}_example.c": example_source(program, label),
+        "CMakeLists.txt": cmake(label),
+        f"{name}.pc.in": pkg_config(label),
+        f"{name}.st": structured_text(program, label),
+        f"cross_check/{name}_casadi.c": cross_check(program, label),
+    }
+
+
+def _check_nothing_in_the_way(folder: Path, names: list[str], overwrite: bool) -> None:
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is a file; give a folder")
+    if overwrite:
+        return
+    ours = _written_before(folder)
+    for key in names:
+        path = folder / key
+        if path.exists() and ours.get(key) != _sha256(path.read_bytes()):
+            raise InputError(
+                f"{path} is in the way: it was not written by this export, or was changed since; "
+                "give another folder, or overwrite=True (--overwrite)"
+            )
+
+
+def _written_before(folder: Path) -> dict[str, str]:
+    """Hashes of the files that an earlier export wrote into the folder; the manifest's own among them."""
+    path = folder / "manifest.json"
+    try:
+        blob = path.read_bytes()
+        manifest: dict[str, Any] = json.loads(blob)
+        files = dict(manifest["files"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+    return files | {"manifest.json": _sha256(blob)} if manifest.get("written_by") == "casadical" else {}
+
+
+def _sha256(blob: bytes) -> str:
+    return hashlib.sha256(blob).hexdigest()
+
+
+def _manifest(
+    program: Program,
+    label: Label,
+    blobs: dict[str, bytes],
+    comparisons: list[Comparison],
+    figures: dict[str, float],
+    found: list[Compiler],
+) -> bytes:
+    shape = shape_of(program, label.name)
+    content = {
+        "written_by": "casadical",
+        "schema": SCHEMA,
+        "product": "command" if program.command else "network",
+        "model_sha256": label.model_sha256,
+        "data_sha256": label.data_sha256,
+        "kernel": {"name": shape.name, "real": shape.real, "joints": shape.joints, "outputs": shape.outputs},
+        "files": {key: _sha256(blob) for key, blob in sorted(blobs.items())},
+        "verified": bool(found),
+        "comparisons": [vars(c) for c in comparisons],
+        "figures": figures,
+    }
+    return (json.dumps(content, indent=2) + "\n").encode()

@@ -1,0 +1,176 @@
+"""Joint targets corrected row by row, and what moved by how much.
+
+A row is corrected whole or not at all: with any status but OK it keeps its targets, and the summary names it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casadical.core.errors import CasadicalError, InputError
+from casadical.core.transforms import Array
+from casadical.export import Command, Status, load
+from casadical.export.c.program import program_of
+from casadical.export.c.reference import correct as reference_correct
+from casadical.export.controller.program import Program
+
+LEAVES_BOX = "LEAVES_BOX"
+SHOWN = 20  # rows that a summary lists
+
+_MEANINGS = {
+    Status.CLAMPED.name: "outside the joint ranges of the model",
+    LEAVES_BOX: "the corrected targets would be outside the joint ranges of the model",
+    Status.NOT_CONVERGED.name: "an error above the tolerance would remain",
+    Status.LIMITED.name: "the correction would exceed its limit",
+    Status.SINGULAR.name: "near a pose in which the tool cannot move in some direction",
+    Status.NOT_FINITE.name: "the model has no value there; a four-bar cannot close, for instance",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Corrector:
+    """Who corrects: an exported kernel or a model.
+
+    joints : how many
+    correct : q, shape (k, joints) [rad] -> corrections [rad] of the same shape, and status, shape (k,)
+    position : q -> calibrated tool positions [m], shape (k, 3)
+    target : q -> nominal tool positions [m], shape (k, 3); None where it is not known
+    """
+
+    joints: int
+    correct: Callable[[Array], tuple[Array, Array]]
+    position: Callable[[Array], Array]
+    target: Callable[[Array], Array] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Corrected:
+    """A corrected program.
+
+    q : targets, shape (rows, joints) [rad], as they were where a row was refused; status : of each row, in words
+    moved_mm : how far the real tool moves by it, shape (rows,)
+    rest_mm : distance of the real tool from the nominal one, before and after, shape (rows, 2); None: not known
+    """
+
+    program: Program
+    q: Array
+    status: tuple[str, ...]
+    moved_mm: Array
+    rest_mm: Array | None
+
+    @property
+    def fine(self) -> Array:
+        """Which rows were corrected, shape (rows,)."""
+        return np.array([s == Status.OK.name for s in self.status])
+
+    def to_csv(self) -> str:
+        """The program's table with the new targets and a status for each row."""
+        return self.program.text(self.q, self.fine, self.status)
+
+    def __str__(self) -> str:
+        return "\n".join([*_refused(self), *_moved(self)])
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """The summary as plain data: rows, refused ones by line of the file, how far the tool moves."""
+        refused = {str(self.program.line[k]): self.status[k] for k in np.flatnonzero(~self.fine)}
+        moved = self.moved_mm[self.fine]
+        found: dict[str, Any] = {"rows": len(self.status), "corrected": int(self.fine.sum()), "refused": refused}
+        if len(moved):
+            found["moved_mm"] = {"mean": float(moved.mean()), "max": float(moved.max())}
+        if self.rest_mm is not None and len(moved):
+            before, after = self.rest_mm[self.fine].max(axis=0)
+            found["off_nominal_mm_max"] = {"before": float(before), "after": float(after)}
+        return found
+
+
+def kernel_corrector(folder: Path) -> Corrector:
+    """Correction by the C in an export folder, compiled here. Raises InputError, also where there is no compiler."""
+    try:
+        kernel = load(folder)
+    except InputError:
+        raise
+    except CasadicalError as error:
+        raise InputError(f"{folder}: {error}; or give the robot file in place of the folder") from None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{folder}/manifest.json is damaged ({error!r}); export again") from None
+    if "correct" not in kernel.shape.outputs:
+        raise InputError(f"{folder}: holds a network alone, which corrects no joints; export with --what command")
+
+    def position(q: Array) -> Array:
+        return np.asarray(kernel.forward(q)[0], dtype=float)
+
+    def correct(q: Array) -> tuple[Array, Array]:
+        dq, status = kernel.correct(q)
+        return np.asarray(dq, dtype=float), status
+
+    return Corrector(kernel.shape.joints, correct, position)
+
+
+def model_corrector(command: Command) -> Corrector:
+    """Correction by the exporter's arithmetic in NumPy, the bits of the exported double C without a compiler."""
+    made = program_of(command, "double")
+    return Corrector(
+        made.n,
+        lambda q: reference_correct(made, q),
+        lambda q: _mapped(command.calibrated, q),
+        lambda q: _mapped(command.nominal, q),
+    )
+
+
+def corrected(corrector: Corrector, program: Program) -> Corrected:
+    """Correct every row of a program on its own."""
+    dq, status = corrector.correct(program.q)
+    names = [Status(int(s)).name for s in status]
+    beyond = corrector.correct(program.q + dq)[1] == Status.CLAMPED
+    names = [LEAVES_BOX if b and n == Status.OK.name else n for b, n in zip(beyond, names, strict=True)]
+    fine = np.array([n == Status.OK.name for n in names])
+    q = np.where(fine[:, None], program.q + dq, program.q)
+    before, after = corrector.position(program.q), corrector.position(q)
+    moved = 1e3 * np.linalg.norm(after - before, axis=1)
+    rest = None
+    if corrector.target is not None:
+        target = corrector.target(program.q)
+        rest = 1e3 * np.linalg.norm(np.stack([before, after], axis=1) - target[:, None], axis=2)
+    return Corrected(program, q, tuple(names), moved, rest)
+
+
+def _mapped(function: ca.Function, q: Array) -> Array:
+    return np.asarray(function.map(len(q))(q.T).full().T)
+
+
+def _refused(result: Corrected) -> list[str]:
+    """The verdict, and each refused row with its reason."""
+    rows = np.flatnonzero(~result.fine)
+    lines = [f"{int(result.fine.sum())} of {len(result.status)} rows corrected"]
+    if len(rows):
+        lines[0] += f", {len(rows)} REFUSED and left as they were:"
+    for k in rows[:SHOWN]:
+        name = result.status[k]
+        lines.append(f"  row {result.program.line[k]}: {name}, {_MEANINGS[name]}")
+    if len(rows) > SHOWN:
+        lines.append(f"  and {len(rows) - SHOWN} more; see the status column")
+    return lines
+
+
+def _moved(result: Corrected) -> list[str]:
+    """Mean and largest change of each joint and of the tool, over the corrected rows."""
+    fine = result.fine
+    if not fine.any():
+        return ["nothing moved"]
+    change = np.rad2deg(abs(result.q - result.program.q))[fine]
+    lines = [f"{'moved by':<22}{'mean':>10}{'max':>10}"]
+    for i, column in enumerate(change.T, 1):
+        lines.append(f"  {f'joint {i} [deg]':<20}{column.mean():>10.4f}{column.max():>10.4f}")
+    lines.append(f"  {'tool [mm]':<20}{result.moved_mm[fine].mean():>10.4f}{result.moved_mm[fine].max():>10.4f}")
+    if result.rest_mm is not None:
+        lines.append("tool off its nominal place, by the model")
+        for label, unit, column in zip(("before [mm]", "after [um]"), (1, 1e3), result.rest_mm[fine].T, strict=True):
+            lines.append(f"  {label:<20}{unit * column.mean():>10.4f}{unit * column.max():>10.4f}")
+    return lines

@@ -1,0 +1,224 @@
+"""A calibrated robot file as a product of the exporter: CasADi functions of the nominal and of the real robot.
+
+Both robots stand in the robot's own base frame. Where the instrument stood is no error of the robot: the identified
+base is taken off, and so is a first row with all six numbers, which is the base (paper, Table 1). A first row of four
+numbers over a base that is known stays: its joint offset is the robot's. Both carry the same tool unless told
+otherwise: the measured point is mostly a reflector's, and where it was screwed on is no error of the robot either.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, get_args
+
+import casadi as ca
+import numpy as np
+
+from casadical.core.errors import InputError
+from casadical.core.transforms import Array
+from casadical.export import Command, Network
+from casadical.robot.axes import row_matrix
+from casadical.robot.robot import Body, Placement, Robot
+from casadical.robot.robot_file import read_robot
+
+if TYPE_CHECKING:
+    from casadical.compensator import Compensator
+
+Tool = Literal["shared", "own"]
+
+SAME_ROBOT = 0.1  # m between nominal and calibrated tool, median: above it the files are not of one robot
+
+
+@dataclass(frozen=True, eq=False)
+class Sources:
+    """What a product is made of: the robots, the mass on the flange [kg] (None: as declared), and whose tool counts.
+
+    robot, nominal : files, or robots as they are, such as `diagnosis.apply()` with its causes in the model
+
+    tool : "shared": both robots carry the calibrated file's tool. "own": each its file's, so that the difference is
+        corrected too, for a measured point that is the controller's tool centre point itself.
+    """
+
+    robot: Path | Robot
+    nominal: Path | Robot | None = None
+    compensator: Path | None = None
+    payload_kg: float | None = None
+    tool: Tool = "shared"
+
+    def __post_init__(self) -> None:
+        if self.tool not in get_args(Tool):
+            raise InputError(f"--tool {self.tool}: not known; allowed: {', '.join(get_args(Tool))}")
+
+
+def command_of(sources: Sources, steps: int = 2) -> Command:
+    """The correction that brings the real tool to where the nominal robot's would be, in the robot's own base frame.
+
+    The nominal robot is rigid, as a controller computes. The box is the calibrated file's joint limits, within the
+    angles that the compensator's training saw. Raises InputError.
+    """
+    if sources.nominal is None:
+        raise InputError(
+            "a command needs the robot as its controller computes it: give --nominal NOMINAL.toml, "
+            "the robot file from before the calibration"
+        )
+    real = _loaded(_robot(sources.robot), sources.payload_kg)
+    nominal = _rigid(_robot(sources.nominal))
+    _refuse_other_robot(real, nominal, sources)
+    _refuse_circumstances(real)
+    if sources.tool == "shared":
+        nominal = replace(nominal, tool=real.tool)
+    real, turn = in_own_frame(real, nominal)
+    nominal, _ = in_own_frame(nominal, nominal)
+    network = _network(sources, real.n)
+    lower, upper = np.array([(j.lower, j.upper) for j in real.joints]).T
+    if network is not None:
+        lower, upper = np.maximum(lower, network.lower), np.minimum(upper, network.upper)
+    command = Command(
+        nominal=_position(nominal, "nominal"),
+        calibrated=_calibrated(real, turn, network),
+        lower=lower,
+        upper=upper,
+        jacobian_of=_position(_rigid(real), "chain"),
+        jacobian_at=_bent(real) if _compliant(real) else None,
+        network=network,
+        steps=steps,
+    )
+    _refuse_far_apart(command, sources)
+    return command
+
+
+def network_of(sources: Sources) -> Network:
+    """The compensator alone: joints [rad] -> what to add to the computed position [mm], in the measuring frame."""
+    if sources.compensator is None:
+        raise InputError("a network needs its file: give --compensator NET.json, as save_compensator wrote it")
+    network = _network(sources, _robot(sources.robot).n)
+    if network is None:
+        raise InputError(
+            f"{sources.compensator}: this network does not help and was refused when it was trained; there is nothing "
+            "to export"
+        )
+    return network
+
+
+def in_own_frame(robot: Robot, nominal: Robot) -> tuple[Robot, Array]:
+    """The robot seen from its own base frame, and the rotation into it from the measuring frame, shape (3, 3).
+
+    A first row that is the base becomes the nominal robot's. Gravity keeps its direction against the arm.
+    """
+    turn = robot.base.T[:3, :3].T
+    gravity = turn @ robot.gravity if robot.gravity_frame == "measuring" else robot.gravity
+    joints = robot.joints
+    if joints[0].b is not None:
+        first = nominal.joints[0]
+        same = row_matrix(first)[:3, :3] @ row_matrix(joints[0])[:3, :3].T
+        turn, gravity = same @ turn, same @ gravity
+        placed = {k: getattr(first, k) for k in ("alpha", "a", "beta", "b", "theta", "d")}
+        joints = (replace(joints[0], **placed), *joints[1:])
+    own = replace(robot, joints=joints, base=Placement(np.eye(4)), gravity=gravity, gravity_frame="base")
+    return own, turn
+
+
+def _robot(source: Path | Robot) -> Robot:
+    return source if isinstance(source, Robot) else read_robot(source)
+
+
+def _word(source: Path | Robot | None) -> str:
+    """How messages name a robot."""
+    return source.name if isinstance(source, Robot) else str(source)
+
+
+def _refuse_circumstances(robot: Robot) -> None:
+    for effect in robot.effects:
+        lost = [c for c in effect.conditions if c != "payload_kg"]
+        if lost:
+            raise InputError(
+                f"{effect.label} follows {', '.join(lost)}, which the correction of a joint command does not know; "
+                "leave this effect out of the robot"
+            )
+
+
+def _loaded(robot: Robot, payload_kg: float | None) -> Robot:
+    """The robot with another mass on its flange, at the declared mass centre."""
+    if payload_kg is None:
+        return robot
+    if not (np.isfinite(payload_kg) and payload_kg >= 0):
+        raise InputError(f"--payload {payload_kg}: it must be a finite mass in kg, zero or more")
+    if robot.payload is None:
+        raise InputError(
+            f"--payload {payload_kg:g}: robot {robot.name!r} declares no payload, so its mass centre is not known; "
+            "add [payload] with mass_kg and com_mm to the robot file"
+        )
+    return replace(robot, payload=Body(payload_kg, robot.payload.com))
+
+
+def _rigid(robot: Robot) -> Robot:
+    return replace(robot, joints=tuple(replace(j, compliance=None) for j in robot.joints))
+
+
+def _compliant(robot: Robot) -> bool:
+    return any(j.compliance for j in robot.joints)
+
+
+def _refuse_other_robot(real: Robot, nominal: Robot, sources: Sources) -> None:
+    for robot, path in ((real, _word(sources.robot)), (nominal, _word(sources.nominal))):
+        slides = [i for i, j in enumerate(robot.joints, 1) if j.kind != "revolute"]
+        if slides:
+            raise InputError(f"{path}: joint {slides[0]} is prismatic; only arms of revolute joints can be exported")
+    loops = [[(loop.driven, loop.carrier) for loop in robot.loops] for robot in (real, nominal)]
+    if real.n != nominal.n or loops[0] != loops[1]:
+        raise InputError(
+            f"{_word(sources.nominal)}: {nominal.n} joints, {len(nominal.loops)} four-bars; {_word(sources.robot)} has "
+            f"{real.n} and {len(real.loops)}: both files must be of one robot"
+        )
+
+
+def _refuse_far_apart(command: Command, sources: Sources) -> None:
+    q = np.random.default_rng(0).uniform(command.lower, command.upper, (200, len(command.lower)))
+    apart = np.linalg.norm(command.calibrated.map(200)(q.T).full() - command.nominal.map(200)(q.T).full(), axis=0)
+    if np.isnan(apart).all() or np.nanmedian(apart) > SAME_ROBOT:
+        raise InputError(
+            f"{_word(sources.nominal)}: its tool is {1e3 * np.nanmedian(apart):.0f} mm from that of "
+            f"{_word(sources.robot)} (median "
+            f"over the joints' ranges); at most {1e3 * SAME_ROBOT:.0f} mm can be corrected: are both files of one "
+            "robot, and with --tool own, is the nominal tool really the one that the controller holds?"
+        )
+
+
+def _network(sources: Sources, joints: int) -> Network | None:
+    """The compensator's network in the box of its training; None without one, or where it was refused."""
+    if sources.compensator is None:
+        return None
+    from casadical.compensator import load_compensator
+
+    compensator: Compensator = load_compensator(sources.compensator)
+    layout, box = compensator.layout, compensator.trained_box
+    if (layout.joints, layout.outputs) != (joints, 3):
+        raise InputError(
+            f"{sources.compensator}: {layout.joints} joints in and {layout.outputs} numbers out; this robot needs "
+            f"{joints} joints and a position of 3"
+        )
+    if not compensator.helps:
+        return None
+    return Network(compensator.function(), np.array(box.lower), np.array(box.upper))
+
+
+def _position(robot: Robot, name: str) -> ca.Function:
+    q = ca.SX.sym("q", robot.n)
+    return ca.Function(name, [q], [robot.position(q, ca.DM(robot.parameters.values))], ["q"], ["p"])
+
+
+def _calibrated(robot: Robot, turn: Array, network: Network | None) -> ca.Function:
+    """calibrated:(q[n])->(p[3] m); the network learned in the measuring frame, `turn` brings it into the robot's."""
+    q = ca.SX.sym("q", robot.n)
+    p = robot.position(q, ca.DM(robot.parameters.values))
+    if network is not None:
+        p = p + 1e-3 * ca.mtimes(ca.DM(turn), network.function(q))
+    return ca.Function("calibrated", [q], [p], ["q"], ["p"])
+
+
+def _bent(robot: Robot) -> ca.Function:
+    """bent:(q[n])->(joints with their deflections [rad])."""
+    q = ca.SX.sym("q", robot.n)
+    soft = ca.DM([j.compliance or 0.0 for j in robot.joints])
+    return ca.Function("bent", [q], [q + soft * robot.torque(q, ca.DM(robot.parameters.values))], ["q"], ["bent"])

@@ -1,0 +1,122 @@
+"""An offline program as a CSV table: joint targets are read in SI, every other column is kept to the letter."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from casadical.core.errors import InputError
+from casadical.core.transforms import Array
+
+STATUS = "correction_status"
+
+_TARGET = re.compile(r"q(\d+)_(\w+)")
+_TO_RAD = {"deg": np.pi / 180, "rad": 1.0}
+_DIGITS = {"deg": 7, "rad": 9}  # behind the point: some nanometres at the tool
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """Joint targets and the table that they stand in.
+
+    q : shape (rows, joints) [rad]; header, rows : the table's cells as text; line : of each row in the file
+    columns : where the joints' targets stand; units : "deg" or "rad" of each
+    """
+
+    source: str
+    q: Array
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    line: tuple[int, ...]
+    columns: tuple[int, ...]
+    units: tuple[str, ...]
+
+    def text(self, q: Array, moved: Array, status: Sequence[str]) -> str:
+        """The table as CSV with the targets of the rows that moved, and a column that says how each row fared."""
+        out = io.StringIO()
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerow([*self.header, STATUS])
+        for k, row in enumerate(self.rows):
+            cells = list(row)
+            for i, (column, unit) in enumerate(zip(self.columns, self.units, strict=True)):
+                if moved[k]:
+                    cells[column] = f"{q[k, i] / _TO_RAD[unit]:.{_DIGITS[unit]}f}"
+            writer.writerow([*cells, status[k]])
+        return out.getvalue()
+
+
+def read_program(path: str | Path, joints: int) -> Program:
+    """Joint targets q1_deg .. (or q1_rad ..) from a CSV file with commas and a header.
+
+    Raises InputError that names file, row and column.
+    """
+    path = Path(path)
+    lines = _lines(path)
+    if len(lines) < 2:
+        raise InputError(f"{path}: {'a header but no rows' if lines else 'is empty'}; at least one target is needed")
+    header = tuple(name.strip() for name in lines[0][1])
+    if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
+        raise InputError(f"{path}: its columns are parted by ';' or tabs; allowed: commas, with decimal points")
+    columns, units = _columns(path, header, joints)
+    for number, cells in lines[1:]:
+        if len(cells) != len(header):
+            raise InputError(f"{path}: row {number} has {len(cells)} cells, the header {len(header)}; correct the row")
+    line = tuple(number for number, _ in lines[1:])
+    rows = tuple(tuple(cells) for _, cells in lines[1:])
+    q = np.empty((len(rows), joints))
+    for i, (column, unit) in enumerate(zip(columns, units, strict=True)):
+        for k, row in enumerate(rows):
+            q[k, i] = _number(row[column], f"{path}: row {line[k]}, column {header[column]!r}") * _TO_RAD[unit]
+    return Program(str(path), q, header, rows, line, columns, units)
+
+
+def _lines(path: Path) -> list[tuple[int, list[str]]]:
+    """Cells of each line with its number, trailing blank lines left out."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        reader = csv.reader(io.StringIO(text.rstrip() + "\n", newline=""), strict=True)
+        return [(reader.line_num, cells) for cells in reader] if text.strip() else []
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: not a readable CSV table: {error}") from None
+
+
+def _columns(path: Path, header: tuple[str, ...], joints: int) -> tuple[tuple[int, ...], tuple[str, ...]]:
+    if STATUS in header:
+        raise InputError(
+            f"{path}: column {STATUS!r} is there already: this program was corrected before; correct the original"
+        )
+    found: dict[int, tuple[int, str]] = {}
+    for column, name in enumerate(header):
+        target = _TARGET.fullmatch(name)
+        if target is None:
+            continue
+        i, unit = int(target[1]), target[2]
+        if unit not in _TO_RAD:
+            raise InputError(f"{path}: column {name!r}: unit {unit!r} is not known; allowed: q{i}_deg, q{i}_rad")
+        if i in found:
+            raise InputError(f"{path}: columns {header[found[i][0]]!r} and {name!r} say the same; keep one")
+        if not 1 <= i <= joints:
+            raise InputError(f"{path}: column {name!r}: this robot has only {joints} joints")
+        found[i] = (column, unit)
+    for i in range(1, joints + 1):
+        if i not in found:
+            raise InputError(f"{path}: column q{i}_deg or q{i}_rad is missing; there are {', '.join(header)}")
+    return tuple(found[i][0] for i in range(1, joints + 1)), tuple(found[i][1] for i in range(1, joints + 1))
+
+
+def _number(text: str, where: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise InputError(f"{where}: {text!r} is not a finite number; correct or delete the row")
+    return value

@@ -1,0 +1,10 @@
+"""A calibrated robot, and what a diagnosis found of it, as a model for a simulator (MJCF, URDF), and its replay there.
+
+MuJoCo itself is needed only to replay: `pip install 'casadical[mujoco]'`.
+"""
+
+from casadical.export.mjcf.equilibrium import positions
+from casadical.export.mjcf.mjcf import MjcfExport, mjcf
+from casadical.export.mjcf.replay import Replay, replay, replay_campaign, replay_diagnosis
+
+__all__ = ["MjcfExport", "Replay", "mjcf", "positions", "replay", "replay_campaign", "replay_diagnosis"]

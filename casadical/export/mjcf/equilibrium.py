@@ -1,0 +1,203 @@
+"""Where a model of ours comes to rest in MuJoCo, at many commands: its equilibrium, found by Newton steps.
+
+Weights, springs, actuators, loops and play are MuJoCo's own: it evaluates every force and constraint; the steps only
+divide them by the stiffness of the coordinate, which converges fast because weights change little over a deflection.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.transforms import Array
+from casadical.export.mjcf.mjcf import POINT
+from casadical.measurements.measurements import Measurements
+
+if TYPE_CHECKING:
+    pass
+
+STILL = 1e-12  # rad or m
+AT_MOST = 100
+
+
+def positions(xml: str, m: Measurements, payload_factor: float = 1.0) -> Array:
+    """Where the site `measured` rests at the readings and circumstances of m, shape (n, 3) [m].
+
+    xml : as `mjcf` writes it; of m are taken q, payload_kg and approach1 .. where they were logged
+    Raises InputError without MuJoCo or for readings of another robot, ConvergenceError where a loop cannot close.
+    """
+    model = _Model(xml)
+    if model.arm != m.q.shape[1]:
+        raise InputError(f"{m.source}: {m.q.shape[1]} readings a pose, but the model has {model.arm} drives")
+    found = np.empty((len(m), 3))
+    for k in range(len(m)):
+        if "payload_kg" in m.conditions:
+            model.carry(payload_factor * float(m.conditions["payload_kg"][k]))
+        ways = [m.conditions.get(f"approach{i}") for i in range(1, model.arm + 1)]
+        approach = np.array([0.0 if way is None else np.sign(way[k]) for way in ways])
+        found[k] = model.rest(m.q[k], approach)
+    return found
+
+
+class _Model:
+    """A compiled model and the indices of its parts."""
+
+    def __init__(self, xml: str) -> None:
+        self.mujoco: Any = load_mujoco()
+        self.m = self.mujoco.MjModel.from_xml_string(xml)
+        self.m.opt.jacobian = self.mujoco.mjtJacobian.mjJAC_DENSE
+        # Friction, limits and contacts are settled here, by the way the joint came.
+        self.m.opt.disableflags |= int(self.mujoco.mjtDisableBit.mjDSBL_LIMIT)
+        self.m.opt.disableflags |= int(self.mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
+        self.d = self.mujoco.MjData(self.m)
+        joint = int(self.mujoco.mjtTrn.mjTRN_JOINT)
+        self.servos = np.flatnonzero(self.m.actuator_trntype == joint)
+        self.arm = len(self.servos)
+        self.drives = self.m.actuator_trnid[self.servos, 0]
+        names = [self.m.joint(k).name for k in range(self.m.njnt)]
+        loose = ("coupler", "rocker")
+        self.free = [k for k, n in enumerate(names) if n.startswith(loose) or n.endswith("_driven")]
+        self.play = [k for k, n in enumerate(names) if n.endswith("_play")]
+        self.stopped = [k for k, n in enumerate(names) if n.endswith("_bed")]
+        # Which drive's last motion a joint feels.
+        self.way = {k: i for i, j in enumerate(self.drives) for k, n in enumerate(names) if n.startswith(names[j])}
+        self.sprung = [k for k in range(self.m.njnt) if k not in (*self.free, *self.play)]
+        self._payload = next((b for b in range(self.m.nbody) if self.m.body(b).name == "payload"), None)
+        self._loops = [names[k][6:] for k in self.free if names[k].startswith("rocker")]
+        self._start: Array | None = None
+        self._sides: Array | None = None
+
+    def carry(self, mass: float) -> None:
+        """Mount this payload [kg]."""
+        if self._payload is not None and self.m.body_mass[self._payload] != mass:
+            self.m.body_mass[self._payload] = mass
+            self.mujoco.mj_setConst(self.m, self.d)
+
+    def rest(self, command: Array, approach: Array) -> Array:
+        """The measured point, shape (3,) [m], where everything balances."""
+        d, m = self.d, self.m  # joints are hinges and slides: the indices of q, of v and of joints agree
+        d.qpos[:] = 0.0
+        d.qvel[:] = 0.0
+        d.qpos[self.drives] = command / m.actuator_gear[self.servos, 0]
+        d.ctrl[self.servos] = command
+        if self.free:
+            self._assemble(command)
+        for _ in range(AT_MOST):
+            force = self._force()
+            step = np.zeros(m.nv)
+            for k in self.sprung:
+                push = force[k] - m.dof_frictionloss[k] * self._way(approach, k)
+                step[k] = push / self._slope(k)
+                if k in self.stopped:
+                    step[k] = np.clip(d.qpos[k] + step[k], *m.jnt_range[k]) - d.qpos[k]
+            for k in self.play:
+                push = force[k] - m.dof_frictionloss[k] * self._way(approach, k)
+                step[k] = m.jnt_range[k, 1] * np.sign(push) - d.qpos[k]
+            d.qpos[:] += step
+            if self.free:
+                self._close()
+            if np.abs(step).max() < STILL:
+                self.mujoco.mj_kinematics(m, d)
+                return np.array(d.site(POINT).xpos)
+        raise ConvergenceError(f"no rest after {AT_MOST} steps, the last one of {np.abs(step).max():.1e} rad or m")
+
+    def _way(self, approach: Array, joint: int) -> float:
+        return float(approach[self.way[joint]]) if joint in self.way else 0.0
+
+    def _force(self) -> Array:
+        """Generalized forces, shape (nv,), what the loops carry over to the cranks included."""
+        self.mujoco.mj_fwdPosition(self.m, self.d)
+        self.mujoco.mj_fwdVelocity(self.m, self.d)
+        self.mujoco.mj_fwdActuation(self.m, self.d)
+        force: Array = self.d.qfrc_passive + self.d.qfrc_actuator - self.d.qfrc_bias
+        if self.free:
+            J, _ = self._constraints()
+            rates = -np.linalg.lstsq(J[:, self.free], J, rcond=None)[0]
+            force = force + rates.T @ force[self.free]
+        return force
+
+    def _slope(self, k: int) -> float:
+        """Stiffness of the coordinate [N m/rad or N/m]."""
+        hit = self.servos[self.drives == k]
+        stiffness = float(sum(self.m.actuator_gainprm[i, 0] * self.m.actuator_gear[i, 0] ** 2 for i in hit))
+        x = self.d.qpos[k]
+        cubic = self.m.jnt_stiffnesspoly[k, 1] if hasattr(self.m, "jnt_stiffnesspoly") else 0.0
+        return stiffness + float(self.m.jnt_stiffness[k] + 3 * cubic * x**2)
+
+    def _constraints(self) -> tuple[Array, Array]:
+        """Jacobian and violation of the equalities at the present coordinates."""
+        self.mujoco.mj_fwdPosition(self.m, self.d)
+        n = self.d.nefc
+        return self.d.efc_J.reshape(n, self.m.nv).copy(), self.d.efc_pos[:n].copy()
+
+    def _assemble(self, command: Array) -> None:
+        """Close the loops as they are assembled: on the side on which they stand uncrossed at mid range."""
+        if self._sides is None:
+            lower, upper = self.m.actuator_ctrlrange[self.servos].T
+            self.d.qpos[self.drives] = (lower + upper) / 2
+            closed = [c for c in self._closures() if self._close_from(c)]
+            if not closed:
+                raise InputError("the four-bar of this model does not close at the middle of its joints' ranges")
+            best = max(closed, key=self._parallel)
+            self._start, self._sides = best, self._side(best)
+            self.d.qpos[self.drives] = command / self.m.actuator_gear[self.servos, 0]
+        for start in self._closures():
+            if self._close_from(start) and (self._side(self.d.qpos[self.free].copy()) == self._sides).all():
+                self._start = self.d.qpos[self.free].copy()
+                return
+        raise ConvergenceError(f"the four-bar does not close at the readings {np.round(command, 4).tolist()} rad")
+
+    def _closures(self) -> Iterator[Array]:
+        """Free hinges to start from: those of the last pose, then any."""
+        if self._start is not None:
+            yield self._start
+        rng = np.random.default_rng(0)
+        for _ in range(100):
+            yield rng.uniform(-np.pi, np.pi, len(self.free))
+
+    def _close_from(self, start: Array) -> bool:
+        self.d.qpos[self.free] = start
+        done = self._close(gentle=True)
+        start[:] = self.d.qpos[self.free]
+        return done
+
+    def _bars(self, free: Array) -> list[tuple[Array, Array, Array, Array]]:
+        """Of each loop: direction of crank and rocker, from the rocker's pin to the crank's end, axis; each (3,)."""
+        self.d.qpos[self.free] = free
+        self.mujoco.mj_kinematics(self.m, self.d)
+        found = []
+        for number in self._loops:
+            crank, coupler, rocker = (self.d.body(f"{w}{number}") for w in ("crank", "coupler", "rocker"))
+            turns = [body.xmat.reshape(3, 3) for body in (crank, rocker)]
+            found.append((turns[0][:, 0], turns[1][:, 0], coupler.xpos - rocker.xpos, turns[0][:, 2]))
+        return found
+
+    def _parallel(self, free: Array) -> float:
+        return float(min(crank @ rocker for crank, rocker, _, _ in self._bars(free)))
+
+    def _side(self, free: Array) -> Array:
+        """On which side of the diagonal each rocker stands."""
+        return np.array([np.sign(np.cross(along, rocker) @ axis) for _, rocker, along, axis in self._bars(free)])
+
+    def _close(self, gentle: bool = False) -> bool:
+        """Newton steps of the free hinges onto the constraints; whether they hold."""
+        for _ in range(AT_MOST if gentle else 6):
+            J, off = self._constraints()
+            step = -np.linalg.lstsq(J[:, self.free], off, rcond=None)[0]
+            size = float(np.abs(step).max())
+            self.d.qpos[self.free] += step * min(1.0, 0.5 / max(size, 1e-300)) if gentle else step
+            if size < STILL:
+                return bool(np.abs(off).max() < 1e-9)
+        return False
+
+
+def load_mujoco() -> Any:
+    """The package mujoco. Raises InputError where it is missing."""
+    try:
+        import mujoco
+    except ModuleNotFoundError:
+        raise InputError("this needs MuJoCo; install it with: pip install 'casadical[mujoco]'") from None
+    return mujoco

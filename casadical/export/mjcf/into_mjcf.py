@@ -1,0 +1,183 @@
+"""The calibrated geometry written into a user's own MuJoCo model: bodies move, meshes, comments, everything else stays.
+
+The user's link frames need not be ours: at zero reading each body stands somewhere against our frame of the same link,
+and goes on standing so. Only the joints' axes must be those of the nominal robot; that is checked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+from xml.dom import minidom
+from xml.parsers.expat import ExpatError
+
+import numpy as np
+
+from casadical.core.errors import InputError
+from casadical.core.transforms import Array, frame, nearest_rotation
+from casadical.export.mjcf.elements import inert, numbers, quaternion
+from casadical.export.mjcf.equilibrium import load_mujoco
+from casadical.robot.axes import row_matrix
+from casadical.robot.robot import Robot
+
+SAME_AXIS = 1e-5  # m or rad
+HELD = 1e-9  # m or rad, of the file that was written
+POINT = "casadical_measured"
+
+
+def into_mjcf(nominal: Robot, calibrated: Robot, path: Path, joints: Sequence[str], springs: bool = False) -> str:
+    """The user's model with the calibrated geometry, as XML.
+
+    nominal, calibrated : the robot before and after; joints : names of the arm's joints in the model, from the base on
+    springs : whether each compliant joint also gets a hinge `NAME_spring` beside it, in the same body
+    The foot stays where it is; the site `casadical_measured` is the measured point. Relative paths of meshes stay too.
+    Raises InputError: a closed loop, no such joint, or a joint whose axis is not the nominal robot's.
+    """
+    if nominal.loops:
+        raise InputError(f"{nominal.name!r} has a closed loop; write a model of its own (leave --into out)")
+    if len(joints) != nominal.n:
+        raise InputError(f"--joints: {len(joints)} names for the {nominal.n} joints of {nominal.name}")
+    spec = _read(path)
+    X, axes, points, bodies = _zero(spec, joints, str(path))
+    N, after = _frames(nominal), _frames(calibrated)
+    B = _foot(N, axes, points, joints, str(path))
+    C = [np.linalg.inv(B @ n) @ x for n, x in zip(N, X, strict=True)]
+    new = [B @ n @ c for n, c in zip(after, C, strict=True)]
+    document = _parsed(path)
+    _, data = _at_zero(spec, joints)
+    before, moved = np.eye(4), np.eye(4)
+    for name, x, target in zip(bodies, X, new, strict=True):
+        body = spec.body(name)
+        local = np.linalg.inv(moved @ np.linalg.inv(before) @ _pose(data.body(body.parent.name))) @ target
+        body.pos, body.quat = local[:3, 3], quaternion(local[:3, :3])
+        _write_pose(_element(document, "body", name, str(path)), local)
+        before, moved = x, target
+    _refuse_unmoved(spec, joints, new, str(path))
+    site = document.createElement("site")
+    site.setAttribute("name", POINT)
+    _write_pose(site, np.linalg.inv(C[-1]) @ calibrated.tool.T)
+    _element(document, "body", bodies[-1], str(path)).appendChild(site)
+    for name, row in zip(joints, calibrated.joints, strict=True) if springs else ():
+        _add_spring(document, name, row.compliance or 0.0, str(path))
+    return "\n".join(node.toxml() for node in document.childNodes) + "\n"
+
+
+def _parsed(path: Path) -> minidom.Document:
+    try:
+        return minidom.parse(str(path))
+    except (ExpatError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: malformed XML: {error}") from None
+
+
+def _element(document: minidom.Document, tag: str, name: str, source: str) -> minidom.Element:
+    found = [e for e in document.getElementsByTagName(tag) if e.getAttribute("name") == name]
+    if len(found) != 1:
+        raise InputError(f"{source}: {tag} {name!r} does not stand in this file itself; is it in an <include>?")
+    return found[0]
+
+
+def _write_pose(element: minidom.Element, T: Array) -> None:
+    """Position and quaternion, in place of any other way to say it."""
+    for other in ("axisangle", "euler", "xyaxes", "zaxis"):
+        if element.hasAttribute(other):
+            element.removeAttribute(other)
+    element.setAttribute("pos", numbers(*T[:3, 3]))
+    element.setAttribute("quat", numbers(*quaternion(T[:3, :3])))
+
+
+def _add_spring(document: minidom.Document, name: str, compliance: float, source: str) -> None:
+    """A hinge (or slide) beside the joint, on the same axis."""
+    if not compliance:
+        return
+    joint = _element(document, "joint", name, source)
+    spring = document.createElement("joint")
+    kept = {key: joint.getAttribute(key) for key in ("type", "axis", "pos", "class") if joint.hasAttribute(key)}
+    rest = {"limited": "false", "stiffness": numbers(1 / compliance), **inert(1 / compliance)}
+    for key, value in ({"name": f"{name}_spring"} | kept | rest).items():
+        spring.setAttribute(key, value)
+    assert isinstance(joint.parentNode, minidom.Element)
+    joint.parentNode.insertBefore(spring, joint)
+    joint.parentNode.insertBefore(joint, spring)
+
+
+def _read(path: Path) -> Any:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        return load_mujoco().MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise InputError(f"{path}: MuJoCo cannot read it: {str(error).strip()}") from None
+
+
+def _at_zero(spec: Any, joints: Sequence[str]) -> tuple[Any, Any]:
+    """Compiled model and its data with the arm's joints at zero."""
+    mujoco = load_mujoco()
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    for name in joints:
+        data.qpos[model.joint(name).qposadr[0]] = 0.0
+    mujoco.mj_kinematics(model, data)
+    return model, data
+
+
+def _pose(body: Any) -> Array:
+    return frame(np.array(body.xmat).reshape(3, 3), np.array(body.xpos))
+
+
+def _zero(spec: Any, joints: Sequence[str], source: str) -> tuple[list[Array], Array, Array, list[str]]:
+    """Of each joint: pose of its body (4, 4), axis (3,), a point on it (3,), and the body's name."""
+    known = [joint.name for joint in spec.joints]
+    missing = [name for name in joints if name not in known]
+    if missing:
+        raise InputError(f"{source}: no joint {missing[0]!r}; there are {', '.join(known)}")
+    model, data = _at_zero(spec, joints)
+    bodies = [model.body(model.joint(name).bodyid[0]).name for name in joints]
+    if "" in bodies or len(set(bodies)) < len(bodies):
+        raise InputError(f"{source}: each joint of the arm must be alone in a body with a name; there are {bodies}")
+    axes = np.array([data.joint(name).xaxis for name in joints])
+    points = np.array([data.joint(name).xanchor for name in joints])
+    return [_pose(data.body(name)) for name in bodies], axes, points, bodies
+
+
+def _frames(robot: Robot) -> list[Array]:
+    """Our frames of all links at zero reading, in the base frame, each (4, 4)."""
+    found, T = [], np.eye(4)
+    for row in robot.joints:
+        T = T @ row_matrix(row)
+        found.append(T)
+    return found
+
+
+def _foot(N: Sequence[Array], axes: Array, points: Array, joints: Sequence[str], source: str) -> Array:
+    """Where our base frame is in the model's world, so that all joints' axes coincide, shape (4, 4)."""
+    z = np.array([T[:3, 2] for T in N])
+    p = np.array([T[:3, 3] for T in N])
+    if np.linalg.svd(z, compute_uv=False)[1] < 1e-3:
+        raise InputError(f"{source}: all axes are parallel; where the base is cannot be told from them")
+    R = nearest_rotation(axes.T @ z)
+    across = [np.eye(3) - np.outer(a, a) for a in axes]
+    A = np.concatenate(across)
+    b = np.concatenate([P @ (x - R @ y) for P, x, y in zip(across, points, p, strict=True)])
+    t, _, rank, _ = np.linalg.lstsq(A, b, rcond=1e-6)
+    off = np.linalg.norm((A @ t - b).reshape(-1, 3), axis=1) + np.linalg.norm(axes - z @ R.T, axis=1)
+    worst = int(np.argmax(off))
+    if rank < 3 or off[worst] > SAME_AXIS:
+        raise InputError(
+            f"{source}: the axis of {joints[worst]!r} is not that of the nominal robot's joint {worst + 1} (off by "
+            f"{off[worst]:.3g} m or rad); zeros, signs and lengths must be those of the file that was calibrated"
+        )
+    return frame(R, t)
+
+
+def _refuse_unmoved(spec: Any, joints: Sequence[str], new: Sequence[Array], source: str) -> None:
+    """Whether the bodies stand where they should; they do not where a model nests them in frames."""
+    model, data = _at_zero(spec, joints)
+    for name, target in zip(joints, new, strict=True):
+        body = data.body(model.joint(name).bodyid[0])
+        off = float(np.abs(_pose(body) - target).max())
+        if off > HELD:
+            raise InputError(
+                f"{source}: body {body.name!r} does not go where it should ({off:.3g} m or rad off); is it inside of a "
+                "<frame>, or does it hold two joints? write it as a plain body"
+            )

@@ -1,0 +1,160 @@
+"""MJCF, the XML of MuJoCo, of a robot: geometry, masses, joint springs, four-bars as closed loops, effects.
+
+Drives are position actuators whose gain is the joint's stiffness: the link comes to rest where the spring carries its
+weight. A row's links and bars are those of the robot to the last bit; inertias, damping and armature are placeholders,
+so that the model says where the arm stands, not how it gets there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from casadical.core.transforms import frame, from_rpy
+from casadical.export.mjcf.balancer import add_sites, add_tendons
+from casadical.export.mjcf.bending import add_pieces
+from casadical.export.mjcf.drives import Counterparts, Drive, counterparts
+from casadical.export.mjcf.elements import SLOW, add_body, add_mass, add_spring, inert, numbers, quaternion
+from casadical.export.mjcf.loops import add_loop, closed
+from casadical.robot.axes import row_matrix
+from casadical.robot.robot import Body, Joint, Robot
+
+STEP = 0.002
+# The hardest impedance that MuJoCo knows.
+HARD = {"solref": numbers(2 * STEP, 1), "solimp": "0.9999 0.9999 0.001 0.5 2"}
+POINT = "measured"
+
+
+@dataclass(frozen=True, eq=False)
+class MjcfExport:
+    """What was written: the XML, what became of each effect, and what has no counterpart."""
+
+    text: str
+    written: tuple[str, ...]
+    left_out: tuple[str, ...]
+
+
+def mjcf(robot: Robot) -> MjcfExport:
+    """A robot, with its compliances and effects, as a MuJoCo model; world is the measuring frame.
+
+    Bodies base, link1 .. linkN, payload; joints joint1 .. (of a four-bar joint3 is the crank, joint3_driven the link),
+    actuators drive1 .. which take the reading as `ctrl`; the site and sensor `measured` are the measured point.
+    """
+    found = counterparts(robot)
+    root = ET.Element("mujoco", model=robot.name)
+    root.append(ET.Comment(_about(found)))
+    ET.SubElement(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
+    R = robot.base.T[:3, :3] if robot.gravity_frame == "base" else np.eye(3)
+    ET.SubElement(
+        root, "option", timestep=numbers(STEP), integrator="implicitfast", gravity=numbers(*(R @ robot.gravity))
+    )
+    default = ET.SubElement(root, "default")
+    limits = {"solreflimit": HARD["solref"], "solimplimit": HARD["solimp"]}
+    friction = {"solreffriction": HARD["solref"], "solimpfriction": HARD["solimp"]}
+    ET.SubElement(default, "joint", {**limits, **friction})
+    ET.SubElement(default, "equality", HARD)
+    last = _bodies(ET.SubElement(root, "worldbody"), robot, found)
+    _tool(last, robot, found.payload)
+    if robot.loops:
+        equality = ET.SubElement(root, "equality")
+        for loop in robot.loops:
+            closed(equality, loop)
+    actuators = ET.SubElement(root, "actuator")
+    for i, (joint, drive) in enumerate(zip(robot.joints, found.drives, strict=True), 1):
+        _actuator(actuators, i, joint, drive)
+    if found.balancers:
+        tendons = ET.SubElement(root, "tendon")
+        for balancer in found.balancers:
+            add_tendons(balancer, tendons, actuators)
+    sensor = ET.SubElement(root, "sensor")
+    ET.SubElement(sensor, "framepos", name=POINT, objtype="site", objname=POINT)
+    ET.indent(root)
+    text = '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+    return MjcfExport(text, found.written, found.left_out)
+
+
+def _about(found: Counterparts) -> str:
+    lines = [
+        "Written by casadical. Statics are exact: geometry, masses, joint springs. Inertias, damping and armature are",
+        f"placeholders (every spring comes to rest in some {SLOW:g} s). ctrl takes the joint readings [rad or m].",
+        *(f"effect {text}" for text in found.written),
+        *(f"left out: {text}" for text in found.left_out),
+    ]
+    return "\n  " + "\n  ".join(line.replace("--", "- -") for line in lines) + "\n"
+
+
+def _bodies(world: ET.Element, robot: Robot, found: Counterparts) -> ET.Element:
+    """The tree of links; the last one is returned."""
+    base = add_body(world, "base", robot.base.T)
+    if np.isfinite(found.base).any():
+        add_mass(base, 0.0, np.zeros(3))
+        for axis, words, k in zip("xy", ("1 0 0", "0 1 0"), found.base, strict=True):
+            if np.isfinite(k):
+                add_spring(base, f"base_{axis}", words, k)
+    driven = {loop.driven: loop for loop in robot.loops}
+    parent, behind = base, np.eye(4)
+    ends = [(parent, behind)]  # of each link: the piece on which the next joint stands, and the link's frame in it
+    for i, (row, drive) in enumerate(zip(robot.joints, found.drives, strict=True), 1):
+        loop = driven.get(i)
+        # A loop's theta turns the crank; the link it drives turns with the rocker, from the offset on.
+        place = row_matrix(replace(row, theta=loop.offset) if loop else row)
+        body = add_body(parent, f"link{i}", behind @ place)
+        if loop is not None:
+            add_loop(robot, loop, ends, _links(world), drive, _drive_joints)
+        else:
+            _drive_joints(body, f"joint{i}", row, drive)
+        for balancer in found.balancers:
+            if balancer.joint == i:
+                add_sites(balancer, *ends[-1], body, row)
+        mass = row.body or Body(0.0, np.zeros(3))
+        parent, behind = body, np.eye(4)
+        if i in found.flexures and i < robot.n:
+            end = row_matrix(robot.joints[i])[:3, 3]
+            parent, behind = add_pieces(body, f"link{i}", mass, end, found.flexures[i])
+        else:
+            add_mass(body, mass.mass, mass.com)
+        ends.append((parent, behind))
+    return parent
+
+
+def _links(world: ET.Element) -> dict[str, ET.Element]:
+    return {str(node.get("name")): node for node in world.iter("body")}
+
+
+def _drive_joints(body: ET.Element, name: str, row: Joint, drive: Drive) -> None:
+    """The joint, and beside it what gives way in another manner than a linear spring."""
+    margin = 0.02 * (row.upper - row.lower)
+    kind = "hinge" if row.kind == "revolute" else "slide"
+    joint = ET.SubElement(body, "joint", {"name": name, "type": kind, "axis": "0 0 1", **inert(drive.stiffness)})
+    joint.set("range", numbers(row.lower - margin, row.upper + margin))
+    if drive.friction:
+        joint.set("frictionloss", numbers(drive.friction))
+    if drive.k1:
+        add_spring(body, f"{name}_give", "0 0 1", drive.k1, drive.k3)
+    if drive.give:
+        add_spring(body, f"{name}_bed", "0 0 1", drive.give_stiffness).set("range", numbers(-drive.give, drive.give))
+    if drive.play:
+        also = {"name": f"{name}_play", "type": kind, "axis": "0 0 1", **inert(drive.stiffness)}
+        play = ET.SubElement(body, "joint", also)
+        play.set("range", numbers(-drive.play, drive.play))
+        if drive.play_friction:
+            play.set("frictionloss", numbers(drive.play_friction))
+
+
+def _tool(last: ET.Element, robot: Robot, payload: Body | None) -> None:
+    T = robot.tool.T
+    ET.SubElement(last, "site", name=POINT, pos=numbers(*T[:3, 3]), quat=numbers(*quaternion(T[:3, :3])))
+    if payload is not None:
+        body = add_body(last, "payload", frame(from_rpy(np.zeros(3)), np.asarray(payload.com)))
+        add_mass(body, payload.mass, np.zeros(3))
+
+
+def _actuator(actuators: ET.Element, i: int, joint: Joint, drive: Drive) -> None:
+    """A position servo: force = kp (ctrl - gear q), so that q = ratio ctrl where nothing pulls."""
+    servo = ET.SubElement(actuators, "position", name=f"drive{i}", joint=f"joint{i}")
+    servo.set("kp", numbers(drive.stiffness * drive.ratio**2))
+    if drive.ratio != 1:
+        servo.set("gear", numbers(1 / drive.ratio))
+    servo.set("ctrlrange", numbers(joint.lower, joint.upper))

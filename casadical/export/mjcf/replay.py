@@ -1,0 +1,162 @@
+"""Closing the loop: measured poses driven again in MuJoCo, and how far the model's point is from the measured one.
+
+Three models: the nominal robot, only base and tool placed; the calibrated one; the calibrated one with what a diagnosis
+found. All are identified from one part of the poses and replayed on the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from casadical.core.errors import InputError
+from casadical.core.transforms import Array
+from casadical.diagnosis.diagnose import Diagnosis, diagnose
+from casadical.export.mjcf.drives import OF_THE_MEASUREMENT, counterparts
+from casadical.export.mjcf.equilibrium import positions
+from casadical.export.mjcf.mjcf import MjcfExport, mjcf
+from casadical.export.mjcf.sources import with_causes
+from casadical.identification.accuracy import Accuracy, predicted, summarise
+from casadical.identification.identification import Identification, identify
+from casadical.measurements.derived_columns import derive
+from casadical.measurements.measurements import Measurements
+from casadical.robot.robot import Robot
+
+Show = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """One model in the simulator: its distance from the measured points, shape (n,), and from casadical's own [m].
+
+    lacking : labels of effects that neither the model nor the measured point holds, as the engine has no counterpart
+    """
+
+    name: str
+    export: MjcfExport
+    errors: Array
+    apart: Array
+    lacking: tuple[str, ...] = ()
+
+    @property
+    def accuracy(self) -> Accuracy:
+        return summarise(self.errors)
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """A campaign replayed: stages nominal, geometry, effect (if there is one); poses that were held out."""
+
+    source: str
+    robot: str
+    stages: tuple[Stage, ...]
+    diagnosis: Diagnosis | None = None
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """A row per stage: position error in the simulator [mm], and how far simulator and casadical are apart [um]."""
+        rows = [
+            {
+                "model": s.name, "n": s.accuracy.n, "mean_mm": 1e3 * s.accuracy.mean, "max_mm": 1e3 * s.accuracy.max,
+                "rms_mm": 1e3 * s.accuracy.rms, "p95_mm": 1e3 * s.accuracy.p95, "apart_um": 1e6 * float(s.apart.max()),
+            }
+            for s in self.stages
+        ]  # fmt: skip
+        return pd.DataFrame(rows)
+
+
+def replay(robot: Robot, m: Measurements, name: str = "model") -> Stage:
+    """Drive a robot's model to measured poses in MuJoCo.
+
+    Effects of the measurement (a frame that drifts, a reflector's offset) are no part of the model: they are added to
+    the point that MuJoCo finds, as the instrument would. Raises InputError, ConvergenceError.
+    """
+    if m.position is None:
+        raise InputError(f"{m.source}: of kind {m.kind}; positions are needed to replay")
+    m, _ = derive(m, [*robot.conditions, *(f"approach{i}" for i in range(1, robot.n + 1))])
+    export = mjcf(robot)
+    there = positions(export.text, m, counterparts(robot).payload_factor) + _of_the_measurement(robot, m)
+    apart = np.linalg.norm(there - predicted(robot, m)[0], axis=1)
+    out = {text.partition(":")[0] for text in export.left_out}
+    lacking = tuple(e.label for e in robot.effects if e.label in out and not isinstance(e, OF_THE_MEASUREMENT))
+    return Stage(name, export, np.linalg.norm(there - m.position, axis=1), apart, lacking)
+
+
+def _of_the_measurement(robot: Robot, m: Measurements) -> Array:
+    """What effects of the measurement add to each point, shape (n, 3) [m]."""
+    own = tuple(e for e in robot.effects if not isinstance(e, OF_THE_MEASUREMENT))
+    names = {p.name for e in own for p in e.parameters()}
+    without = replace(robot, effects=own, effect_values={n: v for n, v in robot.effect_values.items() if n in names})
+    return np.asarray(predicted(robot, m)[0] - predicted(without, m)[0])
+
+
+def replay_campaign(
+    robot: Robot,
+    m: Measurements,
+    effects: Sequence[str] | str = "standard",
+    *,
+    share: float = 2 / 3,
+    seed: int = 0,
+    show: Show = lambda _text: None,
+) -> Replay:
+    """Identify, diagnose and replay a campaign on poses that were held out.
+
+    robot : as `diagnose` takes it; share : of the poses that are fitted, the others are replayed
+    Raises InputError, ConvergenceError.
+    """
+    m, _ = derive(m, [f"approach{i}" for i in range(1, robot.n + 1)])
+    m, _ = derive(m, ["progress"])
+    parts = m.split({"identify": share, "report": round(0.999 - share, 3)}, seed)
+    fitted, held_out = parts["identify"], parts["report"]
+    found = diagnose(robot, fitted, effects, seed=seed, show=show)
+    return Replay(m.source, robot.name, _stages(robot, fitted, held_out, found, show), found)
+
+
+def replay_diagnosis(
+    found: Diagnosis, *, share: float = 2 / 3, seed: int = 0, show: Show = lambda _text: None
+) -> Replay:
+    """Replay a campaign with the causes that were found in it, all values identified anew from a part of its poses.
+
+    The outliers are left out, and the other poses replayed: no value has seen them, though they had a part in which
+    causes are named; `replay_campaign` keeps them from that, too. share : of the poses that are fitted
+    Raises InputError, ConvergenceError.
+    """
+    case, robot = found.case, found.case.given
+    m, _ = derive(case.m, ["progress", *(f"approach{i}" for i in range(1, robot.n + 1))])
+    m = replace(m, kind="position", orientation=None)[case.kept]
+    parts = m.split({"identify": share, "report": round(0.999 - share, 3)}, seed)
+    return Replay(m.source, robot.name, _stages(robot, parts["identify"], parts["report"], found, show), found)
+
+
+def _stages(
+    robot: Robot, fitted: Measurements, held_out: Measurements, found: Diagnosis, show: Show
+) -> tuple[Stage, ...]:
+    """Nominal robot, calibrated one, and that with the causes: identified from some poses, replayed at others."""
+    show("calibrating")
+    rigid = robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0))
+    placed = _fit(rigid, fitted, ("placement",))
+    plain = _fit(robot, fitted, ("kinematic", "compliance"))
+    stages = [replay(placed.robot, held_out, "nominal"), replay(plain.robot, held_out, "geometry and stiffness")]
+    show("replaying")
+    named = [c.label for c in found.causes if c.effects]
+    if named:
+        stages.append(replay(with_causes(robot, fitted, found), held_out, " and ".join(named)))
+    return tuple(stages)
+
+
+def _fit(robot: Robot, m: Measurements, free: tuple[str, ...]) -> Identification:
+    return identify(robot, m, free, loss="huber", priors=free != ("placement",), screen=False)
+
+
+def as_json(found: Replay) -> dict[str, Any]:
+    """A replay as plain data."""
+    return {
+        "robot": found.robot,
+        "stages": found.table.to_dict("records"),
+        "written": list(found.stages[-1].export.written),
+        "left_out": list(found.stages[-1].export.left_out),
+    }

@@ -1,0 +1,77 @@
+"""Which robot is written: a robot file's, a problem's calibrated one, or a campaign's with its diagnosed effects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from casadical.core.errors import InputError
+from casadical.diagnosis.diagnose import Diagnosis, diagnose
+from casadical.export.mjcf.into_mjcf import into_mjcf
+from casadical.export.mjcf.mjcf import MjcfExport
+from casadical.identification.identification import Identification, identify
+from casadical.measurements.derived_columns import derive
+from casadical.measurements.measurements import Measurements, read_measurements
+from casadical.project.problem import Problem, read_campaign_robot, read_problem, read_problem_robot
+from casadical.robot.robot import Robot
+from casadical.robot.robot_file import read_robot
+
+Show = Callable[[str], None]
+
+
+def calibrated(folder: Path) -> tuple[Problem, Identification]:
+    """A problem and its identification by the last of its methods. Raises InputError, ConvergenceError."""
+    problem = read_problem(folder)
+    return problem, identify(problem.robot, problem.sets["identify"], method=problem.methods[-1], loss=problem.loss)
+
+
+def robot_to_write(
+    source: Path, campaign: Path | None = None, effects: str | None = None, show: Show = lambda _text: None
+) -> tuple[Robot, Diagnosis | None]:
+    """The robot, and the diagnosis where a campaign is given.
+
+    source : a robot file, taken as it is, or a problem folder, which is calibrated; campaign : measured positions from
+    which the folder's robot is calibrated and diagnosed; effects : as of `casadical diagnose`
+    Raises InputError, ConvergenceError.
+    """
+    if not source.exists():
+        raise InputError(f"{source}: no such problem folder or robot file")
+    if source.is_file():
+        if campaign is not None:
+            raise InputError(f"--campaign needs the problem folder, not {source}: it is calibrated from the campaign")
+        return read_robot(source), None
+    if campaign is None:
+        return calibrated(source)[1].robot, None
+    robot = read_campaign_robot(source)
+    m = read_measurements(campaign, [j.kind for j in robot.joints])
+    found = diagnose(robot, m, effects.split(",") if effects else "standard", show=show)
+    return with_causes(robot, m, found), found
+
+
+def with_causes(robot: Robot, m: Measurements, found: Diagnosis) -> Robot:
+    """The robot calibrated together with the effects that a diagnosis found. Raises InputError, ConvergenceError."""
+    causes = [e for c in found.causes for e in c.effects]
+    m, _ = derive(m, [c for e in causes for c in e.conditions])
+    free = ("kinematic", "compliance", *(e.label for e in causes))
+    return identify(robot.with_effect(*causes), m, free, loss="huber", priors=True, screen=False).robot
+
+
+def into_users(
+    source: Path, campaign: Path | None, nominal: Path | None, robot: Robot, into: Path, joints: str, springs: bool
+) -> MjcfExport:
+    """A user's own model with the geometry (and springs) of a robot from `robot_to_write`; effects stay out of it.
+
+    nominal : robot file from before the calibration, needed where source is a robot file; joints : names by commas
+    Raises InputError.
+    """
+    if source.is_file() and nominal is None:
+        raise InputError("--into needs the robot before its calibration too: give --nominal, or the problem folder")
+    if nominal is not None:
+        before = read_robot(nominal)
+    else:
+        before = read_campaign_robot(source) if campaign else read_problem_robot(source)
+    text = into_mjcf(before, robot, into, [name.strip() for name in joints.split(",")], springs)
+    left_out = [f"{e.label}: effects go into a model of casadical's own, not into {into.name}" for e in robot.effects]
+    if not springs and any(j.compliance for j in robot.joints):
+        left_out.append("springs of the joints; --springs adds them")
+    return MjcfExport(text, (), tuple(left_out))

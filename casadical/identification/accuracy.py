@@ -1,0 +1,89 @@
+"""Position errors of a model against measurements, and the figures that sum them up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadical.core.transforms import Array
+from casadical.measurements.measurements import Measurements
+from casadical.robot.robot import Robot
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Error figures of one set of poses [m]: mean, maximum, standard deviation, root mean square, 95th percentile."""
+
+    n: int
+    mean: float
+    max: float
+    std: float
+    rms: float
+    p95: float
+
+
+def summarise(errors: Array) -> Accuracy:
+    """Figures of errors, shape (n,) [m]; the standard deviation is the sample's (n - 1)."""
+    return Accuracy(
+        n=len(errors),
+        mean=float(errors.mean()),
+        max=float(errors.max()),
+        std=float(errors.std(ddof=1)) if len(errors) > 1 else 0.0,
+        rms=float(np.sqrt(np.mean(errors**2))),
+        p95=float(np.quantile(errors, 0.95)),
+    )
+
+
+def predicted(robot: Robot, m: Measurements, values: Mapping[str, float] | None = None) -> tuple[Array, Array]:
+    """Positions, shape (n, 3) [m], and orientations, shape (n, 3, 3), of the robot as it is.
+
+    values : instead of its own, by parameter name [SI]
+    """
+    parameters = robot.parameters.with_values(dict(values)) if values else robot.parameters
+    w = m.condition_matrix(robot.conditions, robot.declared)
+    p, R = robot.model.evaluate(("p", "R"), m.q, w, parameters.values)
+    return p.T, R.reshape(3, len(m), 3).transpose(1, 0, 2)
+
+
+def errors(robot: Robot, m: Measurements) -> Array:
+    """What is left between model and measurement, shape (n,) [m].
+
+    Position and pose: the distance between the points. Distances: the absolute difference. Contact: the distance from
+    the mean of all poses at the same point, which is all that can be known of it.
+    """
+    p, _ = predicted(robot, m)
+    if m.kind in ("position", "pose"):
+        assert m.position is not None
+        return np.asarray(np.linalg.norm(p - m.position, axis=1))
+    if m.kind == "contact":
+        return np.asarray(np.linalg.norm(p - contact_means(p, m), axis=1))
+    assert m.distance is not None
+    if m.kind == "pair_distance":
+        assert m.other is not None
+        from dataclasses import replace
+
+        far, _ = predicted(robot, replace(m, q=m.other, other=None, kind="distance"))
+    else:
+        far = trilaterated(p, m) if m.target is None else m.target
+    return np.asarray(np.abs(np.linalg.norm(p - far, axis=1) - m.distance))
+
+
+def contact_means(p: Array, m: Measurements) -> Array:
+    """Mean position of all poses with the same label, for each pose, shape (n, 3) [m]."""
+    assert m.label is not None
+    _, group = np.unique(m.label.astype(str), return_inverse=True)
+    sums = np.zeros((group.max() + 1, 3))
+    np.add.at(sums, group, p)
+    return np.asarray((sums / np.bincount(group)[:, None])[group])
+
+
+def trilaterated(p: Array, m: Measurements) -> Array:
+    """The unknown far end of distances from p, shape (3,) [m]: |p|^2 - L^2 = 2 p.P - |P|^2 by least squares."""
+    assert m.distance is not None
+    centre = p.mean(axis=0)
+    local = p - centre
+    A = np.column_stack([2 * local, -np.ones(len(p))])
+    P = np.linalg.lstsq(A, (local**2).sum(axis=1) - m.distance**2, rcond=None)[0][:3]
+    return np.asarray(P + centre)

@@ -1,0 +1,118 @@
+"""Which parameters the data can tell apart: independent columns of the scaled Jacobian, and who looks like whom.
+
+Columns are taken in order of preference and scaled to unit length. One that the columns before it reproduce is not
+identifiable; the columns that reproduce it are named. Exact dependences come out at round-off (1e-10) and true
+parameters far above, so one tolerance serves where the columns are scaled (compare Khalil and Dombre 2002, ch. 5).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casadical.core.transforms import Array
+
+DEPENDENT = 1e-6
+INVISIBLE = 1e-9
+# Condition number from which on some parameters are nearly confounded.
+CONFOUNDED = 1000
+
+
+@dataclass(frozen=True)
+class Unidentifiable:
+    """A parameter that stays at its nominal value, why, and which parameters move the measurement as it does."""
+
+    name: str
+    reason: str
+    confounded_with: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """What the data can tell.
+
+    independent : names, in model order; held : the others, each with its reason
+    condition : condition number of the scaled Jacobian of the independent ones
+    """
+
+    independent: tuple[str, ...]
+    held: tuple[Unidentifiable, ...]
+    condition: float
+
+
+def analyse(J: Array, names: Sequence[str], always: int, held: dict[str, str]) -> Identifiability:
+    """Split the columns of a Jacobian into independent and dependent ones.
+
+    J : shape (residuals, always + len(names)), in units of sigma per unit of scale; the first `always` columns
+        (unknown points) are kept whatever the others are
+    names : of the further columns, the preferred ones first
+    held : name -> reason, for those that are not to be identified whatever the data
+    """
+    R: Array = np.asarray(np.linalg.qr(J, mode="r"))
+    length = np.linalg.norm(R, axis=0)
+    unit = R / np.where(length > 0, length, 1.0)
+    basis = np.linalg.qr(unit[:, :always])[0] if always else np.zeros((R.shape[0], 0))
+    kept: list[int] = []
+    dropped: list[Unidentifiable] = []
+    for k, name in enumerate(names, always):
+        if length[k] <= INVISIBLE * length.max():
+            dropped.append(Unidentifiable(name, "it has no effect on what was measured"))
+            continue
+        rest = unit[:, k] - basis @ (basis.T @ unit[:, k])
+        rest -= basis @ (basis.T @ rest)
+        if name in held:
+            dropped.append(Unidentifiable(name, held[name]))
+        elif np.linalg.norm(rest) <= DEPENDENT:
+            alike = _alike(unit, k, kept, names, always)
+            dropped.append(Unidentifiable(name, _in_words(alike), alike))
+        else:
+            basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
+            kept.append(k)
+    dropped = [
+        _carried(u, _alike(unit, always + names.index(u.name), kept, names, always)) if u.name in held else u
+        for u in dropped
+    ]
+    condition = float(np.linalg.cond(unit[:, [*range(always), *kept]])) if kept else 1.0
+    return Identifiability(tuple(names[k - always] for k in kept), tuple(dropped), condition)
+
+
+def _carried(u: Unidentifiable, alike: tuple[str, ...]) -> Unidentifiable:
+    """One that is held whatever the data, with the identified parameters that carry its share."""
+    known = set(re.findall(r"\w+", u.reason))
+    more = f"; {' and '.join(alike)} {'carries' if len(alike) == 1 else 'carry'} it" if known.isdisjoint(alike) else ""
+    return replace(u, reason=u.reason + (more if alike else ""), confounded_with=alike)
+
+
+def _alike(unit: Array, k: int, kept: list[int], names: Sequence[str], always: int) -> tuple[str, ...]:
+    """The kept parameters that together reproduce column k, the strongest first."""
+    columns = [*range(always), *kept]
+    if not kept:
+        return ()
+    share = np.abs(np.linalg.lstsq(unit[:, columns], unit[:, k], rcond=None)[0][always:])
+    strong = [j for j in np.argsort(-share) if share[j] > max(0.05 * share.max(), 1e-6)]
+    return tuple(names[kept[j] - always] for j in strong[:6])
+
+
+def _in_words(alike: tuple[str, ...]) -> str:
+    if not alike:
+        return "the unknown points absorb it"
+    verb = "does" if len(alike) == 1 else "do together"
+    return f"it moves the measured points exactly as {', '.join(alike)} {verb}"
+
+
+def poorly_determined(standard_errors: Array, priors: Array) -> int | None:
+    """The parameter of which the data say less than was known before (largest error over prior above one), if any."""
+    ratio = standard_errors / priors
+    worst = int(np.argmax(ratio)) if ratio.size else 0
+    return worst if ratio.size and ratio[worst] > 1 else None
+
+
+def correlated(covariance: Array, k: int, names: Sequence[str], above: float = 0.9) -> tuple[str, ...]:
+    """Up to six parameters whose estimates are correlated with parameter k, the strongest first."""
+    errors = np.sqrt(np.diag(covariance))
+    share = np.abs(covariance[k] / (errors[k] * errors))
+    strongest = [j for j in np.argsort(-share) if j != k and share[j] > above]
+    return tuple(names[j] for j in strongest[:6])

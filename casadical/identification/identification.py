@@ -1,0 +1,346 @@
+"""Identify a robot's parameters from measurements: bounded least squares, and what the result is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+
+from casadical.core.errors import InputError
+from casadical.core.statistics import student_t
+from casadical.core.transforms import Array
+from casadical.identification.accuracy import Accuracy, errors, predicted, summarise
+from casadical.identification.identifiability import Identifiability
+from casadical.identification.least_squares import (
+    POOR_FIT,
+    SIGMA_ANGLE_GUESS,
+    SIGMA_GUESS,
+    LeastSquares,
+    settle,
+    spread,
+    variance,
+)
+from casadical.identification.placement import place
+from casadical.identification.plausibility import check_against
+from casadical.identification.residuals import LOSSES, Loss, make_block
+from casadical.identification.solver import Progress, Solution
+from casadical.measurements.measurements import Measurements
+from casadical.robot.robot import Robot, modified_dh
+from casadical.robot.robot_file import to_toml
+
+Settled = tuple[LeastSquares, Solution, Identifiability]
+Method = Literal["KM", "SKCM"]
+METHODS: dict[str, tuple[str, ...]] = {"KM": ("kinematic",), "SKCM": ("kinematic", "compliance")}
+
+# Quantiles of chi-squared at 1 - 1e-5, by degrees of freedom.
+OUTLIER_CHI2 = {1: 19.51, 3: 25.90, 6: 33.11}
+LEAST_REDUNDANCY = 0.1
+SCREENINGS = 8
+SIGMA_ROUNDS = 6
+# Where the data are free of noise, so that nothing is divided by zero.
+LEAST_SIGMA = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """What was identified, from what, and how sure it is.
+
+    given : the robot as handed in; start : with its frames placed; robot : calibrated
+    measurements : what was used; method, loss : how
+    identifiability : which parameters are independent, which are not and why
+    problem, solution : the least squares and where it ended
+    variance : of a residual, in units of the sigmas used; degrees_of_freedom : residuals less variables
+    outliers : (set, pose) indices of poses that a robust loss left out
+    """
+
+    given: Robot
+    start: Robot
+    robot: Robot
+    measurements: tuple[Measurements, ...]
+    method: str
+    loss: Loss
+    identifiability: Identifiability
+    problem: LeastSquares
+    solution: Solution
+    variance: float
+    degrees_of_freedom: int
+    outliers: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Identified parameters."""
+        return self.problem.names
+
+    @cached_property
+    def estimate(self) -> Array:
+        """Of `names`, shape (p,) [SI]."""
+        return np.array(list(self.problem.values(self.solution.v).values()))
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Of `estimate`, shape (p, p) [SI]; NaN for parameters at a bound."""
+        return self.problem.covariance(self.solution.v, self.variance)
+
+    @cached_property
+    def standard_errors(self) -> Array:
+        """Of `estimate`, shape (p,) [SI]; NaN for parameters at a bound."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def at_bounds(self) -> tuple[str, ...]:
+        """Identified parameters that stopped at a bound."""
+        mask = self.problem.at_bounds(self.solution.v)[: len(self.names)]
+        return tuple(n for n, stopped in zip(self.names, mask, strict=True) if stopped)
+
+    @property
+    def sigmas(self) -> tuple[tuple[float, float], ...]:
+        """Standard deviation of one coordinate [m] and of one angle [rad] that the residuals show, for each set."""
+        scale = float(np.sqrt(self.variance))
+        return tuple((s * scale, a * scale) for s, a in self.problem.sigmas)
+
+    @cached_property
+    def parameters(self) -> pd.DataFrame:
+        """A row per parameter: name, group, nominal, value, std_error, low, high (95 %), unit, status, reason."""
+        quantile = student_t(0.975, self.degrees_of_freedom)
+        reasons = {u.name: u.reason for u in self.identifiability.held}
+        place_of = {name: k for k, name in enumerate(self.names)}
+        rows = []
+        for p in self.start.parameters:
+            nominal = p.readable(p.value)
+            value, error, status, reason = nominal, np.nan, "held", "not asked for"
+            if p.name in place_of:
+                k = place_of[p.name]
+                value, error = p.readable(self.estimate[k]), p.readable(self.standard_errors[k])
+                status, reason = ("at bound", "its bound stops it") if p.name in self.at_bounds else ("identified", "")
+            elif p.name in reasons:
+                status, reason = "not identifiable", reasons[p.name]
+            low, high = value - quantile * error, value + quantile * error
+            rows.append((p.name, p.group, nominal, value, error, low, high, p.readable_unit, status, reason))
+        columns = ["name", "group", "nominal", "value", "std_error", "low", "high", "unit", "status", "reason"]
+        return pd.DataFrame(rows, columns=columns)
+
+    def correlations(self, above: float = 0.95) -> pd.DataFrame:
+        """Pairs of identified parameters whose estimates are correlated by more than `above`, the strongest first."""
+        C = self.covariance / np.outer(self.standard_errors, self.standard_errors)
+        i, j = np.nonzero(np.tril(np.abs(C) > above, -1))
+        pairs = pd.DataFrame(
+            {"parameter": np.array(self.names)[i], "with": np.array(self.names)[j], "correlation": C[i, j]}
+        )
+        return pairs.sort_values("correlation", key=np.abs, ascending=False, ignore_index=True)
+
+    def predict(self, q: Array, conditions: Mapping[str, Array] | None = None) -> tuple[Array, Array]:
+        """Positions of the calibrated robot, shape (n, 3) [m], and their covariances, shape (n, 3, 3) [m^2].
+
+        q : joint readings, shape (n, joints) [rad or m]; conditions : logged columns by name, each of shape (n,).
+        The covariance is that of the model's position; a new measurement adds its own noise.
+        """
+        q = np.atleast_2d(q)
+        m = Measurements(q=q, kind="position", position=np.zeros((len(q), 3)), conditions=dict(conditions or {}))
+        p, _ = predicted(self.robot, m)
+        x, _ = self.problem.separate(self.solution.v)
+        block = make_block(self.start, m, self.names, "linear", 1.0, 1.0, np.zeros((0, 3)), np.zeros(len(q), int))
+        J = block.evaluate(x, np.zeros((0, 3)))[1] / self.problem.scale
+        return p, J @ np.nan_to_num(self.covariance) @ J.transpose(0, 2, 1)
+
+    def accuracy(self, m: Measurements) -> dict[str, Accuracy]:
+        """Errors on any measurements: "nominal", "placed" (base and tool fitted) and "calibrated"."""
+        return {
+            "nominal": summarise(errors(self.given, m)),
+            "placed": summarise(errors(self.placed, m)),
+            "calibrated": summarise(errors(self.robot, m)),
+        }
+
+    @cached_property
+    def placed(self) -> Robot:
+        """The given robot with only base and tool frames fitted: what "before calibration" can mean at all."""
+        groups = [g for g in ("base", "tool") if g in self.given.parameters.groups]
+        try:
+            return identify(self.given, self.measurements, groups, loss=self.loss).robot if groups else self.start
+        except InputError:  # relative measurements that tell nothing of the frames
+            return self.start
+
+    def is_optimal(self, tolerance: float = 1e-4) -> bool:
+        """Whether no step inside the bounds lowers the cost; recomputed from the data, not the solver's word.
+
+        tolerance : what one more Gauss-Newton step may gain in chi-squared; 1e-4 is about 1 % of a standard error
+        """
+        round_off = 1e-12 * self.solution.history[0]
+        return self.problem.decrement(self.solution.v) < tolerance * self.variance + round_off
+
+    def to_toml(self) -> str:
+        """The calibrated robot as the text of a robot file that `read_robot` reads again."""
+        return to_toml(self.robot, f"Calibrated by casadical.\n{self.verdict}")
+
+    @property
+    def dh_table(self) -> pd.DataFrame:
+        """The corrected modified DH table, a row per joint, in millimetres and degrees."""
+        return pd.DataFrame(modified_dh(self.robot))
+
+    @property
+    def verdict(self) -> str:
+        """The result in one sentence."""
+        used = sum(len(m) for m in self.measurements)
+        text = (
+            f"{self.method}: {len(self.names)} parameters identified from {used} poses, "
+            f"{len(self.identifiability.held)} not identifiable"
+        )
+        if self.at_bounds:
+            text += f"; AT BOUNDS: {', '.join(self.at_bounds)} - widen the bounds or doubt the model"
+        if self.outliers:
+            text += f"; {len(self.outliers)} poses left out as outliers"
+        left = max(sigma for sigma, _ in self.sigmas)
+        if left > POOR_FIT * self.robot.reach:
+            text += f"; THE MODEL DOES NOT FIT: {1e3 * left:.3g} mm are left - check joint signs, zeros and units"
+        return f"{text}. {self.solution.message}"
+
+
+def identify(
+    robot: Robot,
+    measurements: Measurements | Sequence[Measurements],
+    free: Iterable[str] = ("kinematic", "compliance"),
+    *,
+    method: Method | None = None,
+    loss: Loss = "linear",
+    priors: bool = False,
+    screen: bool = True,
+    progress: Progress | None = None,
+) -> Identification:
+    """Identify parameters of a robot from measurements.
+
+    robot : nominal model; measurements : one set, or several of different kinds, each with its own sigma
+    free : parameters by group (base, geometry, loop, tool, compliance), union (kinematic, placement), name or pattern
+    method : the paper's KM (kinematics only, joints rigid) or SKCM (with compliance), instead of `free`
+    loss : linear, huber or soft_l1; the robust ones leave poses that noise explains once in 100 000 out of a last solve
+    priors : whether departures from nominal are held back by the robot's prior widths
+    screen : whether a robust loss leaves far poses out of further solves, or only gives them less weight
+    progress : called with iteration number and cost
+
+    Raises InputError where the measurements do not fit the robot, ConvergenceError where Ipopt finds no optimum.
+    Source: paper, section 3; Hollerbach, Khalil and Gautier, Springer Handbook of Robotics (2016), chapter 8.
+    """
+    sets = _as_sets(measurements)
+    if method is not None:
+        robot, free = _by_method(robot, method)
+    if loss not in LOSSES:
+        raise InputError(f"loss {loss!r} is not known; allowed: {', '.join(LOSSES)}")
+    for m in sets:
+        check_against(robot, m)
+    start = place(robot, next((m for m in sets if m.position is not None), sets[0]))
+    names = start.parameters.select(free)
+    if not names:
+        raise InputError(
+            f"free={list(free)} chooses no parameter of {robot.name}; groups: {', '.join(start.parameters.groups)}"
+        )
+    sigmas = tuple((m.sigma or SIGMA_GUESS, m.sigma_angle or SIGMA_ANGLE_GUESS) for m in sets)
+    problem = LeastSquares(start, sets, names, loss, priors, sigmas)
+    (reduced, solution, found), outliers = _screened(problem, SCREENINGS if screen else 0, progress)
+    return Identification(
+        given=robot,
+        start=start,
+        robot=start.with_values(reduced.values(solution.v)),
+        measurements=sets,
+        method=method or "identify",
+        loss=loss,
+        identifiability=found,
+        problem=reduced,
+        solution=solution,
+        variance=variance(reduced, solution.v, trimmed=True),
+        degrees_of_freedom=reduced.residual_count - reduced.size,
+        outliers=outliers,
+    )
+
+
+def _as_sets(measurements: Measurements | Sequence[Measurements]) -> tuple[Measurements, ...]:
+    sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
+    wrong = [type(m).__name__ for m in sets if not isinstance(m, Measurements)]
+    if wrong or not sets:
+        raise InputError(
+            f"measurements are {wrong[0] if wrong else 'an empty list'}; "
+            "allowed: one or several Measurements (see from_table, read_measurements)"
+        )
+    return sets
+
+
+def _by_method(robot: Robot, method: str) -> tuple[Robot, tuple[str, ...]]:
+    if method not in METHODS:
+        raise InputError(f"method {method!r} is not known; allowed: {', '.join(METHODS)}")
+    if method == "KM":
+        robot = robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0))
+    return robot, METHODS[method]
+
+
+def _with_sigmas(problem: LeastSquares, progress: Progress | None) -> Settled:
+    """Solve; where a sigma matters and was not given, estimate it from the residuals and solve again."""
+    first = problem.sets[0]
+    several = len(problem.sets) > 1 or first.kind == "pose" or bool(first.separations)
+    matters = problem.loss != "linear" or problem.priors or several
+    for _ in range(SIGMA_ROUNDS):
+        settled = settle(problem, progress)
+        if not matters:
+            break
+        sigmas = _estimated_sigmas(*settled[:2])
+        change = np.abs(np.log(np.array(sigmas) / np.array(problem.sigmas))).max()
+        problem = replace(problem, sigmas=sigmas)
+        if change < 0.03:
+            break
+    return settled
+
+
+def _estimated_sigmas(problem: LeastSquares, solution: Solution) -> tuple[tuple[float, float], ...]:
+    """Of each set, from its residuals and their share in the degrees of freedom (Foerstner 1979)."""
+    residuals, _ = problem.evaluate(solution.v)
+    edges = np.cumsum([0, *(r.size for r in residuals)])
+    share = problem.redundancies(solution.v)
+    found = []
+    for k, (m, (sigma, angle)) in enumerate(zip(problem.sets, problem.sigmas, strict=True)):
+        freedom = share[edges[k] : edges[k + 1]].reshape(residuals[k].shape)[m.weight > 0]
+        r = residuals[k][m.weight > 0]
+        sigma = m.sigma or sigma * _deviation(problem, r[:, :3], freedom[:, :3])
+        if m.kind == "pose":
+            angle = m.sigma_angle or angle * _deviation(problem, r[:, 3:], freedom[:, 3:])
+        found.append((max(sigma, LEAST_SIGMA), max(angle, LEAST_SIGMA)))
+    return tuple(found)
+
+
+def _deviation(problem: LeastSquares, r: Array, freedom: Array) -> float:
+    """Standard deviation of residuals that have this many degrees of freedom each."""
+    square = spread(r) ** 2 if problem.loss != "linear" else float(np.mean(r**2))
+    return float(np.sqrt(square / max(float(np.mean(freedom)), 1 / r.size)))
+
+
+def _screened(
+    problem: LeastSquares, rounds: int, progress: Progress | None
+) -> tuple[Settled, tuple[tuple[int, int], ...]]:
+    """Solve; with a robust loss, leave outliers out and solve again until there are no more of them.
+
+    In rounds, because outliers widen the spread by which they are judged.
+    """
+    kept = [np.arange(len(m)) for m in problem.sets]
+    settled = _with_sigmas(problem, progress)
+    for _ in range(rounds if problem.loss != "linear" else 0):
+        far = _far(settled[0], settled[1])
+        if not any(mask.any() for mask in far):
+            break
+        kept = [index[~mask] for index, mask in zip(kept, far, strict=True)]
+        sets = tuple(m[index] for m, index in zip(problem.sets, kept, strict=True))
+        settled = _with_sigmas(replace(problem, sets=sets, sigmas=settled[0].sigmas), progress)
+    out = [np.setdiff1d(np.arange(len(m)), index) for m, index in zip(problem.sets, kept, strict=True)]
+    return settled, tuple((k, int(i)) for k, left in enumerate(out) for i in left)
+
+
+def _far(problem: LeastSquares, solution: Solution) -> list[Array]:
+    """Masks of the poses that noise of the spread which the residuals show brings forth once in 100 000."""
+    residuals, _ = problem.evaluate(solution.v)
+    edges = np.cumsum([0, *(r.size for r in residuals)])
+    share = problem.redundancies(solution.v)
+    masks = []
+    for k in range(len(problem.sets)):
+        r = residuals[k]
+        # A pose that draws the fit towards itself shows little of its error.
+        z = r / np.sqrt(np.maximum(share[edges[k] : edges[k + 1]].reshape(r.shape), LEAST_REDUNDANCY))
+        masks.append((z**2).sum(axis=1) > OUTLIER_CHI2[r.shape[1]] * spread(z) ** 2)
+    return masks

@@ -1,0 +1,404 @@
+"""The identification problem: sets of measurements, chosen parameters, unknown points; its solve and its statistics.
+
+Variables are v = (x, u): departures of the chosen parameters from nominal in units of their scale, then three
+coordinates [mm] per unknown point. The cost is half the sum of squared residuals in units of sigma (through the robust
+loss), of known separations between points, and of priors where they are asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casadical.core.errors import InputError
+from casadical.core.parameters import Parameter
+from casadical.core.transforms import Array
+from casadical.identification.accuracy import contact_means, predicted, trilaterated
+from casadical.identification.identifiability import (
+    Identifiability,
+    Unidentifiable,
+    analyse,
+    correlated,
+    poorly_determined,
+)
+from casadical.identification.residuals import POINT_SCALE, Block, Loss, has_point, loss_slope, make_block
+from casadical.identification.solver import Progress, Solution, minimise
+from casadical.measurements.measurements import Measurements
+from casadical.robot.robot import Robot
+
+# To be used where no sigma is given, until the residuals tell.
+SIGMA_GUESS, SIGMA_ANGLE_GUESS = 1e-4, 1e-4
+# Residuals of this share of the reach are no measuring error.
+POOR_FIT = 0.005
+
+# They move the robot as a whole.
+_WHOLE_ROBOT = (
+    "alpha0",
+    "a0",
+    "beta0",
+    "b0",
+    "d1",
+    "theta1",
+    *(f"base_{c}" for c in ("x", "y", "z", "rx", "ry", "rz")),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class LeastSquares:
+    """One identification problem; see the module's text.
+
+    names : parameters that are variables; sigmas : of one coordinate [m] and angle [rad], for each set
+    fixed_loads : whether gravity torques are those of the nominal geometry (see `Model`)
+    """
+
+    robot: Robot
+    sets: tuple[Measurements, ...]
+    names: tuple[str, ...]
+    loss: Loss
+    priors: bool
+    sigmas: tuple[tuple[float, float], ...]
+    fixed_loads: bool = False
+
+    @cached_property
+    def labels(self) -> tuple[str, ...]:
+        """Names of all unknown points."""
+        return tuple(dict.fromkeys(name for k in range(len(self.sets)) for name in self._pose_labels(k)))
+
+    def _pose_labels(self, k: int) -> list[str]:
+        m = self.sets[k]
+        if not has_point(m):
+            return []
+        return [f"{k}/far end"] * len(m) if m.label is None else [f"{k}/{name}" for name in m.label]
+
+    @cached_property
+    def points(self) -> Array:
+        """Start of every unknown point, shape (K, 3) [m]."""
+        start: dict[str, Array] = {}
+        for k, m in enumerate(self.sets):
+            if has_point(m):
+                p, _ = predicted(self.robot, m)
+                where = contact_means(p, m) if m.kind == "contact" else np.tile(trilaterated(p, m), (len(m), 1))
+                start |= dict(zip(self._pose_labels(k), where, strict=True))
+        return np.array([start[name] for name in self.labels]).reshape(-1, 3)
+
+    @cached_property
+    def blocks(self) -> tuple[Block, ...]:
+        index = {name: k for k, name in enumerate(self.labels)}
+        made = []
+        for k, (m, (sigma, sigma_angle)) in enumerate(zip(self.sets, self.sigmas, strict=True)):
+            group = np.array([index[name] for name in self._pose_labels(k)] or [0] * len(m), dtype=np.int64)
+            of_set = (self.robot, m, self.names, self.loss, sigma, sigma_angle, self.points, group)
+            made.append(make_block(*of_set, fixed_loads=self.fixed_loads))
+        return tuple(made)
+
+    @property
+    def size(self) -> int:
+        return len(self.names) + 3 * len(self.labels)
+
+    @cached_property
+    def residual_count(self) -> int:
+        return sum(m.residuals for m in self.sets)
+
+    def _parameter(self, what: str) -> Array:
+        """Values of an attribute of the chosen parameters, in solver units where it is a length or angle."""
+        return np.array([getattr(self.robot.parameters[n], what) for n in self.names])
+
+    @cached_property
+    def scale(self) -> Array:
+        return self._parameter("scale")
+
+    @cached_property
+    def bounds(self) -> tuple[Array, Array]:
+        """Of v, in solver units."""
+        free = np.full(3 * len(self.labels), np.inf)
+        value = self._parameter("value")
+        lower = (self._parameter("lower") - value) / self.scale
+        upper = (self._parameter("upper") - value) / self.scale
+        return np.concatenate([lower, -free]), np.concatenate([upper, free])
+
+    @cached_property
+    def prior_weights(self) -> Array:
+        """One over the prior's variance, of each variable; zero without priors."""
+        weights = np.zeros(self.size)
+        if self.priors:
+            weights[: len(self.names)] = (self.scale / self._parameter("prior")) ** 2
+        return weights
+
+    def separate(self, v: Array) -> tuple[Array, Array]:
+        """x, shape (p,), and u, shape (K, 3)."""
+        p = len(self.names)
+        return v[:p], v[p:].reshape(-1, 3)
+
+    def values(self, v: Array) -> dict[str, float]:
+        """Parameters by name [SI]."""
+        x, _ = self.separate(v)
+        return dict(zip(self.names, self._parameter("value") + self.scale * x, strict=True))
+
+    def solve(self, progress: Progress | None = None) -> Solution:
+        """The bounded optimum. Raises ConvergenceError."""
+        v = ca.MX.sym("v", self.size)
+        x, u = v[: len(self.names)], ca.reshape(v[len(self.names) :], 3, len(self.labels))
+        cost, again, gradient, hessian = ca.MX(0), ca.MX(0), ca.MX.zeros(self.size), ca.MX(self.size, self.size)
+        for block in self.blocks:
+            cost += block.cost(x, u)
+            f, g = block.gradient(x, u)
+            again, gradient, hessian = again + f, gradient + g, hessian + block.hessian(x, u)
+        r = self._separations(u)
+        if r.numel():
+            J = ca.jacobian(r, v)
+            cost, again = cost + ca.sumsqr(r) / 2, again + ca.sumsqr(r) / 2
+            gradient, hessian = gradient + J.T @ r, hessian + ca.triu(J.T @ J)
+        if self.priors:
+            weights = ca.DM(self.prior_weights)
+            prior = ca.dot(weights, v**2) / 2
+            cost, again, gradient = cost + prior, again + prior, gradient + weights * v
+            hessian += ca.diag(weights)
+        lower, upper = self.bounds
+        return minimise(
+            v, cost, (again, gradient), hessian, lower, upper, scale=0.5 * self.residual_count, progress=progress
+        )
+
+    def _separations(self, u: ca.MX) -> ca.MX:
+        """Residuals of known distances between touched points."""
+        rows = []
+        for k, m in enumerate(self.sets):
+            for first, second, length in m.separations:
+                i, j = self.labels.index(f"{k}/{first}"), self.labels.index(f"{k}/{second}")
+                apart = ca.DM(self.points[i] - self.points[j]) + POINT_SCALE * (u[:, i] - u[:, j])
+                rows.append((ca.norm_2(apart) - length) / m.separation_sigma)
+        return ca.vertcat(*rows) if rows else ca.MX.zeros(0)
+
+    def evaluate(self, v: Array) -> tuple[list[Array], Array]:
+        """Residuals of every set, shape (n, m), and the whole Jacobian, shape (residuals, size), without the loss."""
+        at, result = self._last
+        if at is None or not np.array_equal(at, v):
+            self._last[:] = [v.copy(), self._evaluate(v)]
+            result = self._last[1]
+        return result  # type: ignore[no-any-return]
+
+    @cached_property
+    def _last(self) -> list[Any]:
+        """Where the problem was evaluated last, and what came out: the statistics ask for the optimum many times."""
+        return [None, None]
+
+    def _evaluate(self, v: Array) -> tuple[list[Array], Array]:
+        x, u = self.separate(v)
+        residuals, rows = [], []
+        for block in self.blocks:
+            r, J = block.evaluate(x, u)
+            whole = np.zeros((*r.shape, v.size))
+            whole[:, :, : x.size] = J[:, :, : x.size]
+            if block.kernel.point:
+                for j in range(3):
+                    whole[np.arange(len(r)), :, x.size + 3 * block.group + j] = J[:, :, x.size + j]
+            residuals.append(r)
+            rows.append(whole.reshape(-1, v.size))
+        w = ca.MX.sym("v", self.size)
+        r_s = self._separations(ca.reshape(w[x.size :], 3, len(self.labels)))
+        if r_s.numel():
+            both = ca.Function("separations", [w], [r_s, ca.densify(ca.jacobian(r_s, w))])(v)
+            residuals.append(both[0].full())
+            rows.append(both[1].full())
+        return residuals, np.concatenate(rows)
+
+    def gradient(self, v: Array) -> tuple[Array, Array]:
+        """Gradient and Gauss-Newton Hessian of the cost at v, from residuals: a way apart from the solver's."""
+        r, J, slope = self._weighted(v)
+        return J.T @ (slope * r) + self.prior_weights * v, J.T @ (slope[:, None] * J) + np.diag(self.prior_weights)
+
+    def _weighted(self, v: Array) -> tuple[Array, Array, Array]:
+        """All residuals, shape (residuals,), the whole Jacobian, and the weight that the loss gives each row."""
+        residuals, J = self.evaluate(v)
+        return np.concatenate([part.ravel() for part in residuals]), J, self.slopes(residuals)
+
+    def slopes(self, residuals: Sequence[Array]) -> Array:
+        """Weight that the loss gives each row of the Jacobian; known separations pass through no loss."""
+        rows = [np.repeat(loss_slope(self.loss, r), r.shape[1]) for r in residuals[: len(self.sets)]]
+        return np.concatenate([*rows, *(np.ones(r.size) for r in residuals[len(self.sets) :])])
+
+    def at_bounds(self, v: Array) -> Array:
+        """Mask of the variables that stopped at a bound."""
+        lower, upper = self.bounds
+        near = 1e-5 * np.maximum(1.0, np.minimum(upper - lower, 1e3))
+        return np.asarray((v - lower < near) | (upper - v < near))
+
+    def decrement(self, v: Array) -> float:
+        """What one more Gauss-Newton step inside the bounds would gain in cost, half of chi-squared: g' H^-1 g / 2."""
+        g, H = self.gradient(v)
+        lower, upper = self.bounds
+        # A bound that the cost pushes away from holds nothing back.
+        inward = np.where(v - lower < upper - v, g < 0, g > 0)
+        free = ~self.at_bounds(v) | inward
+        return float(0.5 * g[free] @ np.linalg.solve(H[np.ix_(free, free)], g[free]))
+
+    def identifiability(self, v: Array) -> Identifiability:
+        """Which of the names the data can tell apart, on the Jacobian at v, loads fixed where joints give way."""
+        loaded = any(j.compliance is not None for j in self.robot.joints) or bool(self.robot.effects)
+        _, J = replace(self, fixed_loads=loaded).evaluate(v)
+        p = len(self.names)
+        held = {n: self.robot.parameters[n].held for n in self.names if self.robot.parameters[n].held}
+        if all(m.position is None and m.target is None for m in self.sets):
+            held |= dict.fromkeys(_WHOLE_ROBOT, "nothing at rest was measured: moving the whole robot changes nothing")
+        if self.priors and self.residual_count <= self.size:
+            J = np.concatenate([J, np.diag(np.sqrt(self.prior_weights))])  # too few numbers to say what is confounded
+        J_ordered = np.concatenate([J[:, p:], J[:, :p]], axis=1)
+        found = analyse(J_ordered, self.names, 3 * len(self.labels), held)
+        if any(m.kind != "contact" or m.separations for m in self.sets) or not self._scale_is_free():
+            return found
+        longest = max(found.independent, key=lambda n: abs(self._length(n)))
+        held[longest] = "contact without known separations tells no scale; this length is taken as the measure"
+        return analyse(J_ordered, self.names, 3 * len(self.labels), held)
+
+    def _length(self, name: str) -> float:
+        """Nominal value of a parameter that is a length [m]; zero for others."""
+        parameter = self.robot.parameters[name]
+        return parameter.value if parameter.unit == "m" else 0.0
+
+    def _scale_is_free(self) -> bool:
+        """Whether all lengths grow together unseen.
+
+        Contact residuals p - u are then homogeneous in lengths and points, and Euler's theorem says J (lengths, points)
+        = residuals. Compliance breaks this by its share in the position, which is no measure: hence one per cent.
+        """
+        residuals, J = self.evaluate(np.zeros(self.size))
+        lengths = np.array([self._length(n) for n in self.names]) / self.scale
+        growth = np.concatenate([lengths, (self.points - self.robot.base.T[:3, 3]).ravel() / POINT_SCALE])
+        r = np.concatenate([part.ravel() for part in residuals])
+        robot_alone = np.linalg.norm(J[:, : lengths.size] @ lengths)
+        return bool(robot_alone > 0 and np.linalg.norm(J @ growth - r) < 0.01 * robot_alone)
+
+    def covariance(self, v: Array, variance: float) -> Array:
+        """Of the parameters, shape (p, p) [SI], points marginalised; NaN for those at a bound.
+
+        variance : of a residual in units of sigma, one if the sigmas are right
+
+        With a robust loss it is the sandwich H^-1 (J' W^2 J) H^-1 of M-estimators (Huber and Ronchetti 2009, ch. 7).
+        """
+        _, J, slope = self._weighted(v)
+        free = np.flatnonzero(~self.at_bounds(v))
+        H, middle = (
+            (J.T @ ((slope**power)[:, None] * J) + np.diag(self.prior_weights))[np.ix_(free, free)] for power in (1, 2)
+        )
+        inverse = _inverse(H)
+        whole = np.full((self.size, self.size), np.nan)
+        whole[np.ix_(free, free)] = variance * (inverse @ middle @ inverse if self.loss != "linear" else inverse)
+        p = len(self.names)
+        return np.asarray(whole[:p, :p] * np.outer(self.scale, self.scale))
+
+    def redundancies(self, v: Array) -> Array:
+        """Degrees of freedom of each observed number, one less its leverage; they sum to those of the fit."""
+        _, J, slope = self._weighted(v)
+        H = J.T @ (slope[:, None] * J) + np.diag(self.prior_weights)
+        return np.asarray(1 - slope * np.einsum("ij,ij->i", J @ _inverse(H), J))
+
+    def with_names(self, names: Sequence[str]) -> LeastSquares:
+        return replace(self, names=tuple(names))
+
+
+def _inverse(H: Array) -> Array:
+    """Inverse of a positive semidefinite matrix, scaled first; directions at round-off come out as very uncertain."""
+    root = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    eigenvalues, V = np.linalg.eigh(H / np.outer(root, root))
+    return np.asarray((V / np.maximum(eigenvalues, 1e-15)) @ V.T / np.outer(root, root))
+
+
+def settle(problem: LeastSquares, progress: Progress | None) -> tuple[LeastSquares, Solution, Identifiability]:
+    """Choose the independent parameters, solve, and let go of those of which the data say less than the prior does.
+
+    Independence is decided at the start, where exact dependences are exact. Raises InputError where the data tell no
+    parameter at all, or are no more numbers than there are unknowns.
+    """
+    found = problem.identifiability(np.zeros(problem.size))
+    reduced = problem.with_names(found.independent)
+    if not problem.priors and reduced.residual_count <= reduced.size:
+        raise InputError(
+            f"{problem.sets[0].source}: {problem.residual_count} numbers were measured, but at least "
+            f"{reduced.size} are unknown; measure more poses, free fewer parameters "
+            "(free=['placement', ...]), or use priors"
+        )
+    poor: list[Unidentifiable] = []
+    left = 0.0
+    while reduced.names:
+        solution = reduced.solve(progress)
+        left = left or _misfit(reduced, solution.v)
+        worse = [] if problem.priors else _poor(reduced, solution.v)
+        if not worse:
+            return reduced, solution, replace(found, independent=reduced.names, held=(*found.held, *poor))
+        poor += worse
+        gone = {u.name for u in worse}
+        reduced = reduced.with_names([n for n in reduced.names if n not in gone])
+    if left > POOR_FIT * problem.robot.reach:
+        raise InputError(
+            f"{problem.sets[0].source}: the model does not fit: {1e3 * left:.3g} mm a coordinate are left after the "
+            "best fit; check the signs and zeros of the joints, their order, units and the DH convention"
+        )
+    reasons = "; ".join(f"{u.name}: {u.reason}" for u in (*found.held, *poor))
+    raise InputError(
+        f"{problem.sets[0].source}: these measurements tell nothing of what is to be identified. {reasons}"
+    )
+
+
+def _misfit(problem: LeastSquares, v: Array) -> float:
+    """Standard deviation of a coordinate that a fit leaves, the greatest of all sets [m]."""
+    return float(np.sqrt(variance(problem, v))) * max(sigma for sigma, _ in problem.sigmas)
+
+
+def _poor(problem: LeastSquares, v: Array) -> list[Unidentifiable]:
+    """Parameters that the data tell worse than their priors, let go one by one, the worst first.
+
+    Bounds hold nothing here: a parameter may sit at one just because the data tell nothing of it.
+    """
+    _, H = problem.gradient(v)
+    scale = variance(problem, v)
+    prior = np.array([problem.robot.parameters[n].prior for n in problem.names]) / problem.scale
+    left = list(range(problem.size))
+    poor: list[Unidentifiable] = []
+    while True:
+        named = [k for k in left if k < len(problem.names)]
+        covariance = scale * _inverse(H[np.ix_(left, left)])[: len(named), : len(named)]
+        errors = np.sqrt(np.diag(covariance))
+        worst = poorly_determined(errors, prior[named])
+        if worst is None:
+            return poor
+        names = [problem.names[k] for k in named]
+        poor.append(_told(problem.robot.parameters[names[worst]], errors[worst], correlated(covariance, worst, names)))
+        left.remove(named[worst])
+
+
+def _told(p: Parameter, error: float, partners: tuple[str, ...]) -> Unidentifiable:
+    """In words; error : standard error in units of the parameter's scale."""
+    unit = p.readable_unit
+    reason = (
+        f"these poses tell it to {p.readable(error * p.scale):.3g} {unit} only, less than is known before "
+        f"(prior {p.readable(p.prior):.3g} {unit})"
+    )
+    if partners:
+        reason += (
+            f"; it moves the measured points nearly as {', '.join(partners)} {'does' if len(partners) == 1 else 'do'}"
+        )
+    return Unidentifiable(p.name, reason, partners)
+
+
+def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float:
+    """Of a residual, in units of sigma: the sum of squares over the degrees of freedom.
+
+    With a robust loss, and unless outliers were trimmed, from the median absolute residuals instead.
+    """
+    residuals, _ = problem.evaluate(v)
+    freedom = problem.residual_count - problem.size + int(np.count_nonzero(problem.prior_weights))
+    if problem.loss != "linear" and not trimmed:
+        typical = float(np.median([spread(r) ** 2 for r in residuals]))
+        return typical * problem.residual_count / max(1, freedom)
+    chi2 = sum(float((r**2).sum()) for r in residuals) + float(problem.prior_weights @ v**2)
+    return chi2 / max(1, freedom)
+
+
+def spread(r: Array) -> float:
+    """Standard deviation of residuals from their median absolute value, deaf to outliers; zeros are of weight zero."""
+    counted = np.abs(r[r != 0])
+    return float(1.4826 * np.median(counted)) if counted.size else 0.0

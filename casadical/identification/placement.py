@@ -1,0 +1,71 @@
+"""A closed-form start for the base and tool frames, from positions or full poses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from casadical.core.transforms import Array, frame, nearest_rotation, to_xyz
+from casadical.identification.accuracy import predicted
+from casadical.measurements.measurements import Measurements
+from casadical.robot.robot import Robot
+
+
+def place(robot: Robot, m: Measurements) -> Robot:
+    """The robot with the unknown parts of its base and tool frames put where the measurements say.
+
+    For each pose y = R_B (p + R t) + p_B, with flange p, R in the base frame. Multiplied by M = R_B' it is linear in
+    M (9 numbers), M p_B and t: solved by least squares, M made a rotation, then refined by Kabsch's method and t in
+    turns. Only positions and full poses carry this information; other kinds, and robots whose base is known or is
+    row 1 of the table, are left as they are. Source: Kabsch (1976) for the rotation.
+    """
+    m = m[m.weight > 0]
+    if robot.base.unknown != "pose" or m.position is None or len(m) < 6:
+        return robot
+    known = None if robot.tool.unknown != "none" else robot.tool.T[:3, 3]
+    compliant = robot.gravity_frame == "measuring" and any(j.compliance for j in robot.joints)
+    T_M0, t = robot.base.T, robot.tool.T[:3, 3]
+    for _ in range(3 if compliant else 1):  # a compliant arm hangs by where gravity points in its base
+        p, R = _flange(robot, m, T_M0)
+        T_M0, t = _solve(p, R, m.position, known)
+    turn = robot.tool.T[:3, :3]
+    if robot.tool.unknown == "pose" and m.orientation is not None:
+        turn = nearest_rotation(np.einsum("nji,kj,nkl->il", R, T_M0[:3, :3], m.orientation))
+    return replace(robot, base=replace(robot.base, T=T_M0), tool=replace(robot.tool, T=frame(turn, t)))
+
+
+def _flange(robot: Robot, m: Measurements, T_M0: Array) -> tuple[Array, Array]:
+    """Flange positions, shape (n, 3), and orientations, shape (n, 3, 3), in the base frame, with the base at T_M0."""
+    turn = np.linalg.inv(robot.base.T) @ T_M0
+    values = dict(zip(("base_x", "base_y", "base_z"), turn[:3, 3], strict=True))
+    values |= dict(zip(("base_rx", "base_ry", "base_rz"), to_xyz(turn[:3, :3]), strict=True))
+    p, R = predicted(robot, m, values)
+    R = T_M0[:3, :3].T @ R @ robot.tool.T[:3, :3].T
+    return (p - T_M0[:3, 3]) @ T_M0[:3, :3] - R @ robot.tool.T[:3, 3], R
+
+
+def _solve(p: Array, R: Array, y: Array, known_tool: Array | None) -> tuple[Array, Array]:
+    """T_M0, shape (4, 4), and tool t, shape (3,)."""
+    n = len(p)
+    centre = y.mean(axis=0)
+    A = np.zeros((n, 3, 15))
+    for row in range(3):
+        A[:, row, 3 * row : 3 * row + 3] = y - centre
+        A[:, row, 9 + row] = 1.0
+    A[:, :, 12:] = -R
+    target = p
+    if known_tool is not None:
+        target = p + R @ known_tool
+        A = A[:, :, :12]
+    found = np.linalg.lstsq(A.reshape(3 * n, -1), target.ravel(), rcond=None)[0]
+    R_B = nearest_rotation(found[:9].reshape(3, 3)).T
+    t = found[12:] if known_tool is None else known_tool
+    for _ in range(5):
+        if known_tool is None:
+            B = np.concatenate([R_B @ R, np.broadcast_to(np.eye(3), (n, 3, 3))], axis=2)
+            t = np.linalg.lstsq(B.reshape(3 * n, 6), (y - p @ R_B.T).ravel(), rcond=None)[0][:3]
+        x = p + R @ t
+        R_B = nearest_rotation((y - centre).T @ (x - x.mean(axis=0)))
+    x = p + R @ t
+    return frame(R_B, centre - R_B @ x.mean(axis=0)), t

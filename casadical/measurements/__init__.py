@@ -1,0 +1,1 @@
+"""Measured poses: tables in, one immutable checked object in SI out."""

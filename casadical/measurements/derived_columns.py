@@ -1,0 +1,85 @@
+"""Columns that effects need and that follow from logged ones: progress, lagged warmth, approach directions."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from casadical.core.transforms import Array
+from casadical.measurements.measurements import Measurements
+
+_WARMTH = re.compile(r"warmth_(\d+)s")
+_APPROACH = re.compile(r"approach(\d+)")
+
+
+def derive(m: Measurements, names: Iterable[str]) -> tuple[Measurements, tuple[str, ...]]:
+    """The measurements with the named columns added, and the names that cannot be had from what was logged.
+
+    progress : place in the order of measuring, 0 to 1 (column pose or time_s; else the order of the rows)
+    warmth_600s : temperature_degC behind a first-order lag of 600 s, less its mean [K]
+    approach2 : direction of joint 2's last motion, -1 or 1; from the order of the poses where it was not logged
+    """
+    columns = dict(m.conditions)
+    missing = []
+    for name in dict.fromkeys(names):
+        if name in columns:
+            continue
+        made = _derived(m, name)
+        if made is None:
+            missing.append(name)
+        else:
+            columns[name] = made
+    return replace(m, conditions=columns), tuple(missing)
+
+
+def _derived(m: Measurements, name: str) -> Array | None:
+    if name == "progress":
+        rank = np.argsort(np.argsort(_order(m), kind="stable"))
+        return np.asarray(rank / max(1, len(m) - 1))
+    if found := _WARMTH.fullmatch(name):
+        return _warmth(m, float(found[1]))
+    if found := _APPROACH.fullmatch(name):
+        joint = int(found[1])
+        return _approach(m, joint - 1) if joint <= m.q.shape[1] else None
+    return None
+
+
+def _order(m: Measurements) -> Array:
+    for name in ("time_s", "pose"):
+        if name in m.conditions:
+            return m.conditions[name]
+    return np.asarray(m.row, dtype=float)
+
+
+def _warmth(m: Measurements, lag: float) -> Array | None:
+    if "temperature_degC" not in m.conditions or (lag and "time_s" not in m.conditions):
+        return None
+    sensor = m.conditions["temperature_degC"]
+    if not lag:
+        return np.asarray(sensor - sensor.mean())
+    order = np.argsort(m.conditions["time_s"], kind="stable")
+    time, felt = m.conditions["time_s"][order], sensor[order]
+    behind = np.empty(len(m))
+    behind[0] = felt[0]
+    for k in range(1, len(m)):
+        # The sensor runs straight between two readings: the exact solution of the first-order lag.
+        step = (time[k] - time[k - 1]) / lag
+        decay = np.exp(-step)
+        slope = (felt[k] - felt[k - 1]) / step if step > 0 else 0.0
+        behind[k] = felt[k] - slope * (1 - decay) + (behind[k - 1] - felt[k - 1]) * decay
+    warmth = np.empty(len(m))
+    warmth[order] = behind
+    return np.asarray(warmth - warmth.mean())
+
+
+def _approach(m: Measurements, joint: int) -> Array:
+    order = np.argsort(_order(m), kind="stable")
+    motion = np.sign(np.diff(m.q[order, joint], prepend=m.q[order[0], joint]))
+    for k in range(1, len(motion)):
+        motion[k] = motion[k] or motion[k - 1]
+    direction = np.empty(len(m))
+    direction[order] = motion
+    return direction

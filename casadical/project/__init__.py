@@ -1,0 +1,1 @@
+"""A problem folder: read, checked, made anew, calibrated."""

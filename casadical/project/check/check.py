@@ -1,0 +1,169 @@
+"""The check of a whole problem: read it, doubt it, and say what to expect, all before a solve."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from casadical.core.errors import InputError
+from casadical.identification.identifiability import CONFOUNDED
+from casadical.identification.identification import METHODS
+from casadical.identification.placement import place
+from casadical.identification.plausibility import check_against
+from casadical.measurements.measurements import Measurements
+from casadical.project.check.coverage import (
+    JointCoverage,
+    coverage,
+    coverage_findings,
+    limits_findings,
+    margin,
+    margin_findings,
+    repeats,
+)
+from casadical.project.check.findings import Finding, Level
+from casadical.project.check.information import Outlook, outlook
+from casadical.project.check.plausible import other_conventions, plausible
+from casadical.project.check.table_faults import table_faults, unknown_columns
+from casadical.project.problem import read_problem, read_problem_robot
+from casadical.robot.robot import Robot
+
+# Observed numbers for each unknown from which on a fit also tells how good it is.
+COMFORTABLE = 3
+# Times the noise from which on a scatter is no noise.
+LACKS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Precheck:
+    """What was found of one problem.
+
+    title, robot : names, empty where they could not be read; poses : in each set
+    noise : of a coordinate [m] as far as it is known beforehand; noise_source : from where, in words
+    joints : covered ranges in the set that is fitted; margin : smallest one of the four-bars
+    outlooks : for each method; none where the data are unusable
+    """
+
+    folder: Path
+    findings: tuple[Finding, ...]
+    title: str = ""
+    robot: str = ""
+    poses: tuple[tuple[str, int], ...] = ()
+    noise: float | None = None
+    noise_source: str = ""
+    joints: tuple[JointCoverage, ...] = ()
+    margin: float | None = None
+    outlooks: tuple[Outlook, ...] = ()
+
+    def of(self, level: Level) -> tuple[Finding, ...]:
+        """Findings of one level."""
+        return tuple(f for f in self.findings if f.level == level)
+
+    @property
+    def ok(self) -> bool:
+        """Whether a calibration has a point: no errors."""
+        return not self.of("error")
+
+
+def precheck(folder: str | Path, noise: float | None = None, seed: int | None = None) -> Precheck:
+    """Examine a problem folder and its data without solving anything.
+
+    noise : one sigma of a measured coordinate [m] for the forecasts; None: what a linear step leaves of the data
+    seed : of the split, instead of the problem's. Faults of the input are findings, not exceptions.
+    """
+    folder = Path(folder)
+    try:
+        problem = read_problem(folder, seed)
+    except InputError as error:
+        return Precheck(folder, (Finding("error", "reading", str(error)), *_more_faults(folder)))
+    sets = problem.sets["identify"]
+    found, usable = _data_findings(problem.robot, sets, other_conventions(folder))
+    found += limits_findings(problem.robot)
+    known, source = _noise(noise, sets)
+    start = place(problem.robot, next((m for m in sets if m.position is not None), sets[0]))
+    outlooks: list[Outlook] = []
+    for method in problem.methods if usable else ():
+        try:
+            outlooks.append(outlook(_as_method(start, method), sets, METHODS[method], method, noise))
+        except (InputError, np.linalg.LinAlgError) as error:
+            found.append(Finding("error", "identifiability", f"{method}: {error}"))
+    for view in outlooks:
+        found += _outlook_findings(view, problem.robot, known)
+    first = sets[0]
+    return Precheck(
+        folder, tuple(found), problem.title, problem.robot.name,
+        tuple((name, sum(len(m) for m in parts)) for name, parts in problem.sets.items()),
+        known, source, coverage(problem.robot, first), margin(problem.robot, first), tuple(outlooks),
+    )  # fmt: skip
+
+
+def _more_faults(folder: Path) -> list[Finding]:
+    """Of the tables of a problem that cannot be read."""
+    joints: int | None = None
+    with suppress(InputError):
+        joints = read_problem_robot(folder).n
+    try:
+        return table_faults(folder, joints)
+    except InputError:
+        return []
+
+
+def _data_findings(
+    robot: Robot, sets: tuple[Measurements, ...], others: Mapping[str, Robot]
+) -> tuple[list[Finding], bool]:
+    """Findings of the data that are fitted, and whether a model of them can be looked at."""
+    found: list[Finding] = []
+    for m in sets:
+        try:
+            check_against(robot, m)
+        except InputError as error:
+            found.append(Finding("error", "data", str(error)))
+        found += plausible(robot, m, others)
+        found += [*coverage_findings(robot, m), *margin_findings(robot, m), *unknown_columns([*m.conditions], m.source)]
+        distinct, _ = repeats(m)
+        if distinct < len(m):
+            text = f"{m.source}: {len(m)} measurements at {distinct} distinct readings"
+            few = 3 * distinct < len(m)
+            more = "; repeats tell of noise, only new readings tell of parameters" if few else ""
+            found.append(Finding("warning" if few else "note", "repeats", text + more))
+    return found, not any(f.topic in ("data", "units") and f.level == "error" for f in found)
+
+
+def _as_method(robot: Robot, method: str) -> Robot:
+    """KM takes joints as rigid."""
+    return robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0)) if method == "KM" else robot
+
+
+def _noise(given: float | None, sets: tuple[Measurements, ...]) -> tuple[float | None, str]:
+    if given is not None:
+        return given, "as given"
+    stated = next((m.sigma for m in sets if m.sigma), None)
+    if stated:
+        return stated, "as the problem states"
+    shown = next((s for s in (repeats(m)[1] for m in sets) if s), None)
+    return (shown, "as repeated readings show") if shown else (None, "")
+
+
+def _outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[Finding]:
+    p = view.unknowns
+    if not view.enough:
+        text = f"{view.method}: {view.numbers} numbers were measured for {p} unknowns; measure more poses"
+        return [Finding("error", "too few poses", text)]
+    found = []
+    if view.numbers < COMFORTABLE * p:
+        text = f"{view.method}: {view.numbers} numbers for {p} unknowns; {COMFORTABLE} a piece tell how good the fit is"
+        found.append(Finding("warning", "too few poses", text))
+    if view.condition > CONFOUNDED:
+        text = f"{view.method}: condition number {view.condition:.0f}: some parameters can hardly be told apart"
+        found.append(Finding("warning", "identifiability", f"{text}; spread the poses wider (casadical plan)"))
+    if noise and view.scatter > LACKS * noise:
+        text = f"{view.method}: a linear step leaves {1e3 * view.scatter:.3g} mm a coordinate, the noise is "
+        text += f"{1e3 * noise:.3g}: the model lacks something, or base and tool are far off"
+        found.append(Finding("warning", "misfit", text))
+    if view.method == "SKCM" and not any(n in view.names for n in robot.parameters.select(["compliance"])):
+        text = "SKCM: no compliance can be told (no joint is compliant, there are no masses, or gravity does not vary)"
+        found.append(Finding("warning", "identifiability", text))
+    return found

@@ -1,0 +1,130 @@
+"""What an identification will be able to tell, from one linear step at the nominal robot: no solver is called.
+
+The step leaves a scatter, of noise and of what the model lacks. It is carried through the identified parameters to
+poses all over the joints' ranges (compare `pose_selection.forecast`): the accuracy to expect of the parameters. What
+the model lacks comes on top where it was measured, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadical.core.transforms import Array
+from casadical.identification.identifiability import Unidentifiable, correlated, poorly_determined
+from casadical.identification.least_squares import SIGMA_ANGLE_GUESS, SIGMA_GUESS, LeastSquares
+from casadical.measurements.measurements import Measurements
+from casadical.pose_selection import Workspace, observability
+from casadical.pose_selection.candidates import draw_uniform, expected
+from casadical.pose_selection.designs import inverse
+from casadical.pose_selection.information import MM, scaled_jacobian
+from casadical.robot.robot import Robot
+
+TASK_POSES = 200
+# Where the data are free of noise, so that nothing is divided by zero; in units of sigma.
+LEAST_SCATTER = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Outlook:
+    """What one method will be able to tell.
+
+    names : parameters that will be identified; held : the others, each with its reason; numbers : observed ones
+    unknowns : parameters that are independent, and coordinates of unknown points
+    condition : of the scaled Jacobian; O1 : observability index, in units of the noise (see `pose_selection.criteria`)
+    scatter : of a coordinate, or distance, that a linear step leaves [m], NaN without numbers to spare
+    noise : of a coordinate that the forecasts take [m]: the given one, else the scatter
+    of_points : whether points were measured, not distances
+    errors : standard errors to expect of `names` [SI]; accuracy : rms position error of them to expect [m]
+    """
+
+    method: str
+    names: tuple[str, ...]
+    held: tuple[Unidentifiable, ...]
+    numbers: int
+    unknowns: int
+    condition: float
+    O1: float
+    scatter: float
+    noise: float
+    of_points: bool
+    errors: Array
+    accuracy: float
+
+    @property
+    def held_out(self) -> float | None:
+        """Mean error [m] to expect on other poses like these, three coordinates with this scatter; None for others."""
+        if not (self.enough and self.of_points):
+            return None
+        return float(np.sqrt(8 / np.pi) * self.scatter * np.sqrt(1 + self.unknowns / self.numbers))
+
+    @property
+    def enough(self) -> bool:
+        """Whether more numbers were observed than there are unknowns."""
+        return self.numbers > self.unknowns
+
+
+def outlook(
+    robot: Robot,
+    sets: Sequence[Measurements],
+    free: Sequence[str],
+    method: str,
+    noise: float | None = None,
+    seed: int = 0,
+) -> Outlook:
+    """What an identification of these parameters from these sets can be expected to tell.
+
+    robot : with its base and tool placed; free : as of `identify`; noise : one sigma of a coordinate [m], None: as the
+    data show. Raises InputError.
+    """
+    sigmas = tuple((noise or m.sigma or SIGMA_GUESS, m.sigma_angle or SIGMA_ANGLE_GUESS) for m in sets)
+    problem = LeastSquares(robot, tuple(sets), robot.parameters.select(free), "linear", False, sigmas)
+    found = problem.identifiability(np.zeros(problem.size))
+    problem = problem.with_names(found.independent)
+    residuals, J = problem.evaluate(np.zeros(problem.size))
+    scatter = _scatter(np.concatenate([r.ravel() for r in residuals]), J, problem.residual_count - problem.size)
+    unit = 1.0 if noise or np.isnan(scatter) else max(scatter, LEAST_SCATTER)
+    kept, poor, C = _worth_it(problem, unit**2)
+    columns = [problem.names.index(n) for n in kept]
+    index = observability(J[:, columns] / unit, sum(len(m) for m in sets))["O1"] if kept else 0.0
+    scale = np.array([robot.parameters[n].scale for n in kept])
+    return Outlook(
+        method, kept, (*found.held, *poor), problem.residual_count, problem.size, found.condition, index,
+        scatter * sigmas[0][0], unit * sigmas[0][0], all(m.distance is None for m in sets),
+        np.sqrt(np.diag(C)) * scale, _accuracy(robot, kept, C, seed),
+    )  # fmt: skip
+
+
+def _scatter(r: Array, J: Array, freedom: int) -> float:
+    """Of what a linear step leaves of residuals r, in units of sigma."""
+    if freedom < 1:
+        return float("nan")
+    left = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
+    return float(np.sqrt(left @ left / freedom))
+
+
+def _worth_it(problem: LeastSquares, variance: float) -> tuple[tuple[str, ...], tuple[Unidentifiable, ...], Array]:
+    """Parameters that the data tell better than their priors, the others, and the covariance (units of scale)."""
+    _, H = problem.gradient(np.zeros(problem.size))
+    prior = np.array([problem.robot.parameters[n].prior for n in problem.names]) / problem.scale
+    left = list(range(problem.size))
+    poor: list[Unidentifiable] = []
+    while True:
+        named = [k for k in left if k < len(problem.names)]
+        C = variance * inverse(H[np.ix_(left, left)])[: len(named), : len(named)]
+        names = [problem.names[k] for k in named]
+        worst = poorly_determined(np.sqrt(np.diag(C)), prior[named])
+        if worst is None:
+            return tuple(names), tuple(poor), C
+        reason = "these poses would tell less of it than is known before"
+        poor.append(Unidentifiable(names[worst], reason, correlated(C, worst, names)))
+        left.remove(named[worst])
+
+
+def _accuracy(robot: Robot, names: tuple[str, ...], C: Array, seed: int) -> float:
+    """Root mean square position error over the joints' ranges [m]; C : covariance, shape (p, p), units of scale."""
+    q = draw_uniform(robot, TASK_POSES, Workspace(), np.random.default_rng(seed))
+    J = scaled_jacobian(robot, names, expected(robot, q, {}, "task"))
+    return MM * float(np.sqrt(np.einsum("kip,pq,kiq->", J, C, J) / len(J)))

@@ -1,0 +1,127 @@
+"""Whether the nominal model can have made the data: after base and tool are placed, centimetres must not be left.
+
+The usual slips are tried one by one (another unit, of one joint too, a joint counted the other way, a zero a quarter
+turn off, a left-handed measuring frame, DH rows of the other convention), and one that explains far more is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from casadical.core.errors import InputError
+from casadical.core.schema import load_toml
+from casadical.identification.accuracy import errors, predicted
+from casadical.identification.placement import place
+from casadical.measurements.measurements import Measurements
+from casadical.project.check.findings import Finding
+from casadical.robot.robot import Robot
+from casadical.robot.robot_file import robot_from
+
+# Share of the reach that a nominal robot may miss by once it is placed, and by how much a slip must explain the rest.
+GROSS = 0.02
+EXPLAINS = 0.25
+LEAST_SPREAD = 0.1
+POSES = 150
+
+
+def plausible(robot: Robot, m: Measurements, others: Mapping[str, Robot] | None = None) -> list[Finding]:
+    """Says what is left after placing [mm], and which slip explains it where that is far less with the slip undone.
+
+    others : robots that the file may have meant, by words that say how (see `other_conventions`)
+    """
+    if m.position is None:
+        return []
+    free = _free(robot)
+    some = m[:: -(-len(m) // POSES)]
+    left = _left(free, some)
+    tried = {words: _left(free, slip) for words, slip in _slips(robot, some) if _large_enough(free, slip)}
+    tried |= {words: _left(_free(other), some) for words, other in (others or {}).items()}
+    best = min(tried, key=lambda words: tried[words])
+    explained = tried[best] < EXPLAINS * left
+    if left <= GROSS * robot.reach and not explained:
+        text = f"{m.source}: the nominal model, base and tool fitted, is {1e3 * left:.3g} mm (median) from the data"
+        return [Finding("note", "units", f"{text}: units, signs and zeros fit")]
+    text = (
+        f"{m.source}: with base and tool fitted the nominal model still is {1e3 * left:.4g} mm (median) from the data, "
+        f"{100 * left / robot.reach:.2g} % of its reach"
+    )
+    if explained:
+        return [Finding("error", "units", f"{text}; {1e3 * tried[best]:.3g} mm would be left if {best}")]
+    return [Finding("error", "units", f"{text}; no slip of unit, sign or zero alone explains it: check the robot file")]
+
+
+def other_conventions(folder: Path) -> dict[str, Robot]:
+    """The robot of a problem folder with its DH rows read by the other convention; none for a URDF."""
+    found: dict[str, Robot] = {}
+    # Whoever reads the problem says what is wrong with its files.
+    with suppress(InputError):
+        path = folder / str(load_toml(folder / "problem.toml").get("robot", "robot.toml"))
+        if path.suffix == ".toml":
+            data = dict(load_toml(path))
+            said = str(data.get("convention", "modified"))
+            other = {"modified": "standard", "standard": "modified"}[said]
+            words = f"the DH rows are of the {other} convention, not {said} (convention in {path.name})"
+            found[words] = robot_from({**data, "convention": other}, path.name)
+    return found
+
+
+def _free(robot: Robot) -> Robot:
+    """Rigid, for deflections are millimetres and slips decimetres; base and tool unknown."""
+    rigid = tuple(replace(j, compliance=None) for j in robot.joints)
+    base, tool = replace(robot.base, unknown="pose"), replace(robot.tool, unknown="position")
+    return replace(robot, joints=rigid, base=base, tool=tool)
+
+
+def _left(robot: Robot, m: Measurements) -> float:
+    """Error after base and tool are placed [m]; infinite where the model cannot be evaluated."""
+    with np.errstate(all="ignore"):
+        try:
+            e = errors(place(robot, m), m)
+        except np.linalg.LinAlgError:
+            return np.inf
+    # The median: a few wild readings are outliers, not a slip.
+    return float(np.median(e)) if np.isfinite(e).all() else np.inf
+
+
+def _large_enough(robot: Robot, m: Measurements) -> bool:
+    """Whether the positions spread as far as a robot's do; shrunk ones would fit anything."""
+    assert m.position is not None
+    moved, _ = predicted(robot, m)
+    return bool(np.linalg.norm(np.ptp(m.position, axis=0)) > LEAST_SPREAD * np.linalg.norm(np.ptp(moved, axis=0)))
+
+
+def _slips(robot: Robot, m: Measurements) -> Iterator[tuple[str, Measurements]]:
+    """What may have gone wrong, in words, and the data as they would be without it."""
+    assert m.position is not None
+    turning = np.array([j.kind == "revolute" for j in robot.joints])
+    factor = 180 / np.pi
+    yield "the joint readings are radians under names of degrees", replace(m, q=np.where(turning, m.q * factor, m.q))
+    yield "the joint readings are degrees under names of radians", replace(m, q=np.where(turning, m.q / factor, m.q))
+    yield "the positions are metres under names of millimetres", replace(m, position=1e3 * m.position)
+    yield "the positions are millimetres under names of metres", replace(m, position=1e-3 * m.position)
+    yield "the positions are inches under names of millimetres", replace(m, position=25.4 * m.position)
+    yield "the measuring frame is left-handed (turn the sign of y)", replace(m, position=m.position * [1, -1, 1])
+    for i in range(robot.n):
+        if turning[i]:
+            yield f"q{i + 1} alone holds radians under a name of degrees", _moved(m, i, factor, 0.0)
+        yield f"joint {i + 1} counts the other way (turn the sign of q{i + 1})", _moved(m, i, -1.0, 0.0)
+        if turning[i]:
+            for degrees in (90, -90, 180):
+                words = f"the zero of joint {i + 1} is {abs(degrees)} deg off (add {degrees} to q{i + 1}_deg)"
+                yield words, _moved(m, i, 1.0, np.deg2rad(degrees))
+    for i in range(1, robot.n):
+        coupled = m.q.copy()
+        coupled[:, i] += m.q[:, i - 1]
+        yield f"q{i + 1} counts from the horizontal, not from link {i} (subtract q{i})", replace(m, q=2 * m.q - coupled)
+        yield f"q{i + 1} is counted the other way against link {i} (add q{i})", replace(m, q=coupled)
+
+
+def _moved(m: Measurements, i: int, sign: float, offset: float) -> Measurements:
+    q = m.q.copy()
+    q[:, i] = sign * q[:, i] + offset
+    return replace(m, q=q)

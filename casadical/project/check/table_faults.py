@@ -1,0 +1,69 @@
+"""Every fault of a measurement table at once: reading stops at the first, and a table often has several."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from casadical.core.schema import load_toml
+from casadical.project.check.findings import Finding
+
+# Columns that the model or an effect may ask for, besides readings and observations.
+KNOWN = ("payload_kg", "temperature_degC", "time_s", "warmth_K", "weight", "set", "point", "pose", "other_pose")
+
+
+def table_faults(folder: Path, joints: int | None) -> list[Finding]:
+    """Missing joint columns and cells that are no numbers, in every table that problem.toml names.
+
+    joints : how many readings a row must have; None where the robot could not be read
+    """
+    found: list[Finding] = []
+    for data in _tables(folder):
+        path = folder / str(data.get("file", ""))
+        try:
+            table = pd.read_csv(path).rename(columns=lambda name: str(name).strip())
+        except (OSError, ValueError):
+            continue  # said already by whoever read the problem
+        renamed = {str(theirs): str(ours) for ours, theirs in dict(data.get("columns", {})).items()}
+        found += _missing(table.rename(columns=renamed), joints, path.name) + _not_numbers(table, path.name)
+    return found
+
+
+def _tables(folder: Path) -> Sequence[Mapping[str, Any]]:
+    listed = load_toml(folder / "problem.toml").get("measurements", [])
+    return [d for d in listed if isinstance(d, Mapping)] if isinstance(listed, list) else []
+
+
+def _missing(table: pd.DataFrame, joints: int | None, source: str) -> list[Finding]:
+    stems = {str(c).rsplit("_", 1)[0] for c in table}
+    lost = [f"q{i}" for i in range(1, (joints or 0) + 1) if f"q{i}" not in stems]
+    if not lost:
+        return []
+    text = f"{source}: no column for {', '.join(lost)}; name them {lost[0]}_deg (or _rad, _mm, _m), or map them by "
+    return [Finding("error", "columns", text + "`columns` in problem.toml")]
+
+
+def _not_numbers(table: pd.DataFrame, source: str) -> list[Finding]:
+    found = []
+    for name in map(str, table):
+        bad = np.flatnonzero(~np.isfinite(pd.to_numeric(table[name], errors="coerce").to_numpy(dtype=float)))
+        if 0 < len(bad) <= len(table) // 2:
+            rows = ", ".join(str(k + 2) for k in bad[:8]) + (" ..." if len(bad) > 8 else "")
+            found.append(Finding("error", "cells", f"{source}: column {name!r} holds no number in row {rows}"))
+    return found
+
+
+def unknown_columns(conditions: Sequence[str], source: str) -> list[Finding]:
+    """Columns that are almost a name that something asks for, and those that are kept."""
+    found = []
+    for name in conditions:
+        near = difflib.get_close_matches(name, KNOWN, 1, 0.7)
+        if name not in KNOWN and near and not name.startswith(("warmth_", "approach")):
+            text = f"{source}: column {name!r} is no name that anything asks for; is {near[0]!r} meant?"
+            found.append(Finding("warning", "columns", text))
+    return found

@@ -1,0 +1,197 @@
+"""The paper's network methods on a problem: what SKCM leaves, learnt by a network, chosen and reported (section 5)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadical.compensator import Backprop, Compensator, Iwo, IwoThenLm, LevenbergMarquardt, Taught, Trainer
+from casadical.compensator.training import Progress
+from casadical.core.transforms import Array
+from casadical.identification.accuracy import Accuracy, predicted, summarise
+from casadical.identification.identification import Identification
+from casadical.measurements.measurements import Measurements
+from casadical.project.problem import NETWORK_METHODS, NetworkMethod, Problem
+from casadical.robot.robot import Robot
+
+# Trainer and millimetres of one output unit (None: root mean square residual); the first two as in the paper.
+TRAINERS: Mapping[NetworkMethod, tuple[Trainer, float | None]] = {
+    "NN-SKCM": (Backprop(), 1.0),
+    "IWO-NN-SKCM": (Iwo(), 1.0),
+    "LM-NN-SKCM": (LevenbergMarquardt(restarts=20), None),
+    "IWO-LM-NN-SKCM": (IwoThenLm(), None),
+    "GP-NN-SKCM": (Taught(), None),
+}
+
+# A problem without a set to train on lends the poses that identified the robot, where they are so many that the
+# identification could not follow their errors: so many readings for each parameter.
+ENOUGH_READINGS = 20
+# And no more than so many of them, drawn with the problem's seed: it keeps a training in seconds.
+LENT = {"train": 1500, "choose": 500}
+TOO_FEW = 10
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkResult:
+    """One network method on one problem.
+
+    compensator : trained or refused; None where there was nothing to train on, and `why` says so
+    errors : by set, of the corrected positions; those of SKCM where the network was refused, for then nothing is
+    corrected (what it would have done: `compensator.training`, `.choice`, `.validation`)
+    """
+
+    method: str
+    compensator: Compensator | None
+    why: str
+    errors: Mapping[str, Accuracy]
+
+    @property
+    def helps(self) -> bool:
+        """Whether a network is in use."""
+        return self.compensator is not None and self.compensator.helps
+
+    @property
+    def verdict(self) -> str:
+        """The result in words."""
+        return f"{self.method}: {self.why if self.compensator is None else self.compensator.verdict}"
+
+
+@dataclass(frozen=True, eq=False)
+class Networks:
+    """All network methods of a problem; `trained_on` says on which poses, or why on none."""
+
+    results: Mapping[str, NetworkResult]
+    trained_on: str
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """Poses and residuals [mm] by set for training, choosing and reporting; `lent` says where train came from."""
+
+    sets: Mapping[str, tuple[Array, Array]]
+    lent: str = ""
+
+
+def train_networks(
+    problem: Problem,
+    result: Identification,
+    methods: Sequence[NetworkMethod] = NETWORK_METHODS,
+    *,
+    seed: int = 0,
+    show: Callable[[str], None] = lambda _text: None,
+) -> Networks:
+    """Train the networks of `methods` on what an identification left.
+
+    The set train is learnt from, the set choose decides, all others have no part in either. show : called with a line
+    of progress that holds the loss. Raises InputError.
+    """
+    material = training_material(problem, result, seed)
+    if isinstance(material, str):
+        return Networks({m: NetworkResult(m, None, material, {}) for m in methods}, material)
+    found: dict[str, NetworkResult] = {}
+    chosen = ", judged on choose" if "choose" in material.sets else ", judged by cross-validation in it"
+    for method in methods:
+
+        def progress(p: Progress, method: str = method) -> None:
+            show(f"{method} step {p.step}, loss {p.loss_mm2:.4g} mm2")
+
+        trainer, scale = TRAINERS[method]
+        compensator = fit(material, trainer, scale, seed, progress)
+        found[method] = NetworkResult(method, compensator, "", _errors(problem, result.robot, compensator))
+    return Networks(found, material.lent or f"Networks: trained on the set train{chosen}; report was kept from both.")
+
+
+def fit(
+    material: Material,
+    trainer: Trainer,
+    output_scale_mm: float | None,
+    seed: int,
+    progress: Callable[[Progress], None] | None = None,
+) -> Compensator:
+    """A compensator from the sets train, choose (cross-validation in train where there is none) and report."""
+    q, residual_mm = material.sets["train"]
+    return Compensator.fit(
+        q,
+        residual_mm,
+        choose=material.sets.get("choose"),
+        validate=material.sets.get("report"),
+        trainer=trainer,
+        output_scale_mm=output_scale_mm,
+        seed=seed,
+        progress=progress,
+    )
+
+
+def training_material(problem: Problem, result: Identification, seed: int = 0) -> Material | str:
+    """What there is to train on, or the reason why nothing is."""
+    sets = {name: parts for name, parts in problem.sets.items() if all(map(_has_position, parts))}
+    if "identify" not in sets or "report" not in sets:
+        kinds = ", ".join(sorted({m.kind for parts in problem.sets.values() for m in parts}))
+        return (
+            f"no network: the data are {kinds}, which do not say where the point is; a network needs measured "
+            "positions, and a set report to be judged on"
+        )
+    lent = ""
+    if "train" not in sets:
+        kept = _without_outliers(result)
+        readings = 3 * sum(map(len, kept))
+        if readings < ENOUGH_READINGS * len(result.names) or len(kept[0]) < 4 * TOO_FEW:
+            return (
+                f"no network: there is no set train, and {readings} readings for {len(result.names)} parameters are "
+                "too few to learn from what identification left of them; name a set train in problem.toml"
+            )
+        sets |= _lend(kept, seed)
+        lent = (
+            f"Networks: no set train, so {_count(sets['train'])} of the poses that identified the robot were lent to "
+            f"train and {_count(sets['choose'])} others of them to choose; report was kept from all."
+        )
+    return Material({name: _stacked(result.robot, parts) for name, parts in sets.items()}, lent)
+
+
+def residual_mm(robot: Robot, m: Measurements) -> Array:
+    """Measured less computed positions, shape (n, 3) [mm] (paper, eq. 9)."""
+    assert m.position is not None
+    return np.asarray(1e3 * (m.position - predicted(robot, m)[0]))
+
+
+def _has_position(m: Measurements) -> bool:
+    return m.position is not None
+
+
+def _count(parts: Sequence[Measurements]) -> int:
+    return sum(map(len, parts))
+
+
+def _stacked(robot: Robot, parts: Sequence[Measurements]) -> tuple[Array, Array]:
+    return np.concatenate([m.q for m in parts]), np.concatenate([residual_mm(robot, m) for m in parts])
+
+
+def _without_outliers(result: Identification) -> list[Measurements]:
+    """What identified the robot, less the poses that a robust loss left out."""
+    out = set(result.outliers)
+    return [
+        m[np.array([i for i in range(len(m)) if (k, i) not in out], dtype=np.int64)]
+        for k, m in enumerate(result.measurements)
+        if _has_position(m)
+    ]
+
+
+def _lend(parts: Sequence[Measurements], seed: int) -> dict[str, tuple[Measurements, ...]]:
+    """Sets train and choose out of the poses that identified the robot; replicates stay together."""
+    first = parts[0]
+    train = min(LENT["train"], int(0.75 * len(first)))
+    choose = min(LENT["choose"], len(first) - train)
+    return {name: (m,) for name, m in first.split({"train": train, "choose": choose}, seed).items()}
+
+
+def _errors(problem: Problem, robot: Robot, compensator: Compensator) -> dict[str, Accuracy]:
+    """Error figures of the corrected positions by set; named as the identifications' are."""
+    found = {}
+    for name, parts in problem.sets.items():
+        for m in parts:
+            left = residual_mm(robot, m) - compensator.correction_mm(m.q)
+            label = name if len(parts) == 1 else f"{name}/{m.kind}"
+            found[label] = summarise(1e-3 * np.linalg.norm(left, axis=1))
+    return found

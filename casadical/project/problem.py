@@ -1,0 +1,270 @@
+"""A problem: a folder with a robot, measurements and how they are split, checked before anything is solved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal, get_args
+
+import numpy as np
+import pandas as pd
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from casadical.core.errors import InputError
+from casadical.core.schema import FaultError, check, load_toml
+from casadical.identification.residuals import Loss
+from casadical.measurements.measurements import SETS, Kind, Measurements, from_table
+from casadical.robot.robot import Robot
+from casadical.robot.robot_file import read_robot
+
+BaseMethod = Literal["KM", "SKCM"]
+NetworkMethod = Literal["NN-SKCM", "IWO-NN-SKCM", "LM-NN-SKCM", "IWO-LM-NN-SKCM", "GP-NN-SKCM"]
+NETWORK_METHODS: tuple[NetworkMethod, ...] = get_args(NetworkMethod)
+AnyMethod = Literal[BaseMethod, NetworkMethod]
+ALL_METHODS: tuple[AnyMethod, ...] = get_args(AnyMethod)
+
+Three = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
+
+
+class _Separation(_Strict):
+    between: list[str] = Field(min_length=2, max_length=2)
+    distance_mm: float = Field(gt=0)
+
+
+class _Data(_Strict):
+    file: str
+    kind: Kind | None = None
+    columns: dict[str, str] = {}
+    point_from: list[str] = []
+    separation: list[_Separation] = []
+    sigma_mm: float | None = Field(default=None, gt=0)
+    sigma_deg: float | None = Field(default=None, gt=0)
+
+
+class _Sets(_Strict):
+    seed: int = 0
+    column: str | None = None
+    identify: float | None = Field(default=None, gt=0)
+    train: float | None = Field(default=None, gt=0)
+    choose: float | None = Field(default=None, gt=0)
+    report: float | None = Field(default=None, gt=0)
+
+    @model_validator(mode="after")
+    def _clear(self) -> _Sets:
+        given = self.model_dump(include={*SETS}, exclude_none=True)
+        if self.column is not None and given:
+            raise FaultError("column", f"it names every pose's set; leave out {', '.join(given)}")
+        for name, size in given.items():
+            if size > 1 and size != int(size):
+                raise FaultError(name, "allowed: a share below 1, or a whole number of poses")
+        return self
+
+    def sizes(self) -> dict[str, float]:
+        given = self.model_dump(include={*SETS}, exclude_none=True)
+        return given or {"identify": 0.7, "report": 0.3}
+
+
+class _Urdf(_Strict):
+    """Which part of a URDF is the robot; written again when it is calibrated."""
+
+    base_link: str | None = None
+    tip_link: str | None = None
+    compliant: list[int] = []
+
+
+class _Paper(_Strict):
+    """Published figures to stand beside ours: mean, max and std [mm] by method, `before` among them."""
+
+    source: str
+    calibration: dict[str, Three] = {}
+    validation: dict[str, Three] = {}
+
+    @model_validator(mode="after")
+    def _known(self) -> _Paper:
+        for table in ("calibration", "validation"):
+            for name in getattr(self, table):
+                if name not in ("before", *ALL_METHODS):
+                    raise FaultError((table, name), f"allowed: before, {', '.join(ALL_METHODS)}")
+        return self
+
+
+class _ProblemFile(_Strict):
+    casadical: Literal[1]
+    title: str
+    data: Literal["real", "synthetic"] | None = None
+    robot: str = "robot.toml"
+    campaign_robot: str | None = None
+    urdf: _Urdf | None = None
+    methods: list[AnyMethod] = ["KM", "SKCM"]
+    loss: Loss = "linear"
+    paper: _Paper | None = None
+    measurements: list[_Data] = Field(min_length=1)
+    sets: _Sets = _Sets()
+
+
+@dataclass(frozen=True, eq=False)
+class Paper:
+    """Published figures: (mean, max, std) [mm] by method, "before" among them, of both of the paper's tables."""
+
+    source: str
+    calibration: Mapping[str, tuple[float, ...]]
+    validation: Mapping[str, tuple[float, ...]]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A robot and its measurements, split into named sets (identify, train, choose, report).
+
+    data : whether the measurements are real or synthetic; None where nobody said
+    sets : by name, one `Measurements` for each kind; no pose is in two sets
+    methods, loss : what `casadical calibrate` does by default; methods identify, networks learn what SKCM leaves
+    seed : of the split and of the networks
+    paper : published figures, and their source
+    urdf : file, base link and tip link where the robot came from a URDF
+    """
+
+    folder: Path
+    title: str
+    data: Literal["real", "synthetic"] | None
+    robot: Robot
+    sets: Mapping[str, tuple[Measurements, ...]]
+    methods: tuple[BaseMethod, ...]
+    loss: Loss
+    urdf: tuple[Path, str | None, str | None] | None = None
+    networks: tuple[NetworkMethod, ...] = ()
+    seed: int = 0
+    paper: Paper | None = None
+
+    @property
+    def origin(self) -> str:
+        """What the data are, in words."""
+        return f"{self.data} data" if self.data else "data of unstated origin"
+
+
+def read_problem(folder: str | Path, seed: int | None = None) -> Problem:
+    """Read a problem folder; `seed` replaces the one that its file gives for the split.
+
+    Raises InputError that names the file and what is wrong in it.
+    """
+    folder = Path(folder)
+    file, path = _problem_file(folder), folder / "problem.toml"
+    robot = _read_robot(folder / file.robot, file.urdf or _Urdf())
+    sets = file.sets if seed is None else file.sets.model_copy(update={"seed": seed})
+    split: dict[str, list[Measurements]] = {}
+    for data in file.measurements:
+        for name, part in _read(folder, data, robot, sets).items():
+            split.setdefault(name, []).append(part)
+    if "identify" not in split:
+        raise InputError(f"{path}: sets: no poses are named 'identify'; there are {', '.join(split)}")
+    return Problem(
+        folder=folder,
+        title=file.title,
+        data=file.data,
+        robot=robot,
+        sets={name: tuple(parts) for name, parts in split.items()},
+        methods=base_methods(file.methods),
+        loss=file.loss,
+        urdf=_urdf_source(folder / file.robot, file.urdf or _Urdf()),
+        networks=tuple(m for m in NETWORK_METHODS if m in file.methods),
+        seed=sets.seed,
+        paper=_paper(file.paper),
+    )
+
+
+def base_methods(methods: Sequence[str]) -> tuple[BaseMethod, ...]:
+    """The identifications that these methods need: networks learn what SKCM leaves."""
+    needed = {*methods, "SKCM"} if set(methods) & {*NETWORK_METHODS} else {*methods}
+    return tuple(m for m in get_args(BaseMethod) if m in needed)
+
+
+def _paper(table: _Paper | None) -> Paper | None:
+    if table is None:
+        return None
+    both = ({m: tuple(figures) for m, figures in t.items()} for t in (table.calibration, table.validation))
+    return Paper(table.source, *both)
+
+
+def read_problem_robot(folder: str | Path) -> Robot:
+    """The robot of a problem folder, its measurements left aside. Raises InputError."""
+    return _robot_of(Path(folder), campaign=False)
+
+
+def read_campaign_robot(folder: str | Path) -> Robot:
+    """The robot of a problem folder as a diagnosis takes it: its `campaign_robot`, else its robot.
+
+    Raises InputError.
+    """
+    return _robot_of(Path(folder), campaign=True)
+
+
+def _robot_of(folder: Path, campaign: bool) -> Robot:
+    file = _problem_file(folder)
+    name = file.campaign_robot if campaign and file.campaign_robot else file.robot
+    return _read_robot(folder / name, file.urdf or _Urdf())
+
+
+def _problem_file(folder: Path) -> _ProblemFile:
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such problem folder; it must hold problem.toml and a robot file")
+    path = folder / "problem.toml"
+    return check(_ProblemFile, load_toml(path), str(path))
+
+
+def _urdf_source(path: Path, urdf: _Urdf) -> tuple[Path, str | None, str | None] | None:
+    return (path, urdf.base_link, urdf.tip_link) if path.suffix == ".urdf" else None
+
+
+def _read_robot(path: Path, urdf: _Urdf) -> Robot:
+    if path.suffix == ".urdf":
+        from casadical.robot.urdf import read_urdf
+
+        return read_urdf(path, urdf.base_link, urdf.tip_link, compliant=urdf.compliant)
+    return read_robot(path)
+
+
+def _read(folder: Path, data: _Data, robot: Robot, sets: _Sets) -> dict[str, Measurements]:
+    path = folder / data.file
+    try:
+        table = pd.read_csv(path)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; it is named in {folder / 'problem.toml'}") from None
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not a readable CSV table: {str(error).strip()}") from None
+    missing = [c for c in data.point_from if c not in table]
+    if missing:
+        raise InputError(f"{path}: column {missing[0]!r}, named in point_from, is missing; there are {list(table)}")
+    if data.point_from:
+        table = table.assign(point=table[data.point_from].astype(str).agg("/".join, axis=1))
+    found = from_table(
+        table,
+        [j.kind for j in robot.joints],
+        data.kind,
+        columns=data.columns,
+        sigma_mm=data.sigma_mm,
+        sigma_deg=data.sigma_deg,
+        source=path.name,
+    )
+    separations = tuple((s.between[0], s.between[1], s.distance_mm * 1e-3) for s in data.separation)
+    if found.label is not None:
+        unknown = {name for s in separations for name in s[:2]} - set(found.label)
+        if unknown:
+            raise InputError(
+                f"{path.name}: separation: no point {min(unknown)!r}; there are {sorted(set(found.label))}"
+            )
+    found = replace(found, separations=separations)
+    return found.split(sets.sizes(), sets.seed) if sets.column is None else _by_column(found, table, sets.column)
+
+
+def _by_column(found: Measurements, table: pd.DataFrame, column: str) -> dict[str, Measurements]:
+    if column not in table:
+        raise InputError(f"{found.source}: column {column!r}, named in sets, is missing; there are {list(table)}")
+    names = table[column].astype(str)
+    unknown = set(names) - set(SETS)
+    if unknown:
+        raise InputError(f"{found.source}: column {column!r} holds {min(unknown)!r}; allowed: {', '.join(SETS)}")
+    return {str(name): found[np.flatnonzero(names == name)] for name in names.unique()}

@@ -1,0 +1,76 @@
+"""Every figure of a diagnosis' report."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from casadical.core.transforms import Array
+from casadical.diagnosis.cross_validation import Noise, fitted_without, held_out_errors, random_folds
+from casadical.diagnosis.thresholds import PARTITIONS
+from casadical.report.cause_figures import gap_course, posteriors, shrinks
+from casadical.report.error_figures import before_after
+from casadical.report.parameter_figures import parameter_figures
+from casadical.report.pose_errors import BEFORE, Left, PoseErrors
+from casadical.report.share_figures import where_figure
+from casadical.report.workspace import workspace
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+    from casadical.diagnosis.json_answer import Extras
+    from casadical.diagnosis.result import Diagnosis
+
+WITH = "with causes"
+
+
+def diagnosis_figures(d: Diagnosis, extras: Extras | None = None) -> dict[str, go.Figure]:
+    """Every figure of a diagnosis' report, by name; extras : with networks, they stand beside the gap.
+
+    gap; errors (held out, pose by pose); workspace; where/TABLE as `Diagnosis.where` names them; causes/STEP;
+    shrink (where a cause was found); parameters/lengths, /angles, /compliance. Raises InputError without plotly.
+    """
+    poses = held_out_poses(d)
+    found = {
+        "gap": gap_course(d, extras.networks if extras else None),
+        "errors": before_after(poses, d.gap.floor),
+        "workspace": workspace(fitted_poses(d), d.identification.robot),
+    }
+    found |= {f"where/{name}": where_figure(name, table) for name, table in d.where.tables()}
+    found |= {f"causes/{k + 1}": posteriors(d, k) for k in range(len(d.rankings))}
+    if d.causes:
+        found["shrink"] = shrinks(d)
+    return found | {f"parameters/{k}": f for k, f in parameter_figures(d.identification).items()}
+
+
+def held_out_poses(d: Diagnosis) -> PoseErrors:
+    """Held-out error of every pose that is no outlier: base model, and with the causes in it."""
+    e = d.case.evidence
+    folds = [random_folds(len(e.r), d.seed + k) for k in range(PARTITIONS)]
+
+    def errors(columns: Array, noise: Noise) -> Array:
+        return np.asarray(np.mean([held_out_errors(e, columns, noise, f) for f in folds], axis=0))
+
+    none = np.zeros(0, dtype=np.int64)
+    models = [Left(BEFORE, errors(none, d.rankings[0].noise[""]))]
+    if d.columns.size:
+        models.append(Left(WITH, errors(d.columns, d.noise)))
+    return _poses(d, tuple(models), "Held-out poses")
+
+
+def fitted_poses(d: Diagnosis) -> PoseErrors:
+    """What a fit to all poses leaves at each, as vectors: base model, and with the causes in it."""
+    k = d.case.kept
+    base = d.case.evidence.r
+    models = [Left("base model", np.linalg.norm(base, axis=1), base)]
+    if d.columns.size:
+        rest = fitted_without(d.case.whole, d.columns, d.noise, ~k)[k]
+        models.append(Left(WITH, np.linalg.norm(rest, axis=1), rest))
+    return _poses(d, tuple(models), "All poses fitted")
+
+
+def _poses(d: Diagnosis, models: tuple[Left, ...], name: str) -> PoseErrors:
+    m, k = d.case.m, d.case.kept
+    assert m.position is not None
+    return PoseErrors(name, name.startswith("Held"), m.row[k], m.q[k], m.position[k], models)

@@ -1,0 +1,111 @@
+"""How figures look: one palette that the colour-blind can read, light and dark, and what all figures share.
+
+A figure is made in light colours; the dark ones stand for them one by one (`dark`, and the page's script).
+"""
+
+from __future__ import annotations
+
+import html
+from typing import TYPE_CHECKING, Any
+
+from casadical.report.optional_imports import plotly
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+# Role: light, dark. The methods' hues are those of Okabe and Ito (2008), shifted to be read on either ground.
+COLOURS: dict[str, tuple[str, str]] = {
+    "paper": ("#ffffff", "#171c23"),
+    "ink": ("#1c2530", "#e4e9ef"),
+    "muted": ("#5d6875", "#9aa6b3"),
+    "line": ("#c9d0d8", "#46505c"),
+    "grid": ("#e6eaef", "#2a323c"),
+    "blue": ("#0072b2", "#56b4e9"),
+    "orange": ("#d98200", "#f0a830"),
+    "green": ("#008f6b", "#2cc79d"),
+    "red": ("#c84e00", "#f0763a"),
+    "pink": ("#b8608f", "#dd8fbd"),
+    "sky": ("#3d95c9", "#8cc9ee"),
+    "grey": ("#868f9a", "#78838f"),
+}
+DARK = dict(COLOURS.values())
+PAPER, INK, MUTED, LINE, GRID = (COLOURS[k][0] for k in ("paper", "ink", "muted", "line", "grid"))
+BLUE, ORANGE, GREEN, RED, GREY = (COLOURS[k][0] for k in ("blue", "orange", "green", "red", "grey"))
+FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
+
+# Model: colour, marker, dash. No two of them are told apart by colour alone.
+STYLES: dict[str, tuple[str, str, str]] = {
+    "before": (COLOURS["grey"][0], "x-thin-open", "dot"),
+    "KM": (COLOURS["orange"][0], "square", "dash"),
+    "SKCM": (COLOURS["blue"][0], "circle", "solid"),
+    "NN-SKCM": (COLOURS["pink"][0], "triangle-up", "dot"),
+    "IWO-NN-SKCM": (COLOURS["green"][0], "diamond", "solid"),
+    "LM-NN-SKCM": (COLOURS["sky"][0], "triangle-down", "dashdot"),
+    "IWO-LM-NN-SKCM": (COLOURS["muted"][0], "cross", "longdash"),
+    "GP-NN-SKCM": (COLOURS["red"][0], "star", "dash"),
+    "with causes": (COLOURS["blue"][0], "circle", "solid"),
+}
+
+
+def style(model: str) -> tuple[str, str, str]:
+    """Colour, marker and dash of a model; of one without its own, those of SKCM."""
+    return STYLES.get(model, STYLES["SKCM"])
+
+
+def plain(text: object) -> str:
+    """A user's text inside of a figure, where some HTML would be obeyed."""
+    return html.escape(str(text), quote=False)
+
+
+def mm(metres: float) -> str:
+    """A length in mm with three significant decimals' worth of digits."""
+    value = 1e3 * metres
+    return f"{value:.{4 if abs(value) < 0.1 else 3 if abs(value) < 10 else 2 if abs(value) < 100 else 1}f}"
+
+
+def new_figure(title: str, x: str = "", y: str = "", height: int = 360, **layout: Any) -> go.Figure:
+    """An empty figure in the house's look; x, y : what the axes show, with units."""
+    figure = plotly().Figure()
+    axis = {
+        "gridcolor": GRID,
+        "zeroline": False,
+        "linecolor": LINE,
+        "automargin": True,
+        "title": {"standoff": 10, "font": {"size": 13}},
+    }
+    figure.update_layout(
+        template=None,
+        height=height,
+        title={
+            "text": title,
+            "x": 0,
+            "xref": "container",
+            "y": 1,
+            "yref": "container",
+            "yanchor": "top",
+            "pad": {"t": 14},
+        },
+        title_font={"size": 15, "color": INK, "weight": 600},
+        font={"family": FONT, "size": 12.5, "color": MUTED},
+        paper_bgcolor=PAPER,
+        plot_bgcolor=PAPER,
+        margin={"l": 8, "r": 12, "t": 48, "b": 8},
+        hoverlabel={"font": {"family": FONT, "size": 12.5, "color": INK}, "align": "left", "namelength": -1},
+        hoverlabel_bgcolor=PAPER,
+        hoverlabel_bordercolor=LINE,
+        legend={"orientation": "h", "x": 0, "xref": "container", "y": 0, "yref": "container", "yanchor": "bottom"},
+        xaxis={**axis, "showline": True, "title_text": x},
+        yaxis={**axis, "title_text": y},
+        dragmode="zoom",
+    )
+    return figure.update_layout(**layout)
+
+
+def dark(figure: go.Figure) -> go.Figure:
+    """The same figure in the dark colours, for a dark notebook or page."""
+    text = figure.to_json()
+    for light, its_dark in DARK.items():
+        text = text.replace(light, its_dark)
+    import plotly.io
+
+    return plotly.io.from_json(text)

@@ -1,0 +1,60 @@
+"""The closed four-bar loop that drives a joint from a crank: closed form, feasibility margin.
+
+All bars lie in one plane, perpendicular to the axis of the joint that carries the ground bar. Angles count from that
+joint's x axis at zero reading. Ground bar, length g, from the carrying joint (origin) to the driven joint; crank,
+length L5, from the origin; coupler L4 from the crank's end to the rocker's end; rocker L3 from the driven joint and
+fixed to the driven link. With L3 = L5 and L4 = g the loop is a parallelogram and the rocker turns with the crank
+(paper, eq. 3).
+"""
+
+import casadi as ca
+
+from casadical.core.transforms import Symbolic
+
+
+def _triangle(
+    crank: Symbolic, ground: Symbolic, lengths: tuple[Symbolic, Symbolic, Symbolic, Symbolic]
+) -> tuple[Symbolic, Symbolic, Symbolic]:
+    """Diagonal from driven joint to crank end (x, y) and its length, seen in the plane of the loop."""
+    L5, _L4, _L3, g = lengths
+    x = L5 * ca.cos(crank) - g * ca.cos(ground)
+    y = L5 * ca.sin(crank) - g * ca.sin(ground)
+    return x, y, ca.sqrt(x**2 + y**2)
+
+
+def rocker_angle(
+    crank: Symbolic, ground: Symbolic, lengths: tuple[Symbolic, Symbolic, Symbolic, Symbolic], side: int
+) -> Symbolic:
+    """Direction of the rocker [rad] in the plane of the loop, continuous with the crank's angle.
+
+    crank, ground : angles of crank and ground bar [rad]
+    lengths : crank L5, coupler L4, rocker L3, ground g [m]
+    side : +1 or -1, on which side of the diagonal the rocker stands (see `assembly_side`)
+
+    The cosine theorem in the triangle driven joint - crank end - rocker end; atan2 keeps the digits near the folded
+    positions. An open loop gives NaN: ask `margin` first.
+    """
+    x, y, diagonal = _triangle(crank, ground, lengths)
+    _, L4, L3, _ = lengths
+    cosine = diagonal**2 + L3**2 - L4**2
+    inner = ca.atan2(ca.sqrt((2 * diagonal * L3) ** 2 - cosine**2), cosine)
+    # Difference to the crank's direction, so that no branch cut of atan2 lies in the working range.
+    along = x * ca.cos(crank) + y * ca.sin(crank)
+    across = y * ca.cos(crank) - x * ca.sin(crank)
+    return crank + ca.atan2(across, along) + side * inner
+
+
+def margin(crank: Symbolic, ground: Symbolic, lengths: tuple[Symbolic, Symbolic, Symbolic, Symbolic]) -> Symbolic:
+    """How far the loop is from opening, as the sine of the angle between rocker and diagonal, squared.
+
+    1 where rocker and diagonal are square, 0 at a folded position, negative where the bars cannot close.
+    """
+    _, _, diagonal = _triangle(crank, ground, lengths)
+    _, L4, L3, _ = lengths
+    return 1 - ((diagonal**2 + L3**2 - L4**2) / (2 * diagonal * L3)) ** 2
+
+
+def assembly_side(crank: float, ground: float, lengths: tuple[float, float, float, float]) -> int:
+    """The side on which the uncrossed loop is assembled: the rocker points as the crank does."""
+    candidates = {side: float(rocker_angle(crank, ground, lengths, side)) for side in (1, -1)}
+    return min(candidates, key=lambda side: abs(float(ca.remainder(candidates[side] - crank, 2 * ca.pi))))

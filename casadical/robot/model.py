@@ -1,0 +1,229 @@
+"""The symbolic model: chain, loops, gravity torques, compliance and effects composed into CasADi functions.
+
+The deflection is added to the joint variables inside the kinematics, not through the linearised J dtheta of the
+paper's eq. 5. Torques are those of the robot that has sunk once under its own: what is left to equilibrium falls with
+the cube of the compliance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+
+from casadical.core.casadi_buffers import call
+from casadical.core.transforms import Array, Symbolic, carry, product, rot_x, rot_y, rot_z, small_frame, translate
+from casadical.effects import Context
+from casadical.robot.kinematics import Values, assembly_sides, chain_factors, link_frames, loop_margins
+from casadical.robot.statics import deflections, gravity_energy, gravity_torques
+
+if TYPE_CHECKING:
+    from casadical.robot.robot import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class Expressions:
+    """Symbols and expressions that all robots of one structure share; see `Model`.
+
+    frames : nominal T_M0 and T_nE, their upper three rows column by column, shape (24,)
+    loaded : the parameters at which gravity torques are taken, shape (P,); phi itself but for fixed loads
+    """
+
+    q: ca.SX
+    w: ca.SX
+    phi: ca.SX
+    frames: ca.SX
+    loaded: ca.SX
+    p: ca.SX
+    R: ca.SX
+    tau: ca.SX
+    margin: ca.SX
+    functions: dict[tuple[str, ...], ca.Function]
+
+    def function(self, *outputs: str) -> ca.Function:
+        """model:(q, w, phi, frames, loaded)->outputs, made once."""
+        if outputs not in self.functions:
+            inputs = {n: getattr(self, n) for n in ("q", "w", "phi", "frames", "loaded")}
+            results = [getattr(self, o) for o in outputs]
+            made = ca.Function("model", list(inputs.values()), results, list(inputs), list(outputs))
+            self.functions[outputs] = made
+        return self.functions[outputs]
+
+    @lru_cache(maxsize=64)  # noqa: B019 - expressions live in a cache themselves
+    def mapped(self, outputs: tuple[str, ...], n: int) -> ca.Function:
+        """The same over n poses, parameters and frames shared."""
+        return self.function(*outputs).map("poses", "serial", n, [2, 3, 4], [])
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """The symbolic model of one robot; functions are made from it.
+
+    q : joint readings (n,) [rad or m]; w : conditions (k,); phi : parameters (P,) [SI]
+    p, R : position (3,) [m] and orientation (3, 3) of the tool frame in the measuring frame
+    tau : gravity torques (n,) [N m or N]; margin : of each loop
+    """
+
+    robot: Robot
+    shared: Expressions
+
+    @property
+    def q(self) -> ca.SX:
+        return self.shared.q
+
+    @property
+    def w(self) -> ca.SX:
+        return self.shared.w
+
+    @property
+    def phi(self) -> ca.SX:
+        return self.shared.phi
+
+    @cached_property
+    def p(self) -> ca.SX:
+        return self._expression("p")
+
+    @cached_property
+    def R(self) -> ca.SX:
+        return self._expression("R")
+
+    @cached_property
+    def margin(self) -> ca.SX:
+        return self._expression("margin")
+
+    def _expression(self, name: str) -> ca.SX:
+        return self.function(name, (name,))(self.q, self.w, self.phi)
+
+    def function(self, name: str, outputs: tuple[str, ...]) -> ca.Function:
+        """name:(q, w, phi)->outputs, out of p, R, tau, margin."""
+        whole = self.shared.function(*outputs)
+        results = whole.call([self.q, self.w, self.phi, ca.DM(frame_numbers(self.robot)), self.phi])
+        return ca.Function(name, [self.q, self.w, self.phi], results, ["q", "w", "phi"], list(outputs))
+
+    def at_declared(self, name: str, outputs: tuple[str, ...]) -> ca.Function:
+        """name:(q, phi)->outputs, every logged condition at its declared value."""
+        results = self.function(name, outputs).call([self.q, ca.DM(self.robot.declared), self.phi])
+        return ca.Function(name, [self.q, self.phi], results, ["q", "phi"], list(outputs))
+
+    def evaluate(self, outputs: tuple[str, ...], q: Array, w: Array, phi: Array) -> list[Array]:
+        """Outputs at many poses, one array each, poses side by side; q : (n, joints), w : (n, k), phi : (P,) [SI]."""
+        mapped = self.shared.mapped(outputs, len(q))
+        return call(mapped, q.T, w.T, phi, frame_numbers(self.robot), phi)
+
+
+def frame_numbers(robot: Robot) -> Array:
+    """Nominal base and tool frames as the numbers of `Expressions.frames`, shape (24,)."""
+    return np.concatenate([T[:3].ravel(order="F") for T in (robot.base.T, robot.tool.T)])
+
+
+class _Structure:
+    """Everything of a robot but its numbers that enter as parameters or frames; equal ones share expressions."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        joints = tuple(
+            (j.kind, j.beta is None, j.b is None, j.compliance is None, j.body and (j.body.mass, *j.body.com))
+            for j in robot.joints
+        )
+        sides = tuple(sorted(assembly_sides(robot).items()))
+        loops = tuple((loop.driven, loop.carrier, loop.offset) for loop in robot.loops)
+        payload = robot.payload and (robot.payload.mass, *robot.payload.com)
+        # What an effect may look at besides symbols.
+        seen = (robot.effects, *robot.torque_scale) if robot.effects else ()
+        gravity = (*robot.gravity, robot.gravity_frame)
+        self.key = (
+            joints, sides, loops, payload, gravity, robot.base.unknown, robot.tool.unknown, robot.conditions,
+            robot.parameters.names, seen,
+        )  # fmt: skip
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Structure) and self.key == other.key
+
+
+def build(robot: Robot, *, fixed_loads: bool = False) -> Model:
+    """Compose the model of a robot from its parts.
+
+    fixed_loads : whether gravity torques are those of the nominal geometry. Strictly, a longer last link also carries
+        its load farther out; the masses are not known well enough to tell the link from the tool by that.
+    """
+    return Model(robot, expressions(robot, fixed_loads))
+
+
+def expressions(robot: Robot, fixed_loads: bool = False) -> Expressions:
+    """The expressions of a robot's structure, composed once for all robots that share it."""
+    return _expressions(_Structure(robot), fixed_loads)
+
+
+@lru_cache(maxsize=64)
+def _expressions(structure: _Structure, fixed_loads: bool) -> Expressions:
+    robot = structure.robot
+    q = ca.SX.sym("q", robot.n)
+    w = ca.SX.sym("w", len(robot.conditions))
+    phi = ca.SX.sym("phi", len(robot.parameters))
+    loaded = ca.SX.sym("loaded", len(robot.parameters))
+    frames = ca.SX.sym("frames", 24)
+    last_row = ca.DM([[0, 0, 0, 1]])
+    base, tool = (ca.vertcat(ca.reshape(frames[k : k + 12], 3, 4), last_row) for k in (0, 12))
+    names = robot.parameters.names
+    values: dict[str, Symbolic] = dict(zip(names, ca.vertsplit(phi), strict=True))
+    conditions = dict(zip(robot.conditions, ca.vertsplit(w) if robot.conditions else [], strict=True))
+
+    T_M0 = base_frame(robot, values, base)
+    readings = ca.vertsplit(q)
+    at = dict(zip(names, ca.vertsplit(loaded), strict=True)) if fixed_loads else values
+    gravity = gravity_in_base(robot, base_frame(robot, at, base))
+    rigid = link_frames(robot, readings, at)
+    unloaded = Context(robot, q, conditions, values, rigid, gravity)
+    energy = gravity_energy(robot, rigid, gravity, conditions.get("payload_kg", 0.0))
+    energy = energy + sum(e.energy(unloaded) for e in robot.effects)
+    tau = gravity_torques(ca.SX(energy), q)
+    tau = ca.substitute(tau, q, q + deflections(robot, tau, values))
+    context = replace(unloaded, torque=tau)
+    factors = [T_M0, *_to_tool(robot, tool, context)]
+    T_ME, point = product(factors), carry(factors, ca.SX.zeros(3))
+    for effect in robot.effects:
+        point = effect.measurement(point, context)
+    margin = ca.vertcat(*loop_margins(robot, readings, values)) if robot.loops else ca.SX.zeros(0)
+    outputs = (ca.SX(point), ca.SX(T_ME[:3, :3]), ca.SX(tau), ca.SX(margin))
+    return Expressions(q, w, phi, frames, loaded, *outputs, functions={})
+
+
+def gravity_in_base(robot: Robot, T_M0: Symbolic) -> Symbolic:
+    """Gravity in the robot's base frame, shape (3,) [m/s^2]."""
+    gravity = ca.DM(robot.gravity)
+    return T_M0[:3, :3].T @ gravity if robot.gravity_frame == "measuring" else gravity
+
+
+def base_frame(robot: Robot, values: Values, T: Symbolic) -> Symbolic:
+    """T_M0, the robot's base in the measuring frame, from its nominal transform T; shapes (4, 4)."""
+    if robot.base.unknown == "none":
+        return T
+    return T @ small_frame(*(values.get(f"base_{c}", 0.0) for c in ("x", "y", "z", "rx", "ry", "rz")))
+
+
+def _to_tool(robot: Robot, nominal: Symbolic, context: Context) -> list[Symbolic]:
+    """Transforms whose product is T_0E: readings, effects and deflections through the chain, then flange and tool."""
+    values = context.values
+    moved = context.q + deflections(robot, context.torque, values)
+    for effect in robot.effects:
+        moved = moved + effect.joint_angle(context)
+    factors = [effect.base(context) for effect in robot.effects]
+    for i, row in enumerate(chain_factors(robot, ca.vertsplit(moved), values), 1):
+        factors += [*row, *(effect.link(i, context) for effect in robot.effects)]
+    return [*factors, *(effect.tool(context) for effect in robot.effects), *_tool(nominal, values)]
+
+
+def _tool(nominal: Symbolic, values: Values) -> list[Symbolic]:
+    """Transforms whose product is the tool frame in the flange."""
+    x, y, z = (values.get(f"tool_{c}", nominal[k, 3]) for k, c in enumerate("xyz"))
+    turn = ca.horzcat(nominal[:, :3], ca.DM([0, 0, 0, 1]))
+    turns = [
+        make(values[f"tool_{c}"]) for make, c in ((rot_x, "rx"), (rot_y, "ry"), (rot_z, "rz")) if f"tool_{c}" in values
+    ]
+    return [translate(x, y, z), turn, *turns]

@@ -1,0 +1,326 @@
+"""A robot as a TOML file: read with units in its keys, checked key by key, written again after calibration.
+
+Lengths, angles and masses carry their unit in the key (`a_mm`, `alpha_deg`, `mass_kg`); millimetres or metres, degrees
+or radians are taken by name. See docs/robot-file.md for every key.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tomlkit
+from pydantic import Field, model_validator
+
+from casadical.core.errors import InputError
+from casadical.core.files import write_whole
+from casadical.core.schema import (
+    ANGLE,
+    LENGTH,
+    READING,
+    Angle,
+    FaultError,
+    Length,
+    Pair,
+    Table,
+    Triple,
+    check,
+    load_toml,
+)
+from casadical.core.transforms import Array, frame, from_rpy, to_rpy
+from casadical.robot.robot import STANDARD_GRAVITY, WIDTHS, Body, FourBar, Joint, Placement, Robot, Width
+
+Bar = Annotated[float, LENGTH, Field(gt=0)]
+HalfLength = Annotated[float | None, LENGTH, Field(gt=0)]
+HalfAngle = Annotated[float | None, ANGLE, Field(gt=0)]
+
+
+class _Body(Table):
+    mass_kg: float = Field(ge=0)
+    com: Annotated[Triple, LENGTH] = Field(default=[0.0, 0.0, 0.0])
+
+    def body(self) -> Body:
+        return Body(self.mass_kg, np.array(self.com))
+
+
+class _Joint(Table):
+    alpha: Angle = 0.0
+    a: Length = 0.0
+    theta: Angle = 0.0
+    d: Length = 0.0
+    beta: Annotated[float | None, ANGLE] = None
+    b: Annotated[float | None, LENGTH] = None
+    type: Literal["revolute", "prismatic"] = "revolute"
+    limits: Annotated[Pair | None, READING] = None
+    compliant: bool = False
+    stiffness_Nm_per_rad: float | None = Field(default=None, gt=0)
+    stiffness_N_per_m: float | None = Field(default=None, gt=0)
+    body: _Body | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _own_units(cls, data: Any) -> Any:
+        """A revolute joint's range and stiffness are angular, a prismatic one's are not."""
+        if not isinstance(data, dict):
+            return data
+        kind, foreign = data.get("type", "revolute"), [f"limits{u}" for u in LENGTH.factors]
+        foreign, own = [*foreign, "stiffness_N_per_m"], "limits_deg, stiffness_Nm_per_rad"
+        if kind == "prismatic":
+            foreign, own = (
+                [*(f"limits{u}" for u in ANGLE.factors), "stiffness_Nm_per_rad"],
+                "limits_mm, stiffness_N_per_m",
+            )
+        wrong = [key for key in foreign if key in data]
+        if wrong:
+            raise FaultError(wrong[0], f"not for a {kind} joint; allowed: {own}")
+        return data
+
+    @model_validator(mode="after")
+    def _consistent(self) -> _Joint:
+        if self.limits and self.limits[0] >= self.limits[1]:
+            raise FaultError("limits", "the lower one must come first")
+        if self.b is not None and self.beta is None:
+            raise FaultError("b", "stands in row 1 beside beta only, where six numbers are the base frame; give both")
+        return self
+
+    def joint(self) -> Joint:
+        default = (-2 * np.pi, 2 * np.pi) if self.type == "revolute" else (-10.0, 10.0)
+        lower, upper = self.limits or default
+        stiffness = self.stiffness_Nm_per_rad or self.stiffness_N_per_m
+        compliance = 1 / stiffness if stiffness else 0.0 if self.compliant else None
+        return Joint(
+            self.alpha, self.a, self.theta, self.d, self.beta, self.b, self.type, lower, upper, compliance,
+            self.body.body() if self.body else None,
+        )  # fmt: skip
+
+
+class _Frame(Table):
+    xyz: Annotated[Triple, LENGTH] = Field(default=[0.0, 0.0, 0.0])
+    rpy: Annotated[Triple, ANGLE] = Field(default=[0.0, 0.0, 0.0])
+    unknown: Literal["none", "position", "pose"] = "none"
+
+    def placement(self) -> Placement:
+        return Placement(frame(from_rpy(np.array(self.rpy)), np.array(self.xyz)), self.unknown)
+
+
+class _FourBar(Table):
+    driven: int
+    carrier: int
+    crank: Bar
+    coupler: Bar
+    rocker: Bar
+    offset: Angle = 0.0
+
+
+class _Gravity(Table):
+    frame: Literal["measuring", "base"] = "measuring"
+    vector_m_per_s2: Triple = Field(default=[0.0, 0.0, -STANDARD_GRAVITY])
+
+
+class _Width(Table):
+    length_bound: HalfLength = None
+    angle_bound: HalfAngle = None
+    length_prior: HalfLength = None
+    angle_prior: HalfAngle = None
+
+
+class _Widths(Table):
+    base: _Width = _Width()
+    geometry: _Width = _Width()
+    loop: _Width = _Width()
+    tool: _Width = _Width()
+    compliance: _Width = _Width()
+
+    def widths(self) -> dict[str, Width]:
+        given = {group: getattr(self, group).model_dump(exclude_none=True) for group in WIDTHS}
+        return {group: replace(default, **given[group]) for group, default in WIDTHS.items()}
+
+
+class _RobotFile(Table):
+    casadical: Literal[1]
+    name: str = Field(min_length=1)
+    convention: Literal["modified", "standard"] = "modified"
+    notes: list[str] = Field(default=[])
+    base: _Frame = _Frame()
+    tool: _Frame = _Frame()
+    gravity: _Gravity = _Gravity()
+    payload: _Body | None = None
+    joint: list[_Joint] = Field(min_length=1)
+    four_bar: list[_FourBar] = Field(default=[])
+    width: _Widths = _Widths()
+
+    @model_validator(mode="after")
+    def _rows(self) -> _RobotFile:
+        for i, row in enumerate(self.joint):
+            if row.beta is not None and self.convention == "standard":
+                raise FaultError(
+                    ("joint", i, "beta"), "belongs to modified rows; into standard ones it is put by itself"
+                )
+            if row.b is not None and i > 0:
+                raise FaultError(("joint", i, "b"), "stands in row 1 only, where six numbers are the base frame")
+        return self
+
+    def robot(self) -> Robot:
+        joints = [row.joint() for row in self.joint]
+        tool = self.tool.placement()
+        payload = self.payload.body() if self.payload else None
+        if self.convention == "standard":
+            joints, flange = _from_standard(joints)
+            tool = replace(tool, T=flange @ tool.T)
+            payload = payload and _moved(payload, flange)
+        return Robot(
+            name=self.name,
+            joints=tuple(joints),
+            base=self.base.placement(),
+            tool=tool,
+            loops=tuple(FourBar(**loop.model_dump()) for loop in self.four_bar),
+            gravity=np.array(self.gravity.vector_m_per_s2),
+            gravity_frame=self.gravity.frame,
+            payload=payload,
+            widths=self.width.widths(),
+            notes=tuple(self.notes),
+        )
+
+
+def _from_standard(rows: list[Joint]) -> tuple[list[Joint], Array]:
+    """Modified rows for standard ones, and the transform that the last a and alpha leave behind the last joint.
+
+    Mass centres of bodies, given in the standard frames, are moved along.
+    Standard: Rot_z(theta) Trans_z(d) Trans_x(a) Rot_x(alpha); a row's a and alpha are the next modified row's.
+    """
+    shifted = [Joint(), *rows[:-1]]
+    tails = [frame(from_rpy(np.array([row.alpha, 0.0, 0.0])), np.array([row.a, 0.0, 0.0])) for row in rows]
+    joints = [
+        replace(row, alpha=before.alpha, a=before.a, body=row.body and _moved(row.body, tail))
+        for row, before, tail in zip(rows, shifted, tails, strict=True)
+    ]
+    return joints, tails[-1]
+
+
+def _moved(body: Body, T: Array) -> Body:
+    return Body(body.mass, T[:3, :3] @ body.com + T[:3, 3])
+
+
+def read_robot(path: str | Path) -> Robot:
+    """A robot from its TOML file.
+
+    Raises InputError that names the file, the key, the value and what is allowed.
+    """
+    path = Path(path)
+    return robot_from(load_toml(path), path.name)
+
+
+def robot_from(data: Mapping[str, Any], source: str) -> Robot:
+    """A robot from the tables of a TOML file; `source` names it in messages."""
+    file = check(_RobotFile, data, source)
+    try:
+        return file.robot()
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from None
+
+
+def write_robot(robot: Robot, path: str | Path, comment: str = "") -> None:
+    """Write a robot as TOML that `read_robot` reads again; the file appears whole or not at all."""
+    write_whole(Path(path), to_toml(robot, comment))
+
+
+def to_toml(robot: Robot, comment: str = "") -> str:
+    """The robot as the text of a TOML file, in millimetres and degrees at full precision.
+
+    Raises InputError if it holds effects, for which a robot file has no place.
+    """
+    if robot.effects:
+        raise InputError("a robot with effects cannot be written as a robot file; write the base robot")
+    document = tomlkit.document()
+    for line in comment.splitlines():
+        document.add(tomlkit.comment(line))
+    document.add("casadical", tomlkit.item(1))
+    document.add("name", tomlkit.item(robot.name))
+    if robot.notes:
+        document.add("notes", tomlkit.item(list(robot.notes)))
+    document.add("base", tomlkit.item(_frame_table(robot.base)))
+    document.add("tool", tomlkit.item(_frame_table(robot.tool)))
+    document.add(
+        "gravity", tomlkit.item({"frame": robot.gravity_frame, "vector_m_per_s2": [float(g) for g in robot.gravity]})
+    )
+    if robot.payload:
+        document.add("payload", tomlkit.item(_body_table(robot.payload)))
+    document.add("width", tomlkit.item(_width_tables(robot)))
+    rows = tomlkit.aot()
+    for joint in robot.joints:
+        rows.append(tomlkit.item(_joint_table(joint)))
+    document.add("joint", rows)
+    if robot.loops:
+        loops = tomlkit.aot()
+        for loop in robot.loops:
+            loops.append(tomlkit.item(_loop_table(loop)))
+        document.add("four_bar", loops)
+    return tomlkit.dumps(document)
+
+
+def _mm(value: float) -> float:
+    return float(value * 1e3)
+
+
+def _deg(value: float) -> float:
+    return float(np.rad2deg(value))
+
+
+def _frame_table(placement: Placement) -> dict[str, Any]:
+    return {
+        "xyz_mm": [_mm(v) for v in placement.T[:3, 3]],
+        "rpy_deg": [_deg(v) for v in to_rpy(placement.T[:3, :3])],
+        "unknown": placement.unknown,
+    }
+
+
+def _body_table(body: Body) -> dict[str, Any]:
+    return {"mass_kg": float(body.mass), "com_mm": [_mm(v) for v in body.com]}
+
+
+def _joint_table(joint: Joint) -> dict[str, Any]:
+    table: dict[str, Any] = {"alpha_deg": _deg(joint.alpha), "a_mm": _mm(joint.a)}
+    if joint.beta is not None:
+        table["beta_deg"] = _deg(joint.beta)
+    if joint.b is not None:
+        table["b_mm"] = _mm(joint.b)
+    table |= {"theta_deg": _deg(joint.theta), "d_mm": _mm(joint.d)}
+    if joint.kind == "prismatic":
+        table |= {"type": "prismatic", "limits_mm": [_mm(joint.lower), _mm(joint.upper)]}
+    else:
+        table["limits_deg"] = [_deg(joint.lower), _deg(joint.upper)]
+    if joint.compliance is not None:
+        table["compliant"] = True
+        if joint.compliance > 0:
+            unit = "Nm_per_rad" if joint.kind == "revolute" else "N_per_m"
+            table[f"stiffness_{unit}"] = float(1 / joint.compliance)
+    if joint.body:
+        table["body"] = _body_table(joint.body)
+    return table
+
+
+def _loop_table(loop: FourBar) -> dict[str, Any]:
+    return {
+        "driven": loop.driven,
+        "carrier": loop.carrier,
+        "crank_mm": _mm(loop.crank),
+        "coupler_mm": _mm(loop.coupler),
+        "rocker_mm": _mm(loop.rocker),
+        "offset_deg": _deg(loop.offset),
+    }
+
+
+def _width_tables(robot: Robot) -> dict[str, Any]:
+    return {
+        group: {
+            "length_bound_mm": _mm(w.length_bound),
+            "angle_bound_deg": _deg(w.angle_bound),
+            "length_prior_mm": _mm(w.length_prior),
+            "angle_prior_deg": _deg(w.angle_prior),
+        }
+        for group, w in robot.widths.items()
+        if w != WIDTHS[group]
+    }

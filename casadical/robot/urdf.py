@@ -1,0 +1,158 @@
+"""A serial robot from a URDF, with its masses: the same object that a robot file gives."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from casadical.core.errors import InputError
+from casadical.core.transforms import Array
+from casadical.robot.axes import Axis, Chain, rows_from_axes
+from casadical.robot.robot import STANDARD_GRAVITY, Body, Joint, Placement, Robot
+from casadical.robot.urdf_tree import Tree, parse_urdf
+
+_FULL_TURN = 2 * np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class UrdfChain:
+    """The moving joints between two links of a URDF, in its own terms and in ours.
+
+    moving : the joints (yourdfpy's) from base to tip; fixed_tip : the fixed joint above the tip, if there is one
+    frames : of every link on the base, at zero readings, in the base link's frame, each (4, 4) [m]
+    dh : the same chain in modified DH form
+    bodies : of the moving links; up : the root link's z axis in the base link's frame, shape (3,)
+    """
+
+    name: str
+    base_link: str
+    tip_link: str
+    moving: tuple[Any, ...]
+    fixed_tip: Any | None
+    frames: dict[str, Array]
+    dh: Chain
+    bodies: tuple[Body | None, ...]
+    up: Array
+    notes: tuple[str, ...]
+
+
+def read_urdf(
+    path: str | Path, base_link: str | None = None, tip_link: str | None = None, *, compliant: Collection[int] = ()
+) -> Robot:
+    """A robot from a URDF file.
+
+    base_link, tip_link : ends of the chain; by default the root and the only end that moves
+    compliant : joints (1-based, counted from the base link) whose drives give under load; their compliance, of which a
+        URDF says nothing, starts at zero
+    The measuring frame is nominally the base link (its true pose unknown), the tool is the tip link (its position
+    unknown). Joints keep their zero, sign and range; a continuous one gets +-360 deg. Down is -z of the file's root
+    link. Links on fixed joints, and side branches at zero reading, count as mass of the link that carries them.
+    Raises InputError: no parser installed, no file, malformed XML, no such link, a branching chain, no moving joint, a
+    joint that mimics another, floats, or has no axis or no range.
+    """
+    chain = read_chain(Path(path), base_link, tip_link)
+    if unknown := set(compliant) - set(range(1, len(chain.moving) + 1)):
+        raise InputError(f"{path}: compliant joint {min(unknown)} is not there; the chain has 1..{len(chain.moving)}")
+    joints = tuple(
+        replace(_joint(row, j, body, str(path)), compliance=0.0 if i in compliant else None)
+        for i, (row, j, body) in enumerate(zip(chain.dh.rows, chain.moving, chain.bodies, strict=True), 1)
+    )
+    return Robot(
+        name=chain.name,
+        joints=joints,
+        base=Placement(chain.dh.base, "pose"),
+        tool=Placement(chain.dh.tool, "position"),
+        gravity=-STANDARD_GRAVITY * chain.dh.base[:3, :3].T @ chain.up,
+        gravity_frame="base",
+        notes=chain.notes,
+    )
+
+
+def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfChain:
+    """The chain between two links of a URDF file. Raises InputError as `read_urdf` does."""
+    urdf = parse_urdf(path)
+    tree = Tree(urdf, str(path))
+    base = tree.link(base_link, "base_link") if base_link else tree.root
+    tip = tree.link(tip_link, "tip_link") if tip_link else tree.only_end(base)
+    joints = tree.path(base, tip)
+    moving = tuple(j for j in joints if j.type != "fixed")
+    if not moving:
+        raise InputError(f"{path}: no joint moves between {base!r} and {tip!r}; name other links")
+    for j in moving:
+        _refuse_unusable(j, str(path))
+    own = {j.name for j in moving}
+    frames, rides = tree.at_zero(base, own)
+    dh = rows_from_axes([_axis(j, frames[j.child]) for j in moving], frames[tip])
+    bodies = _bodies(urdf, tree, dh, frames, rides)
+    notes = [f"from {path.name}: {base} to {tip}"]
+    if aside := [j.name for j in urdf.joints if j.type != "fixed" and rides.get(j.child) and j.name not in own]:
+        notes.append(f"masses on side branches stand as at zero reading of {', '.join(aside)}")
+    if not any(bodies):
+        notes.append("the URDF states no masses; without them no compliance can be identified")
+    return UrdfChain(
+        name=urdf.name,
+        base_link=base,
+        tip_link=tip,
+        moving=moving,
+        fixed_tip=joints[-1] if joints[-1].type == "fixed" else None,
+        frames=frames,
+        dh=dh,
+        bodies=bodies,
+        up=tree.frame_of(base)[2, :3],
+        notes=tuple(notes),
+    )
+
+
+def _refuse_unusable(joint: Any, source: str) -> None:
+    name = f"{source}: joint {joint.name!r}"
+    if joint.mimic is not None:
+        raise InputError(f"{name} mimics {joint.mimic.joint!r}; every joint of the chain needs a reading of its own")
+    if joint.type not in ("revolute", "continuous", "prismatic"):
+        raise InputError(f"{name} is of type {joint.type!r}; allowed: revolute, continuous, prismatic, fixed")
+    if joint.axis.shape != (3,) or not 1e-9 < np.linalg.norm(joint.axis) < np.inf:
+        raise InputError(f"{name} has the axis {joint.axis.tolist()}; it needs three finite numbers, not all zero")
+
+
+def _axis(joint: Any, T: Array) -> Axis:
+    return Axis(T[:3, 3], T[:3, :3] @ (joint.axis / np.linalg.norm(joint.axis)))
+
+
+def _joint(row: Joint, joint: Any, body: Body | None, source: str) -> Joint:
+    if joint.type == "continuous":
+        return replace(row, lower=-_FULL_TURN, upper=_FULL_TURN, body=body)
+    lower, upper = (float(getattr(joint.limit, side, None) or 0.0) for side in ("lower", "upper"))
+    if not -np.inf < lower < upper < np.inf:
+        raise InputError(
+            f"{source}: joint {joint.name!r} has the range [{lower:g}, {upper:g}]; give it a <limit> with lower < "
+            "upper (rad or m), or make it continuous"
+        )
+    return replace(row, kind=joint.type, lower=lower, upper=upper, body=body)
+
+
+def _bodies(
+    urdf: Any, tree: Tree, dh: Chain, frames: dict[str, Array], rides: dict[str, int]
+) -> tuple[Body | None, ...]:
+    """Mass and mass centre of what each joint moves and the next does not, in our link frames."""
+    parts: list[list[tuple[float, Array]]] = [[] for _ in range(len(dh.rows) + 1)]
+    for link in urdf.links:
+        mass = link.inertial.mass if link.inertial and link.name in frames else None
+        if mass is None or mass == 0:
+            continue
+        if not 0 < mass < np.inf:
+            raise InputError(f"{tree.source}: link {link.name!r} has the mass {mass:g} kg; it must be positive or zero")
+        centre = frames[link.name] @ tree.origin(link.inertial)
+        parts[rides[link.name]].append((float(mass), centre[:3, 3]))
+    return tuple(_lumped(p, T) for p, T in zip(parts[1:], dh.frames, strict=True))
+
+
+def _lumped(parts: list[tuple[float, Array]], T: Array) -> Body | None:
+    """One body out of masses [kg] at places in the base link's frame, seen in the link's frame T."""
+    if not parts:
+        return None
+    mass = sum(m for m, _ in parts)
+    centre = sum((m * p for m, p in parts), np.zeros(3)) / mass
+    return Body(mass, T[:3, :3].T @ (centre - T[:3, 3]))

@@ -1,0 +1,191 @@
+"""A calibrated robot written back into its URDF: joint origins and tip carry the identified geometry."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+from xml.dom import minidom
+
+import numpy as np
+
+from casadical.core.errors import InputError
+from casadical.core.files import write_whole
+from casadical.core.transforms import Array, from_rpy, to_rpy
+from casadical.robot.axes import row_matrix
+from casadical.robot.robot import Robot
+from casadical.robot.urdf import UrdfChain, read_chain
+from casadical.robot.urdf_tree import parse_xml
+
+UNCHANGED = 1e-13  # m or rad: an origin nearer than this to its old value keeps its text
+SAME_ROBOT = 1e-9  # m or rad
+
+
+def calibrated_urdf(
+    robot_before: Robot,
+    robot_calibrated: Robot,
+    path_in: str | Path,
+    path_out: str | Path,
+    base_link: str | None = None,
+    tip_link: str | None = None,
+    base: Literal["robot", "measuring"] = "robot",
+    measured_link: str | None = None,
+) -> None:
+    """Write the URDF `path_in` with the calibrated geometry to `path_out`, whole or not at all.
+
+    robot_before : as `read_urdf(path_in, base_link, tip_link)` gave it; robot_calibrated : the same one, identified
+    base : what the base link is in the new file. "robot": the foot it was, with frame 0 where it was in it; the
+        identified base frame then only tells where the instrument stood. "measuring": the measuring frame itself, the
+        first joint's origin takes the identified base frame (and the base link's z axis is no longer up)
+    measured_link : name of a new link, fixed to the tip link, for the measured point (a reflector, say); the tip link
+        then stays where it was on the last link. None: the tip link itself is the measured point and its fixed joint
+        takes the identified tool
+
+    From base link to measured point the new file's kinematics are those of the calibrated robot without compliance and
+    effects, for which a URDF has no place: a comment in the file says so. Who uses the file without adding the
+    deflections does better with a robot identified as rigid (method KM), whose geometry takes up part of them. Meshes,
+    inertias and limits stay as they are; every link keeps its place against its own joint's axis.
+    Raises InputError: another robot than that of the file, a closed loop, a tool that has moved where no fixed joint
+    can take it, a taken name; and what `read_urdf` raises.
+    """
+    text = calibrated_urdf_text(robot_before, robot_calibrated, path_in, base_link, tip_link, base, measured_link)
+    write_whole(Path(path_out), text)
+
+
+def calibrated_urdf_text(
+    robot_before: Robot,
+    robot_calibrated: Robot,
+    path_in: str | Path,
+    base_link: str | None = None,
+    tip_link: str | None = None,
+    base: Literal["robot", "measuring"] = "robot",
+    measured_link: str | None = None,
+) -> str:
+    """What `calibrated_urdf` writes."""
+    path_in = Path(path_in)
+    chain = read_chain(path_in, base_link, tip_link)
+    _refuse_other_robot(chain, robot_before, robot_calibrated, str(path_in))
+    document = parse_xml(path_in)
+    foot = chain.dh.base if base == "robot" else robot_calibrated.base.T
+    for name, T in _joint_origins(chain, robot_calibrated, foot).items():
+        _set_origin(document, name, T)
+    if measured_link:
+        _add_link(document, chain.tip_link, measured_link, np.linalg.inv(chain.dh.tool) @ robot_calibrated.tool.T)
+    else:
+        _move_tip(document, chain, robot_calibrated.tool.T, str(path_in))
+    _comment(document, robot_calibrated, chain, base)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + "\n".join(node.toxml() for node in document.childNodes) + "\n"
+
+
+def _refuse_other_robot(chain: UrdfChain, before: Robot, after: Robot, source: str) -> None:
+    if after.loops:
+        raise InputError(f"{source}: {after.name!r} has a closed loop, a URDF is a tree; write it with write_robot")
+    for robot in (before, after):
+        if robot.n != len(chain.moving):
+            raise InputError(f"{source}: {len(chain.moving)} joints in the chain, {robot.n} in robot {robot.name!r}")
+    for i, (row, joint) in enumerate(zip(chain.dh.rows, before.joints, strict=True), 1):
+        if not np.allclose(row_matrix(row), row_matrix(joint), rtol=0, atol=SAME_ROBOT):
+            raise InputError(
+                f"{source}: row {i} of robot_before is not that of the file between {chain.base_link!r} and "
+                f"{chain.tip_link!r}; hand in what read_urdf gave for the same file, base_link and tip_link"
+            )
+
+
+def _joint_origins(chain: UrdfChain, robot: Robot, foot: Array) -> dict[str, Array]:
+    """New origin of every moving joint, shape (4, 4), by name.
+
+    A URDF link stands at C_k in our frame k, before and after; between two links lie the row and, in front of the
+    joint, the fixed joints. foot : frame 0 in the base link, shape (4, 4)
+    """
+    origins = {}
+    behind, link = foot, chain.base_link  # behind: our frame k-1, seen from the URDF link k-1
+    for row, joint, T in zip(robot.joints, chain.moving, chain.dh.frames, strict=True):
+        C = np.linalg.inv(T) @ chain.frames[joint.child]
+        fixed = np.linalg.inv(chain.frames[link]) @ chain.frames[joint.parent]
+        origins[joint.name] = np.linalg.inv(fixed) @ behind @ row_matrix(row) @ C
+        behind, link = np.linalg.inv(C), joint.child
+    return origins
+
+
+def _move_tip(document: minidom.Document, chain: UrdfChain, tool: Array, source: str) -> None:
+    if np.allclose(tool, chain.dh.tool, rtol=0, atol=UNCHANGED):
+        return
+    if chain.fixed_tip is None:
+        raise InputError(
+            f"{source}: the calibrated tool is not at {chain.tip_link!r}, which turns on joint "
+            f"{chain.moving[-1].name!r} itself; name a new link for the measured point as measured_link"
+        )
+    before = np.linalg.inv(chain.dh.frames[-1]) @ chain.frames[chain.fixed_tip.parent]
+    _set_origin(document, chain.fixed_tip.name, np.linalg.inv(before) @ tool)
+
+
+def _children(element: minidom.Element, tag: str) -> list[minidom.Element]:
+    return [c for c in element.childNodes if isinstance(c, minidom.Element) and c.tagName == tag]
+
+
+def _root(document: minidom.Document) -> minidom.Element:
+    assert document.documentElement is not None
+    return document.documentElement
+
+
+def _set_origin(document: minidom.Document, joint: str, T: Array) -> None:
+    element = next(j for j in _children(_root(document), "joint") if j.getAttribute("name") == joint)
+    origin = next(iter(_children(element, "origin")), None)
+    if origin is None:
+        origin = document.createElement("origin")
+        element.insertBefore(origin, element.firstChild)
+    _write_frame(origin, T)
+
+
+def _write_frame(origin: minidom.Element, T: Array) -> None:
+    xyz, rpy = (np.array([float(v) for v in (origin.getAttribute(k) or "0 0 0").split()]) for k in ("xyz", "rpy"))
+    if np.abs(T[:3, 3] - xyz).max() > UNCHANGED:
+        origin.setAttribute("xyz", _text(T[:3, 3]))
+    if np.abs(T[:3, :3] - from_rpy(rpy)).max() > UNCHANGED:
+        origin.setAttribute("rpy", _text(to_rpy(T[:3, :3])))
+
+
+def _text(values: Array) -> str:
+    return " ".join(repr(float(v)) for v in values)
+
+
+def _add_link(document: minidom.Document, parent: str, name: str, T: Array) -> None:
+    root = _root(document)
+    joint_name = f"{name}_joint"
+    taken = {e.getAttribute("name") for tag in ("link", "joint") for e in _children(root, tag)}
+    if taken & {name, joint_name}:
+        raise InputError(f"measured_link {name!r}: a link or joint of this name is there already; choose another")
+    link, joint = document.createElement("link"), document.createElement("joint")
+    link.setAttribute("name", name)
+    joint.setAttribute("name", joint_name)
+    joint.setAttribute("type", "fixed")
+    for tag, attribute, value in (("parent", "link", parent), ("child", "link", name)):
+        end = document.createElement(tag)
+        end.setAttribute(attribute, value)
+        joint.appendChild(end)
+    origin = document.createElement("origin")
+    _write_frame(origin, T)
+    joint.appendChild(origin)
+    for element in (link, joint):
+        root.appendChild(element)
+        root.appendChild(document.createTextNode("\n"))
+
+
+def _comment(document: minidom.Document, robot: Robot, chain: UrdfChain, base: str) -> None:
+    foot = "the robot's foot" if base == "robot" else "the measuring frame"
+    text = (
+        f" Calibrated by casadical: the joint origins from {chain.base_link} to the measured point carry the "
+        f"identified geometry; {chain.base_link} is {foot}. "
+    )
+    soft = [f"c{i} = {j.compliance:.6g}" for i, j in enumerate(robot.joints, 1) if j.compliance]
+    if soft:
+        text += (
+            "Joint compliance has no place in a URDF and is NOT in this file: add c_i tau_i of the gravity torque tau "
+            f"to each reading ({', '.join(soft)} rad/(N m) or m/N). "
+        )
+    if robot.effects:
+        text += f"Effects that are NOT in this file either: {', '.join(e.name for e in robot.effects)}. "
+    while "--" in text:  # not allowed in a comment
+        text = text.replace("--", "- -")
+    root = _root(document)
+    root.insertBefore(document.createComment(text), root.firstChild)
+    root.insertBefore(document.createTextNode("\n  "), root.firstChild)

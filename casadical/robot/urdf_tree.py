@@ -1,0 +1,158 @@
+"""Links and joints of a URDF file as a tree; every fault is an InputError that names the file."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import Any
+from xml.dom import minidom
+from xml.parsers.expat import ExpatError
+
+import numpy as np
+
+from casadical.core.errors import InputError
+from casadical.core.transforms import Array
+
+
+def parse_xml(path: Path) -> minidom.Document:
+    """The file's XML. Raises InputError where it is no well-formed URDF."""
+    try:
+        document = minidom.parse(str(path))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except (ExpatError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: malformed XML: {error}") from None
+    element = document.documentElement
+    assert element is not None
+    if element.tagName != "robot":
+        raise InputError(f"{path}: the root element is <{element.tagName}>, a URDF has <robot>")
+    return document
+
+
+def parse_urdf(path: Path) -> Any:
+    """yourdfpy's robot. It mends broken XML in silence, so well-formedness is checked before."""
+    try:
+        import yourdfpy
+    except ImportError:
+        raise InputError("reading a URDF needs yourdfpy; pip install 'casadical[urdf]'") from None
+    parse_xml(path)
+    try:
+        return yourdfpy.URDF.load(str(path), build_scene_graph=False, load_meshes=False).robot
+    except (KeyError, AttributeError, ValueError, TypeError, IndexError) as error:
+        raise InputError(
+            f"{path}: not a readable URDF: {type(error).__name__}: {error}; robot, links and joints need a name, "
+            "joints a type, parent and child, vectors three numbers; a xacro must be expanded first"
+        ) from None
+
+
+class Tree:
+    """Links by name, the joint above each (yourdfpy's) and the joints below."""
+
+    def __init__(self, urdf: Any, source: str) -> None:
+        self.source = source
+        self.names: list[str] = [link.name for link in urdf.links]
+        self.above: dict[str, Any] = {}
+        self.below: dict[str, list[Any]] = {name: [] for name in self.names}
+        _refuse_twins(urdf, source)
+        if not self.names:
+            raise InputError(f"{source}: holds no link; a xacro must be expanded first")
+        for j in urdf.joints:
+            self._hang(j)
+        for name in self.names:
+            self._refuse_ring(name)
+
+    def _hang(self, j: Any) -> None:
+        for end in (j.parent, j.child):
+            if end not in self.below:
+                raise InputError(f"{self.source}: joint {j.name!r} names link {end!r}, which is not there")
+        if j.child in self.above:
+            raise InputError(
+                f"{self.source}: link {j.child!r} hangs on two joints, {self.above[j.child].name!r} and {j.name!r}; "
+                "a URDF is a tree, closed loops belong in a robot file"
+            )
+        self.above[j.child] = j
+        self.below[j.parent].append(j)
+
+    def _refuse_ring(self, name: str) -> None:
+        link = name
+        while link in self.above:
+            link = self.above[link].parent
+            if link == name:
+                raise InputError(f"{self.source}: link {name!r} hangs on itself; a URDF is a tree")
+
+    @property
+    def root(self) -> str:
+        """The one link that hangs on no joint."""
+        roots = [name for name in self.names if name not in self.above]
+        if len(roots) > 1:
+            raise InputError(
+                f"{self.source}: {len(roots)} links hang on no joint ({', '.join(roots)}); name one as base_link"
+            )
+        return roots[0]
+
+    def link(self, name: str, role: str) -> str:
+        """The name, if it is a link."""
+        if name not in self.below:
+            raise InputError(f"{self.source}: {role} {name!r} is not there; links: {', '.join(self.names)}")
+        return name
+
+    def path(self, base: str, tip: str) -> list[Any]:
+        """Joints from base to tip."""
+        joints: list[Any] = []
+        link: str = tip
+        while link != base:
+            if link not in self.above:
+                raise InputError(f"{self.source}: link {tip!r} does not hang on {base!r}; no chain joins them")
+            joints.append(self.above[link])
+            link = joints[-1].parent
+        return joints[::-1]
+
+    def only_end(self, base: str) -> str:
+        """The one end of the tree that a joint moves; the base itself where no joint moves."""
+        ends = [link for link, moved in self._walk(base, False) if moved and not self.below[link]]
+        if len(ends) > 1:
+            raise InputError(
+                f"{self.source}: the chain branches; its ends are {', '.join(ends)}; name the one that is measured as "
+                "tip_link"
+            )
+        return ends[0] if ends else base
+
+    def _walk(self, link: str, moved: bool) -> Iterator[tuple[str, bool]]:
+        yield link, moved
+        for j in self.below[link]:
+            yield from self._walk(j.child, moved or j.type != "fixed")
+
+    def at_zero(self, base: str, moving: Collection[str]) -> tuple[dict[str, Array], dict[str, int]]:
+        """Frames at zero readings of all links on the base, in its frame, and how many of the joints move each."""
+        frames, rides = {base: np.eye(4)}, {base: 0}
+        waiting = [base]
+        while waiting:
+            link = waiting.pop()
+            for j in self.below[link]:
+                frames[j.child] = frames[link] @ self.origin(j)
+                rides[j.child] = rides[link] + (j.name in moving)
+                waiting.append(j.child)
+        return frames, rides
+
+    def frame_of(self, link: str) -> Array:
+        """A link's frame in that of the link at the top, at zero readings, shape (4, 4)."""
+        T = np.eye(4)
+        while link in self.above:
+            T = self.origin(self.above[link]) @ T
+            link = self.above[link].parent
+        return T
+
+    def origin(self, item: Any) -> Array:
+        """Of a joint or an inertial, shape (4, 4)."""
+        if item.origin is None:
+            return np.eye(4)
+        if not np.isfinite(item.origin).all():
+            raise InputError(f"{self.source}: an origin holds a number that is not finite: {item.origin.tolist()}")
+        return np.asarray(item.origin)
+
+
+def _refuse_twins(urdf: Any, source: str) -> None:
+    for kind, items in (("link", urdf.links), ("joint", urdf.joints)):
+        names = [item.name for item in items]
+        if twice := sorted({n for n in names if names.count(n) > 1}):
+            raise InputError(f"{source}: {kind} names occur twice: {', '.join(twice)}; each must be unique")

@@ -1,0 +1,27 @@
+"""One small check for all tests of this folder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from checks import ROOT, Here, N
+
+from casadical.blind_check.making import make
+from casadical.blind_check.predicting import predict
+
+
+@dataclass(frozen=True)
+class Small:
+    folder: Path
+    key: Path
+    answers: Path
+
+
+@pytest.fixture(scope="session")
+def small(tmp_path_factory) -> Small:
+    top = tmp_path_factory.mktemp("withheld")
+    folder, key = top / "campaigns", top / "key"
+    make(folder, key, N, 5, poses=[40], engine="numpy", project=ROOT, executor=Here())
+    return Small(folder, key, predict(folder, top / "bic.jsonl", by="bic", executor=Here()))

@@ -1,0 +1,147 @@
+"""What bends, grows, wobbles, tips and creeps in the engine is what its physics demands."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from casadical.blind_check import mujoco_physics as engine
+from casadical.blind_check import numpy_physics as simulation
+from casadical.blind_check.mujoco_physics import Hidden
+from casadical.blind_check.mujoco_physics.equilibrium import Engine, Stop
+from casadical.blind_check.mujoco_physics.hidden import cause
+from casadical.blind_check.mujoco_physics.robot import start
+from casadical.blind_check.numpy_physics.machine import settle, tool_point
+
+from .machines import built, drawn, nominal, shift, stops
+
+pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'casadical[withheld]'")
+
+
+@pytest.mark.parametrize(("name", "link"), [("kr210", 2), ("kr210", 3), ("hh800", 3), ("ur10e", 2)])
+def test_a_beam_in_two_pieces_bends_nearly_as_a_whole_one_under_what_hangs_on_it(name, link):
+    machine = built(name)
+    weightless = np.where(
+        np.arange(6) == link - 1, 1e-9, machine.mass
+    )  # a beam's own weight is spread, the link's is not
+    machine = replace(machine, mass=weightless)
+    at = stops(drawn(machine, 25), machine.payload_kg)
+    ours = shift(machine, Hidden("link_flexure", None, {"link": link, "size": 80e-6, "torsion": 0.8}), at)
+    beam = simulation.disturbances.LinkFlexure(link=link, size=80e-6, torsion=0.8)
+    theirs = tool_point(settle(machine, at, [beam])) - tool_point(settle(machine, at))
+    assert np.linalg.norm(ours - theirs) < 0.1 * np.linalg.norm(theirs)
+
+
+def test_a_crack_opens_one_way_only():
+    machine = built("kr210")
+    at = stops(drawn(machine, 60), machine.payload_kg)
+    one, other = (
+        np.linalg.norm(
+            shift(machine, Hidden("cracked_link", None, {"link": 3, "size": 1e-4, "towards": t}), at), axis=1
+        )
+        for t in (0.5, 0.5 + np.pi)
+    )
+    closed = [moved < 2e-7 for moved in (one, other)]
+    assert all(5 < c.sum() < 55 for c in closed)
+    assert (closed[0] ^ closed[1]).mean() > 0.95
+
+
+@pytest.mark.parametrize("name", ["hh800", "ur10e"])
+def test_the_pedestal_tips_by_the_overturning_moment_over_its_stiffness(name):
+    machine = built(name)
+    hidden = Hidden("base_compliance", None, {"size": 60e-6, "across": 0.7, "height_m": 0.3})
+    mechanism = cause(hidden).built(engine.mechanism(machine), machine)
+    moving = Engine(mechanism)
+    for q in drawn(machine, 4):
+        moving.rest(Stop(q, np.ones(6), start(machine, q), machine.payload_kg))
+        foot = machine.base @ [0, 0, -0.3, 1]
+        at = settle(machine, stops(q[None], machine.payload_kg))
+        force, moment = (v[0] @ machine.base[:3, :3] for v in at.wrench_beyond(0, foot[None, :3]))
+        held = [mechanism.joint(f"anchors_{n}").stiffness * moving.coordinate(f"anchors_{n}") for n in "xyz"]
+        np.testing.assert_allclose(held[:2], moment[:2], atol=1e-3 * np.linalg.norm(moment))
+        assert held[2] == pytest.approx(force[2], rel=1e-3)
+
+
+def test_a_loose_anchor_tips_to_one_side_or_the_other_and_no_further():
+    machine = built("kr210")
+    hidden = Hidden("loose_anchor", None, {"size": 50e-6, "towards": 0.3})
+    moving = Engine(cause(hidden).built(engine.mechanism(machine), machine))
+    tips = []
+    for q in drawn(machine, 30):
+        moving.rest(Stop(q, np.ones(6), start(machine, q), machine.payload_kg))
+        tips.append(moving.coordinate("tip"))
+    assert np.abs(tips).max() < 50.1e-6
+    assert np.mean(np.abs(tips) > 49e-6) > 0.5
+    assert {np.sign(t) for t in tips} == {-1.0, 1.0}
+
+
+@pytest.mark.parametrize("name", ["hh800", "kr210"])
+def test_a_robot_warm_through_and_through_is_the_same_robot_larger(name):
+    machine = nominal(name)
+    q = np.repeat(drawn(machine, 4), 2, axis=0)
+    at = stops(q, 0.0, time_s=np.repeat([1.0, 4e5, 8e5, 12e5], 2) + np.tile([0.0, 3e5], 4), warmth_K=5.0)
+    moved = shift(machine, Hidden("thermal_growth", None, {"size": 12e-6, "lag_minutes": 8.0}), at)
+    rest = settle(machine, at)
+    flange = rest.bodies[5, :, :3, :3] @ machine.home[5, :3, 3] + rest.bodies[5, :, :3, 3]
+    larger = 60e-6 * (flange + 0.3 * (tool_point(rest) - flange))
+    assert np.linalg.norm(moved[0]) < 0.02 * np.linalg.norm(larger[0])  # cold after a second
+    np.testing.assert_allclose(moved[1:], larger[1:], atol=3e-3 * np.abs(larger).max())
+
+
+@pytest.mark.parametrize("cycles", [1, 2])
+def test_a_wobbling_axis_repeats_with_its_cycles_and_moves_rigidly(cycles):
+    machine = built("ur10e")
+    sizes = {"size": 30e-6, "shift_m": 12e-6, "cycles": cycles, "phase": 0.4}
+    q = np.tile(np.deg2rad([10.0, -80.0, 60.0, 20.0, 40.0, 0.0]), (5, 1))
+    q[:, 2] = np.deg2rad(-120) + np.arange(5) * 2 * np.pi / cycles / 4
+    turn, move = (s.value for s in cause(Hidden("axis_wobble", 3, sizes)).settings(machine, stops(q, 0.0)))
+    for value, size in ((turn, 30e-6), (move, 12e-6)):
+        np.testing.assert_allclose(value[0], value[4], atol=1e-18)
+        assert np.abs(value[0] + value[2]).max() < 1e-12  # half a cycle later it is the opposite
+        lengths = np.linalg.norm(value, axis=1)
+        assert 0.3 * size < lengths.max() < 1.6 * size
+    assert np.ptp(np.linalg.norm(turn, axis=1)) > 5e-6  # not a cone: that would be a fixed tilt of the link
+
+
+def test_a_moved_reflector_moves_with_the_flange():
+    machine = built("hh800")
+    at = stops(drawn(machine, 6), 0.0)
+    hidden = Hidden("target_shift", None, {"shift_m": (30e-6, -40e-6, 20e-6), "at_s": 100.0})
+    moved = shift(machine, hidden, at)
+    assert np.abs(moved[:3]).max() < 1e-12
+    R = settle(machine, at).bodies[5, 3:, :3, :3] @ machine.home[5, :3, :3]
+    np.testing.assert_allclose(moved[3:], R @ [30e-6, -40e-6, 20e-6], atol=1e-8)
+
+
+def test_a_creeping_frame_moves_all_points_rigidly_and_in_an_hour_by_its_size():
+    machine = built("ur10e")
+    at = stops(drawn(machine, 5), 0.0, time_s=[0.0, 600.0, 1200.0, 2400.0, 3600.0])
+    shift_m, turn = np.array([3e-5, -2e-5, 4e-5]), np.array([1e-5, 2e-5, -1e-5])
+    sizes = {"shift_m": tuple(shift_m), "turn_rad": tuple(turn), "settling_minutes": 20.0}
+    moved = shift(machine, Hidden("frame_drift", None, sizes), at)
+    points = engine.positions(machine, (), at)
+    np.testing.assert_allclose(moved[0], 0.0, atol=1e-9)
+    np.testing.assert_allclose(moved[4], -shift_m - np.cross(turn, points[4] - shift_m), atol=1e-9)
+    assert np.linalg.norm(moved[1]) > 600 / 3600 * np.linalg.norm(moved[4])  # fast at first
+
+
+def test_a_column_warm_on_one_side_leans_and_straightens_again():
+    machine = built("kr210")
+    at = stops(np.repeat(drawn(machine, 1), 4, axis=0), 0.0, time_s=[10.0, 600.0, 6000.0, 60000.0], warmth_K=6.0)
+    hidden = Hidden("thermal_bend", None, {"size": 15e-6, "towards": 1.0, "lag_minutes": 30.0})
+    moved = np.linalg.norm(shift(machine, hidden, at), axis=1)
+    assert moved[0] > moved[1] > moved[2] > moved[3]
+    assert moved[0] > 5e-5
+    assert moved[3] < 1e-7
+
+
+def test_wrong_points_are_few_and_far_off():
+    machine = built("ur10e")
+    sizes = {"share": 0.2, "size": 1e-3}
+    with_, without = (
+        engine.campaign(machine, h, 60, 1, noise_mm=0.0, repeatability_urad=0.0)[["x_mm", "y_mm", "z_mm"]].to_numpy()
+        for h in ((Hidden("outliers", None, sizes),), ())
+    )
+    off = np.linalg.norm(with_ - without, axis=1)
+    assert 0.05 < np.mean(off > 0) < 0.4
+    assert off[off > 0].min() >= 0.499

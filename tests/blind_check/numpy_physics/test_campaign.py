@@ -1,0 +1,122 @@
+"""Campaigns: the columns, determinism, noise of the stated size, limits, and messages for arguments not usable."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from casadical.blind_check.numpy_physics import HH800, Plant, Warmup, campaign, disturbances, perturb
+from casadical.blind_check.numpy_physics.fourbar import crank_distance
+from casadical.blind_check.numpy_physics.machine import settle
+from casadical.core.errors import ConvergenceError, InputError
+
+from .robots import ARM, arm, stops_at
+
+COLUMNS = [
+    *("pose", "time_s", "temperature_degC", "payload_kg"),
+    *(f"approach{j}" for j in range(1, 7)),
+    *(f"q{j}_deg" for j in range(1, 7)),
+    *("x_mm", "y_mm", "z_mm"),
+]
+XYZ, TRUE = ["x_mm", "y_mm", "z_mm"], ["x_true_mm", "y_true_mm", "z_true_mm"]
+
+
+def test_columns_and_rounding() -> None:
+    table = campaign(arm(), 40, 1)
+    assert list(table.columns) == COLUMNS
+    assert table["pose"].tolist() == list(range(1, 41))
+    assert set(table["payload_kg"]) == {0.0, 100.0}
+    assert table["payload_kg"].diff().ne(0).sum() == 4  # four blocks
+    assert set(np.unique(table[[f"approach{j}" for j in range(1, 7)]])) == {-1, 1}
+    assert table["time_s"].diff().dropna().between(19.9, 40.1).all()
+    for name, digits in (("time_s", 1), ("temperature_degC", 2), ("q1_deg", 6), ("x_mm", 4)):
+        assert (table[name] == table[name].round(digits)).all()
+
+
+def test_same_seed_same_table() -> None:
+    plant = perturb(arm(), 1)
+    parts = [disturbances.Outliers(), disturbances.Backlash(2)]
+    pd.testing.assert_frame_equal(
+        campaign(plant, 30, 5, disturbances=parts), campaign(perturb(arm(), 1), 30, 5, disturbances=parts)
+    )
+    assert not campaign(plant, 30, 5).equals(campaign(plant, 30, 6))
+    assert not campaign(perturb(arm(), 2), 30, 5).equals(campaign(plant, 30, 5))
+
+
+def test_disturbances_leave_poses_and_noise_alone() -> None:
+    plant = perturb(arm(), 1)
+    clean, disturbed = (
+        campaign(plant, 200, 5, disturbances=d, truth=True) for d in ((), [disturbances.GearEccentricity(2)])
+    )
+    others = [c for c in COLUMNS if c not in XYZ]
+    pd.testing.assert_frame_equal(clean[others], disturbed[others])
+    noise = [table[XYZ].to_numpy() - table[TRUE].to_numpy() for table in (clean, disturbed)]
+    np.testing.assert_allclose(noise[0], noise[1], atol=1e-3)
+
+
+@pytest.mark.parametrize(("noise_mm", "urad"), [(0.05, 0.0), (0.0, 20.0)])
+def test_noise_has_the_stated_size(noise_mm: float, urad: float) -> None:
+    table = campaign(arm(), 2000, 7, noise_mm=noise_mm, repeatability_urad=urad, truth=True)
+    rms = np.sqrt(np.mean((table[XYZ].to_numpy() - table[TRUE].to_numpy()) ** 2))
+    if noise_mm:
+        assert rms == pytest.approx(noise_mm, rel=0.03)
+    else:  # six joints at about 0.3-2.5 m from the reflector
+        assert 0.01 < rms < 0.05
+
+
+def test_loop_and_ranges_are_kept() -> None:
+    plant = perturb(Plant.from_dict(HH800), 1)
+    table = campaign(plant, 300, 2)
+    q = np.deg2rad(table[[f"q{j}_deg" for j in range(1, 7)]].to_numpy())
+    low, high = (edge for edge in plant.ranges.T)
+    assert ((q >= low - 1e-9) & (q <= high + 1e-9)).all()
+    distance = crank_distance(plant, q)
+    assert distance.min() > 0.99
+    assert distance.max() < 2.21
+    narrow = campaign(plant, 50, 2, crank_distance_m=(1.5, 1.6))
+    assert np.ptp(crank_distance(plant, np.deg2rad(narrow[[f"q{j}_deg" for j in range(1, 7)]].to_numpy()))) < 0.1
+
+
+def test_own_readings_payloads_and_temperature() -> None:
+    q = np.random.default_rng(0).uniform(-60, 60, (25, 6))
+    table = campaign(
+        arm(), 25, 1, q_deg=q, payload_states=[40.0], warmup=Warmup(30.0, 0.0, sensor_K=0.0), approach="motion"
+    )
+    np.testing.assert_allclose(table[[f"q{j}_deg" for j in range(1, 7)]], q, atol=1e-6)
+    assert (table["payload_kg"] == 40.0).all()
+    assert (table["temperature_degC"] == 30.0).all()
+    assert (table["approach3"].to_numpy()[1:] == np.sign(np.diff(q[:, 2]))).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"n": 0}, "n is 0"),
+        ({"noise_mm": -1.0}, "noise_mm is -1.0"),
+        ({"q_deg": np.zeros((3, 6))}, r"q_deg has shape \(3, 6\)"),
+        ({"ranges_deg": np.zeros((5, 2))}, r"ranges_deg has shape \(5, 2\)"),
+        ({"payload_states": []}, "payload_states is empty"),
+    ],
+)
+def test_unusable_arguments(arguments: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        campaign(arm(), **({"n": 5, "seed": 1} | arguments))
+
+
+def test_unusable_loop_limits() -> None:
+    with pytest.raises(InputError, match="only 0 of 5 poses"):
+        campaign(Plant.from_dict(HH800), 5, 1, crank_distance_m=(3.0, 4.0))
+
+
+def test_unusable_robots() -> None:
+    with pytest.raises(InputError, match="'com_m' is missing"):
+        Plant.from_dict({k: v for k, v in ARM.items() if k != "com_m"})
+    with pytest.raises(InputError, match=r"mass_kg has shape \(2,\)"):
+        Plant.from_dict(ARM | {"mass_kg": [1.0, 2.0]})
+    with pytest.raises(InputError, match="has 5 rows"):
+        Plant.from_dict(ARM | {"modified_dh": ARM["modified_dh"][:5]})
+
+
+def test_a_robot_too_soft_does_not_come_to_rest() -> None:
+    soft = Plant.from_dict(ARM | {"stiffness_Nm_per_rad": [10.0] * 6})
+    with pytest.raises(ConvergenceError, match="too soft"):
+        settle(soft, stops_at(np.full((3, 6), 0.5), 100.0))

@@ -1,0 +1,126 @@
+"""What is drawn, what is shown, and what is kept apart."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+
+import pandas as pd
+import pytest
+from checks import ROOT, Here, N
+
+from casadical.blind_check.drawing import in_shares, plans
+from casadical.blind_check.making import UNSEEN, make
+from casadical.blind_check.protocol import read_key, read_manifest
+from casadical.core.errors import ConvergenceError, InputError
+
+WORDS = (["a", "b", "c", "d"], ["x", "y"])
+
+
+def test_the_mix_is_as_told() -> None:
+    drawn = plans(300, 11, WORDS)
+    assert Counter(p.kind for p in drawn) == {"none": 75, "one": 135, "several": 45, "unlisted": 45}
+    assert Counter(p.poses for p in drawn) == {40: 100, 100: 100, 200: 100}
+    assert Counter(p.robot for p in drawn) == {"hh800": 100, "kr210": 100, "ur10e": 100}
+    assert Counter(p.missing for p in drawn) == {
+        None: 200, "temperature": 25, "payload": 25, "approach": 25, "time": 25,
+    }  # fmt: skip
+    assert {len(p.effects) for p in drawn if p.kind == "several"} == {2, 3}
+    assert all(len(set(p.effects)) == len(p.effects) for p in drawn)
+    assert Counter(p.effects[0] for p in drawn if p.kind == "unlisted").keys() == {"x", "y"}
+
+
+def test_shares_add_up_whatever_the_number() -> None:
+    for n in range(4, 60):
+        assert len(in_shares(n, {"none": 0.25, "one": 0.45, "several": 0.15, "unlisted": 0.15})) == n
+
+
+def test_a_seed_gives_the_same_check_to_the_byte(small, tmp_path) -> None:
+    make(tmp_path / "a", tmp_path / "b", N, 5, poses=[40], engine="numpy", project=ROOT, executor=Here())
+    again = {p.relative_to(tmp_path / "a"): p.read_bytes() for p in (tmp_path / "a").rglob("*.*") if p.is_file()}
+    first = {p.relative_to(small.folder): p.read_bytes() for p in small.folder.rglob("*.*") if p.is_file()}
+    assert again == first
+    assert (tmp_path / "b" / "key.json").read_bytes() == (small.key / "key.json").read_bytes()
+
+
+def test_without_a_seed_each_check_is_another(tmp_path) -> None:
+    hashes = {
+        make(
+            tmp_path / f"{k}", tmp_path / f"{k}-key", N, poses=[20], engine="numpy", project=ROOT, executor=Here()
+        ).key_sha256
+        for k in range(2)
+    }
+    assert len(hashes) == 2
+
+
+def test_a_session_without_rest_is_drawn_anew(monkeypatch) -> None:
+    from importlib import import_module
+
+    module = import_module("casadical.blind_check.making")
+
+    seeds: list[int] = []
+
+    class Restless:
+        @staticmethod
+        def record(_table, plan, _poses) -> str:
+            seeds.append(plan.seed)
+            if len(seeds) < 3:
+                raise ConvergenceError("no rest")
+            return "measured"
+
+    monkeypatch.setattr(module, "reality", lambda _name: Restless)
+    plan = plans(4, 1, WORDS)[0]
+    found, record = module._recorded("mujoco", {}, plan)
+    assert (record, seeds) == ("measured", [plan.seed, plan.seed + 1, plan.seed + 2])
+    assert (found.kind, found.effects, found.seed) == (plan.kind, plan.effects, plan.seed + 2)
+
+
+def test_the_published_hash_is_that_of_the_file(small) -> None:
+    data = (small.key / "key.json").read_bytes()
+    assert read_manifest(small.folder).key_sha256 == hashlib.sha256(data).hexdigest()
+    assert len(json.loads(data)["salt"]) == 64
+
+
+def test_the_folder_tells_nothing_of_what_is_hidden(small) -> None:
+    key = read_key(small.key, read_manifest(small.folder))
+    texts = "".join(p.read_text() + p.name for p in small.folder.rglob("*.*"))
+    for secret in key.campaigns.values():
+        assert not any(h.effect in texts for h in secret.hidden)
+    assert str(key.salt) not in texts
+    assert "true_mm" not in texts
+
+
+def test_unseen_poses_are_others_and_come_without_positions(small) -> None:
+    key = read_key(small.key, read_manifest(small.folder))
+    for name, secret in key.campaigns.items():
+        seen, unseen = (pd.read_csv(small.folder / f"{name}{end}.csv") for end in ("", ".unseen"))
+        assert len(seen) == secret.poses
+        assert len(unseen) == UNSEEN == len(secret.measured_mm) == len(secret.true_mm)
+        assert not set(seen["pose"]) & set(unseen["pose"])
+        assert set(seen) - set(unseen) == {"x_mm", "y_mm", "z_mm"}
+        assert not set(unseen) - set(seen)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"n": 3}, "n is 3; a blind check needs at least 4"),
+        ({"poses": [5]}, "a campaign needs at least 20"),
+        ({"engine": "paper"}, "reality 'paper' is not known; allowed: mujoco, numpy"),
+        ({"project": "nowhere"}, "no such robot; name the project's folder"),
+    ],
+)
+def test_bad_input_is_named(tmp_path, change, message) -> None:
+    given = {"n": 4, "seed": 1, "engine": "numpy", "project": ROOT, "executor": Here()} | change
+    with pytest.raises(InputError, match=message):
+        make(tmp_path / "a", tmp_path / "b", **given)
+    assert not any(tmp_path.rglob("*.csv"))
+
+
+def test_the_key_may_not_lie_with_the_campaigns(tmp_path, small) -> None:
+    for key in (tmp_path / "a", tmp_path / "a" / "inside"):
+        with pytest.raises(InputError, match="must lie apart"):
+            make(tmp_path / "a", key, 4, 1, engine="numpy", project=ROOT)
+    with pytest.raises(InputError, match="is there already"):
+        make(small.folder, tmp_path / "key", 4, 1, engine="numpy", project=ROOT)

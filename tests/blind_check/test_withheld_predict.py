@@ -1,0 +1,147 @@
+"""Answers come from the campaigns alone, are kept as they come, and from any executor."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from checks import Here, N
+
+from casadical.blind_check.answers import read_answers
+from casadical.blind_check.predicting import predict
+from casadical.blind_check.protocol import read_manifest
+from casadical.core.errors import InputError
+
+PREDICTING = ("predicting", "predictor", "baselines", "gaussian_process", "answers", "running")
+
+
+def test_predicting_loads_no_engine() -> None:
+    program = (
+        f"import sys, json; from casadical.blind_check import predicting, {', '.join(PREDICTING[1:])}\n"
+        "import casadical.diagnosis.json_answer, casadical.diagnosis.diagnose\n"
+        "print(json.dumps(sorted(sys.modules)))"
+    )
+    out = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True).stdout
+    loaded = json.loads(out)
+    assert "casadical.blind_check.predictor" in loaded
+    room = "casadical.blind_check"
+    makers = (
+        "mujoco",
+        f"{room}.numpy_physics",
+        f"{room}.mujoco_physics",
+        f"{room}.making",
+    )
+    assert [m for m in loaded if m.startswith((*makers, "casadical.blind_check.physics"))] == []
+
+
+def test_the_package_gives_its_three_verbs() -> None:
+    program = (
+        "from casadical.blind_check import make, predict, score; print(*(f.__name__ for f in (make, predict, score)))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+    assert done.stdout.split() == ["make", "predict", "score"]
+
+
+def test_the_diagnosis_answers_with_the_campaigns_alone(small, tmp_path) -> None:
+    """One campaign, moved to where no key is near, in a process of its own."""
+    name = next(iter(read_manifest(small.folder).campaigns))
+    alone = tmp_path / "alone"
+    shutil.copytree(small.folder, alone)
+    manifest = json.loads((alone / "withheld.json").read_text())
+    manifest["campaigns"] = {name: manifest["campaigns"][name]}
+    (alone / "withheld.json").write_text(json.dumps(manifest))
+    for path in alone.glob("*.csv"):
+        if not path.name.startswith(name):
+            path.unlink()
+    command = "from casadical.cli import main; main()"
+    words = [sys.executable, "-c", command, "withheld", "predict", str(alone), "--workers", "1"]
+    done = subprocess.run(words, check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    head, answers = read_answers(alone / "answers.diagnosis.jsonl")
+    assert head.by == "diagnosis"
+    assert sum(answers[name].probabilities.values()) == pytest.approx(1, abs=0.01)
+    assert np.isfinite(answers[name].unseen.base_mm).all()
+
+
+def test_answers_that_are_there_are_kept(small, tmp_path) -> None:
+    path = tmp_path / "bic.jsonl"
+    whole = small.answers.read_bytes().splitlines(keepends=True)
+    # Cut in the middle of the third answer.
+    begun(small, path, 2)
+    path.write_bytes(path.read_bytes() + whole[3][:100])
+    pool = Here()
+    seen: list[tuple[str, int, int]] = []
+    predict(small.folder, path, by="bic", executor=pool, show=lambda *told: seen.append(told))
+    assert pool.count == N - 2
+    assert [done for _, done, _ in seen] == [3, 4]
+    assert sorted(path.read_bytes().splitlines()) == sorted(small.answers.read_bytes().splitlines())
+
+
+def begun(small, path, answered: int) -> None:
+    """A file with the first answers of the whole one."""
+    path.write_bytes(b"".join(small.answers.read_bytes().splitlines(keepends=True)[: answered + 1]))
+
+
+def test_an_interrupted_run_keeps_what_it_has(small, tmp_path) -> None:
+    path = tmp_path / "bic.jsonl"
+    begun(small, path, N - 2)
+
+    def stop(_name: str, done: int, _count: int) -> None:
+        if done == N - 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        predict(small.folder, path, by="bic", executor=Here(), show=stop)
+    assert len(read_answers(path)[1]) == N - 1
+
+
+def test_a_real_dask_cluster_gives_the_same_answers(small, tmp_path) -> None:
+    distributed = pytest.importorskip("distributed", reason="distributed (Dask) is not installed")
+    path = tmp_path / "bic.jsonl"
+    begun(small, path, N - 2)
+    with (
+        distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=":0") as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        predict(small.folder, path, by="bic", executor=client.get_executor())
+        assert client.submit(abs, -2).result() == 2  # the cluster is left open to whoever handed it in
+    assert sorted(path.read_text().splitlines()) == sorted(small.answers.read_text().splitlines())
+
+
+def test_a_campaign_that_cannot_be_answered_does_not_stop_the_others(small, tmp_path) -> None:
+    torn = tmp_path / "torn"
+    shutil.copytree(small.folder, torn)
+    name = next(iter(read_manifest(torn).campaigns))
+    path = torn / f"{name}.csv"
+    path.write_text(path.read_text().replace(",", ",nothing", 30))
+    answers = predict(torn, tmp_path / "bic.jsonl", by="bic", executor=Here())
+    assert set(read_answers(answers)[1]) == set(read_manifest(torn).campaigns) - {name}
+    assert "is not a finite number" in next(t for t in answers.read_text().splitlines() if '"failed"' in t)
+
+
+def test_bad_input_is_named(small, tmp_path) -> None:
+    with pytest.raises(InputError, match=r"holds no withheld\.json"):
+        predict(tmp_path)
+    with pytest.raises(InputError, match="--by tarot: not known; allowed: diagnosis, f-test, bic, ebic, gp"):
+        predict(small.folder, by="tarot")
+    with pytest.raises(InputError, match="holds answers by bic to another check"):
+        predict(small.folder, small.answers, by="gp")
+    torn = tmp_path / "torn"
+    shutil.copytree(small.folder, torn)
+    next(torn.glob("*.unseen.csv")).unlink()
+    with pytest.raises(InputError, match=r"is missing, though withheld\.json names it"):
+        predict(torn, tmp_path / "answers.jsonl", by="bic")
+
+
+def test_positions_among_the_unseen_are_refused(small, tmp_path) -> None:
+    leaky = tmp_path / "leaky"
+    shutil.copytree(small.folder, leaky)
+    path = next(leaky.glob("*.unseen.csv"))
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([lines[0] + ",x_mm,y_mm,z_mm", *(line + ",1,2,3" for line in lines[1:])]) + "\n")
+    with pytest.raises(InputError, match="holds positions; they belong into the key alone"):
+        predict(leaky, tmp_path / "answers.jsonl", by="bic")

@@ -1,0 +1,216 @@
+"""The key is the published one or nothing is scored; figures of cases small enough to count by hand."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from casadical.blind_check.answers import Answer
+from casadical.blind_check.figures import confusion, figures, part_figures
+from casadical.blind_check.intervals import mean, quantile, share
+from casadical.blind_check.paired import Pair, pairs
+from casadical.blind_check.protocol import HiddenEffect, Secret, label, read_manifest
+from casadical.blind_check.scoring import in_common, score
+from casadical.blind_check.trials import Trial, trial
+from casadical.cli import app
+from casadical.core.errors import InputError
+
+
+def test_a_changed_key_is_refused(small, tmp_path) -> None:
+    shutil.copytree(small.key, tmp_path / "key")
+    path = tmp_path / "key" / "key.json"
+    path.write_text(path.read_text().replace('"kind": "none"', '"kind": "unlisted"', 1))
+    with pytest.raises(InputError, match="the key was changed after it was made"):
+        score(small.folder, tmp_path / "key", small.answers)
+
+
+def test_answers_to_another_check_are_refused(small, tmp_path) -> None:
+    lines = small.answers.read_text().splitlines(keepends=True)
+    head = json.loads(lines[0]) | {"key_sha256": "0" * 64}
+    path = tmp_path / "answers.jsonl"
+    path.write_text(json.dumps(head) + "\n" + "".join(lines[1:]))
+    with pytest.raises(InputError, match="answers another check"):
+        score(small.folder, small.key, path)
+
+
+def test_bad_files_are_named(small, tmp_path) -> None:
+    with pytest.raises(InputError, match="no such key"):
+        score(small.folder, tmp_path / "nowhere", small.answers)
+    path = tmp_path / "answers.jsonl"
+    path.write_text(small.answers.read_text().replace('"verdict":"', '"verdict":"perhaps ', 1))
+    with pytest.raises(InputError, match=r"line 2: verdict: .*delete the file and predict again"):
+        score(small.folder, small.key, path)
+    path.write_text("")
+    with pytest.raises(InputError, match="holds no answers"):
+        score(small.folder, small.key, path)
+
+
+def test_the_command_prints_every_figure_and_writes_them(small, tmp_path) -> None:
+    from typer.testing import CliRunner
+
+    words = ["withheld", "score", str(small.folder), str(small.key), str(small.answers)]
+    files = {"json": tmp_path / "score.json", "figure": tmp_path / "score.png"}
+    done = CliRunner().invoke(app, [*words, *(w for k, p in files.items() for w in (f"--{k}", str(p)))])
+    assert done.exit_code == 0, done.output
+    told = json.loads(files["json"].read_text())
+    assert told["campaigns"] == 4
+    assert set(told["figures"]) == {r.name for r in score(small.folder, small.key, small.answers).figures}
+    assert all(name in done.output for name in told["figures"])
+    assert read_manifest(small.folder).key_sha256 in done.output
+    assert files["figure"].read_bytes()[:4] == b"\x89PNG"
+
+
+def test_unanswered_campaigns_are_told(small, tmp_path) -> None:
+    path = tmp_path / "some.jsonl"
+    path.write_text("".join(small.answers.read_text().splitlines(keepends=True)[:3]))
+    found = score(small.folder, small.key, path)
+    assert (len(found.trials), len(found.unanswered)) == (2, 2)
+
+
+def test_intervals_against_scipy() -> None:
+    stats = pytest.importorskip("scipy.stats")
+    for hits, n in ((0, 34), (8, 10), (33, 33), (4, 25)):
+        found = share([k < hits for k in range(n)])
+        interval = stats.binomtest(hits, n).proportion_ci(method="wilson")
+        assert (found.value, found.hits, found.n) == (hits / n, hits, n)
+        assert (found.low, found.high) == pytest.approx((interval.low, interval.high), abs=1e-12)
+    values = np.random.default_rng(3).gamma(2.0, size=80)
+    for own, statistic in ((mean(values), np.mean), (quantile(values, 0.9), lambda x, axis: np.quantile(x, 0.9, axis))):
+        other = stats.bootstrap((values,), statistic, n_resamples=4000, method="percentile", rng=1).confidence_interval
+        assert own.value == pytest.approx(float(statistic(values, axis=0)))
+        assert (own.low, own.high) == pytest.approx((other.low, other.high), rel=0.05)
+    assert share([]).value is None
+    assert str(mean([])) == "-"
+
+
+def made(kind: str, truth: tuple[str, ...], verdict: str, named: tuple[str, ...], **more: object) -> Trial:
+    """A trial by hand; the set of the first cause is itself unless told."""
+    given = {
+        "name": "t", "robot": "r", "kind": kind, "poses": 40, "missing": None,
+        "effects": tuple(t.partition("@")[0] for t in truth) or (("ghost",) if kind == "unlisted" else ()),
+        "truth": truth, "signal": 1.0, "signals": (1.0,) * len(truth), "verdict": verdict, "named": named,
+        "alike": named[:1], "probability": 0.5, "predicted": 0.5, "realised": 0.5, "before": 1e-4, "after": 5e-5,
+    }  # fmt: skip
+    return Trial(**(given | more))  # type: ignore[arg-type]
+
+
+def test_figures_counted_by_hand() -> None:
+    trials = [
+        made("none", (), "none", ()),
+        made("none", (), "explained", ("backlash@1",)),
+        made("one", ("backlash@2",), "explained", ("backlash@2", "joint_scale@1"), probability=0.9, predicted=0.6),
+        made("one", ("backlash@2",), "explained", ("backlash@3",), probability=0.1, alike=("backlash@3", "backlash@2")),
+        made("one", ("frame_drift",), "ambiguous", ("target_shift",), probability=0.2, signal=0.4),
+        made("one", ("frame_drift",), "none", (), probability=0.0, signal=0.3),
+        made("several", ("a@1", "b"), "explained", ("b", "a@1")),
+        made("several", ("a@1", "b"), "explained", ("b", "c"), signals=(0.1, 1.0)),
+        made("unlisted", (), "explained", ("c",)),
+        made("unlisted", (), "unknown", ()),
+    ]
+    found = {r.name: (r.figure.value, r.figure.hits, r.figure.n) for r in figures(trials)}
+    expected = {
+        "false alarms where there is nothing": (0.5, 1, 2),
+        "detection, signal >= .5": (1.0, 6, 6),
+        "detection, signal .35 to .5": (1.0, 1, 1),
+        "detection, signal .2 to .35": (0.0, 0, 1),
+        "one effect: first cause right, signal >= .35": (1 / 3, 1, 3),
+        "FIA: probability of the true cause, signal >= .35": (0.4, None, 3),
+        "FIA over all campaigns with one effect": (0.3, None, 4),
+        "one effect: claims right": (0.5, 1, 2),
+        "one effect: claims made, signal >= .35": (2 / 3, 2, 3),
+        "one effect: sets contain the truth": (2 / 3, 2, 3),
+        "one effect: size of the set": (4 / 3, None, 3),
+        "two effects, each >= .35: both named first": (1.0, 1, 1),
+        "several: recall of effects >= .35": (1.0, 3, 3),
+        "several: precision": (0.75, 3, 4),
+        "on no list, claimed as listed": (0.5, 1, 2),
+        "on no list, any listed cause named": (0.5, 1, 2),
+        "shrink foretold less realised, median": (0.0, None, 7),
+    }
+    for name, (value, hits, n) in expected.items():
+        assert found[name] == (pytest.approx(value), hits, n), name
+    assert confusion(trials) == {
+        "none": {"none": 1, "backlash": 1},
+        "backlash": {"backlash": 1, "at another joint": 1},
+        "frame_drift": {"target_shift": 1, "none": 1},
+        "ghost": {"c": 1, "unknown": 1},
+    }
+    assert part_figures(trials)["detected"].hits == 7
+
+
+def test_a_trial_measures_the_shrink_at_the_unseen_poses() -> None:
+    secret = Secret(
+        robot="r", kind="one", poses=40, missing=None, noise=1e-5, repeatability=0.0, visible=2e-5,
+        hidden=(HiddenEffect(effect="gravity_compensator", joint=2, about="", visible=2e-5),),
+        measured_mm=((0, 0, 0), (1, 0, 0), (0, 9, 0)), true_mm=((0, 0, 0), (1, 0, 0), (0, 0, 0)),
+    )  # fmt: skip
+    given = {
+        "campaign": "c", "verdict": "ambiguous", "gap_mm": {"before": 0.4, "after": 0.1},
+        "causes": [{"effect": "gravity_compensator", "joint": 2, "indistinguishable": ["backlash@2", "x", "y"]}],
+        "posterior": {"gravity_compensator@2": 0.7, "none": 0.3},
+        "unseen": {"base_mm": [[0, 3, 0], [1, 0, 4], [0, 9, 5]], "with_causes_mm": [[0, 0, 1], [1, 2, 0], [0, 9, 3]]},
+    }  # fmt: skip
+    found = trial("c", secret, Answer.model_validate(given))
+    assert found.truth == found.named == ("gravity_compensator",)
+    assert found.alike == ("gravity_compensator", "backlash@2", "x")
+    assert (found.signal, found.probability, found.predicted) == pytest.approx((2.0, 0.7, 0.75))
+    assert (found.before, found.after, found.realised) == pytest.approx((4e-3, 2e-3, 0.5))
+    # Who names outliers is not asked to foretell them: the third pose is one.
+    given["causes"] = [{"effect": "outliers", "joint": None}]
+    assert trial("c", secret, Answer.model_validate(given)).after == pytest.approx(1.5e-3)
+
+
+def test_labels_leave_out_joints_that_mean_nothing() -> None:
+    assert label("backlash", 3) == "backlash@3"
+    assert label("gravity_compensator", 2) == "gravity_compensator"
+    assert label("thermal_growth", None) == "thermal_growth"
+
+
+def test_methods_are_compared_campaign_by_campaign() -> None:
+    right = {"verdict": "explained", "named": ("backlash@2",)}
+    wrong = {"verdict": "explained", "named": ("backlash@3",)}
+    silent = {"verdict": "none", "named": (), "after": 1e-4}
+    answers = {
+        "a": (right, wrong), "b": (right, silent), "c": (right, right), "d": (silent, right), "e": (wrong, wrong)
+    }  # fmt: skip
+    first, other = (
+        [made("one", ("backlash@2",), name=name, **two[k]) for name, two in answers.items()] for k in (0, 1)
+    )
+    # The order of the other's campaigns does not matter.
+    found = {p.name: p for p in pairs(first, other[::-1])}
+    asked = {
+        "one effect: first cause right, signal >= .35": (2, 1, 1, 1),
+        "detected, signal >= .35": (1, 1, 3, 0),
+        "all campaigns: no wrong claim": (1, 0, 3, 1),
+        "listed effects, signal >= .35: less of the gap is left": (1, 1, 0, 3),
+        "nothing there, and nothing said": (0, 0, 0, 0),
+    }
+    for name, counts in asked.items():
+        p = found[name]
+        assert (p.first, p.other, p.both, p.neither) == counts, name
+
+
+def test_the_sign_test_is_scipys() -> None:
+    stats = pytest.importorskip("scipy.stats")
+    for first, other in ((0, 0), (4, 1), (5, 5), (14, 0), (18, 30)):
+        p = Pair("", first, other, both=7, neither=3).p
+        assert p == pytest.approx(stats.binomtest(first, first + other).pvalue if first + other else 1.0)
+
+
+def test_several_answers_stand_side_by_side_on_what_all_of_them_answer(small, tmp_path) -> None:
+    from typer.testing import CliRunner
+
+    lines = small.answers.read_text().splitlines(keepends=True)
+    head = json.dumps(json.loads(lines[0]) | {"by": "gp"}) + "\n"
+    some, none = tmp_path / "some.jsonl", tmp_path / "none.jsonl"
+    some.write_text(head + "".join(lines[2:4]))
+    done = CliRunner().invoke(app, ["withheld", "score", *map(str, (small.folder, small.key, small.answers, some))])
+    assert done.exit_code == 0, done.output
+    assert "2 campaigns" in done.output
+    assert "bic : gp" in done.output
+    none.write_text(head + "".join(lines[1:2]))
+    with pytest.raises(InputError, match="no campaign is answered by all of these files"):
+        in_common([score(small.folder, small.key, path) for path in (some, none)])

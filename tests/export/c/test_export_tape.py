@@ -1,0 +1,142 @@
+"""Tapes, their arithmetic in NumPy against NumPy's own functions, and their interval bounds."""
+
+import casadi as ca
+import export_models as models
+import numpy as np
+import pytest
+
+from casadical.core.errors import InputError
+from casadical.export.c.intervals import bounds, without_needless_guards
+from casadical.export.c.mirror import Mirror, run
+from casadical.export.c.tape import tape_of
+
+REALS = ("float", "double")
+TYPE = {"float": np.float32, "double": np.float64}
+
+
+def operations(function):
+    return [node.op for node in tape_of(function).nodes]
+
+
+@pytest.mark.parametrize("form", ["tansig", "tanh", "one_minus"])
+def test_every_way_to_write_a_tansig_is_recognised(form):
+    names = operations(models.network(form=form))
+    assert names.count("tansig") == 5
+    assert "exp" not in names
+    q = np.random.default_rng(0).uniform(models.LOWER, models.UPPER, (500, 6))
+    values, fine = run(tape_of(models.network(form=form)), q, "double")
+    assert fine.all()
+    np.testing.assert_allclose(values, np.array(models.network(form=form).map(500)(q.T)).T, atol=1e-13)
+
+
+@pytest.mark.parametrize("shift", [0.5, 2.0])
+def test_what_only_looks_like_a_tansig_keeps_its_value(shift):
+    x = ca.SX.sym("x")
+    forms = [
+        2 / (1 + ca.exp(-x)) - 1,
+        1 - 2 / (1 + ca.exp(3 * x)),
+        2 / (1 + ca.exp(-2 * x)) - shift,
+        2 / (shift + ca.exp(x)) - 1,
+        2 / (1 + ca.exp(x)) + 1,
+        1 + 2 / (1 + ca.exp(-x)),
+        2 / (1 + ca.exp(-2 * x)) + (-1),
+    ]
+    function = ca.Function("f", [x], [ca.vertcat(*forms)])
+    grid = np.linspace(-6, 6, 201)[:, None]
+    values, _ = run(tape_of(function), grid, "double")
+    np.testing.assert_allclose(values, np.array(function.map(201)(grid.T)).T, atol=2e-14)
+
+
+def test_equal_operations_are_stored_once_and_sines_share_an_operation():
+    x = ca.SX.sym("x", 2)
+    function = ca.Function("f", [x], [ca.sin(x[0] * x[1]), ca.cos(x[1] * x[0]), (x[0] * x[1]) ** 2])
+    names = operations(function)
+    assert names.count("sincos") == 1
+    assert names.count("mul") == 2
+
+
+def test_every_operation_of_the_mirror_agrees_with_casadi():
+    x = ca.SX.sym("x", 3)
+    a, b, c = x[0], x[1], x[2]
+    terms = [a + b, a - b, a * b, a / (2 + b), -a, ca.fabs(a), ca.fmin(a, b), ca.fmax(a, b), ca.sign(a), a**2, a**3]
+    terms += [ca.sqrt(1.1 + a), ca.exp(a), ca.tan(a), ca.atan(5 * a), ca.atan2(a, b), ca.asin(a), ca.acos(b), 2 * a]
+    terms += [
+        ca.if_else(a < b, c, a),
+        ca.if_else(a <= 0, b, c),
+        ca.hypot(a, b),
+        ca.tanh(3 * a),
+        1 / (3 + c),
+        ca.sin(90 * a),
+    ]
+    function = ca.Function("f", [x], [ca.vertcat(*terms)])
+    grid = np.random.default_rng(1).uniform(-1, 1, (2000, 3))
+    values, fine = run(tape_of(function), grid, "double")
+    assert fine.all()
+    np.testing.assert_allclose(values, np.array(function.map(2000)(grid.T)).T, rtol=1e-13, atol=1e-13)
+
+
+def test_an_operation_without_c_is_refused_by_name():
+    x = ca.SX.sym("x")
+    with pytest.raises(InputError, match=r"OP_ERF.*allowed are .*sqrt"):
+        tape_of(ca.Function("f", [x], [ca.erf(x)]))
+
+
+def test_a_function_that_cannot_be_expanded_is_refused():
+    table = ca.interpolant("table", "linear", [[0.0, 1.0]], [0.0, 1.0])
+    x = ca.MX.sym("x")
+    with pytest.raises(InputError, match=r"OP_CALL|scalar operations"):
+        tape_of(ca.Function("f", [x], [table(x)]))
+
+
+@pytest.mark.parametrize("real", REALS)
+def test_elementary_functions_are_accurate_to_a_few_units_in_the_last_place(real):
+    T, mirror, rng = TYPE[real], Mirror(real), np.random.default_rng(2)
+    wide = np.longdouble
+    eps = np.finfo(T).eps
+    x = rng.uniform(-1000, 1000, 50_000).astype(T)
+    s, c = mirror.sincos(x)
+    large = 8 if real == "float" else 2  # |x| of 1000 in float: the reduction's second part is rounded 600 times larger
+    assert abs(s - np.sin(x.astype(wide))).max() < large * eps
+    assert abs(c - np.cos(x.astype(wide))).max() < large * eps
+    x = (x / 100).astype(T)
+    s, c = mirror.sincos(x)
+    assert max(abs(s - np.sin(x.astype(wide))).max(), abs(c - np.cos(x.astype(wide))).max()) < eps
+    a = np.concatenate([rng.uniform(-30, 30, 50_000), rng.normal(size=1000) * 1e-5]).astype(T)
+    assert abs(mirror.tansig(a) / np.tanh(a.astype(wide)) - 1).max() < 2.5 * eps
+    a = rng.uniform(-43, 43, 50_000).astype(T)
+    assert abs(mirror.exp(a) / np.exp(a.astype(wide)) - 1).max() < 1.5 * eps
+    a = (10 ** rng.uniform(np.log10(np.finfo(T).tiny), np.log10(np.finfo(T).max), 50_000)).astype(T)
+    with np.errstate(over="ignore"):
+        assert abs(mirror.sqrt(a) / np.sqrt(a.astype(wide)) - 1).max() < eps
+    y, x = rng.normal(size=(2, 50_000)).astype(T)
+    assert abs(mirror.atan2(y, x) - np.arctan2(y.astype(wide), x.astype(wide))).max() < 3 * eps
+
+
+@pytest.mark.parametrize("real", REALS)
+def test_bounds_hold_for_random_inputs_and_are_not_vacuous(real):
+    function = models.network()
+    tape = tape_of(function)
+    found = bounds(tape, models.LOWER, models.UPPER, real)
+    q = np.random.default_rng(3).uniform(models.LOWER, models.UPPER, (20_000, 6)).astype(TYPE[real])
+    values, _ = run(tape, q, real)
+    for k, output in enumerate(tape.outputs):
+        low, high = found[output]
+        assert low <= values[:, k].min()
+        assert values[:, k].max() <= high
+        assert high - low < 4 * np.ptp(values[:, k])
+
+
+def test_needless_guards_go_and_needed_ones_stay():
+    x = ca.SX.sym("x")
+    tape = tape_of(ca.Function("f", [x], [ca.sqrt(x) + ca.sin(x)]))
+    safe = without_needless_guards(tape, np.array([0.1]), np.array([3.0]), "double")
+    assert not [n for n in safe.nodes if n.op.startswith("guard")]
+    wide = without_needless_guards(tape, np.array([-0.1]), np.array([5000.0]), "double")
+    assert [n.op for n in wide.nodes if n.op.startswith("guard")] == ["guard_min", "guard_max"]
+    values, fine = run(wide, np.array([[-0.05], [0.5], [4000.0]]), "double")
+    assert fine.tolist() == [False, True, False]
+    assert np.isfinite(values).all()
+    divided = tape_of(ca.Function("f", [x], [ca.sqrt(1 / x)]))
+    assert [n.op for n in without_needless_guards(divided, np.array([-1.0]), np.array([1.0]), "float").nodes].count(
+        "guard_min"
+    )

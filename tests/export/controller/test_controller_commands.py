@@ -1,0 +1,268 @@
+"""`casadical export c` and `casadical correct` as a user meets them: files, words, exit codes."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import sys
+
+import numpy as np
+import pytest
+from controller_arms import NAMES, nominal_path, planted, poses, positions, rigid_motion
+
+import casadical.export.c.kernel as kernel_module
+import casadical.export.c.write as write_module
+from casadical import cli
+from casadical.cli.export import prefix_of
+from casadical.compensator import Compensator, save_compensator
+from casadical.export import load
+from casadical.export.c.toolchain import compilers
+from casadical.robot.robot_file import read_robot, write_robot
+
+needs_compiler = pytest.mark.skipif(not compilers(), reason="no C compiler (gcc, clang, cc) on this machine")
+
+
+def run(monkeypatch, *arguments) -> int:
+    """The command inside this process; its exit code."""
+    monkeypatch.setattr(sys, "argv", ["casadical", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    return int(stopped.value.code or 0)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("robots")
+    for name in NAMES:
+        write_robot(planted(name), folder / f"{name}.toml")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def exported(files, tmp_path_factory):
+    """The hh800's export and what the command printed."""
+    if not compilers():
+        pytest.skip("no C compiler (gcc, clang, cc) on this machine")
+    out = tmp_path_factory.mktemp("out") / "c"
+    with pytest.MonkeyPatch.context() as patch:
+        code = run(patch, "export", "c", files / "hh800.toml", "--nominal", nominal_path("hh800"), "--out", out)
+    assert code == 0
+    return out
+
+
+def program(path, q, unit="deg"):
+    """A program with columns of other things around the targets."""
+    values = np.rad2deg(q) if unit == "deg" else q
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["name", *(f"q{i}_{unit}" for i in range(1, q.shape[1] + 1)), "speed", "remark"])
+        for k, row in enumerate(values):
+            writer.writerow([f"P{k:03d}", *map(repr, map(float, row)), "0250", "weld, then wait"])
+    return path
+
+
+def table(path):
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def targets(rows, unit="deg", joints=6):
+    q = np.array([[float(row[f"q{i}_{unit}"]) for i in range(1, joints + 1)] for row in rows])
+    return np.deg2rad(q) if unit == "deg" else q
+
+
+def test_the_export_carries_its_sources_and_is_verified(files, exported):
+    manifest = json.loads((exported / "manifest.json").read_text())
+    assert manifest["model_sha256"] == hashlib.sha256((files / "hh800.toml").read_bytes()).hexdigest()
+    assert manifest["kernel"]["name"] == "hyundai_hh800"
+    assert manifest["verified"] is True
+    assert min(c["vectors"] for c in manifest["comparisons"] if c["function"] != "self_test") >= 100_000
+    assert load(exported).self_test() == 0
+
+
+@needs_compiler
+def test_what_is_printed(files, tmp_path, monkeypatch, capfd):
+    out = tmp_path / "c"
+    arguments = ("export", "c", files / "ur10.toml", "--nominal", nominal_path("ur10"), "--out", out, "--name", "arm")
+    assert run(monkeypatch, *arguments, "--real", "float", "--steps", 1) == 0
+    printed = capfd.readouterr().out
+    for part in (
+        "verified: compiled",
+        "rest_um_worst",
+        "sha256",
+        "tool: shared",
+        "own base frame",
+        "absolute-accuracy",
+    ):
+        assert part in printed
+    (out / "arm.c").write_text("mine")
+    assert run(monkeypatch, *arguments) == 2
+    assert "--overwrite" in capfd.readouterr().err
+    assert (out / "arm.c").read_text() == "mine"
+
+
+def test_without_a_compiler_the_export_is_written_and_called_unverified(files, tmp_path, monkeypatch, capfd):
+    monkeypatch.setattr(write_module, "compilers", list)
+    monkeypatch.setattr(kernel_module, "compilers", list)
+    arguments = ("export", "c", files / "ur10.toml", "--nominal", nominal_path("ur10"), "--out", tmp_path / "c")
+    assert run(monkeypatch, *arguments) == 0
+    assert "UNVERIFIED: no C compiler found" in capfd.readouterr().out
+    job = program(tmp_path / "job.csv", poses(planted("ur10"), 3))
+    assert run(monkeypatch, "correct", tmp_path / "c", job, "--out", tmp_path / "new.csv") == 2
+    message = capfd.readouterr().err
+    assert "no C compiler" in message
+    assert "give the robot file" in message
+
+
+def test_a_network_alone_is_exported_and_corrects_no_program(files, tmp_path, monkeypatch, capfd):
+    q = poses(planted("hh800"), 80)
+    made = Compensator.fit(q, 0.3 * np.sin(q[:, :3]), folds=2)
+    save_compensator(made, tmp_path / "net.json")
+    arguments = ("export", "c", files / "hh800.toml", "--what", "network", "--compensator", tmp_path / "net.json")
+    assert run(monkeypatch, *arguments, "--real", "float", "--out", tmp_path / "c") == 0
+    manifest = json.loads((tmp_path / "c" / "manifest.json").read_text())
+    assert manifest["data_sha256"] == hashlib.sha256((tmp_path / "net.json").read_bytes()).hexdigest()
+    assert (manifest["product"], manifest["kernel"]["outputs"]) == ("network", {"network": 3})
+    if not compilers():
+        pytest.skip("written; not called, for want of a C compiler (gcc, clang, cc)")
+    values, status = load(tmp_path / "c").network(q)
+    assert (status == 0).all()
+    assert values == pytest.approx(made.correction_mm(q), abs=1e-4)
+    capfd.readouterr()
+    job = program(tmp_path / "job.csv", q[:3])
+    assert run(monkeypatch, "correct", tmp_path / "c", job, "--out", tmp_path / "new.csv") == 2
+    assert "--what command" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("unit", ["deg", "rad"])
+def test_a_corrected_program_keeps_all_but_its_targets(unit, files, exported, tmp_path, monkeypatch, capfd):
+    robot = read_robot(files / "hh800.toml")
+    q = poses(robot, 120, seed=3)
+    q[7, 0] = np.deg2rad(121)  # outside of the range
+    q[9, 5] = robot.joints[5].upper
+    q[20] = q[21]  # a repeated target is no mistake
+    job, new = program(tmp_path / "job.csv", q, unit), tmp_path / "new.csv"
+    assert run(monkeypatch, "correct", exported, job, "--out", new) == 0
+    printed = capfd.readouterr().out
+    before, after = table(job), table(new)
+    assert list(after[0]) == [*before[0], "correction_status"]
+    for old, row in zip(before, after, strict=True):
+        assert (row["name"], row["speed"], row["remark"]) == (old["name"], "0250", "weld, then wait")
+        if row["correction_status"] != "OK":
+            assert {k: row[k] for k in old} == old
+    refused = [k for k, row in enumerate(after) if row["correction_status"] != "OK"]
+    assert after[7]["correction_status"] == "CLAMPED"
+    assert f"{120 - len(refused)} of 120 rows corrected, {len(refused)} REFUSED" in printed
+    assert "row 9: CLAMPED" in printed  # line of the file
+    fine = [k for k in range(120) if k not in refused]
+    nominal = read_robot(nominal_path("hh800")).with_values(
+        {f"tool_{c}": v for c, v in zip("xyz", robot.tool.T[:3, 3], strict=True)}
+    )
+    new_q = targets(after, unit)
+    rest = rigid_motion(positions(nominal, q)[fine], positions(robot, new_q)[fine])[2]
+    stated = json.loads((exported / "manifest.json").read_text())["figures"]["rest_um_worst"]
+    assert np.median(rest) < 2e-7
+    assert rest.max() < max(stated, 50) * 1e-6
+    change = np.rad2deg(abs(new_q - q))[fine]
+    words = {line.split("[")[0].strip(): line.split()[-2:] for line in printed.splitlines() if "[" in line}
+    for i in range(6):
+        assert float(words[f"joint {i + 1}"][0]) == pytest.approx(change[:, i].mean(), abs=1e-4)
+        assert float(words[f"joint {i + 1}"][1]) == pytest.approx(change[:, i].max(), abs=1e-4)
+    tool = 1e3 * np.linalg.norm(positions(robot, new_q) - positions(robot, q), axis=1)[fine]
+    assert float(words["tool"][0]) == pytest.approx(tool.mean(), abs=1e-3)
+    assert float(words["tool"][1]) == pytest.approx(tool.max(), abs=1e-3)
+
+
+def test_the_robot_file_corrects_as_its_export_does(files, exported, tmp_path, monkeypatch, capfd):
+    job = program(tmp_path / "job.csv", poses(planted("hh800"), 50))
+    assert run(monkeypatch, "correct", exported, job, "--out", tmp_path / "a.csv") == 0
+    model = ("correct", files / "hh800.toml", "--nominal", nominal_path("hh800"), job, "--out", tmp_path / "b.csv")
+    assert run(monkeypatch, *model) == 0
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+    assert "tool off its nominal place" in capfd.readouterr().out
+    assert run(monkeypatch, *model) == 2
+    assert "is there already" in capfd.readouterr().err
+    assert run(monkeypatch, *model, "--overwrite") == 0
+
+
+HEAD = "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg"
+BAD = {
+    "no number": (f"{HEAD}\n1,90,180,0,0,0\n1,90,x,0,0,0\n", ["row 3", "'q3_deg'", "'x' is not a finite number"]),
+    "nan": (f"{HEAD}\n1,90,180,0,nan,0\n", ["row 2", "'q5_deg'", "'nan'"]),
+    "empty cell": (f"{HEAD}\n1,90,180,0,,0\n", ["row 2", "'q5_deg'", "''"]),
+    "short row": (f"{HEAD}\n1,90,180,0,0,0\n1,90,180\n", ["row 3 has 3 cells, the header 6"]),
+    "blank row": (f"{HEAD}\n1,90,180,0,0,0\n\n1,90,180,0,0,0\n", ["row 3 has 0 cells"]),
+    "missing joint": ("q1_deg,q2_deg\n1,2\n", ["q3_deg or q3_rad is missing"]),
+    "joint twice": (f"{HEAD},q1_rad\n1,90,180,0,0,0,0\n", ["'q1_deg' and 'q1_rad' say the same"]),
+    "seventh joint": (f"{HEAD},q7_deg\n1,90,180,0,0,0,0\n", ["'q7_deg': this robot has only 6 joints"]),
+    "wrong unit": ("q1_mm\n1\n", ["'q1_mm'", "allowed: q1_deg, q1_rad"]),
+    "corrected before": (f"{HEAD},correction_status\n1,90,180,0,0,0,OK\n", ["corrected before"]),
+    "semicolons": (HEAD.replace(",", ";") + "\n1;90;180;0;0;0\n", ["parted by ';'"]),
+    "no rows": (HEAD + "\n", ["a header but no rows"]),
+    "empty": ("", ["is empty"]),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_bad_program_ends_in_2_and_says_where(case, files, tmp_path, monkeypatch, capfd):
+    text, parts = BAD[case]
+    (tmp_path / "job.csv").write_text(text)
+    model = (files / "hh800.toml", "--nominal", nominal_path("hh800"))
+    assert run(monkeypatch, "correct", *model, tmp_path / "job.csv", "--out", tmp_path / "new.csv") == 2
+    printed = capfd.readouterr()
+    for part in ("job.csv", *parts):
+        assert part in printed.err
+    assert "Traceback" not in printed.err
+    assert not (tmp_path / "new.csv").exists()
+
+
+WRONG = {
+    "what": (["export", "c", "ROBOT", "--what", "all"], "allowed: network, command"),
+    "real": (["export", "c", "ROBOT", "--real", "half"], "allowed: float, double"),
+    "no nominal": (["export", "c", "ROBOT"], "--nominal NOMINAL.toml"),
+    "no network": (["export", "c", "ROBOT", "--what", "network"], "--compensator"),
+    "payload of a network": (["export", "c", "ROBOT", "--what", "network", "--payload", "3"], "no part in a network"),
+    "steps": (["export", "c", "ROBOT", "--steps", "11"], "--steps"),
+    "name": (["export", "c", "ROBOT", "--nominal", "NOMINAL", "--name", "1-2"], "cannot prefix"),
+    "no robot": (["export", "c", "none.toml", "--nominal", "NOMINAL"], "none.toml"),
+    "no model": (["correct", "nowhere", "job.csv"], "no such folder"),
+    "no export": (["correct", "FOLDER", "job.csv"], "no manifest.json"),
+    "nominal twice": (["correct", "FOLDER", "job.csv", "--nominal", "NOMINAL"], "when"),
+    "steps twice": (["correct", "FOLDER", "job.csv", "--steps", "3"], "--steps was decided when"),
+    "no program": (["correct", "ROBOT", "job.csv", "--nominal", "NOMINAL"], "job.csv: no such file"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_users_mistake_ends_in_2_and_writes_nothing(case, files, tmp_path, monkeypatch, capfd):
+    words, part = WRONG[case]
+    meant = {"ROBOT": files / "hh800.toml", "NOMINAL": nominal_path("hh800"), "FOLDER": files}
+    monkeypatch.chdir(tmp_path)
+    assert run(monkeypatch, *(meant.get(w, w) for w in words), "--out", tmp_path / "out") == 2
+    printed = capfd.readouterr()
+    assert part in printed.err
+    assert "Traceback" not in printed.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_damaged_manifest_is_a_users_mistake(tmp_path, monkeypatch, capfd):
+    job = program(tmp_path / "job.csv", poses(planted("hh800"), 3))
+    (tmp_path / "c").mkdir()
+    for text in ("{", "[]", '{"kernel": {}}'):
+        (tmp_path / "c" / "manifest.json").write_text(text)
+        assert run(monkeypatch, "correct", tmp_path / "c", job, "--out", tmp_path / "new.csv") == 2
+        assert "is damaged" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "prefix"),
+    [
+        ("Hyundai HH800", "hyundai_hh800"),
+        ("Universal Robots UR10 (CB series)", "universal_robots_ur10_cb"),
+        ("7 axes", "robot_7_axes"),
+        ("机器人", "robot"),
+    ],
+)
+def test_prefixes_are_c_names(name, prefix):
+    assert prefix_of(name) == prefix

@@ -1,0 +1,181 @@
+"""The command that a robot file becomes, judged in the measuring frame where it was not made.
+
+After correction the real tool's positions there must be the nominal ones carried by one rigid motion, the instrument's,
+which Kabsch's method finds without knowing how the base was taken off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from controller_arms import NAMES, nominal_path, planted, poses, positions, rigid_motion
+
+from casadical.compensator import Compensator, save_compensator
+from casadical.core.errors import InputError
+from casadical.effects import GearEccentricity, PayloadError, ThermalGrowth
+from casadical.export.controller.correct import model_corrector
+from casadical.export.controller.models import Sources, command_of, network_of
+from casadical.robot.axes import row_matrix
+from casadical.robot.robot_file import read_robot, write_robot
+
+MICROMETRE = 1e-6
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Robot files with planted errors, by problem."""
+    folder = tmp_path_factory.mktemp("robots")
+    for name in NAMES:
+        write_robot(planted(name), folder / f"{name}.toml")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def compensator(tmp_path_factory):
+    """A network for hh800 that adds about half a millimetre in the measuring frame."""
+    q = poses(planted("hh800"), 150, seed=5)
+    residual = 0.5 * np.stack([np.sin(q[:, 1]), np.cos(2 * q[:, 2]), np.sin(q[:, 0])], axis=1)
+    made = Compensator.fit(q, residual, trainer="lm", folds=2)
+    assert made.helps
+    path = tmp_path_factory.mktemp("net") / "net.json"
+    save_compensator(made, path)
+    return path, made
+
+
+def corrected_positions(name, sources, q, steps=3, payload_kg=None):
+    """Real tool after the correction, in the measuring frame, and which rows are fine."""
+    dq, status = model_corrector(command_of(sources, steps)).correct(q)
+    return positions(read_robot(sources.robot), q + dq, payload_kg), status == 0, q + dq
+
+
+def rigid(name, **changes):
+    robot = read_robot(nominal_path(name))
+    return replace(robot, joints=tuple(replace(j, compliance=None) for j in robot.joints), **changes)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_where_the_instrument_stood_is_not_corrected(name, tmp_path):
+    robot = planted(name, only_base=True)
+    q = poses(robot, 200)
+    assert np.linalg.norm(positions(robot, q) - positions(rigid(name), q), axis=1).mean() > 1e-3
+    # compliance is not zero in the nominal file of no problem here, so that nothing but the base differs
+    write_robot(robot, tmp_path / "moved.toml")
+    command = command_of(Sources(tmp_path / "moved.toml", nominal_path(name)))
+    apart = command.calibrated.map(200)(q.T).full() - command.nominal.map(200)(q.T).full()
+    assert abs(apart).max() < 1e-12
+    dq, _ = model_corrector(command).correct(q)
+    assert abs(dq).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_after_correction_the_real_tool_is_where_the_nominal_one_would_be(name, files):
+    sources = Sources(files / f"{name}.toml", nominal_path(name))
+    robot = read_robot(sources.robot)
+    q = poses(robot, 300)
+    wanted = positions(rigid(name, tool=robot.tool), q)
+    before = rigid_motion(wanted, positions(robot, q))[2]
+    assert before.mean() > 5e-4  # no rigid motion explains the planted errors
+    after, fine, _ = corrected_positions(name, sources, q)
+    assert fine.mean() > 0.9
+    R, t, rest = rigid_motion(wanted[fine], after[fine])
+    assert np.median(rest) < 0.1 * MICROMETRE
+    assert rest.max() < 20 * MICROMETRE
+    base = robot.base.T @ np.linalg.inv(rigid(name).base.T)
+    if name == "hh800":
+        base = row_matrix(robot.joints[0]) @ np.linalg.inv(row_matrix(rigid(name).joints[0]))
+    assert pytest.approx(base[:3, :3], abs=1e-5) == R
+    assert pytest.approx(base[:3, 3], abs=2e-5) == t
+
+
+def test_a_robot_with_effects_in_its_model_is_corrected_like_its_file(files):
+    robot = read_robot(files / "hh800.toml").with_effect(GearEccentricity(3), PayloadError())
+    robot = robot.with_values({"gear_eccentricity@3.sin1": 300e-6, "payload_error.mass": 0.05})
+    sources = Sources(robot, read_robot(nominal_path("hh800")))
+    q = poses(robot, 100)
+    wanted = positions(rigid("hh800", tool=robot.tool), q)
+    dq, status = model_corrector(command_of(sources, 3)).correct(q)
+    plain, _ = model_corrector(command_of(Sources(files / "hh800.toml", nominal_path("hh800")), 3)).correct(q)
+    fine = status == 0
+    assert fine.mean() > 0.9
+    assert rigid_motion(wanted[fine], positions(robot, q + dq)[fine])[2].max() < 20 * MICROMETRE
+    assert rigid_motion(wanted[fine], positions(robot, q + plain)[fine])[2].mean() > 100 * MICROMETRE
+
+
+def test_an_effect_of_what_the_controller_does_not_know_is_refused(files):
+    robot = read_robot(files / "hh800.toml").with_effect(ThermalGrowth(None, 300.0))
+    with pytest.raises(InputError, match="thermal_growth follows warmth_300s"):
+        command_of(Sources(robot, nominal_path("hh800")))
+
+
+def test_the_network_is_turned_from_the_measuring_frame_into_the_robots(files, compensator):
+    path, made = compensator
+    sources = Sources(files / "hh800.toml", nominal_path("hh800"), path)
+    robot = read_robot(sources.robot)
+    q = poses(robot, 300)
+    q = q[made.inside(q)]
+    after, fine, moved = corrected_positions("hh800", sources, q)
+    wanted = positions(rigid("hh800", tool=robot.tool), q)
+    with_network = after + 1e-3 * made.correction_mm(moved)
+    assert rigid_motion(wanted[fine], after[fine])[2].mean() > 1e-4
+    assert rigid_motion(wanted[fine], with_network[fine])[2].max() < 20 * MICROMETRE
+    command = command_of(sources)
+    assert (command.lower >= np.array(made.trained_box.lower) - 1e-15).all()
+    assert (command.upper <= np.array(made.trained_box.upper) + 1e-15).all()
+
+
+def test_another_payload_bends_the_arm_otherwise(files):
+    sources = Sources(files / "hh800.toml", nominal_path("hh800"), payload_kg=0.0)
+    robot = read_robot(sources.robot)
+    q = poses(robot, 200)
+    wanted = positions(rigid("hh800", tool=robot.tool), q)
+    empty, fine, moved = corrected_positions("hh800", sources, q, payload_kg=0.0)
+    assert rigid_motion(wanted[fine], empty[fine])[2].max() < 20 * MICROMETRE
+    assert rigid_motion(wanted[fine], positions(robot, moved)[fine])[2].mean() > 2e-5
+
+
+@pytest.mark.parametrize("tool", ["shared", "own"])
+def test_the_tool_of_the_nominal_file_counts_only_when_told(tool, files):
+    sources = Sources(files / "ur10.toml", nominal_path("ur10"), tool=tool)
+    robot = read_robot(sources.robot)
+    q = poses(robot, 200)
+    after, fine, _ = corrected_positions("ur10", sources, q)
+    own, shared = (positions(r, q) for r in (rigid("ur10"), rigid("ur10", tool=robot.tool)))
+    hit, missed = (own, shared) if tool == "own" else (shared, own)
+    assert rigid_motion(hit[fine], after[fine])[2].max() < 20 * MICROMETRE
+    assert rigid_motion(missed[fine], after[fine])[2].mean() > 1e-4
+
+
+def test_what_cannot_be_one_robot_is_refused(files, tmp_path):
+    ur10, hh800 = files / "ur10.toml", files / "hh800.toml"
+    with pytest.raises(InputError, match="--nominal NOMINAL"):
+        command_of(Sources(ur10))
+    with pytest.raises(InputError, match="must be of one robot"):
+        command_of(Sources(ur10, nominal_path("hh800")))
+    with pytest.raises(InputError, match=r"mm from that of .*one robot"):
+        command_of(Sources(ur10, nominal_path("kr210")))
+    with pytest.raises(InputError, match="declares no payload"):
+        command_of(Sources(ur10, nominal_path("ur10"), payload_kg=3.0))
+    with pytest.raises(InputError, match="zero or more"):
+        command_of(Sources(hh800, nominal_path("hh800"), payload_kg=-3.0))
+    with pytest.raises(InputError, match="allowed: shared, own"):
+        Sources(ur10, tool="mine")
+    text = nominal_path("ur10").read_text().replace("limits_deg = [-360, 360]", 'type = "prismatic"', 1)
+    (tmp_path / "slide.toml").write_text(text)
+    with pytest.raises(InputError, match="prismatic"):
+        command_of(Sources(ur10, tmp_path / "slide.toml"))
+
+
+def test_a_network_is_exported_only_where_it_helps(files, compensator, tmp_path):
+    path, made = compensator
+    network = network_of(Sources(files / "hh800.toml", compensator=path))
+    q = poses(planted("hh800"), 20)
+    assert pytest.approx(made.correction_mm(q), abs=1e-12) == network.function(q.T).full().T
+    save_compensator(replace(made, network=None), tmp_path / "null.json")
+    null = Sources(files / "hh800.toml", nominal_path("hh800"), tmp_path / "null.json")
+    with pytest.raises(InputError, match="does not help"):
+        network_of(null)
+    assert command_of(null).network is None
+    with pytest.raises(InputError, match="give --compensator"):
+        network_of(Sources(files / "hh800.toml"))

@@ -1,0 +1,242 @@
+"""Mistakes that people make, planted in good data: each is found and named before anything is solved."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from casadical.identification.identification import identify
+from casadical.project.check import Precheck
+from casadical.project.check import check as precheck
+from casadical.project.problem import read_problem
+
+ROOT = Path(__file__).parents[3]
+UR10E = ROOT / "data" / "campaigns" / "practice" / "ur10e-P03.csv"
+Q = [f"q{i}_deg" for i in range(1, 7)]
+XYZ = ["x_mm", "y_mm", "z_mm"]
+
+
+def problem_with(folder: Path, change: Callable[[pd.DataFrame], pd.DataFrame], extra: str = "") -> Path:
+    """The UR10e's problem with its table changed."""
+    made = folder / "arm"
+    made.mkdir()
+    shutil.copy(ROOT / "problems" / "ur10e" / "robot.toml", made / "robot.toml")
+    change(pd.read_csv(UR10E)).to_csv(made / "poses.csv", index=False)
+    text = f'casadical = 1\ntitle = "t"\ndata = "synthetic"\n[[measurements]]\nfile = "poses.csv"\n{extra}'
+    (made / "problem.toml").write_text(text)
+    return made
+
+
+def said(found: Precheck, level: str) -> str:
+    return "\n".join(f"{f.topic}: {f.text}" for f in found.findings if f.level == level)
+
+
+@pytest.mark.parametrize("name", ["planar", "kr210", "ur10e", "ur10", "panda_1"])
+def test_a_good_problem_is_ready_and_what_it_holds_is_what_calibration_holds(name: str) -> None:
+    """Without a solve; the certified lists are those of the solved ones."""
+    found = precheck(ROOT / "problems" / name)
+    assert found.ok
+    assert said(found, "error") == ""
+    certified = tomllib.loads((ROOT / "problems" / name / "certified.toml").read_text())
+    for view in found.outlooks:
+        assert sorted(u.name for u in view.held) == sorted(certified[view.method]["not_identifiable"])
+        assert len(view.names) == certified[view.method]["identified"]
+
+
+@pytest.mark.parametrize(("name", "near"), [("kr210", 0.1), ("ur10e", 0.1), ("ur10", 0.1), ("hh800", 0.3)])
+def test_the_error_on_held_out_poses_is_foretold(name: str, near: float) -> None:
+    view = precheck(ROOT / "problems" / name).outlooks[-1]
+    certified = tomllib.loads((ROOT / "problems" / name / "certified.toml").read_text())[view.method]["report"]
+    assert view.held_out is not None
+    assert 1e3 * view.held_out == pytest.approx(certified["mean_mm"], rel=near)
+
+
+def test_a_model_that_lacks_something_is_told_from_noise(tmp_path: Path) -> None:
+    """The UR10e's campaign hides a gear eccentricity; its instrument is stated to be good to 0.01 mm."""
+    made = problem_with(tmp_path, lambda t: t, "sigma_mm = 0.01\n")
+    assert "SKCM: a linear step leaves 0.0" in said(precheck(made), "warning")
+
+
+def test_expected_errors_are_those_that_calibration_states_afterwards() -> None:
+    problem = read_problem(ROOT / "problems" / "planar")
+    result = identify(problem.robot, problem.sets["identify"][0], method="KM")
+    (view,) = precheck(ROOT / "problems" / "planar", noise=result.sigmas[0][0]).outlooks
+    assert view.names == result.names
+    assert view.errors == pytest.approx(result.standard_errors, rel=0.02)
+
+
+def test_expected_accuracy_is_the_mean_of_many_noisy_calibrations() -> None:
+    """By simulation: noise is drawn, the arm calibrated, its error read on other poses."""
+    from dataclasses import replace
+
+    from casadical.identification.accuracy import predicted
+
+    problem = read_problem(ROOT / "problems" / "planar")
+    (m,) = problem.sets["identify"]
+    true, _ = predicted(problem.robot, m)
+    rng = np.random.default_rng(4)
+    lower, upper = np.array([(j.lower, j.upper) for j in problem.robot.joints]).T
+    q = rng.uniform(lower, upper, (400, 2))
+    far = replace(m, q=q, position=np.zeros((400, 3)), weight=np.ones(400), row=np.arange(400), conditions={})
+    goal, _ = predicted(problem.robot, far)
+    squares = []
+    for _ in range(60):
+        noisy = replace(m, position=true + rng.normal(0, 2e-5, true.shape))
+        found = identify(problem.robot, noisy, method="KM").robot
+        squares.append(((predicted(found, far)[0] - goal) ** 2).sum(axis=1).mean())
+    (view,) = precheck(ROOT / "problems" / "planar", noise=2e-5).outlooks
+    assert view.accuracy == pytest.approx(np.sqrt(np.mean(squares)), rel=0.1)
+
+
+def _turned(column: str) -> Callable[[pd.DataFrame], pd.DataFrame]:
+    return lambda t: t.assign(**{column: -t[column]})
+
+
+SLIPS: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
+    "radians as degrees": (
+        lambda t: t.assign(**{c: np.deg2rad(t[c]) for c in Q}),
+        "in radians? name them q1_rad",  # refused on reading
+    ),
+    "metres as mm": (lambda t: t.assign(**{c: t[c] / 1e3 for c in XYZ}), "metres under names of millimetres"),
+    "inches as mm": (lambda t: t.assign(**{c: t[c] / 25.4 for c in XYZ}), "inches under names of millimetres"),
+    "a joint the other way": (_turned("q3_deg"), "turn the sign of q3"),
+    "a zero off": (lambda t: t.assign(q2_deg=t.q2_deg - 90), "add 90 to q2_deg"),
+    "a left-handed frame": (_turned("y_mm"), "left-handed"),
+    "from the horizontal": (lambda t: t.assign(q3_deg=t.q3_deg + t.q2_deg), "subtract q2"),
+}
+
+
+@pytest.mark.parametrize("name", SLIPS)
+def test_a_slip_is_named(name: str, tmp_path: Path) -> None:
+    change, words = SLIPS[name]
+    found = precheck(problem_with(tmp_path, change))
+    assert not found.ok
+    assert words in said(found, "error")
+    assert found.outlooks == ()
+
+
+@pytest.mark.parametrize("joint", range(1, 7))
+def test_one_joint_in_radians_is_named(joint: int, tmp_path: Path) -> None:
+    """Joint 6 too, where the nominal model still is within 2 % of its reach."""
+    name = f"q{joint}_deg"
+    found = precheck(problem_with(tmp_path, lambda t: t.assign(**{name: np.deg2rad(t[name])})))
+    assert f"1.69 mm would be left if q{joint} alone holds radians under a name of degrees" in said(found, "error")
+    assert f"joint {joint} covers" in said(found, "warning")
+    assert "are these radians?" in said(found, "warning")
+
+
+@pytest.mark.parametrize(("name", "said_to_be", "meant"), [("kr210", "standard", "modified"),
+                                                           ("ur10_grid", "modified", "standard")])  # fmt: skip
+def test_dh_rows_of_the_other_convention_are_named(name: str, said_to_be: str, meant: str, tmp_path: Path) -> None:
+    (tmp_path / "problems").mkdir()
+    made = Path(shutil.copytree(ROOT / "problems" / name, tmp_path / "problems" / name))
+    (tmp_path / "data").symlink_to(ROOT / "data")
+    lines = (made / "robot.toml").read_text().splitlines()
+    kept = [line for line in lines if not line.startswith("convention")]
+    (made / "robot.toml").write_text("\n".join([f'convention = "{said_to_be}"', *kept]))
+    assert f"if the DH rows are of the {meant} convention, not {said_to_be}" in said(precheck(made), "error")
+
+
+def test_limits_that_nobody_gave_are_said_to_be_assumed() -> None:
+    assert "joints 1, 2, 3, 4, 5, 6: -360 .. 360 deg" in said(precheck(ROOT / "problems" / "ur10"), "note")
+    assert "limits" not in said(precheck(ROOT / "problems" / "kr210"), "note")
+
+
+def test_a_fault_that_no_single_slip_explains_is_an_error_all_the_same(tmp_path: Path) -> None:
+    """One joint in degrees among five in radians: no unit of the whole table."""
+
+    def change(t: pd.DataFrame) -> pd.DataFrame:
+        return t.assign(**{c: np.deg2rad(t[c]) for c in Q[1:]})
+
+    found = precheck(problem_with(tmp_path, change))
+    assert not found.ok
+    assert "no slip of unit, sign or zero alone explains it" in said(found, "error")
+
+
+def test_every_fault_of_a_table_is_listed_at_once(tmp_path: Path) -> None:
+    def change(t: pd.DataFrame) -> pd.DataFrame:
+        t.loc[3, "x_mm"] = np.nan
+        t.loc[[5, 6], "z_mm"] = np.nan
+        return t.drop(columns=["q4_deg", "q6_deg"])
+
+    text = said(precheck(problem_with(tmp_path, change)), "error")
+    assert "no column for q4, q6" in text
+    assert "'x_mm' holds no number in row 5" in text
+    assert "'z_mm' holds no number in row 7, 8" in text
+
+
+def test_poor_data_are_doubted(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+
+    def still(t: pd.DataFrame) -> pd.DataFrame:
+        return t.assign(q6_deg=10.0).rename(columns={"temperature_degC": "temperature"})
+
+    found = precheck(problem_with(tmp_path, still))
+    assert "joint 6 does not move" in said(found, "warning")
+
+    (tmp_path / "b").mkdir()
+    few = problem_with(tmp_path / "b", lambda t: t.head(9), "[sets]\nidentify = 9\n")
+    assert "27 numbers were measured for" in said(precheck(few), "error")
+
+    def repeated(t: pd.DataFrame) -> pd.DataFrame:
+        whole = pd.concat([t.head(5)] * 6, ignore_index=True)
+        return whole.assign(**{c: whole[c] + rng.normal(0, 0.05, 30) for c in XYZ})
+
+    (tmp_path / "c").mkdir()
+    found = precheck(problem_with(tmp_path / "c", repeated, "[sets]\nidentify = 30\n"))
+    assert "30 measurements at 5 distinct readings" in said(found, "warning")
+    assert found.noise == pytest.approx(5e-5, rel=0.35)
+    assert found.noise_source == "as repeated readings show"
+
+
+def test_a_column_nearly_named_right_is_pointed_at(tmp_path: Path) -> None:
+    made = problem_with(tmp_path, lambda t: t.assign(payload=10.0))
+    assert "is 'payload_kg' meant?" in said(precheck(made), "warning")
+
+
+def test_an_open_four_bar_is_an_error_and_one_nearly_folded_a_warning(tmp_path: Path) -> None:
+    table = pd.read_csv(ROOT / "data" / "hh800_twin" / "hh800_twin.csv")
+    for k, (q3, level, words) in enumerate(((269.0, "error", "four-bar"), (256.0, "warning", "nearly folded"))):
+        made = tmp_path / str(k)
+        made.mkdir()
+        robot = (ROOT / "problems" / "hh800" / "robot.toml").read_text().replace("[135, 225]", "[135, 269]")
+        (made / "robot.toml").write_text(robot)
+        changed = table.assign(q3_deg=np.where(table.index == 0, q3, table.q3_deg), q2_deg=90.0)
+        changed.to_csv(made / "poses.csv", index=False)
+        (made / "problem.toml").write_text(
+            'casadical = 1\ntitle = "t"\ndata = "synthetic"\n[[measurements]]\nfile = "poses.csv"\n'
+            '[sets]\ncolumn = "set"\n'
+        )
+        assert words in said(precheck(made), level)
+
+
+def test_the_command_prints_keeps_and_exits(tmp_path: Path) -> None:
+    bad = problem_with(tmp_path, _turned("q3_deg"))
+    command = [str(Path(sys.executable).parent / "casadical"), "check"]
+    file = tmp_path / "kept.json"
+    done = subprocess.run(
+        [*command, "problems/planar", str(bad), "--json", str(file)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (2, "")
+    assert "planar: ready" in done.stdout
+    assert "arm: NOT READY, 1 error" in done.stdout
+    good, wrong = json.loads(file.read_text())
+    assert (good["ok"], wrong["ok"]) == (True, False)
+    assert 0.005 < good["methods"]["KM"]["expected_accuracy_mm"] < 0.05
+    assert good["methods"]["KM"]["held"].keys() == {"d1", "d2", "theta2"}
+    assert wrong["findings"][0]["topic"] == "units"
+    done = subprocess.run([*command, "problems/planar", "-q"], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

@@ -1,0 +1,169 @@
+"""A new problem folder runs at once, says what is made up, and takes nothing away from what was there."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from casadical.core.errors import InputError
+from casadical.identification.identification import identify
+from casadical.project.check import check as precheck
+from casadical.project.new import new_problem
+from casadical.project.problem import read_problem
+from casadical.robot.robot_file import read_robot
+
+ROOT = Path(__file__).parents[3]
+COMMAND = str(Path(sys.executable).parent / "casadical")
+
+# The maker's published table of the UR10 (standard convention).
+UR10 = """joint,d_mm,a_mm,alpha_deg,theta_deg,lower_deg,upper_deg,compliant,mass_kg,com_x_mm,com_y_mm,com_z_mm
+1,127.3,0,90,0,-360,360,,7.1,21,0,27
+2,0,-612,0,0,-360,360,yes,12.7,380,0,158
+3,0,-572.3,0,0,-360,360,yes,4.27,240,0,68
+4,163.941,0,90,0,-360,360,yes,2.0,0,7,18
+5,115.7,0,-90,0,-360,360,yes,2.0,0,7,18
+6,92.2,0,0,0,-360,360,,0.365,0,0,-26
+"""
+
+URDF = """<robot name="two">
+<link name="base"/><link name="upper"/><link name="fore"/><link name="tip"/>
+<joint name="j1" type="revolute"><parent link="base"/><child link="upper"/><origin xyz="0 0 0.3"/><axis xyz="0 0 1"/>
+<limit lower="-2.5" upper="2.5" effort="1" velocity="1"/></joint>
+<joint name="j2" type="revolute"><parent link="upper"/><child link="fore"/><origin xyz="0.4 0 0" rpy="1.5707963 0 0"/>
+<axis xyz="0 0 1"/><limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
+<joint name="t" type="fixed"><parent link="fore"/><child link="tip"/><origin xyz="0.3 0 0.05"/></joint>
+</robot>"""
+
+
+def test_the_bare_example_runs_by_the_commands_it_names(tmp_path: Path) -> None:
+    done = subprocess.run([COMMAND, "new", "arm"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    readme = (tmp_path / "arm" / "README.md").read_text()
+    commands = [line.split() for line in readme.splitlines() if line.startswith("    casadical")]
+    assert [c[1] for c in commands] == ["check", "calibrate"]
+    for _, *arguments in commands:
+        done = subprocess.run([COMMAND, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+    figures = json.loads((tmp_path / "results" / "result.json").read_text())
+    assert figures["data"] == "synthetic"
+    held_out = figures["methods"]["SKCM"]["sets"]["report"]
+    assert held_out["mean_mm"] < 0.06 < 0.5 < held_out["before_placed"]["mean_mm"]
+
+
+def test_made_up_poses_are_said_to_be(tmp_path: Path) -> None:
+    problem = new_problem(tmp_path / "arm")
+    assert problem.data == "synthetic"
+    assert "SYNTHETIC" in problem.title
+    assert "MADE UP" in (tmp_path / "arm" / "problem.toml").read_text()
+    assert "**synthetic**" in (tmp_path / "arm" / "README.md").read_text()
+
+
+def test_every_table_of_the_example_is_commented(tmp_path: Path) -> None:
+    new_problem(tmp_path / "arm")
+    for name in ("robot.toml", "problem.toml"):
+        lines = (tmp_path / "arm" / name).read_text().splitlines()
+        assert sum("#" in line for line in lines) >= 8
+        tomllib.loads("\n".join(lines))
+
+
+def test_a_dh_table_gives_the_robot_that_is_in_the_repository(tmp_path: Path) -> None:
+    (tmp_path / "dh.csv").write_text(UR10)
+    made = new_problem(tmp_path / "ur", dh=tmp_path / "dh.csv", convention="standard").robot
+    ours = read_robot(ROOT / "problems" / "ur10" / "robot.toml")
+    q = np.random.default_rng(0).uniform(-3, 3, 6)
+    for robot in (made, ours):
+        assert [j.compliance is None for j in robot.joints] == [True, False, False, False, False, True]
+    flange = [r.pose(q, r.parameters.with_values({"tool_x": 0, "tool_y": 0, "tool_z": 0}).values) for r in (made, ours)]
+    assert np.allclose(flange[0][0].full(), flange[1][0].full(), rtol=0, atol=1e-12)
+    torques = [r.torque(q, r.parameters.values).full() / abs(r.gravity[2]) for r in (made, ours)]
+    # Gravity is taken in the measuring frame there and in the base here: both are upright.
+    assert np.allclose(torques[0], torques[1], rtol=0, atol=1e-9)
+
+
+def test_measured_data_with_a_dh_table_calibrate_as_the_repositorys_problem_does(tmp_path: Path) -> None:
+    """Real UR10 readings, a few hundred of them."""
+    table = pd.read_csv(ROOT / "data" / "ur10_laser_tracker" / "series_C_random_poses.csv").head(300)
+    table.to_csv(tmp_path / "measured.csv", index=False)
+    (tmp_path / "dh.csv").write_text(UR10)
+    problem = new_problem(
+        tmp_path / "ur", dh=tmp_path / "dh.csv", convention="standard", data=tmp_path / "measured.csv"
+    )
+    assert problem.data is None
+    assert problem.origin == "data of unstated origin"
+    assert (tmp_path / "ur" / "poses.csv").read_text() == (tmp_path / "measured.csv").read_text()
+    assert precheck(tmp_path / "ur").ok
+    result = identify(problem.robot, problem.sets["identify"][0], method="KM")
+    assert 1e3 * result.accuracy(problem.sets["report"][0])["calibrated"].mean < 0.6
+
+
+def test_data_that_do_not_read_are_refused_by_their_own_name(tmp_path: Path) -> None:
+    table = pd.read_csv(ROOT / "data" / "ur10_laser_tracker" / "series_C_random_poses.csv").head(50)
+    table.drop(columns="q3_rad").to_csv(tmp_path / "bad.csv", index=False)
+    (tmp_path / "dh.csv").write_text(UR10)
+    with pytest.raises(InputError) as refused:
+        new_problem(tmp_path / "ur", dh=tmp_path / "dh.csv", data=tmp_path / "bad.csv")
+    assert "bad.csv" in str(refused.value)
+    assert "poses.csv" not in str(refused.value)
+    assert not (tmp_path / "ur").exists()
+
+
+def test_a_urdf_gives_a_folder_that_calibrates(tmp_path: Path) -> None:
+    pytest.importorskip("yourdfpy", reason="the extra urdf is not installed")
+    (tmp_path / "two.urdf").write_text(URDF)
+    problem = new_problem(tmp_path / "two", urdf=tmp_path / "two.urdf", tip_link="tip")
+    assert 'tip_link = "tip"' in (tmp_path / "two" / "problem.toml").read_text()
+    result = identify(problem.robot, problem.sets["identify"][0], method="KM")
+    assert 1e3 * result.accuracy(problem.sets["report"][0])["calibrated"].mean < 0.06
+
+
+def test_sets_that_the_data_name_are_kept(tmp_path: Path) -> None:
+    new_problem(tmp_path / "one")
+    table = pd.read_csv(tmp_path / "one" / "poses.csv")
+    table.assign(set=["identify"] * 40 + ["report"] * 20).to_csv(tmp_path / "named.csv", index=False)
+    dh = "a_mm,alpha_deg,d_mm,theta_deg\n0,0,400,0\n180,-90,0,0\n600,0,0,-90\n120,-90,620,0\n0,90,0,0\n0,-90,115,0\n"
+    (tmp_path / "dh.csv").write_text(dh)
+    problem = new_problem(tmp_path / "two", dh=tmp_path / "dh.csv", data=tmp_path / "named.csv")
+    assert {name: len(parts[0]) for name, parts in problem.sets.items()} == {"identify": 40, "report": 20}
+    assert read_problem(tmp_path / "two").methods == ("KM",)
+
+
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "arm").mkdir()
+    (tmp_path / "arm" / "poses.csv").write_text("mine")
+    with pytest.raises(InputError, match=r"poses\.csv is there already; nothing was written"):
+        new_problem(tmp_path / "arm")
+    assert [p.name for p in (tmp_path / "arm").iterdir()] == ["poses.csv"]
+    assert (tmp_path / "arm" / "poses.csv").read_text() == "mine"
+
+
+WRONG = {
+    "data without a robot": ({"data": "x.csv"}, "--data needs the robot"),
+    "two robots": ({"urdf": "x.urdf", "dh": "x.csv"}, "both say which robot"),
+    "no such table": ({"dh": "none.csv"}, "no such file"),
+    "no such convention": ({"dh": "dh.csv", "convention": "craig"}, "allowed: modified, standard"),
+    "unknown column": ({"dh": "bad.csv"}, "column 'length' is not known"),
+    "no number": ({"dh": "word.csv"}, "row 3, column 'a_mm': 'x' is not a number"),
+    "half a range": ({"dh": "half.csv"}, "belong together"),
+    "data that do not read": ({"dh": "dh.csv", "data": "nothing.csv"}, "q1_deg or q1_rad is missing"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_bad_input_is_refused_and_nothing_is_written(name: str, tmp_path: Path) -> None:
+    given, words = WRONG[name]
+    (tmp_path / "dh.csv").write_text("a_mm,alpha_deg\n100,90\n200,0\n")
+    (tmp_path / "bad.csv").write_text("a_mm,length\n100,90\n")
+    (tmp_path / "word.csv").write_text("a_mm,alpha_deg\n100,90\nx,0\n")
+    (tmp_path / "half.csv").write_text("a_mm,lower_deg\n100,90\n")
+    (tmp_path / "nothing.csv").write_text("angle,x_mm,y_mm,z_mm\n1,2,3,4\n")
+    paths = {k: tmp_path / v if k != "convention" else v for k, v in given.items()}
+    with pytest.raises(InputError, match=words):
+        new_problem(tmp_path / "new", **paths)
+    assert not (tmp_path / "new").exists()

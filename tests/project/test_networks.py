@@ -1,0 +1,215 @@
+"""The paper's four methods on a problem: who learns from what, who is refused, what is printed and kept."""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from casadical import read_problem
+from casadical.compensator import Backprop, load_compensator
+from casadical.core.errors import InputError
+from casadical.export.correction import compensated
+from casadical.project.calibration import problem_networks, result_files
+from casadical.project.networks import TRAINERS, Material, Networks, residual_mm, train_networks, training_material
+from casadical.project.problem import NETWORK_METHODS
+from casadical.report.calibration_text import as_json, report
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def hh800(calibrated):
+    """The run of the command, and its networks."""
+    run = calibrated("hh800")
+    networks = problem_networks(run[0], run[1])
+    assert isinstance(networks, Networks)
+    return run, networks
+
+
+def printed(*arguments: object) -> str:
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(report(*arguments))  # type: ignore[arg-type]
+    return console.export_text()
+
+
+def planted(problem, result, mm: float = 1.0):
+    """The problem with a smooth residual added to every reading: a network has something to learn."""
+
+    def moved(m):
+        shift = 1e-3 * mm * np.column_stack([np.sin(m.q[:, 0]), np.cos(m.q[:, 0]), np.zeros(len(m))])
+        exact = m.position - 1e-3 * residual_mm(result.robot, m)
+        return replace(m, position=exact + shift)
+
+    return replace(problem, sets={name: tuple(map(moved, parts)) for name, parts in problem.sets.items()})
+
+
+def test_all_four_methods_of_the_paper_and_the_best_trainer_run(hh800) -> None:
+    (problem, _, errors), networks = hh800
+    assert problem.methods == ("KM", "SKCM")
+    assert tuple(networks.results) == NETWORK_METHODS == tuple(TRAINERS)
+    assert [r.compensator.trainer for r in networks.results.values()] == ["backprop", "iwo", "lm", "iwo-lm", "taught"]
+    for r in networks.results.values():
+        c = r.compensator
+        assert (c.training.before.poses, c.choice.before.poses, c.validation.before.poses) == (50, 50, 50)
+        before = errors["SKCM"]["report"]["calibrated"]
+        assert c.validation.before.mean_mm == pytest.approx(1e3 * before.mean)
+        assert c.helps == (c.choice.gain > max(0, c.choice.gain_error))
+        if not r.helps:
+            assert {name: a.mean for name, a in r.errors.items()} == pytest.approx(
+                {name: states["calibrated"].mean for name, states in errors["SKCM"].items()}
+            )
+
+
+def test_a_planted_residual_is_learnt_and_its_figures_are_those_of_the_corrected_robot(hh800) -> None:
+    (problem, results, _), _ = hh800
+    easy = planted(problem, results["SKCM"])
+    seen: list[str] = []
+    networks = train_networks(easy, results["SKCM"], ("NN-SKCM",), seed=3, show=seen.append)
+    r = networks.results["NN-SKCM"]
+    assert r.helps
+    m = easy.sets["report"][0]
+    left = np.linalg.norm(compensated(results["SKCM"], r.compensator).position(m.q) - m.position, axis=1)
+    assert r.errors["report"].mean == pytest.approx(left.mean())
+    assert r.errors["report"].max == pytest.approx(left.max())
+    assert 1e3 * left.mean() < 0.5 * 1.0
+    losses = [float(line.split("loss ")[1].split()[0]) for line in seen]
+    assert len(losses) >= 20
+    assert losses[-1] < 0.2 * losses[0]
+
+
+def test_report_has_no_part_in_any_choice(hh800) -> None:
+    """Nonsense in the report set changes neither the network nor the decision; in train or choose it does."""
+    (problem, results, _), _ = hh800
+    easy = planted(problem, results["SKCM"])
+
+    def learnt(changed: str | None):
+        sets = dict(easy.sets)
+        if changed:
+            m = sets[changed][0]
+            noise = np.random.default_rng(0).normal(0, 0.01, m.position.shape)
+            sets[changed] = (replace(m, position=m.position + noise),)
+        c = train_networks(replace(easy, sets=sets), results["SKCM"], ("NN-SKCM",)).results["NN-SKCM"].compensator
+        return None if c.network is None else c.network.weights.tolist()
+
+    plain = learnt(None)
+    assert plain is not None
+    assert learnt("report") == plain
+    assert learnt("choose") is None
+    assert learnt("train") != plain
+
+
+def test_a_large_problem_without_a_set_to_train_on_lends_identified_poses(calibrated) -> None:
+    problem, results, _ = calibrated("ur10_joints")
+    material = training_material(problem, results["SKCM"], 0)
+    assert isinstance(material, Material)
+    assert "lent" in material.lent
+    rows = {name: set(map(tuple, q)) for name, (q, _) in material.sets.items()}
+    assert rows["train"] | rows["choose"] <= rows["identify"]
+    assert not rows["train"] & rows["choose"]
+    assert not rows["report"] & rows["identify"]
+    assert len(material.sets["train"][0]) <= 1500
+    again = training_material(problem, results["SKCM"], 0)
+    assert isinstance(again, Material)
+    assert np.array_equal(material.sets["train"][0], again.sets["train"][0])
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("panda_3", "the data are contact"), ("fr3_camera", "too few to learn"), ("planar", "too few to learn")],
+)
+def test_where_nothing_can_be_learnt_it_says_why(calibrated, name: str, words: str) -> None:
+    problem, results, errors = calibrated(name)
+    networks = train_networks(problem, results["KM"])
+    assert all(words in r.verdict and r.compensator is None and not r.helps for r in networks.results.values())
+    text = " ".join(printed(problem, results, errors, networks).split())
+    assert words in text
+    assert "after NN-SKCM" not in text
+    assert words in as_json(problem, results, errors, networks)["networks"]["NN-SKCM"]["verdict"]
+
+
+def test_poses_left_out_as_outliers_are_not_lent(calibrated) -> None:
+    problem, results, _ = calibrated("ur10_joints")
+    result = replace(results["SKCM"], outliers=tuple((0, i) for i in range(100)))
+    material = training_material(problem, result, 0)
+    assert isinstance(material, Material)
+    out = set(map(tuple, result.measurements[0].q[:100]))
+    kept = set(map(tuple, result.measurements[0].q[100:]))
+    assert not (out - kept) & set(map(tuple, material.sets["train"][0]))
+    assert len(material.sets["train"][0]) + len(material.sets["choose"][0]) == len(result.measurements[0]) - 100
+
+
+def test_the_tables_stand_beside_the_papers(hh800) -> None:
+    run, networks = hh800
+    text = printed(*run, networks)
+    for line in text.splitlines():
+        assert len(line) <= 80
+        assert "…" not in line
+    for figure in ("0.3450", "0.6374", "0.1624", "0.4662", "0.6538", "0.1333", "0.5038", "4.4266"):
+        assert figure in text
+    for method, r in networks.results.items():
+        assert f"after {method}{'' if r.helps else ': refused'}" in text
+        assert f"{r.compensator.validation.after.mean_mm:.4f}" in text
+    assert "Beside the paper: calibration" in text
+
+
+def test_json_holds_refusals_settings_and_the_papers_figures(hh800) -> None:
+    run, networks = hh800
+    found = json.loads(json.dumps(as_json(*run, networks), allow_nan=False))
+    assert found["methods"].keys() == {"KM", "SKCM"}
+    assert found["networks"].keys() == set(NETWORK_METHODS)
+    for name, entry in found["networks"].items():
+        r = networks.results[name]
+        assert entry["helps"] == r.helps
+        assert entry["sets"]["report"]["mean_mm"] == pytest.approx(1e3 * r.errors["report"].mean)
+        trained = entry["as_trained"]["report"]["after"]
+        assert trained["mean_mm"] == pytest.approx(r.compensator.validation.after.mean_mm)
+    assert found["networks"]["IWO-NN-SKCM"]["settings"]["settings"]["maximum"] == 50
+    assert found["paper"]["validation"]["IWO-NN-SKCM"] == {"mean_mm": 0.4662, "max_mm": 0.6538, "std_mm": 0.1333}
+
+
+def test_compensators_are_kept_as_files_that_load(hh800, tmp_path: Path) -> None:
+    run, networks = hh800
+    texts = result_files(tmp_path, *run, networks)
+    for name, r in networks.results.items():
+        path = tmp_path / f"{name}.compensator.json"
+        path.write_text(texts[path])
+        assert load_compensator(path).verdict == r.compensator.verdict
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ('methods = ["NN"]', "NN-SKCM"),
+        ("[paper]\nsource = 'x'\ncalibration = { BP = [1.0, 2.0, 3.0] }", "allowed: before, KM"),
+        ("[paper]\nsource = 'x'\nvalidation = { KM = [1.0, 2.0] }", "paper"),
+    ],
+)
+def test_a_wrong_method_in_the_file_is_refused(tmp_path: Path, line: str, expected: str) -> None:
+    folder = ROOT / "problems" / "planar"
+    (tmp_path / "robot.toml").write_text((folder / "robot.toml").read_text())
+    text = (folder / "problem.toml").read_text().replace('methods = ["KM"]\n', "")
+    data = (ROOT / "data" / "planar" / "planar.csv").as_posix()
+    text = text.replace("../../data/planar/planar.csv", data)
+    text = f"{line}\n{text}" if line.startswith("methods") else f"{text}\n{line}\n"
+    (tmp_path / "problem.toml").write_text(text)
+    with pytest.raises(InputError, match=expected):
+        read_problem(tmp_path)
+
+
+def test_a_network_method_brings_the_identification_that_it_needs(tmp_path: Path, monkeypatch) -> None:
+    from casadical.project import calibration, networks
+
+    monkeypatch.setitem(networks.TRAINERS, "NN-SKCM", (Backprop(steps=20), 1.0))
+    problem, results, _ = calibration.calibrate_problem(ROOT / "problems" / "hh800", method="NN-SKCM")
+    assert (tuple(results), problem.networks) == (("SKCM",), ("NN-SKCM",))
+    found = problem_networks(problem, results)
+    assert found is not None
+    assert tuple(found.results) == ("NN-SKCM",)
+    only_km = calibration.calibrate_problem(ROOT / "problems" / "planar", method="KM")
+    assert problem_networks(only_km[0], only_km[1]) is None

@@ -1,0 +1,127 @@
+"""Every problem folder: the same files, certified figures that still hold, data that are what they say."""
+
+from __future__ import annotations
+
+import importlib.util
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from casadical import from_table, identify
+from casadical.robot.robot_file import read_robot
+
+ROOT = Path(__file__).parents[2]
+FILES = ["README.md", "certified.toml", "problem.toml", "robot.toml"]
+FOLDERS = sorted(p for p in (ROOT / "problems").iterdir() if p.is_dir())
+EXTRA = {"hh800": ["campaign.robot.toml"]}  # the same arm with all joints compliant, as the campaigns have it
+
+
+def study(name: str):
+    """A script of docs/studies as a module."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / "studies" / f"{name}.py")
+    assert spec
+    assert spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+every_problem = pytest.mark.parametrize("folder", FOLDERS, ids=lambda f: f.name)
+
+
+@every_problem
+def test_folder_holds_the_same_files(folder: Path) -> None:
+    assert sorted(p.name for p in folder.iterdir()) == sorted(FILES + EXTRA.get(folder.name, []))
+
+
+@every_problem
+def test_readme_says_what_is_real(folder: Path) -> None:
+    text = (folder / "README.md").read_text()
+    for heading in ("## What is real", "## What is synthetic", "## Source and licence", "## What to expect"):
+        assert heading in text
+    assert f"problems/{folder.name}" in text
+
+
+@every_problem
+def test_certified_figures_hold(folder: Path, calibrated) -> None:
+    expected = tomllib.loads((folder / "certified.toml").read_text())
+    tolerance = expected.pop("tolerance_mm")
+    found = study("certify").figures(calibrated(folder.name))
+    assert found.keys() == expected.keys()
+    for method, entries in expected.items():
+        assert found[method].keys() == entries.keys()
+        for name, figure in entries.items():
+            if isinstance(figure, dict):
+                assert found[method][name] == pytest.approx(figure, abs=tolerance), f"{method} {name}"
+            else:
+                assert found[method][name] == figure, f"{method} {name}"
+
+
+@every_problem
+def test_no_pose_is_in_two_sets(folder: Path, calibrated) -> None:
+    sets = calibrated(folder.name)[0].sets
+    rows = [set(map(tuple, np.concatenate([m.q for m in parts]))) for parts in sets.values()]
+    for i, some in enumerate(rows):
+        for other in rows[i + 1 :]:
+            assert some & other == set()
+
+
+def test_folders_that_share_a_robot_hold_the_same_one() -> None:
+    for names in (("ur10", "ur10_grid", "ur10_joints"), ("panda_1", "panda_3")):
+        texts = {(ROOT / "problems" / name / "robot.toml").read_text() for name in names}
+        assert len(texts) == 1
+
+
+def test_the_planar_data_come_from_the_script() -> None:
+    made = study("planar").planar()
+    stored = pd.read_csv(ROOT / "data" / "planar" / "planar.csv")
+    pd.testing.assert_frame_equal(made, stored, atol=1.01e-4)
+
+
+def test_the_planar_arm_gets_its_planted_errors_back(calibrated) -> None:
+    """Within four standard errors; theta2 stands in the direction of the tool, as its README says."""
+    planted = study("planar")
+    _, results, _ = calibrated("planar")
+    found = results["KM"].parameters.set_index("name")
+    offset = np.deg2rad(planted.OFFSET_2_DEG)
+    truth = {
+        "theta1": planted.OFFSET_1_DEG,
+        "a1": planted.LINK_1_MM,
+        "tool_x": planted.LINK_2_MM * np.cos(offset),
+        "tool_y": planted.LINK_2_MM * np.sin(offset),
+    } | dict.fromkeys(("alpha0", "a0", "alpha1", "beta1", "tool_z"), 0.0)
+    assert set(truth) == set(found[found.status == "identified"].index)
+    for name, value in truth.items():
+        assert abs(found.value[name] - value) < 4 * found.std_error[name], name
+
+
+def test_hh800_has_the_papers_identifiable_set() -> None:
+    """29 kinematic parameters and 4 compliances; d2, d6, theta6 and L3 are Table 3's X marks."""
+    robot = read_robot(ROOT / "problems" / "hh800" / "robot.toml")
+    rng = np.random.default_rng(0)
+    low = np.array([-120, 60, 150, -170, -110, -170])
+    high = np.array([120, 110, 200, 170, 110, 170])
+    q = np.deg2rad(rng.uniform(low, high, (40, 6)))
+    true = robot.with_values({"c2": 1.6e-8, "c3": 6e-8, "c4": 3e-7, "c5": 4e-7, "a2": 1.6008, "L4": 1.601})
+    p = true.position.map(40)(q.T, true.parameters.values).full().T + rng.normal(0, 1e-5, (40, 3))
+    columns = {f"q{i + 1}_rad": q[:, i] for i in range(6)} | dict(zip(("x_m", "y_m", "z_m"), p.T, strict=True))
+    result = identify(robot, from_table(pd.DataFrame(columns), 6), method="SKCM")
+    assert {u.name for u in result.identifiability.held} == {"d2", "d6", "theta6", "L3"}
+    groups = result.parameters[result.parameters.status == "identified"].group
+    assert (groups != "compliance").sum() == 29
+    assert (groups == "compliance").sum() == 4
+    assert all(u.reason for u in result.identifiability.held)
+
+
+@pytest.mark.parametrize("name", ["kr210", "ur10e"])
+def test_robots_of_the_campaigns_are_six_axes_with_all_compliances(name: str) -> None:
+    robot = read_robot(ROOT / "problems" / name / "robot.toml")
+    assert robot.n == 6
+    assert all(j.compliance and j.body for j in robot.joints)
+    assert robot.payload
+    assert robot.gravity_frame == "measuring"
+    assert (robot.base.unknown, robot.tool.unknown) == ("pose", "position")
+    assert "assumed" in " ".join(robot.notes)

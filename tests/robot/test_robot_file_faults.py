@@ -1,0 +1,213 @@
+"""Every fault of a robot or problem file is answered with file, key, value and what is allowed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from casadical import InputError
+from casadical.project.problem import read_problem
+from casadical.robot.robot_file import read_robot
+
+GOOD = """
+casadical = 1
+name = "two joints"
+
+[tool]
+xyz_mm = [10, 0, 0]
+
+[[joint]]
+d_mm = 100
+limits_deg = [-170, 170]
+
+[[joint]]
+a_mm = 300
+"""
+
+LOOP = "\n[[four_bar]]\ndriven = {driven}\ncarrier = {carrier}\ncrank_mm = {crank}\ncoupler_mm = 300\nrocker_mm = 100\n"
+
+# What is changed or added, and what the message must then hold besides the file's name.
+FAULTS = {
+    "text for a number": (("a_mm = 300", 'a_mm = "300"'), ["joint[2].a_mm = '300'", "must be a valid number"]),
+    "boolean for a number": (("a_mm = 300", "a_mm = true"), ["joint[2].a_mm = True", "must be a valid number"]),
+    "not finite": (("a_mm = 300", "a_mm = nan"), ["joint[2].a_mm = nan", "finite"]),
+    "no unit": (("a_mm = 300", "a = 0.3"), ["joint[2].a = 0.3", "a_mm or a_m"]),
+    "an angle's unit on a length": (("a_mm = 300", "a_deg = 3"), ["joint[2].a_deg = 3", "not a known key", "a_mm"]),
+    "a length's unit on an angle": (("a_mm = 300", "theta_mm = 3"), ["joint[2].theta_mm", "theta_deg"]),
+    "two units": (("a_mm = 300", "a_mm = 300\na_m = 0.3"), ["joint[2].a_m = 0.3", "given twice"]),
+    "a slip of the pen": (
+        ("a_mm = 300", "alhpa_deg = 9"),
+        ["joint[2].alhpa_deg = 9", "is alpha_deg meant?", "theta_deg"],
+    ),
+    "an unknown table": (("[tool]", "[flange]"), ["flange", "not a known key", "tool", "four_bar"]),
+    "no name": (('name = "two joints"', ""), ["name: is missing"]),
+    "an empty name": (('"two joints"', '""'), ["name = ''", "at least 1"]),
+    "no version": (("casadical = 1", ""), ["casadical: is missing"]),
+    "a version to come": (("casadical = 1", "casadical = 2"), ["casadical = 2", "must be 1"]),
+    "no such convention": (
+        ("casadical = 1", 'casadical = 1\nconvention = "DH"'),
+        ["convention = 'DH'", "'modified' or 'standard'"],
+    ),
+    "no such kind of joint": (
+        ("a_mm = 300", 'type = "linear"'),
+        ["joint[2].type = 'linear'", "'revolute' or 'prismatic'"],
+    ),
+    "range in millimetres of a revolute joint": (
+        ("limits_deg = [-170, 170]", "limits_mm = [0, 5]"),
+        ["joint[1].limits_mm = [0, 5]", "revolute", "limits_deg"],
+    ),
+    "range in degrees of a prismatic joint": (
+        ("limits_deg", 'type = "prismatic"\nlimits_deg'),
+        ["joint[1].limits_deg", "prismatic", "limits_mm"],
+    ),
+    "range the wrong way round": (("[-170, 170]", "[170, -170]"), ["joint[1].limits_deg = [170, -170]", "lower one"]),
+    "range of three numbers": (("[-170, 170]", "[-1, 0, 1]"), ["joint[1].limits_deg", "at most 2 entries, not 3"]),
+    "place of two numbers": (("[10, 0, 0]", "[10, 0]"), ["tool.xyz_mm = [10, 0]", "at least 3 entries, not 2"]),
+    "negative stiffness": (
+        ("a_mm = 300", "stiffness_Nm_per_rad = -2e5"),
+        ["joint[2].stiffness_Nm_per_rad = -200000.0", "greater than 0"],
+    ),
+    "negative mass": (
+        ("a_mm = 300", "body = { mass_kg = -1 }"),
+        ["joint[2].body.mass_kg = -1", "greater than or equal"],
+    ),
+    "a body without mass": (("a_mm = 300", "body = { com_mm = [0, 0, 0] }"), ["joint[2].body.mass_kg: is missing"]),
+    "compliance that is no yes or no": (("a_mm = 300", 'compliant = "yes"'), ["joint[2].compliant = 'yes'", "boolean"]),
+    "beta in standard rows": (
+        ("casadical = 1\n", 'casadical = 1\nconvention = "standard"\n'),
+        ["joint[2].beta_deg = 0", "modified rows"],
+    ),
+    "b without beta": (("d_mm = 100", "b_mm = 3"), ["joint[1].b_mm = 3", "row 1 beside beta"]),
+    "b in a later row": (("a_mm = 300", "beta_deg = 0\nb_mm = 3"), ["joint[2].b_mm = 3", "row 1 only"]),
+    "no such part of a frame": (
+        ("[tool]", '[tool]\nunknown = "all"'),
+        ["tool.unknown = 'all'", "'none', 'position' or"],
+    ),
+    "no such frame of gravity": (
+        ("[tool]", '[gravity]\nframe = "world"\n[tool]'),
+        ["gravity.frame = 'world'", "'base'"],
+    ),
+    "a width of nothing": (
+        ("[tool]", "[width.tool]\nlength_bound_mm = 0\n[tool]"),
+        ["width.tool.length_bound_mm = 0", "greater than 0"],
+    ),
+    "a width of no group": (
+        ("[tool]", "[width.link]\nlength_bound_mm = 1\n[tool]"),
+        ["width.link", "not a known key", "geometry"],
+    ),
+    "a bar of negative length": (("", LOOP.format(driven=2, carrier=1, crank=-1)), ["four_bar[1].crank_mm = -1"]),
+    "a loop on a joint that is not there": (
+        ("", LOOP.format(driven=3, carrier=2, crank=100)),
+        ["four_bar[1]: carrier = 2, driven = 3", "(1..2)"],
+    ),
+    "two loops on one joint": (("", 2 * LOOP.format(driven=2, carrier=1, crank=100)), ["driven by two loops"]),
+    "not TOML": (("a_mm = 300", "a_mm = "), ["not valid TOML", "line 13"]),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_fault_is_named(name: str, tmp_path: Path) -> None:
+    (old, new), expected = FAULTS[name]
+    text = GOOD.replace(old, new, 1) if old else GOOD + new
+    if name == "beta in standard rows":
+        text = text.replace("a_mm = 300", "a_mm = 300\nbeta_deg = 0")
+    assert text != GOOD
+    (tmp_path / "arm.toml").write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_robot(tmp_path / "arm.toml")
+    message = str(caught.value)
+    for part in ["arm.toml", *expected]:
+        assert part in message
+
+
+def test_the_good_file_is_good(tmp_path: Path) -> None:
+    (tmp_path / "arm.toml").write_text(GOOD + LOOP.format(driven=2, carrier=1, crank=100))
+    assert read_robot(tmp_path / "arm.toml").n == 2
+
+
+def test_all_faults_are_listed_at_once(tmp_path: Path) -> None:
+    (tmp_path / "arm.toml").write_text(GOOD.replace("300", '"300"').replace("100", "nan"))
+    with pytest.raises(InputError, match=r"2 fault\(s\)") as caught:
+        read_robot(tmp_path / "arm.toml")
+    assert "joint[1].d_mm" in str(caught.value)
+    assert "joint[2].a_mm" in str(caught.value)
+
+
+def test_a_missing_file_and_a_folder_are_said_so(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        read_robot(tmp_path / "none.toml")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_robot(tmp_path)
+
+
+PROBLEM = """
+casadical = 1
+title = "test"
+data = "synthetic"
+
+[[measurements]]
+file = "table.csv"
+
+[sets]
+identify = 0.5
+report = 0.5
+"""
+
+TABLE = "q1_deg,q2_deg,x_mm,y_mm,z_mm,set,tag\n" + "".join(
+    f"{10 * k},{7 * k * k % 90},{400 - 3 * k},{20 * k},{k % 3},identify,{k % 2}\n" for k in range(12)
+)
+
+PROBLEM_FAULTS = {
+    "no such kind": (('file = "table.csv"', 'file = "table.csv"\nkind = "angle"'), ["kind = 'angle'", "'contact'"]),
+    "no such method": (("[[", 'methods = ["BP"]\n[['), ["methods[1] = 'BP'", "'KM', 'SKCM', 'NN-SKCM'"]),
+    "no such loss": (("[[", 'loss = "cauchy"\n[['), ["loss = 'cauchy'", "'soft_l1'"]),
+    "neither real nor synthetic": (('"synthetic"', '"made up"'), ["data = 'made up'", "'real' or 'synthetic'"]),
+    "no such table": (('"table.csv"', '"tables.csv"'), ["tables.csv", "No such file"]),
+    "the table is a folder": (('"table.csv"', '"."'), ["Is a directory"]),
+    "no such robot": (("[[", 'robot = "arm.toml"\n[['), ["arm.toml", "no such file"]),
+    "negative sigma": (
+        ("\n\n[sets]", "\nsigma_mm = -1\n\n[sets]"),
+        ["measurements[1].sigma_mm = -1", "greater than 0"],
+    ),
+    "a slip of the pen": (("[sets]", "[sets]\nidentfy = 3"), ["sets.identfy", "is identify meant?"]),
+    "a set that is not whole": (("identify = 0.5", "identify = 7.5"), ["sets.identify = 7.5", "whole number"]),
+    "more poses than there are": (("identify = 0.5", "identify = 9"), ["table.csv", "cannot be taken from 12"]),
+    "sizes beside a column": (("[sets]", '[sets]\ncolumn = "set"'), ["sets.column = 'set'", "leave out identify"]),
+    "no such column of sets": (
+        ("identify = 0.5\nreport = 0.5", 'column = "part"'),
+        ["'part'", "is missing", "q1_deg"],
+    ),
+    "sets of other names": (
+        ("identify = 0.5\nreport = 0.5", 'column = "tag"'),
+        ["'tag'", "holds '0'", "identify, train, choose, report"],
+    ),
+    "nothing to identify from": (("identify = 0.5", ""), ["no poses are named 'identify'", "report"]),
+    "no such column": (
+        ("\n\n[sets]", '\ncolumns = { x_mm = "X" }\n\n[sets]'),
+        ["column 'X'", "named for 'x_mm'", "is missing"],
+    ),
+    "no such point column": (("\n\n[sets]", '\npoint_from = ["hole"]\n\n[sets]'), ["'hole'", "point_from"]),
+}
+
+
+def problem_folder(folder: Path, text: str) -> Path:
+    (folder / "robot.toml").write_text(GOOD)
+    (folder / "problem.toml").write_text(text)
+    (folder / "table.csv").write_text(TABLE)
+    return folder
+
+
+@pytest.mark.parametrize("name", PROBLEM_FAULTS)
+def test_fault_of_a_problem_is_named(name: str, tmp_path: Path) -> None:
+    (old, new), expected = PROBLEM_FAULTS[name]
+    assert old in PROBLEM
+    with pytest.raises(InputError) as caught:
+        read_problem(problem_folder(tmp_path, PROBLEM.replace(old, new, 1)))
+    for part in expected:
+        assert part in str(caught.value)
+
+
+def test_the_good_problem_is_good(tmp_path: Path) -> None:
+    sets = read_problem(problem_folder(tmp_path, PROBLEM)).sets
+    assert {name: len(parts[0]) for name, parts in sets.items()} == {"identify": 6, "report": 6}

@@ -1,0 +1,89 @@
+"""Every URDF that cannot be used is refused with a message that says what and where."""
+
+import sys
+
+import pytest
+from urdf_arms import joint, link, robot
+
+from casadical.core.errors import InputError
+from casadical.robot.urdf import read_urdf
+
+ABC = link("a", 1.0) + link("b", 1.0) + link("c", 1.0)
+AB = joint("j1", "revolute", "a", "b")
+BC = joint("j2", "revolute", "b", "c")
+
+FAULTS = {
+    "not XML": ("<robot name='r'><link name='a'>", {}, "malformed XML.*line 1"),
+    "empty": ("", {}, "malformed XML"),
+    "mismatched tag": (robot(ABC, AB, "</joint>"), {}, "malformed XML: mismatched tag"),
+    "another format": ("<sdf><model/></sdf>", {}, "root element is <sdf>, a URDF has <robot>"),
+    "robot without name": ("<robot><link name='a'/></robot>", {}, "not a readable URDF.*need a name"),
+    "no links": (robot(), {}, "holds no link"),
+    "xacro": (robot(ABC, joint("j1", "fixed", "a", "b").replace("0.0", "${x}", 1)), {}, "xacro must be expanded"),
+    "joint without parent": (
+        robot(ABC, '<joint name="j" type="fixed"><child link="b"/></joint>'),
+        {},
+        "not a readable",
+    ),
+    "two numbers": (robot(ABC, joint("j1", "fixed", "a", "b", (1, 2))), {}, "vectors three numbers"),
+    "infinite origin": (robot(ABC, joint("j1", "revolute", "a", "b", (1, float("nan"), 0)), BC), {}, "not finite"),
+    "links twice": (robot(ABC, link("a"), AB), {}, "link names occur twice: a"),
+    "joints twice": (robot(ABC, AB, joint("j1", "revolute", "b", "c")), {}, "joint names occur twice: j1"),
+    "no such child": (robot(ABC, joint("j1", "revolute", "a", "x")), {}, "'j1' names link 'x', which is not there"),
+    "no such base": (robot(ABC, AB, BC), {"base_link": "x"}, "base_link 'x' is not there; links: a, b, c"),
+    "no such tip": (robot(ABC, AB, BC), {"tip_link": "x"}, "tip_link 'x' is not there; links: a, b, c"),
+    "branches": (
+        robot(ABC, AB, joint("j2", "revolute", "a", "c")),
+        {},
+        "branches; its ends are b, c; name .* tip_link",
+    ),
+    "two roots": (robot(ABC, AB), {}, r"2 links hang on no joint \(a, c\); name one as base_link"),
+    "wrong way": (robot(ABC, AB, BC), {"base_link": "c", "tip_link": "a"}, "'a' does not hang on 'c'"),
+    "closed loop": (
+        robot(ABC, AB, BC, joint("j3", "revolute", "a", "c")),
+        {},
+        "'c' hangs on two joints, 'j2' and 'j3'",
+    ),
+    "ring": (robot(ABC, AB, joint("j2", "revolute", "b", "a")), {"base_link": "a"}, "'a' hangs on itself"),
+    "mimic": (
+        robot(ABC, AB, joint("j2", "revolute", "b", "c", extra='<mimic joint="j1"/>')),
+        {},
+        "'j2' mimics 'j1'; every joint of the chain needs a reading of its own",
+    ),
+    "zero axis": (
+        robot(ABC, AB, joint("j2", "revolute", "b", "c", axis=(0, 0, 0))),
+        {},
+        r"'j2' has the axis \[0.0, 0.0",
+    ),
+    "floating": (robot(ABC, AB, joint("j2", "floating", "b", "c")), {}, "'j2' is of type 'floating'; allowed"),
+    "no limits": (robot(ABC, AB, BC.replace("limit ", "limits ")), {}, r"'j2' has the range \[0, 0\]"),
+    "limits reversed": (robot(ABC, AB, joint("j2", "revolute", "b", "c", limit=(1.0, -1.0))), {}, r"range \[1, -1\]"),
+    "nothing moves": (robot(ABC, joint("j1", "fixed", "a", "b"), joint("j2", "fixed", "b", "c")), {}, "no joint moves"),
+    "base is tip": (robot(ABC, AB, BC), {"base_link": "a", "tip_link": "a"}, "no joint moves between 'a' and 'a'"),
+    "negative mass": (
+        robot(ABC, link("d", -2.0), AB, BC, joint("j3", "fixed", "c", "d")),
+        {},
+        "'d' has the mass -2 kg",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_fault(tmp_path, fault):
+    text, ends, message = FAULTS[fault]
+    path = tmp_path / "arm.urdf"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message) as caught:
+        read_urdf(path, **ends)
+    assert str(path) in str(caught.value)
+
+
+def test_no_file(tmp_path):
+    with pytest.raises(InputError, match=r"none.urdf: cannot be read: No such file"):
+        read_urdf(tmp_path / "none.urdf")
+
+
+def test_parser_not_installed(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "yourdfpy", None)
+    with pytest.raises(InputError, match=r"pip install 'casadical\[urdf\]'"):
+        read_urdf(tmp_path / "arm.urdf")

@@ -1,0 +1,163 @@
+"""A URDF read by casadical moves and weighs what Pinocchio says."""
+
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+import pytest
+from urdf_arms import UR10, Oracle, joint, link, pose_of, random_arm, readings, robot
+
+from casadical.core.errors import InputError
+from casadical.robot.robot import modified_dh
+from casadical.robot.urdf import read_urdf
+
+PUBLIC = {  # file: base, tip (None: casadical finds it)
+    "ur_description/urdf/ur10_robot.urdf": ("world", "tool0"),
+    "ur_description/urdf/ur5_robot.urdf": ("base_link", "wrist_3_link"),
+    "panda_description/urdf/panda.urdf": ("panda_link0", "panda_hand_tcp"),
+    "xarm_description/urdf/xarm7.urdf": ("world", "link_eef"),
+    "kinova_description/robots/kinova.urdf": ("base", "j2s6s200_end_effector"),
+    "baxter_description/urdf/baxter.urdf": ("base", "left_wrist"),
+    "so_arm_description/urdf/so100.urdf": ("base", "jaw"),
+    "pr2_description/urdf/pr2.urdf": ("base_footprint", "l_gripper_palm_link"),
+}
+
+
+def public_file(name):
+    try:
+        package = metadata.distribution("example-robot-data")
+    except metadata.PackageNotFoundError:
+        pytest.skip("example-robot-data (public URDFs, 414 MB) is not installed")
+    return Path(str(package.locate_file(f"cmeel.prefix/share/example-robot-data/robots/{name}")))
+
+
+def agree_with_pinocchio(path, base, tip, seed=0):
+    arm, oracle, rng = read_urdf(path, base, tip), Oracle(path, base, tip), np.random.default_rng(seed)
+    assert arm.n == len(oracle.joints)
+    for q in readings(arm, rng, 8):
+        np.testing.assert_allclose(pose_of(arm, q), oracle.pose(q), rtol=0, atol=1e-12)
+        torque = arm.torque(q, arm.parameters.values).full().ravel()
+        np.testing.assert_allclose(torque, oracle.gravity_torques(q), rtol=1e-11, atol=1e-11)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_random_arm(tmp_path, seed):
+    path = tmp_path / "arm.urdf"
+    path.write_text(random_arm(seed, n=1 + seed % 8))
+    agree_with_pinocchio(path, "base", "tip", seed)
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_public_robot(name):
+    agree_with_pinocchio(public_file(name), *PUBLIC[name])
+
+
+def test_ur10_table_is_the_published_one(tmp_path):
+    # Maker's standard DH: d = 127.3, 0, 0, 163.941, 115.7, 92.2; a = 0, -612, -572.3; alpha = 90, 0, 0, 90, -90, 0.
+    path = tmp_path / "ur10.urdf"
+    path.write_text(UR10)
+    agree_with_pinocchio(path, "base_link", "tool0")
+    arm = read_urdf(path)
+    rows = modified_dh(arm)
+    np.testing.assert_allclose([r["a_mm"] for r in rows], [0, 0, 612, 572.3, 0, 0], atol=1e-9)
+    np.testing.assert_allclose([r["d_mm"] for r in rows], [127.3, 0, 0, 163.941, 115.7, 92.2], atol=1e-9)
+    np.testing.assert_allclose([abs(r["alpha_deg"]) for r in rows], [0, 90, 0, 0, 90, 90], atol=1e-9)
+    assert [r["beta_deg"] is not None for r in rows] == [False, False, True, True, False, False]
+    np.testing.assert_allclose(arm.base.T, np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(arm.tool.T, np.eye(4), atol=1e-12)
+    assert [j.body.mass for j in arm.joints] == [7.778, 12.93, 3.87, 1.96, 1.96, 0.202]
+
+
+def test_frames_to_identify_and_limits(tmp_path):
+    path = tmp_path / "arm.urdf"
+    parts = [link(n, 1.0) for n in "abcd"]
+    path.write_text(
+        robot(
+            *parts,
+            joint("j1", "revolute", "a", "b", limit=(-1.5, 2.5)),
+            joint("j2", "prismatic", "b", "c", (1, 0, 0), limit=(0.0, 0.3)),
+            joint("j3", "continuous", "c", "d", (0, 0, 1), axis=(1, 0, 0)),
+        )
+    )
+    arm = read_urdf(path)
+    assert (arm.base.unknown, arm.tool.unknown, arm.gravity_frame) == ("pose", "position", "base")
+    assert [(j.lower, j.upper) for j in arm.joints] == [(-1.5, 2.5), (0.0, 0.3), (-2 * np.pi, 2 * np.pi)]
+    assert [j.kind for j in arm.joints] == ["revolute", "prismatic", "revolute"]
+    assert arm.notes == ("from arm.urdf: a to d",)
+
+
+def test_compliant_joints_are_named_by_number(tmp_path):
+    path = tmp_path / "ur10.urdf"
+    path.write_text(UR10)
+    arm = read_urdf(path, compliant=[2, 3])
+    assert [p.name for p in arm.parameters if p.group == "compliance"] == ["c2", "c3"]
+    with pytest.raises(InputError, match=r"compliant joint 7 is not there; the chain has 1\.\.6"):
+        read_urdf(path, compliant=[2, 7])
+
+
+def test_no_masses_and_side_joints_are_noted(tmp_path):
+    path = tmp_path / "arm.urdf"
+    parts = [link(n) for n in ("base", "l1", "tip", "finger")]
+    joints = [
+        joint("j1", "revolute", "base", "l1"),
+        joint("grip", "prismatic", "l1", "finger"),
+        joint("flange", "fixed", "l1", "tip", (0, 0, 1)),
+    ]
+    path.write_text(robot(*parts, *joints))
+    assert [n.split()[0:2] for n in read_urdf(path, tip_link="tip").notes[1:]] == [["masses", "on"], ["the", "URDF"]]
+
+
+def test_end_beyond_fixed_links_of_the_base_is_found(tmp_path):
+    path = tmp_path / "arm.urdf"
+    parts = [link(n, 1.0) for n in ("base", "camera", "l1")]
+    path.write_text(robot(*parts, joint("c", "fixed", "base", "camera"), joint("j1", "revolute", "base", "l1")))
+    assert read_urdf(path).notes[0] == "from arm.urdf: base to l1"
+
+
+def two_axes(tmp_path, xyz, rpy):
+    path = tmp_path / "pair.urdf"
+    parts = [link(n, 1.0) for n in ("base", "l1", "l2", "tip")]
+    joints = [
+        joint("j1", "revolute", "base", "l1"),
+        joint("j2", "revolute", "l1", "l2", xyz, rpy),
+        joint("flange", "fixed", "l2", "tip", (0.1, 0.2, 0.3)),
+    ]
+    path.write_text(robot(*parts, *joints))
+    agree_with_pinocchio(path, "base", "tip")
+    return read_urdf(path).joints
+
+
+def test_parallel_axes_get_beta_and_no_offset_in_front(tmp_path):
+    first, second = two_axes(tmp_path, (0.3, 0.4, 0.7), (0, 0, 1.0))
+    assert first.d == 0.0
+    assert second.beta == pytest.approx(0, abs=1e-15)
+    assert second.a == pytest.approx(0.5)
+    assert second.alpha == 0.0
+
+
+def test_antiparallel_axes(tmp_path):
+    _, second = two_axes(tmp_path, (0.3, 0.4, 0.7), (np.pi, 0, 0))
+    assert second.beta == pytest.approx(0, abs=1e-15)
+    assert abs(second.alpha) == pytest.approx(np.pi)
+
+
+@pytest.mark.parametrize("roll", [0.0, np.pi])
+def test_coincident_axes(tmp_path, roll):
+    first, second = two_axes(tmp_path, (0, 0, 0.7), (roll, 0, 0))
+    assert (first.theta, first.d, second.a) == (0.0, 0.0, 0.0)
+
+
+def test_intersecting_axes_within_rounding_keep_their_sense(tmp_path):
+    # 1 um of rounding to either side must not turn the table over.
+    tables = [two_axes(tmp_path, (0, y, 0.7), (-np.pi / 2, 0, 0)) for y in (0.0,)]
+    tables += [two_axes(tmp_path, (x, 0, 0.7), (-np.pi / 2, 0, 0)) for x in (1e-6, -1e-6)]
+    assert [t[0].theta for t in tables] == pytest.approx([0, 0, 0])
+    assert [t[1].a for t in tables] == pytest.approx([0, 1e-6, -1e-6], abs=1e-15)
+    assert [t[1].alpha for t in tables] == pytest.approx([-np.pi / 2] * 3)
+
+
+def test_nearly_parallel_axes_stay_near(tmp_path):
+    # The common normal of these lies 570 m away; Hayati's form keeps every number within the arm's size.
+    first, second = two_axes(tmp_path, (0.3, 0.1, 0.5), (1e-3 * 0.5, 0.0005, 0))
+    assert max(abs(first.d), second.a, abs(second.d)) < 1
+    assert second.beta is not None
