@@ -92,9 +92,11 @@ def test_errors_that_it_raises_are_told(name: str) -> None:
 def test_methods_from_the_literature_name_their_source() -> None:
     """By module: a year or an equation of the paper."""
     modules = [
-        *("fourbar", "kinematics", "statics", "identifiability", "identification", "placement", "robot", "correction"),
-        *(f"compensator.{name}" for name in ("iwo", "network", "task", "trainers.levenberg", "trainers.taught")),
-        *("pose_selection.criteria", "pose_selection.exchange", "diagnosis.evidence", "statistics"),
+        *(f"robot.{name}" for name in ("fourbar", "kinematics", "statics", "robot")),
+        *(f"identification.{name}" for name in ("identifiability", "identification", "placement")),
+        *(f"compensator.{name}" for name in ("iwo", "network", "task", "trainers.levenberg", "trainers.distilled")),
+        *("pose_selection.criteria", "pose_selection.exchange", "diagnosis.evidence", "core.statistics"),
+        "export.correction",
     ]
     without = []
     for module in modules:

@@ -7,7 +7,10 @@ import re
 import pytest
 from repository import ROOT, tracked
 
-TOP = {"pyproject.toml", "casadical", "problems", "tests", "data", "docs", "README.md", "LICENSE", "CHANGELOG.md"}
+TOP = {
+    *("pyproject.toml", "casadical", "problems", "tests", "data", "docs"),
+    *("README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff"),
+}
 
 # In pieces, so that this file does not hold what it looks for.
 HOSTS = [
