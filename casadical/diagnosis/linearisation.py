@@ -19,10 +19,9 @@ import numpy as np
 from casadical.core.transforms import Array, Symbolic, small_frame
 from casadical.effects import Context, Effect
 from casadical.measurements.measurements import Measurements
-from casadical.robot.kinematics import link_frames
-from casadical.robot.model import base_frame, gravity_in_base
+from casadical.robot.model import rigid_context
 from casadical.robot.robot import Robot
-from casadical.robot.statics import deflections, gravity_energy, gravity_torques
+from casadical.robot.statics import deflections, gravity_torques
 
 _TWIST = ("x", "y", "z", "rx", "ry", "rz")
 
@@ -48,7 +47,7 @@ class _Probe(Effect):
         return dict.fromkeys(self.names, (1.0, ""))  # type: ignore[attr-defined]
 
     def joint_angle(self, context: Context) -> Symbolic:
-        return ca.vertcat(*(self.value(context, f"q{i}") for i in range(1, context.robot.n + 1)))
+        return ca.vertcat(*(self.value(context, f"q{i}") for i in range(1, context.arm.n + 1)))
 
     def _frame(self, context: Context, seam: str) -> Symbolic:
         return small_frame(*(self.value(context, f"{seam}_{c}") for c in _TWIST))
@@ -87,7 +86,9 @@ def _seams(robot: Robot, conditions: tuple[str, ...]) -> _Seams:
     phi, seams = model.phi[:count], model.phi[count:]
     parts = [model.p, ca.jacobian(model.p, phi), ca.jacobian(model.p, seams)]
     point, J, S = ca.substitute(parts, [seams], [ca.SX.zeros(seams.numel())])
-    return _Seams(_context(robot, model.q, w, phi), point, J, S, (model.q, model.w, phi))
+    values = dict(zip(robot.parameters.names, ca.vertsplit(phi), strict=True))
+    context = rigid_context(robot, robot.torque_scale, model.q, w, values, ca.DM(robot.base.T))
+    return _Seams(replace(context, torque=gravity_torques(context)), point, J, S, (model.q, model.w, phi))
 
 
 @lru_cache(maxsize=16)
@@ -104,21 +105,6 @@ def signature_function(robot: Robot, effects: tuple[Effect, ...]) -> tuple[ca.Fu
     return ca.Function("signatures", [*s.inputs], dense, ["q", "w", "phi"], ["E", "J", "Jq"]), conditions
 
 
-def _context(robot: Robot, q: ca.SX, w: dict[str, ca.SX], phi: ca.SX) -> Context:
-    values = dict(zip(robot.parameters.names, ca.vertsplit(phi), strict=True))
-    frames = link_frames(robot, ca.vertsplit(q), values)
-    gravity = gravity_in_base(robot, base_frame(robot, values, ca.DM(robot.base.T)))
-    context = Context(robot, q, w, values, frames, gravity)
-    return replace(context, torque=_torque(context))
-
-
-def _torque(context: Context, added: Symbolic = 0.0) -> Symbolic:
-    """Gravity torques as the model has them: of the robot that has sunk once; added : potential energy [J]."""
-    energy = gravity_energy(context.robot, context.frames, context.gravity, context.conditions.get("payload_kg", 0.0))
-    torque = gravity_torques(ca.SX(energy + added), context.q)
-    return ca.substitute(torque, context.q, context.q + deflections(context.robot, torque, context.values))
-
-
 def _seam_derivative(effect: Effect, context: Context, point: ca.SX) -> ca.SX:
     """Derivative of all seam variables by the effect's parameters at zero, shape (seams, parameters)."""
     parameters = effect.parameters()
@@ -128,8 +114,8 @@ def _seam_derivative(effect: Effect, context: Context, point: ca.SX) -> ca.SX:
     angle = ca.SX(effect.joint_angle(context))
     energy = ca.SX(effect.energy(replace(context, torque=None)))
     if ca.depends_on(energy, theta):
-        angle += deflections(context.robot, _torque(context, energy), context.values)
-    seams, n = [angle], context.robot.n
+        angle += deflections(context.arm, gravity_torques(context, energy), context.values)
+    seams, n = [angle], context.arm.n
     seams += [_twist(effect.link(i, context)) for i in range(1, n + 1)] if _acts(effect, "link") else [ca.SX(6 * n, 1)]
     seams += [_twist(effect.base(context)) if _acts(effect, "base") else ca.SX(6, 1)]
     seams += [_twist(effect.tool(context)) if _acts(effect, "tool") else ca.SX(6, 1)]

@@ -9,22 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import casadi as ca
 
+from casadical.core.arm import Arm
 from casadical.core.parameters import Parameter
-from casadical.core.transforms import Symbolic, apply
-
-if TYPE_CHECKING:
-    from casadical.robot.robot import Robot
+from casadical.core.transforms import Array, Symbolic, apply
 
 
 @dataclass(frozen=True)
 class Context:
-    """What an effect may look at; every entry but the robot is symbolic.
+    """What an effect may look at; every entry but the first two is symbolic.
 
-    robot : masses, limits, torque scale
+    arm : rows, masses, limits, loops, payload
+    torque_scale : great gravity torques on each joint, shape (n,) [N m or N] (see `Robot.torque_scale`)
     q : joint readings, shape (n,) [rad or m]
     conditions : logged columns by name (payload_kg, temperature_degC, progress, approach1, ...)
     values : the value of every parameter of the model, by name [SI]
@@ -33,7 +32,8 @@ class Context:
     torque : of gravity on the actuated joints, shape (n,) [N m or N]; None at the seam `energy`, which makes it
     """
 
-    robot: Robot
+    arm: Arm
+    torque_scale: Array
     q: Symbolic
     conditions: Mapping[str, Symbolic]
     values: Mapping[str, Symbolic]
@@ -43,17 +43,17 @@ class Context:
 
     def load(self, joint: int) -> Symbolic:
         """Gravity torque on a joint (1-based) as a share of its great torques."""
-        return self.torque[joint - 1] / self.robot.torque_scale[joint - 1]
+        return self.torque[joint - 1] / self.torque_scale[joint - 1]
 
     def moment(self, link: int) -> Symbolic:
         """Moment [N m] of all weight from a link (1-based) on, about its origin; in the base frame, shape (3,)."""
         origin = self.frames[link - 1][:3, 3]
-        joints = self.robot.joints
+        joints = self.arm.joints
         loads = [(j.body.mass, apply(T, ca.DM(j.body.com))) for j, T in zip(joints, self.frames, strict=True) if j.body]
         loads = loads[sum(1 for j in joints[: link - 1] if j.body) :]
-        if self.robot.payload:
-            mass = self.conditions.get("payload_kg", self.robot.payload.mass)
-            loads.append((mass, apply(self.frames[-1], ca.DM(self.robot.payload.com))))
+        if self.arm.payload:
+            mass = self.conditions.get("payload_kg", self.arm.payload.mass)
+            loads.append((mass, apply(self.frames[-1], ca.DM(self.arm.payload.com))))
         total = ca.SX.zeros(3)
         for mass, centre in loads:
             total = total + ca.cross(centre - origin, mass * self.gravity)
@@ -62,7 +62,7 @@ class Context:
     @property
     def great_moment(self) -> float:
         """The greatest of the joints' great torques [N m]."""
-        return float(self.robot.torque_scale.max())
+        return float(self.torque_scale.max())
 
 
 # One sigma, in realistic sizes, of an effect once it is in a model: wide, for somebody had a reason to put it there,
@@ -117,7 +117,7 @@ class Effect:
 
     def joint_angle(self, context: Context) -> Symbolic:
         """What it adds to the joint variables, shape (n,) [rad or m]; by default `angle`, at its own joint."""
-        moved = ca.SX.zeros(context.robot.n)
+        moved = ca.SX.zeros(context.arm.n)
         if self.joint is not None:
             moved[self.joint - 1] = self.angle(context, context.q[self.joint - 1])
         return moved

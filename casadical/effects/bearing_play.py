@@ -43,7 +43,7 @@ class BearingPlay(Effect):
     def _great(self, context: Context) -> float:
         """The greatest torque that joints here or one joint before carry, since moments across are like theirs."""
         assert self.joint is not None
-        return float(context.robot.torque_scale[max(self.joint - 2, 0) : self.joint].max())
+        return float(context.torque_scale[max(self.joint - 2, 0) : self.joint].max())
 
     def _rock(self, moment: Symbolic, context: Context) -> tuple[Symbolic, Symbolic]:
         size = ca.sqrt(moment[0] ** 2 + moment[1] ** 2 + 1e-8)

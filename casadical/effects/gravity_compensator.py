@@ -39,4 +39,4 @@ class GravityCompensator(Effect):
         length = ca.sqrt(1 + self.anchor**2 + 2 * self.anchor * ca.cos(turn)) / self.anchor
         share = self.value(context, "sin") * ca.sin(turn) + self.value(context, "cos") * ca.cos(turn)
         share = share + self.value(context, "preload") * ca.sin(turn) / length
-        return context.values.get(f"c{self.joint}", 0.0) * context.robot.torque_scale[self.joint - 1] * share
+        return context.values.get(f"c{self.joint}", 0.0) * context.torque_scale[self.joint - 1] * share

@@ -35,15 +35,15 @@ class HoseDrag(Effect):
         return {"tension": (0.1, ""), "spring": (0.2, "")}
 
     def energy(self, context: Context) -> Symbolic:
-        robot, n = context.robot, context.robot.n
+        arm, n = context.arm, context.arm.n
         elbow, wrist = context.frames[n - 4], context.frames[n - 3][:3, 3]
         forearm = wrist - elbow[:3, 3]
         beside = elbow[:3, 2] * self.side * ca.sqrt(ca.sumsqr(forearm))
         clip = elbow[:3, 3] + self.clip * forearm + beside
-        end = robot.payload.com if robot.payload else [0.0, 0.0, 0.0]
+        end = arm.payload.com if arm.payload else [0.0, 0.0, 0.0]
         length = ca.sqrt(ca.sumsqr(apply(context.frames[-1], ca.DM(end)) - clip) + 1e-6)
         rows = context.values[f"d{n - 1}"] ** 2 + context.values[f"d{n}"] ** 2 + float(np.dot(end, end))
         usual = ca.sqrt(rows + 1e-3) + (1 - self.clip) * ca.sqrt(ca.sumsqr(forearm))
         drawn = length / usual - 1
-        pull = float(robot.torque_scale[n - 2])
+        pull = float(context.torque_scale[n - 2])
         return pull * (self.value(context, "tension") * drawn + self.value(context, "spring") * drawn**2)

@@ -32,14 +32,12 @@ class LinkFlexure(Effect):
         if number != self.member:
             return ca.SX.eye(4)
         turn = context.frames[number - 1][:3, :3].T
-        root, end = (
-            turn @ context.moment(k) / context.great_moment for k in (number, min(number + 1, context.robot.n))
-        )
+        root, end = (turn @ context.moment(k) / context.great_moment for k in (number, min(number + 1, context.arm.n)))
         k = ca.vertcat(*(self.value(context, f"{c}{self.member}") for c in ("rx", "ry", "rz")))
         # End slope and deflection of a beam whose moment runs linearly from root to end.
         slope, sag = k * (root + end) / 2, k * (2 * root + end) / 6
         far = ca.SX.zeros(3)
-        if number < context.robot.n:
+        if number < context.arm.n:
             far = turn @ (context.frames[number][:3, 3] - context.frames[number - 1][:3, 3])
         shift = far + ca.cross(sag, far)
         return (

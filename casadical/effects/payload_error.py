@@ -25,7 +25,7 @@ class PayloadError(Effect):
         return {"mass": (0.06, "kg/kg"), **dict.fromkeys("xyz", (0.03, "m"))}
 
     def energy(self, context: Context) -> Symbolic:
-        payload = context.robot.payload
+        payload = context.arm.payload
         if payload is None:
             return 0.0
         kg, T = context.conditions["payload_kg"], context.frames[-1]

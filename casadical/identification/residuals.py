@@ -192,7 +192,7 @@ def kernel(
     fixed_loads : whether gravity torques are those of the nominal geometry (see `model.build`)
     """
     chosen = tuple(robot.parameters.index_of(name) for name in names)
-    return _kernel(expressions(robot, fixed_loads), kind, point, chosen, loss, fixed_loads)
+    return _kernel(expressions(robot.structure, fixed_loads), kind, point, chosen, loss, fixed_loads)
 
 
 def robot_numbers(robot: Robot, names: Sequence[str]) -> Array:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 
+from casadical.core.arm import Arm
 from casadical.core.errors import InputError
+from casadical.core.parts import FourBar
 from casadical.core.transforms import Symbolic, product, rot_x, rot_y, rot_z, translate
 from casadical.robot import fourbar
-
-if TYPE_CHECKING:
-    from casadical.robot.robot import FourBar, Robot
+from casadical.robot.parameter_list import parameters_of
 
 Values = Mapping[str, Symbolic]
 
@@ -21,10 +20,10 @@ Values = Mapping[str, Symbolic]
 LEAST_MARGIN = 0.02
 
 
-def row_factors(robot: Robot, i: int, variable: Symbolic, values: Values) -> list[Symbolic]:
+def row_factors(arm: Arm, i: int, variable: Symbolic, values: Values) -> list[Symbolic]:
     """Elementary transforms whose product is frame i in frame i-1 (1-based); variable : the joint's own [rad or m]."""
     theta, d = values[f"theta{i}"], values[f"d{i}"]
-    if robot.joints[i - 1].kind == "revolute":
+    if arm.joints[i - 1].kind == "revolute":
         theta = theta + variable
     else:
         d = d + variable
@@ -36,9 +35,9 @@ def row_factors(robot: Robot, i: int, variable: Symbolic, values: Values) -> lis
     return [*factors, rot_z(theta), translate(0, 0, d)]
 
 
-def loop_bars(robot: Robot, number: int, values: Values) -> tuple[Symbolic, Symbolic, Symbolic, Symbolic]:
+def loop_bars(arm: Arm, number: int, values: Values) -> tuple[Symbolic, Symbolic, Symbolic, Symbolic]:
     """Crank L5, coupler L4, rocker L3 and ground bar of loop `number` (1-based) [m]."""
-    loop = robot.loops[number - 1]
+    loop = arm.loops[number - 1]
     suffix = "" if number == 1 else f"_{number}"
     return (*(values[f"{bar}{suffix}"] for bar in ("L5", "L4", "L3")), values[f"a{loop.driven - 1}"])
 
@@ -52,70 +51,70 @@ def loop_angles(
     return crank, ground
 
 
-def loop_margins(robot: Robot, actuated: Sequence[Symbolic], values: Values) -> list[Symbolic]:
+def loop_margins(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> list[Symbolic]:
     """Feasibility margin of every loop (see `fourbar.margin`)."""
-    own = _own_variables(robot, actuated, values)
+    own = _own_variables(arm, actuated, values)
     return [
-        fourbar.margin(*loop_angles(loop, actuated, own, values), loop_bars(robot, k, values))
-        for k, loop in enumerate(robot.loops, 1)
+        fourbar.margin(*loop_angles(loop, actuated, own, values), loop_bars(arm, k, values))
+        for k, loop in enumerate(arm.loops, 1)
     ]
 
 
-def chain_factors(robot: Robot, actuated: Sequence[Symbolic], values: Values) -> list[list[Symbolic]]:
+def chain_factors(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> list[list[Symbolic]]:
     """For each row the elementary transforms whose product it is.
 
     actuated : joint variables, readings with all that is added to them, n of them [rad or m]
     """
-    own = _own_variables(robot, actuated, values)
-    return [row_factors(robot, i, own[i - 1], values) for i in range(1, robot.n + 1)]
+    own = _own_variables(arm, actuated, values)
+    return [row_factors(arm, i, own[i - 1], values) for i in range(1, arm.n + 1)]
 
 
-def link_frames(robot: Robot, actuated: Sequence[Symbolic], values: Values) -> tuple[Symbolic, ...]:
+def link_frames(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> tuple[Symbolic, ...]:
     """T_01..T_0n, frames of the links in the robot's base frame, each (4, 4); actuated as of `chain_factors`."""
     T, frames = ca.SX.eye(4), []
-    for row in chain_factors(robot, actuated, values):
+    for row in chain_factors(arm, actuated, values):
         T = T @ product(row)
         frames.append(T)
     return tuple(frames)
 
 
-def _own_variables(robot: Robot, actuated: Sequence[Symbolic], values: Values) -> list[Symbolic]:
+def _own_variables(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> list[Symbolic]:
     """The variable of each row: the actuated one, or what its loop makes of it (paper, eq. 3)."""
     own = list(actuated)
-    sides = assembly_sides(robot)
-    for k in _from_base(robot):
-        angles = loop_angles(robot.loops[k - 1], actuated, own, values)
-        own[robot.loops[k - 1].driven - 1] = _driven(robot, k, angles, sides[k], values)
+    sides = assembly_sides(arm)
+    for k in _from_base(arm):
+        angles = loop_angles(arm.loops[k - 1], actuated, own, values)
+        own[arm.loops[k - 1].driven - 1] = _driven(arm, k, angles, sides[k], values)
     return own
 
 
-def _from_base(robot: Robot) -> list[int]:
+def _from_base(arm: Arm) -> list[int]:
     """Numbers of the loops (1-based), nearer ones first: a loop may stand on a link that another drives."""
-    return sorted(range(1, len(robot.loops) + 1), key=lambda k: robot.loops[k - 1].driven)
+    return sorted(range(1, len(arm.loops) + 1), key=lambda k: arm.loops[k - 1].driven)
 
 
-def _driven(robot: Robot, k: int, angles: tuple[Symbolic, Symbolic], side: int, values: Values) -> Symbolic:
+def _driven(arm: Arm, k: int, angles: tuple[Symbolic, Symbolic], side: int, values: Values) -> Symbolic:
     """The variable of the row that loop k drives, for its angles of crank and ground bar."""
-    loop = robot.loops[k - 1]
-    rocker = fourbar.rocker_angle(*angles, loop_bars(robot, k, values), side)
+    loop = arm.loops[k - 1]
+    rocker = fourbar.rocker_angle(*angles, loop_bars(arm, k, values), side)
     # theta of the driven row turns the crank, not the link: row_factors adds it, so it is taken off here.
     return rocker - angles[1] + loop.offset - values[f"theta{loop.driven}"]
 
 
-def assembly_sides(robot: Robot) -> dict[int, int]:
+def assembly_sides(arm: Arm) -> dict[int, int]:
     """Assembly of every uncrossed loop, at mid range of its joints' limits. Raises InputError where it cannot close."""
-    middle = [0.5 * (j.lower + j.upper) for j in robot.joints]
-    nominal = {p.name: p.value for p in robot.parameters}
+    middle = [0.5 * (j.lower + j.upper) for j in arm.joints]
+    nominal = {p.name: p.value for p in parameters_of(arm)}
     own, sides = list(middle), {}
-    for k in _from_base(robot):
-        loop, bars = robot.loops[k - 1], loop_bars(robot, k, nominal)
+    for k in _from_base(arm):
+        loop, bars = arm.loops[k - 1], loop_bars(arm, k, nominal)
         crank, ground = angles = loop_angles(loop, middle, own, nominal)
         if not float(fourbar.margin(ca.DM(crank), ca.DM(ground), bars)) > LEAST_MARGIN:
             raise InputError(
-                f"{robot.name}: four_bar[{k}] cannot be assembled at the middle of its joints' ranges, crank at "
+                f"{arm.name}: four_bar[{k}] cannot be assembled at the middle of its joints' ranges, crank at "
                 f"{np.rad2deg(crank):.1f} deg and ground bar at {np.rad2deg(ground):.1f} deg; give limits_deg of "
                 f"joints {loop.carrier} and {loop.driven} in whose middle it stands open, or correct the bars"
             )
         sides[k] = fourbar.assembly_side(float(crank), float(ground), bars)
-        own[loop.driven - 1] = float(_driven(robot, k, angles, sides[k], nominal))
+        own[loop.driven - 1] = float(_driven(arm, k, angles, sides[k], nominal))
     return sides

@@ -7,21 +7,20 @@ the cube of the compliance.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 
+from casadical.core.arm import Arm
 from casadical.core.casadi_buffers import call
+from casadical.core.parameters import Parameters
 from casadical.core.transforms import Array, Symbolic, carry, product, rot_x, rot_y, rot_z, small_frame, translate
-from casadical.effects import Context
+from casadical.effects import Context, Effect
 from casadical.robot.kinematics import Values, assembly_sides, chain_factors, link_frames, loop_margins
-from casadical.robot.statics import deflections, gravity_energy, gravity_torques
-
-if TYPE_CHECKING:
-    from casadical.robot.robot import Robot
+from casadical.robot.statics import deflections, gravity_torques
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +64,11 @@ class Model:
     q : joint readings (n,) [rad or m]; w : conditions (k,); phi : parameters (P,) [SI]
     p, R : position (3,) [m] and orientation (3, 3) of the tool frame in the measuring frame
     tau : gravity torques (n,) [N m or N]; margin : of each loop
+    declared : values of the conditions where nothing was logged, shape (k,)
     """
 
-    robot: Robot
+    arm: Arm
+    declared: Array
     shared: Expressions
 
     @property
@@ -100,123 +101,130 @@ class Model:
     def function(self, name: str, outputs: tuple[str, ...]) -> ca.Function:
         """name:(q, w, phi)->outputs, out of p, R, tau, margin."""
         whole = self.shared.function(*outputs)
-        results = whole.call([self.q, self.w, self.phi, ca.DM(frame_numbers(self.robot)), self.phi])
+        results = whole.call([self.q, self.w, self.phi, ca.DM(frame_numbers(self.arm)), self.phi])
         return ca.Function(name, [self.q, self.w, self.phi], results, ["q", "w", "phi"], list(outputs))
 
     def at_declared(self, name: str, outputs: tuple[str, ...]) -> ca.Function:
         """name:(q, phi)->outputs, every logged condition at its declared value."""
-        results = self.function(name, outputs).call([self.q, ca.DM(self.robot.declared), self.phi])
+        results = self.function(name, outputs).call([self.q, ca.DM(self.declared), self.phi])
         return ca.Function(name, [self.q, self.phi], results, ["q", "phi"], list(outputs))
 
     def evaluate(self, outputs: tuple[str, ...], q: Array, w: Array, phi: Array) -> list[Array]:
         """Outputs at many poses, one array each, poses side by side; q : (n, joints), w : (n, k), phi : (P,) [SI]."""
         mapped = self.shared.mapped(outputs, len(q))
-        return call(mapped, q.T, w.T, phi, frame_numbers(self.robot), phi)
+        return call(mapped, q.T, w.T, phi, frame_numbers(self.arm), phi)
 
 
-def frame_numbers(robot: Robot) -> Array:
+def frame_numbers(arm: Arm) -> Array:
     """Nominal base and tool frames as the numbers of `Expressions.frames`, shape (24,)."""
-    return np.concatenate([T[:3].ravel(order="F") for T in (robot.base.T, robot.tool.T)])
+    return np.concatenate([T[:3].ravel(order="F") for T in (arm.base.T, arm.tool.T)])
 
 
-class _Structure:
-    """Everything of a robot but its numbers that enter as parameters or frames; equal ones share expressions."""
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """What a model is composed of; robots that differ only in numbers which enter as parameters or frames are equal.
 
-    def __init__(self, robot: Robot) -> None:
-        self.robot = robot
+    conditions : names of the logged columns that it uses
+    torque_scale : shape (n,) [N m or N], empty without effects, for which alone it is
+    """
+
+    arm: Arm
+    parameters: Parameters
+    effects: tuple[Effect, ...]
+    conditions: tuple[str, ...]
+    torque_scale: Array
+
+    @cached_property
+    def key(self) -> tuple[object, ...]:
+        arm = self.arm
         joints = tuple(
             (j.kind, j.beta is None, j.b is None, j.compliance is None, j.body and (j.body.mass, *j.body.com))
-            for j in robot.joints
+            for j in arm.joints
         )
-        sides = tuple(sorted(assembly_sides(robot).items()))
-        loops = tuple((loop.driven, loop.carrier, loop.offset) for loop in robot.loops)
-        payload = robot.payload and (robot.payload.mass, *robot.payload.com)
-        # What an effect may look at besides symbols.
-        seen = (robot.effects, *robot.torque_scale) if robot.effects else ()
-        gravity = (*robot.gravity, robot.gravity_frame)
-        self.key = (
-            joints, sides, loops, payload, gravity, robot.base.unknown, robot.tool.unknown, robot.conditions,
-            robot.parameters.names, seen,
+        sides = tuple(sorted(assembly_sides(arm).items()))
+        loops = tuple((loop.driven, loop.carrier, loop.offset) for loop in arm.loops)
+        payload = arm.payload and (arm.payload.mass, *arm.payload.com)
+        gravity = (*arm.gravity, arm.gravity_frame)
+        return (
+            joints, sides, loops, payload, gravity, arm.base.unknown, arm.tool.unknown, self.conditions,
+            self.parameters.names, self.effects, *self.torque_scale,
         )  # fmt: skip
 
     def __hash__(self) -> int:
         return hash(self.key)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Structure) and self.key == other.key
+        return isinstance(other, Structure) and self.key == other.key
 
 
-def build(robot: Robot, *, fixed_loads: bool = False) -> Model:
-    """Compose the model of a robot from its parts.
+@lru_cache(maxsize=64)
+def expressions(structure: Structure, fixed_loads: bool = False) -> Expressions:
+    """The expressions of a structure, composed once for all robots that share it.
 
     fixed_loads : whether gravity torques are those of the nominal geometry. Strictly, a longer last link also carries
         its load farther out; the masses are not known well enough to tell the link from the tool by that.
     """
-    return Model(robot, expressions(robot, fixed_loads))
-
-
-def expressions(robot: Robot, fixed_loads: bool = False) -> Expressions:
-    """The expressions of a robot's structure, composed once for all robots that share it."""
-    return _expressions(_Structure(robot), fixed_loads)
-
-
-@lru_cache(maxsize=64)
-def _expressions(structure: _Structure, fixed_loads: bool) -> Expressions:
-    robot = structure.robot
-    q = ca.SX.sym("q", robot.n)
-    w = ca.SX.sym("w", len(robot.conditions))
-    phi = ca.SX.sym("phi", len(robot.parameters))
-    loaded = ca.SX.sym("loaded", len(robot.parameters))
+    arm, effects, names = structure.arm, structure.effects, structure.parameters.names
+    q = ca.SX.sym("q", arm.n)
+    w = ca.SX.sym("w", len(structure.conditions))
+    phi = ca.SX.sym("phi", len(names))
+    loaded = ca.SX.sym("loaded", len(names))
     frames = ca.SX.sym("frames", 24)
     last_row = ca.DM([[0, 0, 0, 1]])
     base, tool = (ca.vertcat(ca.reshape(frames[k : k + 12], 3, 4), last_row) for k in (0, 12))
-    names = robot.parameters.names
     values: dict[str, Symbolic] = dict(zip(names, ca.vertsplit(phi), strict=True))
-    conditions = dict(zip(robot.conditions, ca.vertsplit(w) if robot.conditions else [], strict=True))
+    conditions = dict(zip(structure.conditions, ca.vertsplit(w) if structure.conditions else [], strict=True))
 
-    T_M0 = base_frame(robot, values, base)
-    readings = ca.vertsplit(q)
     at = dict(zip(names, ca.vertsplit(loaded), strict=True)) if fixed_loads else values
-    gravity = gravity_in_base(robot, base_frame(robot, at, base))
-    rigid = link_frames(robot, readings, at)
-    unloaded = Context(robot, q, conditions, values, rigid, gravity)
-    energy = gravity_energy(robot, rigid, gravity, conditions.get("payload_kg", 0.0))
-    energy = energy + sum(e.energy(unloaded) for e in robot.effects)
-    tau = gravity_torques(ca.SX(energy), q)
-    tau = ca.substitute(tau, q, q + deflections(robot, tau, values))
+    unloaded = replace(rigid_context(arm, structure.torque_scale, q, conditions, at, base), values=values)
+    tau = gravity_torques(unloaded, sum(e.energy(unloaded) for e in effects))
     context = replace(unloaded, torque=tau)
-    factors = [T_M0, *_to_tool(robot, tool, context)]
+    factors = [base_frame(arm, values, base), *_to_tool(arm, effects, tool, context)]
     T_ME, point = product(factors), carry(factors, ca.SX.zeros(3))
-    for effect in robot.effects:
+    for effect in effects:
         point = effect.measurement(point, context)
-    margin = ca.vertcat(*loop_margins(robot, readings, values)) if robot.loops else ca.SX.zeros(0)
+    margin = ca.vertcat(*loop_margins(arm, ca.vertsplit(q), values)) if arm.loops else ca.SX.zeros(0)
     outputs = (ca.SX(point), ca.SX(T_ME[:3, :3]), ca.SX(tau), ca.SX(margin))
     return Expressions(q, w, phi, frames, loaded, *outputs, functions={})
 
 
-def gravity_in_base(robot: Robot, T_M0: Symbolic) -> Symbolic:
+def rigid_context(
+    arm: Arm,
+    torque_scale: Array,
+    q: Symbolic,
+    conditions: Mapping[str, Symbolic],
+    values: Mapping[str, Symbolic],
+    base: Symbolic,
+) -> Context:
+    """What an effect may look at before there are torques; base : nominal T_M0, shape (4, 4) [m]."""
+    gravity = gravity_in_base(arm, base_frame(arm, values, base))
+    rigid = link_frames(arm, ca.vertsplit(q), values)
+    return Context(arm, torque_scale, q, conditions, values, rigid, gravity)
+
+
+def gravity_in_base(arm: Arm, T_M0: Symbolic) -> Symbolic:
     """Gravity in the robot's base frame, shape (3,) [m/s^2]."""
-    gravity = ca.DM(robot.gravity)
-    return T_M0[:3, :3].T @ gravity if robot.gravity_frame == "measuring" else gravity
+    gravity = ca.DM(arm.gravity)
+    return T_M0[:3, :3].T @ gravity if arm.gravity_frame == "measuring" else gravity
 
 
-def base_frame(robot: Robot, values: Values, T: Symbolic) -> Symbolic:
+def base_frame(arm: Arm, values: Values, T: Symbolic) -> Symbolic:
     """T_M0, the robot's base in the measuring frame, from its nominal transform T; shapes (4, 4)."""
-    if robot.base.unknown == "none":
+    if arm.base.unknown == "none":
         return T
     return T @ small_frame(*(values.get(f"base_{c}", 0.0) for c in ("x", "y", "z", "rx", "ry", "rz")))
 
 
-def _to_tool(robot: Robot, nominal: Symbolic, context: Context) -> list[Symbolic]:
+def _to_tool(arm: Arm, effects: tuple[Effect, ...], nominal: Symbolic, context: Context) -> list[Symbolic]:
     """Transforms whose product is T_0E: readings, effects and deflections through the chain, then flange and tool."""
     values = context.values
-    moved = context.q + deflections(robot, context.torque, values)
-    for effect in robot.effects:
+    moved = context.q + deflections(arm, context.torque, values)
+    for effect in effects:
         moved = moved + effect.joint_angle(context)
-    factors = [effect.base(context) for effect in robot.effects]
-    for i, row in enumerate(chain_factors(robot, ca.vertsplit(moved), values), 1):
-        factors += [*row, *(effect.link(i, context) for effect in robot.effects)]
-    return [*factors, *(effect.tool(context) for effect in robot.effects), *_tool(nominal, values)]
+    factors = [effect.base(context) for effect in effects]
+    for i, row in enumerate(chain_factors(arm, ca.vertsplit(moved), values), 1):
+        factors += [*row, *(effect.link(i, context) for effect in effects)]
+    return [*factors, *(effect.tool(context) for effect in effects), *_tool(nominal, values)]
 
 
 def _tool(nominal: Symbolic, values: Values) -> list[Symbolic]:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from casadical.core.arm import Arm
 from casadical.core.parameters import Parameter
 from casadical.core.parts import FourBar, Joint, Placement, parallel
-
-if TYPE_CHECKING:
-    from casadical.robot.robot import Robot
+from casadical.effects import Effect
 
 NEAR_PARALLELOGRAM = 0.02
 
@@ -25,62 +23,64 @@ def bar_names(number: int) -> dict[str, str]:
     return {"crank": f"L5{suffix}", "coupler": f"L4{suffix}", "rocker": f"L3{suffix}"}
 
 
-def parameters_of(robot: Robot) -> Iterable[Parameter]:
+def parameters_of(
+    arm: Arm, effects: Iterable[Effect] = (), effect_values: Mapping[str, float] | None = None
+) -> Iterable[Parameter]:
     """All parameters, those first that identifiability prefers: placement, rows, loops, compliance, effects."""
-    for which, placement in (("base", robot.base), ("tool", robot.tool)):
-        yield from _placement(robot, which, placement)
-    for i, joint in enumerate(robot.joints, 1):
-        yield from _row(robot, i, joint)
-    for k, loop in enumerate(robot.loops, 1):
-        yield from _loop(robot, k, loop)
-    for i, joint in enumerate(robot.joints, 1):
+    for which, placement in (("base", arm.base), ("tool", arm.tool)):
+        yield from _placement(arm, which, placement)
+    for i, joint in enumerate(arm.joints, 1):
+        yield from _row(arm, i, joint)
+    for k, loop in enumerate(arm.loops, 1):
+        yield from _loop(arm, k, loop)
+    for i, joint in enumerate(arm.joints, 1):
         if joint.compliance is not None:
-            yield _compliance(robot, i, joint.compliance)
-    for effect in robot.effects:
+            yield _compliance(arm, i, joint.compliance)
+    for effect in effects:
         for p in effect.parameters():
-            yield replace(p, value=robot.effect_values.get(p.name, p.value))
+            yield replace(p, value=(effect_values or {}).get(p.name, p.value))
 
 
-def _number(robot: Robot, name: str, group: str, unit: str, value: float, held: str = "") -> Parameter:
-    width = robot.widths[group]
+def _number(arm: Arm, name: str, group: str, unit: str, value: float, held: str = "") -> Parameter:
+    width = arm.widths[group]
     bound = width.length_bound if unit == "m" else width.angle_bound
     prior = width.length_prior if unit == "m" else width.angle_prior
     return Parameter(name, group, unit, value, 1e-3, value - bound, value + bound, prior, held)
 
 
-def _placement(robot: Robot, which: str, placement: Placement) -> Iterable[Parameter]:
+def _placement(arm: Arm, which: str, placement: Placement) -> Iterable[Parameter]:
     count = {"none": 0, "position": 3, "pose": 6}[placement.unknown]
     start = placement.T[:3, 3] if which == "tool" else np.zeros(3)
     for name, value in list(zip(SIX[which], (*start, 0.0, 0.0, 0.0), strict=True))[:count]:
-        yield _number(robot, name, which, "rad" if "_r" in name else "m", float(value))
+        yield _number(arm, name, which, "rad" if "_r" in name else "m", float(value))
 
 
-def _row(robot: Robot, i: int, joint: Joint) -> Iterable[Parameter]:
+def _row(arm: Arm, i: int, joint: Joint) -> Iterable[Parameter]:
     # A first row with all six numbers is the base frame itself, as in the paper's Table 1.
     group = "base" if i == 1 and joint.b is not None else "geometry"
-    yield _number(robot, f"alpha{i - 1}", group, "rad", joint.alpha)
-    yield _number(robot, f"a{i - 1}", group, "m", joint.a)
+    yield _number(arm, f"alpha{i - 1}", group, "rad", joint.alpha)
+    yield _number(arm, f"a{i - 1}", group, "m", joint.a)
     if joint.beta is not None:
-        yield _number(robot, f"beta{i - 1}", group, "rad", joint.beta)
+        yield _number(arm, f"beta{i - 1}", group, "rad", joint.beta)
     if joint.b is not None:
-        yield _number(robot, f"b{i - 1}", group, "m", joint.b)
+        yield _number(arm, f"b{i - 1}", group, "m", joint.b)
     held = ""
-    if _slides_together(robot, i):
+    if _slides_together(arm, i):
         held = f"axes {i} and {i + 1} are nearly parallel: d{i} moves the tool as d{i + 1} does"
-    elif i > 1 and robot.base.unknown != "none" and all(_slides_together(robot, k) for k in range(1, i)):
+    elif i > 1 and arm.base.unknown != "none" and all(_slides_together(arm, k) for k in range(1, i)):
         held = f"axes 1 to {i} are nearly parallel: d{i} moves the tool as the base does"
-    yield _number(robot, f"d{i}", group, "m", joint.d, held)
-    yield _number(robot, f"theta{i}", group, "rad", joint.theta)
+    yield _number(arm, f"d{i}", group, "m", joint.d, held)
+    yield _number(arm, f"theta{i}", group, "rad", joint.theta)
 
 
-def _slides_together(robot: Robot, i: int) -> bool:
+def _slides_together(arm: Arm, i: int) -> bool:
     """Whether joints i and i+1 (1-based) turn about nearly parallel axes, so that their d are one."""
-    return parallel(robot.joints, i - 1) and all(j.kind == "revolute" for j in robot.joints[i - 1 : i + 1])
+    return parallel(arm.joints, i - 1) and all(j.kind == "revolute" for j in arm.joints[i - 1 : i + 1])
 
 
-def _loop(robot: Robot, k: int, loop: FourBar) -> Iterable[Parameter]:
+def _loop(arm: Arm, k: int, loop: FourBar) -> Iterable[Parameter]:
     names = bar_names(k)
-    ground = abs(robot.joints[loop.driven - 1].a)
+    ground = abs(arm.joints[loop.driven - 1].a)
     parallelogram = (
         abs(loop.crank - loop.rocker) < NEAR_PARALLELOGRAM * loop.rocker
         and abs(loop.coupler - ground) < NEAR_PARALLELOGRAM * ground
@@ -88,22 +88,22 @@ def _loop(robot: Robot, k: int, loop: FourBar) -> Iterable[Parameter]:
     scale = f"only the difference {names['crank']} - {names['rocker']} turns the driven link of a parallelogram"
     for bar, name in names.items():
         held = scale if bar == "rocker" and parallelogram else ""
-        yield _number(robot, name, "loop", "m", getattr(loop, bar), held)
+        yield _number(arm, name, "loop", "m", getattr(loop, bar), held)
 
 
-def _compliance(robot: Robot, i: int, value: float) -> Parameter:
-    width = robot.widths["compliance"]
-    rotary = robot.joints[i - 1].kind == "revolute"
+def _compliance(arm: Arm, i: int, value: float) -> Parameter:
+    width = arm.widths["compliance"]
+    rotary = arm.joints[i - 1].kind == "revolute"
     bound, prior = (width.angle_bound, width.angle_prior) if rotary else (width.length_bound, width.length_prior)
-    load = _greatest_load(robot, i)
+    load = _greatest_load(arm, i)
     unit = "rad/(N m)" if rotary else "m/N"
     return Parameter(f"c{i}", "compliance", unit, value, 1e-3 / load, 0.0, value + bound / load, prior / load)
 
 
-def _greatest_load(robot: Robot, i: int) -> float:
+def _greatest_load(arm: Arm, i: int) -> float:
     """Roughly the greatest torque [N m] (or force [N]) at joint i: all weight beyond it at half the reach beyond."""
-    beyond = robot.joints[i - 1 :]
-    mass = sum(j.body.mass for j in beyond if j.body) + (robot.payload.mass if robot.payload else 0.0)
-    reach = sum(abs(j.a) + abs(j.d) for j in beyond) + float(np.linalg.norm(robot.tool.T[:3, 3]))
-    lever = 1.0 if robot.joints[i - 1].kind == "prismatic" else max(0.5 * reach, 0.05)
-    return max(mass * float(np.linalg.norm(robot.gravity)) * lever, 1e-3)
+    beyond = arm.joints[i - 1 :]
+    mass = sum(j.body.mass for j in beyond if j.body) + (arm.payload.mass if arm.payload else 0.0)
+    reach = sum(abs(j.a) + abs(j.d) for j in beyond) + float(np.linalg.norm(arm.tool.T[:3, 3]))
+    lever = 1.0 if arm.joints[i - 1].kind == "prismatic" else max(0.5 * reach, 0.05)
+    return max(mass * float(np.linalg.norm(arm.gravity)) * lever, 1e-3)

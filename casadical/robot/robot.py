@@ -10,12 +10,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
 
 import casadi as ca
 import numpy as np
 
-from casadical.core.errors import InputError
+from casadical.core.arm import STANDARD_GRAVITY, Arm
 from casadical.core.parameters import Parameters
 from casadical.core.parts import (
     NEAR_PARALLEL,
@@ -25,16 +24,11 @@ from casadical.core.parts import (
     Joint,
     Placement,
     Width,
-    parallel,
-    refuse_joint,
-    with_hayati,
 )
 from casadical.core.transforms import Array, frame, small_frame, to_rpy
+from casadical.effects import Effect
+from casadical.robot.model import Model, Structure, expressions
 from casadical.robot.parameter_list import SIX, bar_names, parameters_of
-
-if TYPE_CHECKING:
-    from casadical.effects import Effect
-    from casadical.robot.model import Model
 
 __all__ = [
     "NEAR_PARALLEL",
@@ -50,49 +44,21 @@ __all__ = [
     "modified_dh",
 ]
 
-STANDARD_GRAVITY = 9.80665
 # Share of the greatest torque for which the smallest gear of a robot is made.
 SMALLEST_GEAR = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Robot:
-    """A serial robot, with closed four-bar loops where it has them.
+class Robot(Arm):
+    """An arm with its model and its parameters.
 
-    joints : the rows, from base to flange
-    base : T_M0, robot base in the measuring frame; tool : T_nE, measured point in the last link's frame
-    gravity : shape (3,) [m/s^2], given in `gravity_frame`
-    payload : declared mass and mass centre in the last link's frame; poses may carry another mass (column payload_kg)
     effects, effect_values : what was added to the base model (see `with_effect`)
     notes : what a reader of results must know (assumed masses, sources)
     """
 
-    name: str
-    joints: tuple[Joint, ...]
-    base: Placement = field(default_factory=lambda: Placement(np.eye(4)))
-    tool: Placement = field(default_factory=lambda: Placement(np.eye(4)))
-    loops: tuple[FourBar, ...] = ()
-    gravity: Array = field(default_factory=lambda: np.array([0.0, 0.0, -STANDARD_GRAVITY]))
-    gravity_frame: Literal["measuring", "base"] = "measuring"
-    payload: Body | None = None
-    widths: Mapping[str, Width] = field(default_factory=lambda: dict(WIDTHS))
     effects: tuple[Effect, ...] = ()
     effect_values: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        if not self.joints:
-            raise InputError(f"robot {self.name!r} has no joints; at least one row is needed")
-        for i, joint in enumerate(self.joints, 1):
-            refuse_joint(self.name, i, joint)
-        object.__setattr__(self, "joints", with_hayati(self.joints))
-        for k, loop in enumerate(self.loops, 1):
-            _refuse_unbuildable(self, k, loop)
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return len(self.joints)
 
     @cached_property
     def conditions(self) -> tuple[str, ...]:
@@ -108,15 +74,7 @@ class Robot:
     @cached_property
     def parameters(self) -> Parameters:
         """Every parameter of the model, with its nominal value, bounds and prior."""
-        return Parameters(parameters_of(self))
-
-    @cached_property
-    def reach(self) -> float:
-        """Sum of all link lengths and the tool [m]; no point can lie farther from the base."""
-        links = sum(
-            abs(j.a) + abs(j.d) + max(map(abs, (j.lower, j.upper))) * (j.kind == "prismatic") for j in self.joints
-        )
-        return float(links + np.linalg.norm(self.tool.T[:3, 3]))
+        return Parameters(parameters_of(self, self.effects, self.effect_values))
 
     @cached_property
     def torque_scale(self) -> Array:
@@ -134,9 +92,13 @@ class Robot:
     @cached_property
     def model(self) -> Model:
         """The symbolic model and its CasADi functions."""
-        from casadical.robot.model import build
+        return Model(self, self.declared, expressions(self.structure))
 
-        return build(self)
+    @cached_property
+    def structure(self) -> Structure:
+        """What the symbolic model is composed of."""
+        scale = self.torque_scale if self.effects else np.zeros(0)
+        return Structure(self, self.parameters, self.effects, self.conditions, scale)
 
     @cached_property
     def position(self) -> ca.Function:
@@ -179,25 +141,6 @@ class Robot:
         turn = (np.arctan2(-moved[1, 2], moved[2, 2]), np.arcsin(moved[0, 2]), np.arctan2(-moved[0, 1], moved[0, 0]))
         values |= {n: v for n, v in zip(SIX["base"], (*moved[:3, 3], *turn), strict=True) if n in values}
         return np.array([values[n] for n in self.parameters.names])
-
-
-def _refuse_unbuildable(robot: Robot, number: int, loop: FourBar) -> None:
-    """A four-bar drives one joint from the one before it, both turning about parallel axes a ground bar apart."""
-    where = f"four_bar[{number}]: carrier = {loop.carrier}, driven = {loop.driven}"
-    if not 1 <= loop.carrier < loop.driven <= robot.n or loop.driven - loop.carrier != 1:
-        raise InputError(
-            f"{where}: must be two neighbouring joints of this robot, the carrier before the driven one (1..{robot.n})"
-        )
-    joint = robot.joints[loop.driven - 1]
-    if not parallel(robot.joints, loop.carrier - 1) or not joint.a:
-        raise InputError(
-            f"{where}: their axes must be parallel and apart; row {loop.driven} has "
-            f"alpha_deg = {np.rad2deg(joint.alpha):.6g}, a_mm = {1e3 * joint.a:.6g}"
-        )
-    if {robot.joints[loop.carrier - 1].kind, joint.kind} != {"revolute"}:
-        raise InputError(f"{where}: both must be revolute joints")
-    if [other.driven for other in robot.loops].count(loop.driven) > 1:
-        raise InputError(f"{where}: joint {loop.driven} is driven by two loops; keep one")
 
 
 def _joint_with(joint: Joint, i: int, v: Mapping[str, float]) -> Joint:

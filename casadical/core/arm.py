@@ -1,0 +1,80 @@
+"""What a robot is, as plain data: rows, closed loops, frames, payload and gravity; no model and no parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from casadical.core.errors import InputError
+from casadical.core.parts import WIDTHS, Body, FourBar, Joint, Placement, Width, parallel, refuse_joint, with_hayati
+from casadical.core.transforms import Array
+
+STANDARD_GRAVITY = 9.80665
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """A serial robot's structure, with closed four-bar loops where it has them.
+
+    joints : the rows, from base to flange
+    base : T_M0, robot base in the measuring frame; tool : T_nE, measured point in the last link's frame
+    gravity : shape (3,) [m/s^2], given in `gravity_frame`
+    payload : declared mass and mass centre in the last link's frame; poses may carry another mass (column payload_kg)
+    widths : how far the parameters of each group may be off
+    Raises InputError for a structure that cannot be built.
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    base: Placement = field(default_factory=lambda: Placement(np.eye(4)))
+    tool: Placement = field(default_factory=lambda: Placement(np.eye(4)))
+    loops: tuple[FourBar, ...] = ()
+    gravity: Array = field(default_factory=lambda: np.array([0.0, 0.0, -STANDARD_GRAVITY]))
+    gravity_frame: Literal["measuring", "base"] = "measuring"
+    payload: Body | None = None
+    widths: Mapping[str, Width] = field(default_factory=lambda: dict(WIDTHS))
+
+    def __post_init__(self) -> None:
+        if not self.joints:
+            raise InputError(f"robot {self.name!r} has no joints; at least one row is needed")
+        for i, joint in enumerate(self.joints, 1):
+            refuse_joint(self.name, i, joint)
+        object.__setattr__(self, "joints", with_hayati(self.joints))
+        for k, loop in enumerate(self.loops, 1):
+            _refuse_unbuildable(self, k, loop)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    @cached_property
+    def reach(self) -> float:
+        """Sum of all link lengths and the tool [m]; no point can lie farther from the base."""
+        links = sum(
+            abs(j.a) + abs(j.d) + max(map(abs, (j.lower, j.upper))) * (j.kind == "prismatic") for j in self.joints
+        )
+        return float(links + np.linalg.norm(self.tool.T[:3, 3]))
+
+
+def _refuse_unbuildable(arm: Arm, number: int, loop: FourBar) -> None:
+    """A four-bar drives one joint from the one before it, both turning about parallel axes a ground bar apart."""
+    where = f"four_bar[{number}]: carrier = {loop.carrier}, driven = {loop.driven}"
+    if not 1 <= loop.carrier < loop.driven <= arm.n or loop.driven - loop.carrier != 1:
+        raise InputError(
+            f"{where}: must be two neighbouring joints of this robot, the carrier before the driven one (1..{arm.n})"
+        )
+    joint = arm.joints[loop.driven - 1]
+    if not parallel(arm.joints, loop.carrier - 1) or not joint.a:
+        raise InputError(
+            f"{where}: their axes must be parallel and apart; row {loop.driven} has "
+            f"alpha_deg = {np.rad2deg(joint.alpha):.6g}, a_mm = {1e3 * joint.a:.6g}"
+        )
+    if {arm.joints[loop.carrier - 1].kind, joint.kind} != {"revolute"}:
+        raise InputError(f"{where}: both must be revolute joints")
+    if [other.driven for other in arm.loops].count(loop.driven) > 1:
+        raise InputError(f"{where}: joint {loop.driven} is driven by two loops; keep one")
