@@ -4,21 +4,7 @@
 would have recorded, and the key to a separate place; ``predict`` sees the campaigns alone; ``score`` opens the key.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from casadical.core.lazy import attach
 
-if TYPE_CHECKING:
-    from casadical.blind_check.making import make as make
-    from casadical.blind_check.predicting import predict as predict
-    from casadical.blind_check.scoring import score as score
-
-__all__ = ["make", "predict", "score"]
-
-_PLACES = {"make": "making", "predict": "predicting", "score": "scoring"}
-
-
-def __getattr__(name: str) -> Any:
-    # Predicting must not load what makes the campaigns.
-    if name not in _PLACES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
+# Predicting must not load what makes the campaigns.
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -76,7 +76,7 @@ def export_c(
             product,
             out,
             name=name or prefix_of(read_robot(robot).name),
-            real=real,
+            real=real,  # type: ignore[arg-type]
             model_sha256=_sha256(robot),
             data_sha256=_sha256(compensator) if compensator else "not given",
             overwrite=overwrite,

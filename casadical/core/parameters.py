@@ -74,6 +74,7 @@ class Parameters(Sequence[Parameter]):
         return self._items[key if isinstance(key, int) else self.index_of(key)]
 
     def index_of(self, name: str) -> int:
+        """Place of a parameter in the list. Raises InputError that lists the names."""
         if name not in self._index:
             raise InputError(f"no parameter {name!r}; there are {', '.join(self.names)}")
         return self._index[name]

@@ -4,25 +4,6 @@ from casadical.export import Network, write_c
 export = write_c(Network(function, lower, upper), "out", name="arm", real="float")
 """
 
-from importlib import import_module
-from typing import Any
+from casadical.core.lazy import attach
 
-# Public name -> module that defines it.
-_HOME: dict[str, str] = {
-    "Command": "casadical.export.c.products",
-    "Export": "casadical.export.c.write",
-    "Kernel": "casadical.export.c.kernel",
-    "Limits": "casadical.export.c.products",
-    "Network": "casadical.export.c.products",
-    "Status": "casadical.export.c.reference",
-    "load": "casadical.export.c.kernel",
-    "write_c": "casadical.export.c.write",
-}
-
-__all__ = ["Command", "Export", "Kernel", "Limits", "Network", "Status", "load", "write_c"]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'casadical.export' has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -49,7 +49,7 @@ class JointTargets:
 
     @property
     def converged(self) -> NDArray[np.bool_]:
-        """Whether no more than a micrometre and a microradian are left, shape (n,)."""
+        """Whether no more than a micrometre and a microradian are left, boolean, shape (n,)."""
         return np.asarray((self.left < TOLERANCE) & (self.left_angle < TOLERANCE))
 
     @property

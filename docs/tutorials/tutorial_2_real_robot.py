@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 import casadical
-from casadical.identification.accuracy import errors
+from casadical.identification import errors
 
 ROOT = Path(sys.argv[0]).resolve().parents[2]  # this file lies in docs/tutorials
 CSV = ROOT / "data/ur10_laser_tracker/series_C_random_poses.csv"

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.compensator import Backprop, Box, Iwo, Layout, Network, make_task, train
-from casadical.identification.accuracy import errors
+from casadical.identification import errors
 from casadical.project.calibration import calibrate_problem, problem_networks
 from casadical.project.networks import residual_mm
 

@@ -19,17 +19,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
+from casadical import from_table, write_robot
 from casadical.blind_check.numpy_physics import campaign, hh800_true
 from casadical.blind_check.numpy_physics.twin import UNMODELLED, WARMUP
 from casadical.compensator import Compensator, Taught, save_compensator
-from casadical.export import Status, write_c
-from casadical.export.controller.correct import model_corrector
-from casadical.export.controller.models import Sources, command_of
-from casadical.identification.accuracy import predicted
-from casadical.measurements.measurements import from_table
+from casadical.export import Sources, Status, command_of, model_corrector, write_c
+from casadical.identification import predicted
 from casadical.project.calibration import calibrate_problem
 from casadical.project.networks import residual_mm
-from casadical.robot.robot_file import write_robot
 
 ROOT = Path(sys.argv[0]).resolve().parents[2]  # this file lies in docs/tutorials
 folder = Path(tempfile.mkdtemp())

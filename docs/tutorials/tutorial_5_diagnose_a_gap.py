@@ -14,12 +14,9 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from casadical import diagnose, identify, read_measurements
-from casadical.diagnosis.isolability import isolability
-from casadical.diagnosis.next_poses import next_poses
-from casadical.identification.accuracy import errors, predicted
-from casadical.measurements.derived_columns import derive
-from casadical.project.problem import read_campaign_robot
+from casadical import diagnose, identify, isolability, next_poses, read_campaign_robot, read_measurements
+from casadical.identification import errors, predicted
+from casadical.measurements import derive
 
 ROOT = Path(sys.argv[0]).resolve().parents[2]  # this file lies in docs/tutorials
 CAMPAIGNS = ROOT / "data/campaigns/practice"

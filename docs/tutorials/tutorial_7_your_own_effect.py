@@ -17,12 +17,9 @@ import casadi as ca
 import matplotlib.pyplot as plt
 import numpy as np
 
-from casadical import diagnose, identify
+from casadical import Effect, diagnose, from_table, identify, read_campaign_robot
 from casadical.blind_check.numpy_physics import Disturbance, Plant, campaign, disturbances, perturb
-from casadical.effects import Effect
-from casadical.identification.accuracy import errors
-from casadical.measurements.measurements import from_table
-from casadical.project.problem import read_campaign_robot
+from casadical.identification import errors
 
 ROOT = Path(sys.argv[0]).resolve().parents[2]  # this file lies in docs/tutorials
 robot = read_campaign_robot(ROOT / "problems/ur10e")

@@ -66,7 +66,7 @@ class Corrected:
 
     @property
     def fine(self) -> Array:
-        """Which rows were corrected, shape (rows,)."""
+        """Which rows were corrected, boolean, shape (rows,)."""
         return np.array([s == Status.OK.name for s in self.status])
 
     def to_csv(self) -> str:

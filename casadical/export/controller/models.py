@@ -89,7 +89,10 @@ def command_of(sources: Sources, steps: int = 2) -> Command:
 
 
 def network_of(sources: Sources) -> Network:
-    """The compensator alone: joints [rad] -> what to add to the computed position [mm], in the measuring frame."""
+    """The compensator alone: joints [rad] -> what to add to the computed position [mm], in the measuring frame.
+
+    Raises InputError where `sources` names no compensator, or one that was refused when it was trained.
+    """
     if sources.compensator is None:
         raise InputError("a network needs its file: give --compensator NET.json, as save_compensator wrote it")
     network = _network(sources, _robot(sources.robot).n)

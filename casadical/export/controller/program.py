@@ -38,7 +38,10 @@ class Program:
     units: tuple[str, ...]
 
     def text(self, q: Array, moved: Array, status: Sequence[str]) -> str:
-        """The table as CSV with the targets of the rows that moved, and a column that says how each row fared."""
+        """The table as CSV with the targets of the rows that moved, and a column that says how each row fared.
+
+        q : joint targets, shape (rows, joints) [rad or m]; moved : which rows take them, boolean, shape (rows,)
+        """
         out = io.StringIO()
         writer = csv.writer(out, lineterminator="\n")
         writer.writerow([*self.header, STATUS])

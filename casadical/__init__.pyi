@@ -1,0 +1,29 @@
+from casadical.compensator.compensator import Compensator as Compensator
+from casadical.core.errors import CasadicalError as CasadicalError
+from casadical.core.errors import ConvergenceError as ConvergenceError
+from casadical.core.errors import InputError as InputError
+from casadical.diagnosis.diagnose import diagnose as diagnose
+from casadical.diagnosis.isolability import isolability as isolability
+from casadical.diagnosis.next_poses import next_poses as next_poses
+from casadical.diagnosis.result import Diagnosis as Diagnosis
+from casadical.effects.base import Effect as Effect
+from casadical.identification.identification import Identification as Identification
+from casadical.identification.identification import identify as identify
+from casadical.measurements.measurements import Measurements as Measurements
+from casadical.measurements.measurements import from_table as from_table
+from casadical.measurements.measurements import read_measurements as read_measurements
+from casadical.pose_selection.choice import select_poses as select_poses
+from casadical.project.problem import Problem as Problem
+from casadical.project.problem import read_campaign_robot as read_campaign_robot
+from casadical.project.problem import read_problem as read_problem
+from casadical.robot.robot import Body as Body
+from casadical.robot.robot import FourBar as FourBar
+from casadical.robot.robot import Joint as Joint
+from casadical.robot.robot import Placement as Placement
+from casadical.robot.robot import Robot as Robot
+from casadical.robot.robot_file import read_robot as read_robot
+from casadical.robot.robot_file import write_robot as write_robot
+from casadical.robot.urdf import read_urdf as read_urdf
+from casadical.robot.urdf_export import calibrated_urdf as calibrated_urdf
+
+__version__: str

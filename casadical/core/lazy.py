@@ -1,0 +1,27 @@
+"""A package's public names, loaded when they are first used: its stub is the one list (Scientific Python's SPEC 1)."""
+
+from importlib import import_module
+
+TYPE_CHECKING = False  # as in typing, whose import costs more than all of this
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
+
+def attach(package: str, file: str) -> "tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]":
+    """`__getattr__`, `__dir__` and `__all__` of a package.
+
+    package, file : its `__name__` and `__file__`. The stub beside it, `__init__.pyi`, which type checkers and editors
+    read too, has a line `from MODULE import NAME as NAME` for each public name and is copied nowhere else.
+    A name must not be that of a module in the package: once that is imported, Python finds the module first.
+    """
+    with open(f"{file}i", encoding="utf-8") as stub:
+        lines = [line.split() for line in stub if line.startswith("from ")]
+    home = {name: module for _, module, _, name, *_ in lines}
+
+    def find(name: str) -> "Any":
+        if name not in home:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}; there are {', '.join(home)}")
+        return getattr(import_module(home[name]), name)
+
+    return find, lambda: sorted(home), list(home)

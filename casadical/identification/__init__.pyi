@@ -1,0 +1,5 @@
+from casadical.identification.accuracy import Accuracy as Accuracy
+from casadical.identification.accuracy import errors as errors
+from casadical.identification.accuracy import predicted as predicted
+from casadical.identification.identifiability import Identifiability as Identifiability
+from casadical.identification.identifiability import Unidentifiable as Unidentifiable

@@ -1,0 +1,1 @@
+from casadical.measurements.derived_columns import derive as derive

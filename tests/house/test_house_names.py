@@ -1,0 +1,57 @@
+"""Public names: those of the packages, found when they are used, and none of them untyped."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from repository import ROOT
+
+BIN = Path(sys.executable).parent
+LAZY = sorted(".".join(path.parent.relative_to(ROOT).parts) for path in (ROOT / "casadical").rglob("__init__.pyi"))
+PACKAGES = [*LAZY, "casadical.compensator", "casadical.effects", "casadical.pose_selection"]
+NAMES = [f"{package}.{name}" for package in PACKAGES for name in importlib.import_module(package).__all__]
+
+
+@pytest.mark.parametrize("package", LAZY)
+def test_every_name_of_a_stub_is_found(package: str) -> None:
+    module = importlib.import_module(package)
+    assert module.__all__
+    for name in module.__all__:
+        assert getattr(module, name).__name__ == name
+        assert importlib.util.find_spec(f"{package}.{name}") is None, "a module of this name hides it"
+    with pytest.raises(AttributeError, match=f"nothing_of_this_name.*{module.__all__[0]}"):
+        _ = module.nothing_of_this_name
+
+
+def test_mypy_sees_a_type_behind_every_name(tmp_path: Path) -> None:
+    user = tmp_path / "user.py"
+    lines = [f"import {package}" for package in PACKAGES] + [f"reveal_type({name})" for name in NAMES]
+    user.write_text("\n".join(lines) + "\n")
+    done = subprocess.run([BIN / "mypy", user], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+    revealed = re.findall(r'note: Revealed type is "(.*)"', done.stdout)
+    assert len(revealed) == len(NAMES) > 100
+    assert [name for name, seen in zip(NAMES, revealed, strict=True) if seen == "Any"] == []
+
+
+def test_the_reference_lists_every_public_name() -> None:
+    """What may be relied on: a name is listed where it is imported from, or at the top if it stands there too."""
+    listed = re.findall(r"^   (casadical\.\S+)$", (ROOT / "docs" / "reference.md").read_text(), re.MULTILINE)
+    assert len(listed) == len(set(listed))
+    assert all(thing(name) for name in listed)
+    at_top = [thing(name) for name in NAMES if name.count(".") == 1]
+    public = {name for name in NAMES if name.count(".") == 1 or not any(thing(name) is t for t in at_top)}
+    public = {name for name in public if inspect.isclass(thing(name)) or inspect.isfunction(thing(name))}
+    assert sorted(public - set(listed)) == []
+    assert [name for name in listed if name.rpartition(".")[0] in PACKAGES and name not in public] == []
+
+
+def thing(name: str) -> object:
+    package, _, last = name.rpartition(".")
+    return getattr(importlib.import_module(package), last)
