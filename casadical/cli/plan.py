@@ -78,10 +78,10 @@ def plan(
     from casadical.pose_selection.candidates import Circumstances
     from casadical.pose_selection.criteria import checked
     from casadical.pose_selection.information import Noise
-    from casadical.pose_selection.planning import look_ahead, planned_with, robot_of
-    from casadical.pose_selection.planning import plan as run
     from casadical.pose_selection.report import ahead_files, how_many, plan_files, report
     from casadical.pose_selection.room import read_room
+    from casadical.project.planning import look_ahead, planned_with, robot_of
+    from casadical.project.planning import plan as run
 
     robot = robot_of(problem)
     wanted = [c for c in named(robot, effects.split(",")) if c.listed] if effects else []
