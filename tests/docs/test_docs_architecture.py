@@ -1,0 +1,80 @@
+"""The script that draws the floor plan finds every import, and the committed page is what it makes."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+from walk import ROOT
+
+SCRIPT = ROOT / "docs" / "studies" / "architecture.py"
+FILES = {
+    "__init__.py": '"""Toy."""\n_HOME = {"a": "toy.low.a", "b": "toy.high"}\n__all__ = ["__version__", *_HOME]\n',
+    "low/__init__.py": "",
+    "low/a.py": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from toy.middle import m\n",
+    "middle/__init__.py": "",
+    "middle/m.py": "def f():\n    from ..low import a\n    return a\n",
+    "high.py": 'import toy.middle.m\nLAZY = "toy.low.a:name"\nABOUT = "toy is no module, toy.nothing neither"\n',
+}
+
+
+@pytest.fixture(scope="module")
+def architecture():
+    spec = importlib.util.spec_from_file_location("architecture", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def toy(tmp_path: Path) -> Path:
+    for name, text in FILES.items():
+        path = tmp_path / "toy" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    return tmp_path / "toy"
+
+
+def test_hidden_imports_are_arrows(architecture, toy: Path) -> None:
+    """Under TYPE_CHECKING, inside a function, relative, and as a string."""
+    house = architecture.House(toy)
+    assert set(house.arrows) == {("low", "middle"), ("middle", "low"), ("high", "middle"), ("high", "low")}
+    assert house.circles == [["low.a", "middle.m"]]
+    assert house.entries == ["__init__.py", "high.py", "low", "middle"]
+
+
+def test_names_behind_getattr_are_not_typed(architecture, toy: Path) -> None:
+    assert architecture.House(toy).typed_names() == (0, 2)
+    front = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from toy.low.a import a as a\n"
+    (toy / "__init__.py").write_text(front + FILES["__init__.py"])
+    assert architecture.House(toy).typed_names() == (1, 2)
+
+
+def test_repeated_blocks_are_counted(architecture, toy: Path) -> None:
+    block = "".join(f"value_{k} = {k}\n" for k in range(7))
+    (toy / "low" / "a.py").write_text(block)
+    (toy / "middle" / "m.py").write_text("first = 0\n" + block)
+    assert architecture.repeated_lines(architecture.House(toy)) == 14
+
+
+def test_imports_agree_with_import_linters_graph(architecture) -> None:
+    """An independent reader: grimp, on which import-linter stands. It does not follow names in strings."""
+    grimp = pytest.importorskip("grimp")
+    graph = grimp.build_graph("casadical", cache_dir=None)
+    house = architecture.House(ROOT / "casadical")
+    assert len(graph.modules) > 0.9 * len(house.imports)
+    for name in house.imports:
+        if f"casadical.{name}" not in graph.modules:
+            continue  # in a folder without __init__.py
+        theirs = graph.find_modules_directly_imported_by(f"casadical.{name}") - {"casadical"}
+        assert {t.partition(".")[2] for t in theirs} <= house.imports[name], name
+
+
+def test_every_room_has_a_paragraph(architecture) -> None:
+    page = architecture.PAGE.read_text(encoding="utf-8")
+    rooms = [room for storey in architecture.floors() for room in storey]
+    assert sorted(rooms) == architecture.House(ROOT / "casadical").rooms
+    assert [room for room in rooms if f"\n**{room}** " not in page] == []
