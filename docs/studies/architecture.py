@@ -57,7 +57,7 @@ LANGUAGES = {"structured text": {"structured_text", "StructuredText"}}
 
 @dataclass(frozen=True)
 class Source:
-    """A module: its dotted name without the package's, its text and its syntax tree."""
+    """A module: its dotted name without the package's, its text (its stub's behind it) and its syntax tree."""
 
     name: str
     is_package: bool
@@ -85,7 +85,7 @@ class House:
         for path in sorted(self.folder.rglob("*.py")):
             parts = path.relative_to(self.folder).with_suffix("").parts
             name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
-            text = path.read_text(encoding="utf-8")
+            text = "".join(p.read_text(encoding="utf-8") for p in (path, path.with_suffix(".pyi")) if p.exists())
             found[name] = Source(name, parts[-1] == "__init__", text, ast.parse(text))
         return found
 
@@ -173,11 +173,9 @@ class House:
     def typed_names(self) -> tuple[int, int]:
         """Public names at the top that a type checker sees as what they are, and all."""
         tree = self.modules[""].tree
-        typed = {
-            alias.asname or alias.name for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) for alias in n.names
-        }
+        typed = {alias.asname for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) for alias in n.names}
         typed |= {n.name for n in tree.body if isinstance(n, ast.FunctionDef | ast.ClassDef)}
-        names = _public(tree)
+        names = _public(tree) or typed - {None}  # with a stub, the stub is the list
         return len(names & typed), len(names)
 
 
@@ -202,7 +200,8 @@ def _public(tree: ast.Module) -> set[str]:
             elif isinstance(part, ast.Constant) and isinstance(part.value, str):
                 yield part.value
 
-    return {name for name in strings(values["__all__"]) if not name.startswith("__")}
+    listed = values.get("__all__")
+    return {name for name in strings(listed) if not name.startswith("__")} if listed else set()
 
 
 def words(module: Source) -> set[str]:
@@ -292,7 +291,9 @@ def figures(house: House) -> dict[str, str]:
         if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)
     ]
     others = [
-        p for p in house.folder.rglob("*") if p.is_file() and p.suffix not in (".py", ".pyc") and p.name != "py.typed"
+        p
+        for p in house.folder.rglob("*")
+        if p.is_file() and p.suffix not in (".py", ".pyi", ".pyc") and p.name != "py.typed"
     ]
     trainers = "compensator.trainers"
     families = {

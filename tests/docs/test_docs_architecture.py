@@ -51,6 +51,9 @@ def test_names_behind_getattr_are_not_typed(architecture, toy: Path) -> None:
     front = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from toy.low.a import a as a\n"
     (toy / "__init__.py").write_text(front + FILES["__init__.py"])
     assert architecture.House(toy).typed_names() == (1, 2)
+    (toy / "__init__.py").write_text('"""Toy."""\n')
+    (toy / "__init__.pyi").write_text("from toy.low.a import a as a\nfrom toy.high import b as b\n")
+    assert architecture.House(toy).typed_names() == (2, 2)
 
 
 def test_repeated_blocks_are_counted(architecture, toy: Path) -> None:
