@@ -16,6 +16,3 @@ from casadical.export.controller.models import command_of as command_of
 from casadical.export.controller.models import network_of as network_of
 from casadical.export.controller.program import Program as Program
 from casadical.export.controller.program import read_program as read_program
-from casadical.export.correction import Compensated as Compensated
-from casadical.export.correction import JointTargets as JointTargets
-from casadical.export.correction import compensated as compensated

@@ -17,7 +17,7 @@ _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 
 def template(name: str) -> str:
     """The text of a file in the package's templates folder."""
-    return (files("casadical.export") / "templates" / name).read_text(encoding="utf-8")
+    return (files("casadical.export.c") / "templates" / name).read_text(encoding="utf-8")
 
 
 def filled(text: str, values: dict[str, str]) -> str:

@@ -120,3 +120,10 @@ def _checked_signature(function: casadi.Function, n: int, sizes: tuple[int, ...]
             "outputs; fix parameters with a wrapper such as casadi.Function('p', [q], [f(q, values)])"
         )
     return int(n_out)
+
+
+def mapped(function: casadi.Function, q: Vector) -> Vector:
+    """A function's outputs column by column, a row for each row of q, shape (k, n) [rad]."""
+    out = function.map(len(q)).call([casadi.DM(q.T)])
+    columns = [np.array(o).reshape(o.shape[0], len(q), -1, order="F") for o in out]
+    return np.hstack([c.transpose(1, 2, 0).reshape(len(q), -1) for c in columns])

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import casadi
 import numpy as np
 from numpy.typing import NDArray
 
 from casadical.export.c.kernel import Kernel, Shape, build
 from casadical.export.c.mirror import Array
+from casadical.export.c.products import mapped
 from casadical.export.c.program import Program
 from casadical.export.c.reference import Status
 from casadical.export.c.toolchain import WARNINGS, Compiler
@@ -77,33 +77,28 @@ def _bits(values: Array) -> NDArray[Any]:
 def accuracy(program: Program, count: int = 10_000) -> dict[str, float]:
     """Figures of this model, from the reference arithmetic and CasADi's doubles on joints inside the box.
 
-    Largest errors of the network [um] and of the forward kinematics [um]; for a command, the tool's error before and
-    what remains after the correction [um], over the poses that are not reported as anything but OK, and their share.
+    Largest errors of the network [um] and of the forward kinematics [um]; for a command, the tool's error before the
+    correction [um], what remains of it over the poses with status OK [um], and their share. Joints at which the model
+    has no value (a four-bar that cannot close) count in the share only.
     """
     q = inside(program, count)
     figures: dict[str, float] = {}
     exact = q.astype(np.float64)
     for key, compute in functions(program).items():
         values, status = compute(program, q)
+        known = status != Status.NOT_FINITE
         if key == "network" and program.network is not None:
-            figures["network_error_um"] = 1e3 * float(abs(values - _mapped(program.network.function, exact)).max())
+            figures["network_error_um"] = 1e3 * float(abs(values - mapped(program.network.function, exact))[known].max())
         if key == "forward" and program.command is not None:
-            error = abs(values - _mapped(program.command.calibrated, exact))[:, :3].max()
+            error = abs(values - mapped(program.command.calibrated, exact))[known, :3].max()
             figures["forward_error_um"] = 1e6 * float(error)
         if key == "correct" and program.command is not None:
-            target = _mapped(program.command.nominal, exact)[:, :3]
-            before = np.linalg.norm(_mapped(program.command.calibrated, exact)[:, :3] - target, axis=1)
-            moved = _mapped(program.command.calibrated, exact + values)[:, :3]
+            target = mapped(program.command.nominal, exact)[:, :3]
+            before = np.linalg.norm(mapped(program.command.calibrated, exact)[:, :3] - target, axis=1)
+            moved = mapped(program.command.calibrated, exact + values)[:, :3]
             fine = status == Status.OK
             rest = np.linalg.norm(moved - target, axis=1)[fine]
-            figures |= {"start_error_um_mean": 1e6 * float(before.mean()), "share_ok": float(fine.mean())}
+            figures |= {"start_error_um_mean": 1e6 * float(before[known].mean()), "share_ok": float(fine.mean())}
             if fine.any():
                 figures |= {"rest_um_median": 1e6 * float(np.median(rest)), "rest_um_worst": 1e6 * float(rest.max())}
     return {key: float(f"{value:.3g}") for key, value in figures.items()}
-
-
-def _mapped(function: casadi.Function, q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The function's outputs in one row for each row of joints."""
-    out = function.map(len(q)).call([casadi.DM(q.T)])
-    columns = [np.array(o).reshape(o.shape[0], len(q), -1, order="F") for o in out]
-    return np.hstack([c.transpose(1, 2, 0).reshape(len(q), -1) for c in columns])

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from casadical.core.errors import CasadicalError, InputError
 from casadical.core.transforms import Array
 from casadical.export import Command, Status, load
+from casadical.export.c.products import mapped
 from casadical.export.c.program import program_of
 from casadical.export.c.reference import correct as reference_correct
 from casadical.export.controller.program import Program
@@ -119,8 +119,8 @@ def model_corrector(command: Command) -> Corrector:
     return Corrector(
         made.n,
         lambda q: reference_correct(made, q),
-        lambda q: _mapped(command.calibrated, q),
-        lambda q: _mapped(command.nominal, q),
+        lambda q: mapped(command.calibrated, q)[:, :3],
+        lambda q: mapped(command.nominal, q)[:, :3],
     )
 
 
@@ -139,10 +139,6 @@ def corrected(corrector: Corrector, program: Program) -> Corrected:
         target = corrector.target(program.q)
         rest = 1e3 * np.linalg.norm(np.stack([before, after], axis=1) - target[:, None], axis=2)
     return Corrected(program, q, tuple(names), moved, rest)
-
-
-def _mapped(function: ca.Function, q: Array) -> Array:
-    return np.asarray(function.map(len(q))(q.T).full().T)
 
 
 def _refused(result: Corrected) -> list[str]:

@@ -10,39 +10,44 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import casadi as ca
 import numpy as np
 
+from casadical.compensator import Compensator, load_compensator
 from casadical.core.errors import InputError
 from casadical.core.transforms import Array
-from casadical.export import Command, Network
+from casadical.export import Command, Limits, Network
+from casadical.export.c.products import mapped
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Body, Placement, Robot
 from casadical.robot.robot_file import read_robot
 
-if TYPE_CHECKING:
-    from casadical.compensator import Compensator
-
 Tool = Literal["shared", "own"]
 
+# With three more directions to hold, the weakest is always weaker: the bound beside which a pose counts as singular.
+SINGULAR_POSE = 0.02  # m/rad
 SAME_ROBOT = 0.1  # m between nominal and calibrated tool, median: above it the files are not of one robot
 
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """What a product is made of: the robots, the mass on the flange [kg] (None: as declared), and whose tool counts.
+    """What a product is made of.
 
-    robot, nominal : files, or robots as they are, such as `diagnosis.apply()` with its causes in the model
-
-    tool : "shared": both robots carry the calibrated file's tool. "own": each its file's, so that the difference is
+    robot, nominal : the calibrated robot and the one that the controller computes with; a file or a `Robot`, such as
+        `diagnosis.apply()` with its causes in the model
+    compensator : the network trained on the calibrated robot's residuals; a file or a `Compensator`
+    payload_kg : mass on the flange [kg]; None: as declared
+    tool : "shared": both robots carry the calibrated robot's tool. "own": each its own, so that the difference is
         corrected too, for a measured point that is the controller's tool centre point itself.
+
+    Raises InputError for another word as tool.
     """
 
     robot: Path | Robot
     nominal: Path | Robot | None = None
-    compensator: Path | None = None
+    compensator: Path | Compensator | None = None
     payload_kg: float | None = None
     tool: Tool = "shared"
 
@@ -51,11 +56,16 @@ class Sources:
             raise InputError(f"--tool {self.tool}: not known; allowed: {', '.join(get_args(Tool))}")
 
 
-def command_of(sources: Sources, steps: int = 2) -> Command:
+def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -> Command:
     """The correction that brings the real tool to where the nominal robot's would be, in the robot's own base frame.
 
-    The nominal robot is rigid, as a controller computes. The box is the calibrated file's joint limits, within the
-    angles that the compensator's training saw. Raises InputError.
+    The nominal robot is rigid, as a controller computes. The box is the calibrated robot's joint limits [rad], within
+    the angles that the compensator's training saw.
+
+    steps : least-squares steps, 1 to 10; orientation : whether the tool's orientation is to be reached as well, which
+    needs six joints; without it the joints change by the least that reaches the position
+
+    Raises InputError where the files are not of one robot, or the robot cannot be corrected.
     """
     if sources.nominal is None:
         raise InputError(
@@ -75,13 +85,14 @@ def command_of(sources: Sources, steps: int = 2) -> Command:
     if network is not None:
         lower, upper = np.maximum(lower, network.lower), np.minimum(upper, network.upper)
     command = Command(
-        nominal=_position(nominal, "nominal"),
-        calibrated=_calibrated(real, turn, network),
+        nominal=_tool(nominal, "nominal", orientation),
+        calibrated=_tool(real, "calibrated", orientation, turn, network),
         lower=lower,
         upper=upper,
-        jacobian_of=_position(_rigid(real), "chain"),
+        jacobian_of=_tool(_rigid(real), "chain", orientation),
         jacobian_at=_bent(real) if _compliant(real) else None,
         network=network,
+        limits=Limits(singular_m_per_rad=SINGULAR_POSE) if orientation else Limits(),
         steps=steps,
     )
     _refuse_far_apart(command, sources)
@@ -98,8 +109,8 @@ def network_of(sources: Sources) -> Network:
     network = _network(sources, _robot(sources.robot).n)
     if network is None:
         raise InputError(
-            f"{sources.compensator}: this network does not help and was refused when it was trained; there is nothing "
-            "to export"
+            f"{_word(sources.compensator)}: this network does not help and was refused when it was trained; there is "
+            "nothing to export"
         )
     return network
 
@@ -126,8 +137,10 @@ def _robot(source: Path | Robot) -> Robot:
     return source if isinstance(source, Robot) else read_robot(source)
 
 
-def _word(source: Path | Robot | None) -> str:
-    """How messages name a robot."""
+def _word(source: Path | Robot | Compensator | None) -> str:
+    """How messages name a source."""
+    if isinstance(source, Compensator):
+        return "the compensator"
     return source.name if isinstance(source, Robot) else str(source)
 
 
@@ -178,7 +191,7 @@ def _refuse_other_robot(real: Robot, nominal: Robot, sources: Sources) -> None:
 
 def _refuse_far_apart(command: Command, sources: Sources) -> None:
     q = np.random.default_rng(0).uniform(command.lower, command.upper, (200, len(command.lower)))
-    apart = np.linalg.norm(command.calibrated.map(200)(q.T).full() - command.nominal.map(200)(q.T).full(), axis=0)
+    apart = np.linalg.norm((mapped(command.calibrated, q) - mapped(command.nominal, q))[:, :3], axis=1)
     if np.isnan(apart).all() or np.nanmedian(apart) > SAME_ROBOT:
         raise InputError(
             f"{_word(sources.nominal)}: its tool is {1e3 * np.nanmedian(apart):.0f} mm from that of "
@@ -192,13 +205,12 @@ def _network(sources: Sources, joints: int) -> Network | None:
     """The compensator's network in the box of its training; None without one, or where it was refused."""
     if sources.compensator is None:
         return None
-    from casadical.compensator import load_compensator
-
-    compensator: Compensator = load_compensator(sources.compensator)
+    source = sources.compensator
+    compensator = source if isinstance(source, Compensator) else load_compensator(source)
     layout, box = compensator.layout, compensator.trained_box
     if (layout.joints, layout.outputs) != (joints, 3):
         raise InputError(
-            f"{sources.compensator}: {layout.joints} joints in and {layout.outputs} numbers out; this robot needs "
+            f"{_word(source)}: {layout.joints} joints in and {layout.outputs} numbers out; this robot needs "
             f"{joints} joints and a position of 3"
         )
     if not compensator.helps:
@@ -206,18 +218,18 @@ def _network(sources: Sources, joints: int) -> Network | None:
     return Network(compensator.function(), np.array(box.lower), np.array(box.upper))
 
 
-def _position(robot: Robot, name: str) -> ca.Function:
-    q = ca.SX.sym("q", robot.n)
-    return ca.Function(name, [q], [robot.position(q, ca.DM(robot.parameters.values))], ["q"], ["p"])
+def _tool(
+    robot: Robot, name: str, orientation: bool, turn: Array | None = None, network: Network | None = None
+) -> ca.Function:
+    """NAME:(q[n])->(p[3] m) or (p[3] m, R[3x3]).
 
-
-def _calibrated(robot: Robot, turn: Array, network: Network | None) -> ca.Function:
-    """calibrated:(q[n])->(p[3] m); the network learned in the measuring frame, `turn` brings it into the robot's."""
+    turn : rotation from the measuring frame, in which the network learned, into the robot's, shape (3, 3); None: none
+    """
     q = ca.SX.sym("q", robot.n)
-    p = robot.position(q, ca.DM(robot.parameters.values))
+    p, R = robot.pose(q, ca.DM(robot.parameters.values))
     if network is not None:
-        p = p + 1e-3 * ca.mtimes(ca.DM(turn), network.function(q))
-    return ca.Function("calibrated", [q], [p], ["q"], ["p"])
+        p = p + 1e-3 * ca.mtimes(ca.DM(np.eye(3) if turn is None else turn), network.function(q))
+    return ca.Function(name, [q], [p, R] if orientation else [p], ["q"], ["p", "R"] if orientation else ["p"])
 
 
 def _bent(robot: Robot) -> ca.Function:

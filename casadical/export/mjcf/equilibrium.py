@@ -7,7 +7,7 @@ divide them by the stiffness of the coordinate, which converges fast because wei
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +15,6 @@ from casadical.core.errors import ConvergenceError, InputError
 from casadical.core.transforms import Array
 from casadical.export.mjcf.mjcf import POINT
 from casadical.measurements.measurements import Measurements
-
-if TYPE_CHECKING:
-    pass
 
 STILL = 1e-12  # rad or m
 AT_MOST = 100

@@ -125,6 +125,54 @@ def test_the_network_is_turned_from_the_measuring_frame_into_the_robots(files, c
     assert (command.upper <= np.array(made.trained_box.upper) + 1e-15).all()
 
 
+def angle(R: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Angles between orientations, each of shape (k, 3, 3) [rad], by the length of the difference."""
+    return 2 * np.arcsin(np.linalg.norm(R - other, axis=(1, 2)) / np.sqrt(8))
+
+
+def orientations(robot, q):
+    return np.array([robot.pose(row, robot.parameters.values)[1].full() for row in q])
+
+
+@pytest.mark.parametrize("orientation", [True, False])
+def test_the_orientation_is_reached_where_it_is_asked_for(orientation, files, compensator):
+    """With a network, and by the robots' own functions, which the correction was not made of."""
+    path, made = compensator
+    sources = Sources(read_robot(files / "hh800.toml"), nominal_path("hh800"), made)
+    robot, q = sources.robot, poses(sources.robot, 300)
+    q = q[made.inside(q)]
+    dq, status = model_corrector(command_of(sources, 6, orientation=orientation)).correct(q)
+    fine = status == 0
+    assert fine.mean() > 0.8
+    same = command_of(Sources(files / "hh800.toml", nominal_path("hh800"), path), 6, orientation=orientation)
+    assert np.array_equal(model_corrector(same).correct(q)[0], dq)
+    nominal = rigid("hh800", tool=robot.tool)
+    turn = row_matrix(robot.joints[0])[:3, :3] @ row_matrix(nominal.joints[0])[:3, :3].T
+    before = angle(turn @ orientations(nominal, q), orientations(robot, q))
+    after = angle(turn @ orientations(nominal, q), orientations(robot, q + dq))[fine]
+    assert before.mean() > 1e-3
+    assert (after.max() < 1e-4) == orientation
+    moved = positions(robot, q + dq) + 1e-3 * made.correction_mm(q + dq)
+    assert rigid_motion(positions(nominal, q)[fine], moved[fine])[2].max() < 50 * MICROMETRE
+
+
+def test_without_the_orientation_the_joints_change_by_the_least(files):
+    """To first order the change has no part in the null space of the position's Jacobian, by finite differences."""
+    sources = Sources(files / "hh800.toml", nominal_path("hh800"))
+    robot = read_robot(sources.robot)
+    q = poses(robot, 20)
+    least, status = model_corrector(command_of(sources, 3)).correct(q)
+    whole, whole_status = model_corrector(command_of(sources, 3, orientation=True)).correct(q)
+    both = (status == 0) & (whole_status == 0)
+    assert both.sum() > 10
+    assert np.all(np.linalg.norm(least, axis=1)[both] <= np.linalg.norm(whole, axis=1)[both])
+    for row, change in zip(q[both], least[both], strict=True):
+        step = 1e-6 * np.eye(6)
+        J = (positions(robot, row + step) - positions(robot, row - step)).T / 2e-6
+        null_space = np.linalg.svd(J)[2][3:]
+        assert np.abs(null_space @ change).max() < 0.02 * np.linalg.norm(change)
+
+
 def test_another_payload_bends_the_arm_otherwise(files):
     sources = Sources(files / "hh800.toml", nominal_path("hh800"), payload_kg=0.0)
     robot = read_robot(sources.robot)
