@@ -88,7 +88,8 @@ def accuracy(program: Program, count: int = 10_000) -> dict[str, float]:
         values, status = compute(program, q)
         known = status != Status.NOT_FINITE
         if key == "network" and program.network is not None:
-            figures["network_error_um"] = 1e3 * float(abs(values - mapped(program.network.function, exact))[known].max())
+            error = abs(values - mapped(program.network.function, exact))[known].max()
+            figures["network_error_um"] = 1e3 * float(error)
         if key == "forward" and program.command is not None:
             error = abs(values - mapped(program.command.calibrated, exact))[known, :3].max()
             figures["forward_error_um"] = 1e6 * float(error)
