@@ -98,23 +98,25 @@ def read_answers(path: Path) -> tuple[Head, dict[str, Answer]]:
     """
     path = stored(path)
     try:
-        lines = content(path).decode("utf-8").splitlines(keepends=True)
+        *lines, _cut = content(path).split(b"\n")
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; make it with `casadical withheld predict`") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
-    whole = [text for text in lines if text.endswith("\n")]
-    if not whole:
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    if not lines:
         raise InputError(f"{path}: holds no answers; its first line must say which check they answer")
-    tried = [(k, text) for k, text in enumerate(whole[1:], 2) if '"failed":' not in text]
-    answers = [_read(Answer, path, k, text) for k, text in tried]
-    return _read(Head, path, 1, whole[0]), {a.campaign: a for a in answers}
+    head = _read(Head, lines[0], f"{path}: line 1", "predict into another file (--out)")
+    # Quotes inside of a text are escaped, so that this can only be the entry.
+    answered = [(k, text) for k, text in enumerate(lines[1:], 2) if b'"failed":' not in text]
+    remedy = "delete this line, and predict again to have the campaign answered anew"
+    answers = [_read(Answer, text, f"{path}: line {k}", remedy) for k, text in answered]
+    return head, {a.campaign: a for a in answers}
 
 
-def _read(schema: Any, path: Path, number: int, text: str) -> Any:
+def _read(schema: Any, text: bytes, place: str, remedy: str) -> Any:
     try:
         return schema.model_validate_json(text)
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join(map(str, first["loc"])) or "the line"
-        raise InputError(f"{path}: line {number}: {place}: {first['msg']}; delete the file and predict again") from None
+        entry = ".".join(map(str, first["loc"])) or "the line"
+        raise InputError(f"{place}: {entry}: {first['msg']}; {remedy}") from None

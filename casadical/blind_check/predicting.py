@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from concurrent.futures import Executor
 from importlib.metadata import version
@@ -56,15 +57,17 @@ def predict(
 
 
 def _begun(path: Path, manifest: Manifest, by: str) -> set[str]:
-    """Campaigns that are answered already; a line that was cut short is removed."""
+    """Campaigns that are answered already; of a last line that was cut short the beginning is removed.
+
+    The file is cut in its place, never written anew: whenever this run ends, whole answers that were there are there.
+    """
     if not path.exists() or not path.stat().st_size:
         path.parent.mkdir(parents=True, exist_ok=True)
         return set()
     head, answers = read_answers(path)
     if (head.key_sha256, head.by) != (manifest.key_sha256, by):
         raise InputError(f"{path}: holds answers by {head.by} to another check; name another file by --out")
-    data = path.read_bytes()
-    path.write_bytes(data[: data.rfind(b"\n") + 1])
+    os.truncate(path, path.read_bytes().rfind(b"\n") + 1)
     return set(answers)
 
 

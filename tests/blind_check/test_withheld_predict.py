@@ -81,6 +81,52 @@ def test_answers_that_are_there_are_kept(small, tmp_path) -> None:
     assert sorted(path.read_bytes().splitlines()) == sorted(small.answers.read_bytes().splitlines())
 
 
+# Goes on in a child process, and kills it at the k-th line of Python that deals with the answers, for every k.
+KILLED = """
+import os, shutil, signal, sys
+from pathlib import Path
+from checks import Here
+from casadical.blind_check.predicting import predict
+
+FILES = ("blind_check/predicting.py", "blind_check/answers.py")
+folder, whole, path = map(Path, sys.argv[1:])
+
+def go_on(kill_at):
+    count = 0
+    def trace(frame, _event, _value):
+        nonlocal count
+        file = frame.f_code.co_filename
+        if not file.endswith(FILES) and not ("pathlib" in file and frame.f_locals.get("self") == path):
+            return None
+        count += 1
+        if count == kill_at:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return trace
+    sys.settrace(trace)
+    predict(folder, path, by="bic", executor=Here())
+    os._exit(0)
+
+answers, kill_at, killed = whole.read_bytes(), 0, True
+while killed:
+    kill_at += 1
+    path.write_bytes(answers + b'{"campaign": "cut sh')
+    child = os.fork()
+    if child == 0:
+        go_on(kill_at)
+    killed = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) != 0
+    assert path.read_bytes()[: len(answers)] == answers, kill_at
+assert path.read_bytes() == answers
+print(kill_at)
+"""
+
+
+def test_a_run_killed_anywhere_loses_no_answer(small, tmp_path, request) -> None:
+    words = [sys.executable, "-c", KILLED, str(small.folder), str(small.answers), str(tmp_path / "bic.jsonl")]
+    done = subprocess.run(words, check=False, capture_output=True, text=True, cwd=request.path.parent)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 100
+
+
 def begun(small, path, answered: int) -> None:
     """A file with the first answers of the whole one."""
     path.write_bytes(b"".join(small.answers.read_bytes().splitlines(keepends=True)[: answered + 1]))

@@ -41,7 +41,10 @@ def test_bad_files_are_named(small, tmp_path) -> None:
         score(small.folder, tmp_path / "nowhere", small.answers)
     path = tmp_path / "answers.jsonl"
     path.write_text(small.answers.read_text().replace('"verdict":"', '"verdict":"perhaps ', 1))
-    with pytest.raises(InputError, match=r"line 2: verdict: .*delete the file and predict again"):
+    with pytest.raises(InputError, match=r"line 2: verdict: .*delete this line, and predict again"):
+        score(small.folder, small.key, path)
+    path.write_text("{}\n")
+    with pytest.raises(InputError, match=r"line 1: key_sha256: .*predict into another file \(--out\)"):
         score(small.folder, small.key, path)
     path.write_text("")
     with pytest.raises(InputError, match="holds no answers"):
