@@ -10,8 +10,8 @@ from casadical.effects.base import Effect as Effect
 from casadical.identification.identification import Identification as Identification
 from casadical.identification.identification import identify as identify
 from casadical.measurements.measurements import Measurements as Measurements
-from casadical.measurements.measurements import from_table as from_table
-from casadical.measurements.measurements import read_measurements as read_measurements
+from casadical.measurements.reading import from_table as from_table
+from casadical.measurements.reading import read_measurements as read_measurements
 from casadical.pose_selection.choice import select_poses as select_poses
 from casadical.project.problem import Problem as Problem
 from casadical.project.problem import read_campaign_robot as read_campaign_robot

@@ -24,7 +24,7 @@ from casadical.blind_check.visible import base_jacobian, visible
 from casadical.core.errors import ConvergenceError, InputError
 from casadical.core.files import write_together
 from casadical.core.transforms import Array
-from casadical.measurements.measurements import from_table
+from casadical.measurements.reading import from_table
 from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot_file import to_toml
 

@@ -17,7 +17,8 @@ from casadical.core.transforms import Array
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
 from casadical.measurements.derived_columns import derive
-from casadical.measurements.measurements import Measurements, from_table
+from casadical.measurements.measurements import Measurements
+from casadical.measurements.reading import from_table
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
 

@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from casadical.blind_check.packed import content, stored
 from casadical.core.errors import InputError
 from casadical.core.schema import check
+from casadical.measurements.raw_table import read_table as read_csv
 
 MANIFEST, KEY, ROBOTS = "withheld.json", "key.json", "robots"
 Kind = Literal["none", "one", "several", "unlisted"]
@@ -154,12 +155,9 @@ def read_key(folder: Path, manifest: Manifest) -> Key:
 def read_table(folder: Path, name: str) -> pd.DataFrame:
     """A campaign's table, or with `.unseen` behind the name its further readings. Raises InputError."""
     path = folder / f"{name}.csv"
-    try:
-        return pd.read_csv(path)
-    except FileNotFoundError:
-        raise InputError(f"{path}: is missing, though {MANIFEST} names it; take the folder whole") from None
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a readable CSV table: {str(error).strip()}") from None
+    if not path.is_file():
+        raise InputError(f"{path}: is missing, though {MANIFEST} names it; take the folder whole")
+    return read_csv(path).frame()
 
 
 def _json(path: Path, text: str) -> Mapping[str, object]:

@@ -70,9 +70,8 @@ def diagnose(
     from casadical.diagnosis.diagnose import diagnose as run
     from casadical.diagnosis.json_answer import as_json
     from casadical.diagnosis.text import report
-    from casadical.measurements.measurements import read_measurements
     from casadical.pose_selection.room import read_room
-    from casadical.project.problem import read_campaign_robot
+    from casadical.project.problem import read_campaign, read_campaign_robot
 
     if report_file:
         from casadical.report.optional_imports import require
@@ -81,12 +80,12 @@ def diagnose(
     console = Console(quiet=quiet)
     robot = read_campaign_robot(problem)
     if isolability:
-        _print_isolability(robot, campaigns, effects, json_file, console)
+        _print_isolability(problem, robot, campaigns, effects, json_file, console)
         return
     workspace = read_room(room, robot) if room else None
     answers, answered = [], []
     for path in campaigns:
-        m = read_measurements(path, [j.kind for j in robot.joints])
+        m = read_campaign(problem, path, robot)
         with progress(quiet) as bar:
             task = bar.add_task(path.stem, total=None)
 
@@ -137,15 +136,15 @@ def _extras(
 
 
 def _print_isolability(
-    robot: Robot, campaigns: list[Path], effects: str | None, json_file: Path | None, console: Console
+    problem: Path, robot: Robot, campaigns: list[Path], effects: str | None, json_file: Path | None, console: Console
 ) -> None:
     from casadical.diagnosis.isolability import isolability
     from casadical.diagnosis.isolability_report import as_json, report
-    from casadical.measurements.measurements import read_readings
+    from casadical.project.problem import read_campaign
 
     answers = []
     for path in campaigns:
-        m = read_readings(path, [j.kind for j in robot.joints])
+        m = read_campaign(problem, path, robot, readings_only=True)
         found = isolability(robot, m, effects.split(",") if effects else "standard")
         answers.append(as_json(found, path.stem))
         console.print(report(found, f"{path.stem} ({robot.name}), {len(m)} poses"), soft_wrap=True)

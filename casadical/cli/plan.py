@@ -82,8 +82,10 @@ def plan(
     from casadical.pose_selection.room import read_room
     from casadical.project.planning import look_ahead, planned_with, robot_of
     from casadical.project.planning import plan as run
+    from casadical.project.problem import read_campaign
 
     robot = robot_of(problem)
+    before = read_campaign(problem, measured, robot) if measured else None
     wanted = [c for c in named(robot, effects.split(",")) if c.listed] if effects else []
     # Of settings on a grid, the middle one.
     added = [e for c in wanted for e in c.variants[len(c.variants) // 2]]
@@ -97,14 +99,14 @@ def plan(
         bar.add_task("choosing poses", total=None)
         if n is None:
             ahead = look_ahead(
-                robot, added, workspace=workspace, circumstances=circumstances, measured=measured, noise=noise,
+                robot, added, workspace=workspace, circumstances=circumstances, measured=before, noise=noise,
                 seed=seed,
             )  # fmt: skip
             said: RenderableType = how_many(ahead, target)
             texts = ahead_files(out, json_file, ahead)
         else:
             found, ahead = run(
-                robot, n, added, criterion=word, workspace=workspace, circumstances=circumstances, measured=measured,
+                robot, n, added, criterion=word, workspace=workspace, circumstances=circumstances, measured=before,
                 noise=noise, min_distance=min_distance, order=order, seed=seed,
             )  # fmt: skip
             said = report(found, ahead, target, workspace is not None)

@@ -39,8 +39,7 @@ def replay(
     from casadical.core.files import write_together
     from casadical.export.mjcf.equilibrium import load_mujoco
     from casadical.export.mjcf.replay import as_json, replay_campaign
-    from casadical.measurements.measurements import read_measurements
-    from casadical.project.problem import read_campaign_robot
+    from casadical.project.problem import read_campaign, read_campaign_robot
 
     load_mujoco()
     console = plain(quiet)
@@ -48,7 +47,7 @@ def replay(
     answers: list[dict[str, Any]] = []
     texts: dict[Path, str] = {}
     for path in campaigns:
-        m = read_measurements(path, [j.kind for j in robot.joints])
+        m = read_campaign(problem, path, robot)
         with progress(quiet) as bar:
             task = bar.add_task(path.stem, total=None)
 

@@ -18,7 +18,8 @@ import numpy as np
 from casadical.core.casadi_buffers import call
 from casadical.core.compile_cache import compiled
 from casadical.core.transforms import Array
-from casadical.measurements.measurements import Kind, Measurements
+from casadical.measurements.kinds import Kind
+from casadical.measurements.measurements import Measurements
 from casadical.robot.model import Expressions, expressions, frame_numbers
 from casadical.robot.robot import Robot
 

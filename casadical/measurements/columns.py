@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
 from casadical.core.errors import InputError
 from casadical.core.transforms import Array, from_rpy
+from casadical.measurements.raw_table import RawTable, refuse_repeated_names
 
 _TO_SI = {"_mm": 1e-3, "_m": 1.0, "_deg": np.pi / 180, "_rad": 1.0}
 # Columns that are readings or observations; every other one is a condition.
@@ -18,25 +20,63 @@ _OWN = re.compile(
 )
 
 
+@dataclass(frozen=True, eq=False)
 class Columns:
     """Columns of one table, converted to SI; every error (InputError) says where.
 
-    table : as it was read; source : file name or description
+    table : headers without blanks around them, wholly empty columns left out
+    source : file name or description; row : shape (n,), line of the file at which each row stands
     """
 
-    def __init__(self, table: pd.DataFrame, source: str) -> None:
-        self.table = table
-        self.source = source
+    table: pd.DataFrame
+    source: str
+    row: Array
+
+    @staticmethod
+    def of_file(raw: RawTable) -> Columns:
+        """Columns of a file. Raises InputError."""
+        return _columns(raw.frame(), raw.path.name, np.array(raw.line))
+
+    @staticmethod
+    def of_frame(table: pd.DataFrame, source: str) -> Columns:
+        """Columns of a pandas table; its rows count as in a file, from 2 on. Raises InputError."""
+        return _columns(table, source, np.arange(len(table)) + 2)
+
+    def mapped(self, columns: Mapping[str, str], point_from: Sequence[str] = ()) -> Columns:
+        """With our names where the table's headers differ.
+
+        columns : our name -> name in the table; point_from : columns whose words, joined by "/", name the touched point
+        Raises InputError where a named column is missing.
+        """
+        named = [(theirs, f"named for {ours!r}") for ours, theirs in columns.items()]
+        for theirs, where in [*named, *((name, "named in point_from") for name in point_from)]:
+            if theirs not in self.table:
+                raise InputError(f"{self.source}: column {theirs!r}, {where}, is missing; there are {self.names}")
+        # A header that keeps its own name elsewhere in the map is copied, not moved.
+        made = {ours: self.table[theirs] for ours, theirs in columns.items()}
+        if point_from:
+            made["point"] = self.table[list(point_from)].astype(str).agg("/".join, axis=1)
+        moved = [name for name, theirs in columns.items() if name in self.table and theirs != name]
+        return replace(self, table=self.table.drop(columns=moved).assign(**made))
+
+    @property
+    def names(self) -> str:
+        """All of them, for messages."""
+        return ", ".join(map(str, self.table))
+
+    def at(self, k: int) -> str:
+        """Source and row of the table's k-th row, for messages."""
+        return f"{self.source}: row {self.row[k]}"
 
     def column(self, name: str) -> Array:
         if name not in self.table:
-            raise InputError(f"{self.source}: column {name!r} is missing; there are {', '.join(map(str, self.table))}")
+            raise InputError(f"{self.source}: column {name!r} is missing; there are {self.names}")
         values = pd.to_numeric(self.table[name], errors="coerce").to_numpy(dtype=float)
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             text = self.table[name].iloc[int(bad[0])]
             raise InputError(
-                f"{self.source}: row {bad[0] + 2}, column {name!r}: {text!r} is not a finite number "
+                f"{self.at(bad[0])}, column {name!r}: {text!r} is not a finite number "
                 f"({bad.size} such in this column); correct or delete the row"
             )
         return values
@@ -49,7 +89,7 @@ class Columns:
             raise InputError(f"{self.source}: columns {both} say the same; keep one")
         if not present:
             wanted = " or ".join(f"{stem}{u}" for u in units)
-            raise InputError(f"{self.source}: column {wanted} is missing; there are {', '.join(map(str, self.table))}")
+            raise InputError(f"{self.source}: column {wanted} is missing; there are {self.names}")
         return self.column(stem + present[0]) * _TO_SI[present[0]]
 
     def joints(self, kinds: Sequence[str]) -> Array:
@@ -73,7 +113,7 @@ class Columns:
         if largest > 8 * np.pi:
             i = turning[int(np.argmax(np.abs(q[:, turning]).max(axis=0)))]
             row = int(np.argmax(np.abs(q[:, i])))
-            turns = f"{self.source}: row {row + 2}, column "
+            turns = f"{self.at(row)}, column "
             if f"q{i + 1}_rad" in self.table:
                 turns += f"'q{i + 1}_rad': {q[row, i]:.6g} rad is {largest / (2 * np.pi):.1f} turns; "
                 raise InputError(turns + f"are the columns in degrees? name them q{i + 1}_deg")
@@ -99,7 +139,7 @@ class Columns:
             if np.abs(length - 1).max() > 1e-2:
                 row = int(np.abs(length - 1).argmax())
                 raise InputError(
-                    f"{self.source}: row {row + 2}, columns 'qw' to 'qz': length {length[row]:.4g}; "
+                    f"{self.at(row)}, columns 'qw' to 'qz': length {length[row]:.4g}; "
                     "allowed: unit quaternions (w first), within 1 %"
                 )
             R = _from_quaternion(quaternion)
@@ -110,7 +150,7 @@ class Columns:
         if off.max() > 1e-3:
             row = int(off.argmax())
             raise InputError(
-                f"{self.source}: row {row + 2}, columns 'R00' to 'R22': no rotation (R R' differs from one by "
+                f"{self.at(row)}, columns 'R00' to 'R22': no rotation (R R' differs from one by "
                 f"{off[row]:.3g}, mirrored ones by more than one); allowed: orthonormal matrices, right-handed"
             )
         return R
@@ -125,6 +165,14 @@ class Columns:
             if numeric.mean() >= 0.5:  # some words among numbers are mistakes: `column` says where
                 found[name] = self.column(name)
         return found
+
+
+def _columns(table: pd.DataFrame, source: str, row: Array) -> Columns:
+    table = table.rename(columns=lambda name: str(name).strip())
+    refuse_repeated_names(table.columns, source)
+    if not len(table):
+        raise InputError(f"{source}: a header but no rows; at least one row is needed")
+    return Columns(table.dropna(axis="columns", how="all"), source, row)
 
 
 def _from_yz(b: float, c: float) -> Array:

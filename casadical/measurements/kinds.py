@@ -51,16 +51,16 @@ def _pair_distance(columns: Columns, q: Array) -> dict[str, Array | None]:
     if len(where) < len(pose):
         row = next(k for k, p in enumerate(pose) if where[float(p)] != k)
         raise InputError(
-            f"{columns.source}: row {row + 2}, column 'pose': {pose[row]:g} occurs again in row "
-            f"{where[float(pose[row])] + 2}; allowed: each pose's own number"
+            f"{columns.at(row)}, column 'pose': {pose[row]:g} occurs again in row "
+            f"{columns.row[where[float(pose[row])]]}; allowed: each pose's own number"
         )
     if (pose == other).any():
         row = int(np.argmax(pose == other))
-        raise InputError(f"{columns.source}: row {row + 2}, column 'other_pose': {other[row]:g} is that pose itself")
+        raise InputError(f"{columns.at(row)}, column 'other_pose': {other[row]:g} is that pose itself")
     missing = [k for k, o in enumerate(other) if float(o) not in where]
     if missing:
         raise InputError(
-            f"{columns.source}: row {missing[0] + 2}, column 'other_pose': {other[missing[0]]:g} is no pose of this "
+            f"{columns.at(missing[0])}, column 'other_pose': {other[missing[0]]:g} is no pose of this "
             "table; allowed: the numbers in column 'pose'"
         )
     return {"distance": _positive_distance(columns), "other": q[[where[float(o)] for o in other]]}
@@ -71,7 +71,7 @@ def _positive_distance(columns: Columns) -> Array:
     if (distance <= 0).any():
         row = int(np.argmax(distance <= 0))
         raise InputError(
-            f"{columns.source}: row {row + 2}, column 'distance': {1e3 * distance[row]:.4g} mm; a distance must be "
+            f"{columns.at(row)}, column 'distance': {1e3 * distance[row]:.4g} mm; a distance must be "
             "positive (poses at one point are kind 'contact')"
         )
     return distance
@@ -82,7 +82,7 @@ def _contact(columns: Columns, _q: Array) -> dict[str, Array | None]:
         raise InputError(f"{columns.source}: column 'point' is missing; it says which point each pose touches")
     empty = columns.table["point"].isna().to_numpy()
     if empty.any():
-        raise InputError(f"{columns.source}: row {int(np.argmax(empty)) + 2}, column 'point' is empty; name the point")
+        raise InputError(f"{columns.at(int(np.argmax(empty)))}, column 'point' is empty; name the point")
     label = columns.table["point"].astype(str).to_numpy(dtype=object)
     names, counts = np.unique(label.astype(str), return_counts=True)
     if counts.max() < 2:

@@ -17,18 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from casadical.core.errors import InputError
 from casadical.core.transforms import Array
-from casadical.measurements.columns import Columns
-from casadical.measurements.kinds import KINDS, OBSERVED, Kind, guess_kind
+from casadical.measurements.kinds import Kind
 from casadical.measurements.validation import refuse_malformed
-
-__all__ = ["SETS", "Kind", "Measurements", "from_table", "read_measurements", "read_readings", "same_readings"]
 
 SETS = ("identify", "train", "choose", "report")
 
@@ -150,127 +145,3 @@ def same_readings(q: Array) -> Array:
         order = np.argsort(column)
         cells[order, j] = np.cumsum(np.diff(column[order], prepend=column[order[0]]) > SAME_READING)
     return np.asarray(np.unique(cells, axis=0, return_inverse=True)[1].ravel())
-
-
-def read_measurements(
-    path: str | Path,
-    joints: int | Sequence[str],
-    kind: Kind | None = None,
-    *,
-    columns: Mapping[str, str] | None = None,
-    sigma_mm: float | None = None,
-    sigma_deg: float | None = None,
-) -> Measurements:
-    """Measurements from a CSV file.
-
-    joints : number of joints, or the kind of each ("revolute", "prismatic")
-    kind : what was observed; by default what the columns say
-    columns : new name -> name in the file, where the file's headers differ from ours
-
-    Raises InputError that names the file, row and column where something is wrong.
-    """
-    path, table = _csv(path)
-    return from_table(table, joints, kind, columns=columns, sigma_mm=sigma_mm, sigma_deg=sigma_deg, source=path.name)
-
-
-def read_readings(path: str | Path, joints: int | Sequence[str]) -> Measurements:
-    """Poses that are planned but not measured, from a CSV file: readings and conditions, every position zero.
-
-    Raises InputError as `read_measurements` does.
-    """
-    path, table = _csv(path)
-    table = table.drop(columns=[c for c in table if str(c).strip() in _POSITIONS])
-    return from_table(table.assign(x_m=0.0, y_m=0.0, z_m=0.0), joints, "position", source=path.name)
-
-
-_POSITIONS = {f"{c}{u}" for c in "xyz" for u in ("_mm", "_m")}
-
-
-def _csv(path: str | Path) -> tuple[Path, pd.DataFrame]:
-    path = Path(path)
-    try:
-        table = pd.read_csv(path)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a readable CSV table: {str(error).strip()}") from None
-    if table.shape[1] == 1 and (";" in str(table.columns[0]) or "\t" in str(table.columns[0])):
-        raise InputError(f"{path}: its columns are parted by ';' or tabs; allowed: commas, with decimal points")
-    return path, table
-
-
-def from_table(
-    table: pd.DataFrame,
-    joints: int | Sequence[str],
-    kind: Kind | None = None,
-    *,
-    columns: Mapping[str, str] | None = None,
-    sigma_mm: float | None = None,
-    sigma_deg: float | None = None,
-    source: str = "table",
-) -> Measurements:
-    """Measurements from a pandas table; arguments and errors (Raises InputError) as of `read_measurements`."""
-    given = Columns(_renamed(_tidy(table, source), columns or {}, source), source)
-    kinds = ["revolute"] * joints if isinstance(joints, int) else list(joints)
-    if not kinds or set(kinds) - {"revolute", "prismatic"}:
-        raise InputError(f"{source}: joints {joints!r}; allowed: their number, or 'revolute' or 'prismatic' for each")
-    kind = kind or guess_kind(given)
-    if kind not in KINDS:
-        raise InputError(f"{source}: kind {kind!r} is not known; allowed: {', '.join(KINDS)}")
-    q = given.joints(kinds)
-    observed = OBSERVED[kind](given, q)
-    found = Measurements(
-        q=q,
-        kind=kind,
-        conditions=given.conditions(),
-        sigma=None if sigma_mm is None else sigma_mm * 1e-3,
-        sigma_angle=None if sigma_deg is None else float(np.deg2rad(sigma_deg)),
-        weight=given.column("weight") if "weight" in given.table else np.ones(len(q)),
-        row=np.arange(len(q)) + 2,
-        source=source,
-        **observed,  # type: ignore[arg-type]
-    )
-    _refuse_repeats(found)
-    return found
-
-
-def _tidy(table: pd.DataFrame, source: str) -> pd.DataFrame:
-    """Headers without blanks around them, wholly empty columns left out. Raises InputError: no rows, names twice."""
-    table = table.rename(columns=lambda name: str(name).strip())
-    twice = sorted(set(table.columns[table.columns.duplicated()]))
-    # pandas reads a second x_mm as x_mm.1
-    twice += [c[:-2] for c in table.columns if c.endswith(".1") and c[:-2] in table]
-    if twice:
-        raise InputError(f"{source}: column {twice[0]!r} is there twice; keep one")
-    if not len(table):
-        raise InputError(f"{source}: a header but no rows; at least one pose is needed")
-    return table.dropna(axis="columns", how="all")
-
-
-def _renamed(table: pd.DataFrame, columns: Mapping[str, str], source: str) -> pd.DataFrame:
-    for ours, theirs in columns.items():
-        if theirs not in table:
-            raise InputError(f"{source}: column {theirs!r}, named for {ours!r}, is missing; there are {list(table)}")
-    # A header that keeps its own name elsewhere in the map is copied, not moved.
-    copies = {ours: table[theirs] for ours, theirs in columns.items()}
-    return table.drop(columns=[c for c in columns if c in table and columns[c] != c]).assign(**copies)
-
-
-def _refuse_repeats(found: Measurements) -> None:
-    """A row copied whole is no second measurement."""
-    seen = [found.q]
-    for part in (found.position, found.distance, found.other):
-        if part is not None:
-            seen.append(part.reshape(len(found), -1))
-    if found.label is not None:
-        seen.append(np.unique(found.label.astype(str), return_inverse=True)[1].reshape(-1, 1).astype(float))
-    stacked = np.concatenate(seen, axis=1)
-    _, first, inverse = np.unique(stacked, axis=0, return_index=True, return_inverse=True)
-    origin = first[inverse.ravel()]
-    copies = np.flatnonzero(origin != np.arange(len(found)))
-    if copies.size:
-        k = int(copies[0])
-        raise InputError(
-            f"{found.source}: row {found.row[k]} repeats row {found.row[origin[k]]} to the last digit, readings "
-            f"and observation alike ({copies.size} such rows); a true repeat differs by its noise: delete copies"
-        )

@@ -12,7 +12,7 @@ from casadical.core.errors import InputError
 from casadical.effects import Effect
 from casadical.identification.identification import identify
 from casadical.measurements.derived_columns import derive
-from casadical.measurements.measurements import Measurements, read_measurements
+from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.candidates import Circumstances
 from casadical.pose_selection.choice import select_poses
 from casadical.pose_selection.criteria import Criterion
@@ -50,13 +50,12 @@ def planned_with(path: Path, measured: Path | None) -> str:
     )
 
 
-def continued(robot: Robot, path: Path, noise: Noise | None) -> tuple[Robot, Measurements, Noise]:
+def continued(robot: Robot, m: Measurements, noise: Noise | None) -> tuple[Robot, Measurements, Noise]:
     """The robot calibrated by what was measured, that, and the noise it shows if none is given. Raises InputError."""
-    m = read_measurements(path, [j.kind for j in robot.joints])
     m, missing = derive(m, robot.conditions)
     lost = [name for name in missing if name != "payload_kg"]
     if lost:
-        raise InputError(f"{path}: column {lost[0]!r} is missing, which the effects to plan for need")
+        raise InputError(f"{m.source}: column {lost[0]!r} is missing, which the effects to plan for need")
     result = identify(robot, m, ("kinematic", "compliance", *(e.label for e in robot.effects)))
     return result.robot, m, noise or Noise(result.sigmas[0][0])
 
@@ -70,7 +69,7 @@ class _Start:
     noise: Noise | None
 
 
-def _start(robot: Robot, effects: Sequence[Effect], measured: Path | None, noise: Noise | None) -> _Start:
+def _start(robot: Robot, effects: Sequence[Effect], measured: Measurements | None, noise: Noise | None) -> _Start:
     known = {e.label for e in robot.effects}
     robot = robot.with_effect(*(e for e in effects if e.label not in known)) if effects else robot
     return _Start(robot, None, noise) if measured is None else _Start(*continued(robot, measured, noise))
@@ -90,13 +89,13 @@ def look_ahead(
     most: int = 100,
     workspace: Workspace | None = None,
     circumstances: Circumstances | None = None,
-    measured: Path | None = None,
+    measured: Measurements | None = None,
     noise: Noise | None = None,
     seed: int = 0,
 ) -> Forecast:
     """The stopping rule: the accuracy to expect against the number of poses, with what was measured so far.
 
-    effects : in the model as well; measured : file of poses measured already; most : as of `forecast`, on top of these
+    effects : in the model as well; measured : poses measured already; most : as of `forecast`, on top of these
     Raises InputError.
     """
     start = _start(robot, effects, measured, noise)
@@ -116,7 +115,7 @@ def plan(
     criterion: Criterion = "V",
     workspace: Workspace | None = None,
     circumstances: Circumstances | None = None,
-    measured: Path | None = None,
+    measured: Measurements | None = None,
     noise: Noise | None = None,
     min_distance: float = 0.0,
     order: bool = True,
@@ -124,7 +123,7 @@ def plan(
 ) -> tuple[Selection, Forecast]:
     """Poses in order and the forecast beyond them.
 
-    effects : to be told, besides the accuracy over the task; measured : file of poses measured already; order : for
+    effects : to be told, besides the accuracy over the task; measured : poses measured already; order : for
     little travel; other arguments as of `select_poses`. Raises InputError.
     """
     start = _start(robot, effects, measured, noise)

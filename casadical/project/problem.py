@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 import numpy as np
-import pandas as pd
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from casadical.core.errors import InputError
 from casadical.core.schema import FaultError, check, load_toml
 from casadical.identification.residuals import Loss
-from casadical.measurements.measurements import SETS, Kind, Measurements, from_table
+from casadical.measurements.columns import Columns
+from casadical.measurements.kinds import Kind
+from casadical.measurements.measurements import SETS, Measurements
+from casadical.measurements.raw_table import RawTable, read_table
+from casadical.measurements.reading import from_columns, readings_alone
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
@@ -44,6 +47,12 @@ class _Data(_Strict):
     separation: list[_Separation] = []
     sigma_mm: float | None = Field(default=None, gt=0)
     sigma_deg: float | None = Field(default=None, gt=0)
+
+    def named_in(self, header: Sequence[str]) -> _Data:
+        """With only those of its own names for columns that a header has."""
+        columns = {ours: theirs for ours, theirs in self.columns.items() if theirs in header}
+        point_from = self.point_from if set(self.point_from) <= set(header) else []
+        return self.model_copy(update={"columns": columns, "point_from": point_from})
 
 
 class _Sets(_Strict):
@@ -103,7 +112,7 @@ class _ProblemFile(_Strict):
     methods: list[AnyMethod] = ["KM", "SKCM"]
     loss: Loss = "linear"
     paper: _Paper | None = None
-    measurements: list[_Data] = Field(min_length=1)
+    measurements: list[_Data] = []
     sets: _Sets = _Sets()
 
 
@@ -153,6 +162,8 @@ def read_problem(folder: str | Path, seed: int | None = None) -> Problem:
     """
     folder = Path(folder)
     file, path = _problem_file(folder), folder / "problem.toml"
+    if not file.measurements:
+        raise InputError(f"{path}: measurements: is missing; a calibration needs at least one table [[measurements]]")
     robot = _read_robot(folder / file.robot, file.urdf or _Urdf())
     sets = file.sets if seed is None else file.sets.model_copy(update={"seed": seed})
     split: dict[str, list[Measurements]] = {}
@@ -227,43 +238,50 @@ def _read_robot(path: Path, urdf: _Urdf) -> Robot:
     return read_robot(path)
 
 
+def read_campaign(folder: str | Path, path: str | Path, robot: Robot, *, readings_only: bool = False) -> Measurements:
+    """A table of measured poses beside a problem, its columns understood as the problem's own tables are.
+
+    The `columns`, `point_from` and `kind` are those of the [[measurements]] with this file; of another file, those of
+    the first [[measurements]] whose own names for columns it has, as far as it has them.
+    folder : of the problem; where it has no problem.toml, or is a robot's file, the table's headers are taken as ours
+    readings_only : of poses that are planned but not measured: every position is zero
+
+    Raises InputError.
+    """
+    folder, raw = Path(folder), read_table(path)
+    tables = _problem_file(folder).measurements if (folder / "problem.toml").exists() else []
+    data = _fitting(folder, raw, tables)
+    columns, joints = Columns.of_file(raw).mapped(data.columns, data.point_from), [j.kind for j in robot.joints]
+    return readings_alone(columns, joints) if readings_only else from_columns(columns, joints, data.kind)
+
+
+def _fitting(folder: Path, raw: RawTable, tables: Sequence[_Data]) -> _Data:
+    """How a problem's tables say that this one is to be understood."""
+    for data in tables:
+        if (folder / data.file).resolve() == raw.path.resolve():
+            return data
+    for data in tables:
+        found = data.named_in(raw.header)
+        if found.columns or found.point_from:
+            return found
+    return _Data(file=raw.path.name)
+
+
 def _read(folder: Path, data: _Data, robot: Robot, sets: _Sets) -> dict[str, Measurements]:
     path = folder / data.file
-    try:
-        table = pd.read_csv(path)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; it is named in {folder / 'problem.toml'}") from None
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a readable CSV table: {str(error).strip()}") from None
-    missing = [c for c in data.point_from if c not in table]
-    if missing:
-        raise InputError(f"{path}: column {missing[0]!r}, named in point_from, is missing; there are {list(table)}")
-    if data.point_from:
-        table = table.assign(point=table[data.point_from].astype(str).agg("/".join, axis=1))
-    found = from_table(
-        table,
-        [j.kind for j in robot.joints],
-        data.kind,
-        columns=data.columns,
-        sigma_mm=data.sigma_mm,
-        sigma_deg=data.sigma_deg,
-        source=path.name,
-    )
-    separations = tuple((s.between[0], s.between[1], s.distance_mm * 1e-3) for s in data.separation)
-    if found.label is not None:
-        unknown = {name for s in separations for name in s[:2]} - set(found.label)
-        if unknown:
-            raise InputError(
-                f"{path.name}: separation: no point {min(unknown)!r}; there are {sorted(set(found.label))}"
-            )
-    found = replace(found, separations=separations)
-    return found.split(sets.sizes(), sets.seed) if sets.column is None else _by_column(found, table, sets.column)
+    if not path.exists():
+        raise InputError(f"{path}: no such file; it is named in {folder / 'problem.toml'}")
+    columns = Columns.of_file(read_table(path)).mapped(data.columns, data.point_from)
+    joints = [j.kind for j in robot.joints]
+    found = from_columns(columns, joints, data.kind, sigma_mm=data.sigma_mm, sigma_deg=data.sigma_deg)
+    found = found.with_separations((s.between[0], s.between[1], s.distance_mm * 1e-3) for s in data.separation)
+    return found.split(sets.sizes(), sets.seed) if sets.column is None else _by_column(found, columns, sets.column)
 
 
-def _by_column(found: Measurements, table: pd.DataFrame, column: str) -> dict[str, Measurements]:
-    if column not in table:
-        raise InputError(f"{found.source}: column {column!r}, named in sets, is missing; there are {list(table)}")
-    names = table[column].astype(str)
+def _by_column(found: Measurements, columns: Columns, column: str) -> dict[str, Measurements]:
+    if column not in columns.table:
+        raise InputError(f"{found.source}: column {column!r}, named in sets, is missing; there are {columns.names}")
+    names = columns.table[column].astype(str)
     unknown = set(names) - set(SETS)
     if unknown:
         raise InputError(f"{found.source}: column {column!r} holds {min(unknown)!r}; allowed: {', '.join(SETS)}")

@@ -26,7 +26,7 @@ from casadical.diagnosis.next_poses import next_poses
 from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.thresholds import CLAIM, detection
 from casadical.identification.identification import identify
-from casadical.measurements.measurements import from_table
+from casadical.measurements.reading import from_table
 from casadical.pose_selection import Workspace
 from casadical.pose_selection.candidates import draw_uniform
 from casadical.project.problem import read_campaign_robot

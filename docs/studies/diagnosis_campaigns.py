@@ -32,7 +32,8 @@ from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.thresholds import PARTITIONS
 from casadical.identification.identification import Identification, identify
-from casadical.measurements.measurements import Measurements, from_table
+from casadical.measurements.measurements import Measurements
+from casadical.measurements.reading import from_table
 from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot import Robot
 

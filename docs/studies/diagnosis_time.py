@@ -14,7 +14,8 @@ from diagnosis_campaigns import ROBOTS, hidden, machine
 
 from casadical.blind_check.numpy_physics import campaign, perturb
 from casadical.diagnosis.diagnose import diagnose
-from casadical.measurements.measurements import Measurements, from_table
+from casadical.measurements.measurements import Measurements
+from casadical.measurements.reading import from_table
 from casadical.robot.robot import Robot
 
 CAMPAIGNS, DRAWS = 36, 2000

@@ -15,7 +15,7 @@ from casadical.diagnosis.candidates import standard_candidates
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.thresholds import detection
 from casadical.identification.identification import identify
-from casadical.measurements.measurements import from_table
+from casadical.measurements.reading import from_table
 from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]

@@ -7,7 +7,7 @@ at. `earlier` is what an experiment on an arm like the HH800 had found.
 from pathlib import Path
 
 from casadical.diagnosis.isolability import isolability
-from casadical.measurements.measurements import read_measurements
+from casadical.measurements.reading import read_measurements
 from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]

@@ -23,7 +23,8 @@ from casadical.diagnosis.json_answer import Extras
 from casadical.diagnosis.text import page_of
 from casadical.identification.accuracy import errors, predicted
 from casadical.measurements.derived_columns import derive
-from casadical.measurements.measurements import Measurements, from_table
+from casadical.measurements.measurements import Measurements
+from casadical.measurements.reading import from_table
 from casadical.project.problem import read_problem
 from casadical.robot.robot import Robot
 

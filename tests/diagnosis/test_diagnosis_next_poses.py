@@ -15,7 +15,8 @@ from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.next_poses import _causes, _Duel, _Model, _noise_at, _predict, _Prediction, next_poses
 from casadical.diagnosis.pose_pool import draw_pool
 from casadical.identification.accuracy import predicted
-from casadical.measurements.measurements import Measurements, from_table
+from casadical.measurements.measurements import Measurements
+from casadical.measurements.reading import from_table
 from casadical.pose_selection import Workspace
 from casadical.pose_selection.candidates import draw_uniform
 

@@ -8,7 +8,8 @@ import numpy as np
 from casadical.diagnosis.candidates import extended_candidates
 from casadical.effects import Effect
 from casadical.measurements.derived_columns import derive
-from casadical.measurements.measurements import Measurements, read_measurements
+from casadical.measurements.measurements import Measurements
+from casadical.measurements.reading import read_measurements
 from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot import Robot
 

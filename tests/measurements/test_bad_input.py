@@ -93,7 +93,7 @@ TABLES = [
     Bad("no such file", lambda tmp: read_measurements(tmp / "none.csv", 3), ("none.csv", "no such file")),
     Bad("a folder", lambda tmp: read_measurements(tmp, 3), ("not a readable CSV",)),
     Bad("empty file", lambda tmp: file(tmp, ""), ("bad.csv", "not a readable CSV")),
-    Bad("ragged rows", lambda tmp: file(tmp, "a,b\n1,2\n1,2,3,4\n"), ("bad.csv", "not a readable CSV", "line 3")),
+    Bad("ragged rows", lambda tmp: file(tmp, "a,b\n1,2\n1,2,3,4\n"), ("bad.csv", "row 3 has 4 cells", "2")),
     Bad("not text", lambda tmp: file(tmp, b"a,b\n\xff\xfe\x00\x81,2\n"), ("bad.csv", "not a readable CSV")),
     Bad("semicolons", lambda tmp: file(tmp, "q1_deg;x_mm\n1;2\n"), ("bad.csv", "';'", "commas")),
     Bad("header only", lambda tmp: file(tmp, "q1_deg,q2_deg,q3_deg,x_mm,y_mm,z_mm\n"), ("bad.csv", "no rows")),

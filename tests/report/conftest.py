@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from casadical.diagnosis.diagnose import diagnose
-from casadical.measurements.measurements import read_measurements
+from casadical.measurements.reading import read_measurements
 from casadical.project.calibration import problem_networks
 from casadical.project.problem import read_campaign_robot
 from casadical.report import calibration_report, diagnosis_report

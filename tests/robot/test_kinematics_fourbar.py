@@ -11,7 +11,7 @@ from numeric_arm import hh800, pose, readings, rocker_angle, vector
 
 from casadical.core.errors import InputError
 from casadical.identification.plausibility import check_against
-from casadical.measurements.measurements import from_table
+from casadical.measurements.reading import from_table
 from casadical.robot import fourbar
 
 PARALLELOGRAM = (0.8, 1.6, 0.8, 1.6)  # L5, L4, L3, ground

@@ -163,7 +163,7 @@ PROBLEM_FAULTS = {
     "no such method": (("[[", 'methods = ["BP"]\n[['), ["methods[1] = 'BP'", "'KM', 'SKCM', 'NN-SKCM'"]),
     "no such loss": (("[[", 'loss = "cauchy"\n[['), ["loss = 'cauchy'", "'soft_l1'"]),
     "neither real nor synthetic": (('"synthetic"', '"made up"'), ["data = 'made up'", "'real' or 'synthetic'"]),
-    "no such table": (('"table.csv"', '"tables.csv"'), ["tables.csv", "No such file"]),
+    "no such table": (('"table.csv"', '"tables.csv"'), ["tables.csv", "no such file", "named in", "problem.toml"]),
     "the table is a folder": (('"table.csv"', '"."'), ["Is a directory"]),
     "no such robot": (("[[", 'robot = "arm.toml"\n[['), ["arm.toml", "no such file"]),
     "negative sigma": (

@@ -65,7 +65,7 @@ def read_program(path: str | Path, joints: int) -> Program:
         raise InputError(f"{path}: {'a header but no rows' if lines else 'is empty'}; at least one target is needed")
     header = tuple(name.strip() for name in lines[0][1])
     if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
-        raise InputError(f"{path}: its columns are parted by ';' or tabs; allowed: commas, with decimal points")
+        raise InputError(f"{path}: its columns are separated by ';' or tabs; allowed: commas, with decimal points")
     columns, units = _columns(path, header, joints)
     for number, cells in lines[1:]:
         if len(cells) != len(header):

@@ -11,8 +11,8 @@ from casadical.export.mjcf.into_mjcf import into_mjcf
 from casadical.export.mjcf.mjcf import MjcfExport
 from casadical.identification.identification import Identification, identify
 from casadical.measurements.derived_columns import derive
-from casadical.measurements.measurements import Measurements, read_measurements
-from casadical.project.problem import Problem, read_campaign_robot, read_problem, read_problem_robot
+from casadical.measurements.measurements import Measurements
+from casadical.project.problem import Problem, read_campaign, read_campaign_robot, read_problem, read_problem_robot
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
@@ -43,7 +43,7 @@ def robot_to_write(
     if campaign is None:
         return calibrated(source)[1].robot, None
     robot = read_campaign_robot(source)
-    m = read_measurements(campaign, [j.kind for j in robot.joints])
+    m = read_campaign(source, campaign, robot)
     found = diagnose(robot, m, effects.split(",") if effects else "standard", show=show)
     return with_causes(robot, m, found), found
 

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from casadical.core.errors import InputError
 from casadical.core.schema import load_toml
+from casadical.measurements.raw_table import RawTable, read_table
 from casadical.project.check.findings import Finding
 
 # Columns that the model or an effect may ask for, besides readings and observations.
@@ -26,11 +28,11 @@ def table_faults(folder: Path, joints: int | None) -> list[Finding]:
     for data in _tables(folder):
         path = folder / str(data.get("file", ""))
         try:
-            table = pd.read_csv(path).rename(columns=lambda name: str(name).strip())
-        except (OSError, ValueError):
-            continue  # said already by whoever read the problem
+            table = read_table(path)
+        except InputError:
+            continue  # read_problem has reported it
         renamed = {str(theirs): str(ours) for ours, theirs in dict(data.get("columns", {})).items()}
-        found += _missing(table.rename(columns=renamed), joints, path.name) + _not_numbers(table, path.name)
+        found += _missing([renamed.get(name, name) for name in table.header], joints, path.name) + _not_numbers(table)
     return found
 
 
@@ -39,8 +41,8 @@ def _tables(folder: Path) -> Sequence[Mapping[str, Any]]:
     return [d for d in listed if isinstance(d, Mapping)] if isinstance(listed, list) else []
 
 
-def _missing(table: pd.DataFrame, joints: int | None, source: str) -> list[Finding]:
-    stems = {str(c).rsplit("_", 1)[0] for c in table}
+def _missing(header: Sequence[str], joints: int | None, source: str) -> list[Finding]:
+    stems = {name.rsplit("_", 1)[0] for name in header}
     lost = [f"q{i}" for i in range(1, (joints or 0) + 1) if f"q{i}" not in stems]
     if not lost:
         return []
@@ -48,13 +50,13 @@ def _missing(table: pd.DataFrame, joints: int | None, source: str) -> list[Findi
     return [Finding("error", "columns", text + "`columns` in problem.toml")]
 
 
-def _not_numbers(table: pd.DataFrame, source: str) -> list[Finding]:
+def _not_numbers(table: RawTable) -> list[Finding]:
     found = []
-    for name in map(str, table):
-        bad = np.flatnonzero(~np.isfinite(pd.to_numeric(table[name], errors="coerce").to_numpy(dtype=float)))
-        if 0 < len(bad) <= len(table) // 2:
-            rows = ", ".join(str(k + 2) for k in bad[:8]) + (" ..." if len(bad) > 8 else "")
-            found.append(Finding("error", "cells", f"{source}: column {name!r} holds no number in row {rows}"))
+    for name, cells in table.frame().items():
+        bad = np.flatnonzero(~np.isfinite(pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)))
+        if 0 < len(bad) <= len(cells) // 2:
+            rows = ", ".join(str(table.line[k]) for k in bad[:8]) + (" ..." if len(bad) > 8 else "")
+            found.append(Finding("error", "cells", f"{table.path.name}: column {name!r} holds no number in row {rows}"))
     return found
 
 

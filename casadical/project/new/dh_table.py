@@ -17,9 +17,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
 from casadical.core.errors import InputError
+from casadical.measurements.raw_table import read_table
 from casadical.project.new.texts import ROBOT_HEAD
 
 _ROW = [f"{stem}{unit}" for stem, units in (("a", ("_mm", "_m")), ("alpha", ("_deg", "_rad")), ("d", ("_mm", "_m")),
@@ -33,22 +32,15 @@ def robot_text(path: Path, name: str, convention: str) -> str:
     """The commented text of a robot file. Raises InputError that names file, row and column."""
     if convention not in ("modified", "standard"):
         raise InputError(f"--convention {convention}: not known; allowed: modified, standard")
-    try:
-        table = pd.read_csv(path).rename(columns=lambda c: str(c).strip())
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a readable CSV table: {str(error).strip()}") from None
-    unknown = [str(c) for c in table if c not in _KNOWN]
+    table = read_table(path)
+    unknown = [name for name in table.header if name not in _KNOWN]
     if unknown:
         raise InputError(f"{path.name}: column {unknown[0]!r} is not known; allowed: {', '.join(_KNOWN)}")
-    if not set(table) & set(_ROW):
+    if not set(table.header) & set(_ROW):
         raise InputError(f"{path.name}: no DH number found; columns are a_mm, alpha_deg, d_mm, theta_deg")
-    if not len(table):
-        raise InputError(f"{path.name}: a header but no rows; one row a joint is needed")
     rows = [
-        _row({str(k): v for k, v in row.items()}, f"{path.name}: row {k + 2}")
-        for k, row in enumerate(table.to_dict("records"))
+        _row({str(key): value for key, value in row.items()}, f"{path.name}: row {line}")
+        for line, row in zip(table.line, table.frame().to_dict("records"), strict=True)
     ]
     head = ROBOT_HEAD.format(name=name.replace('"', "'"), convention=convention, table=path.name.replace('"', "'"))
     return head + "\n" + "\n".join(rows)

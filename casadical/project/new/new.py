@@ -8,6 +8,7 @@ from pathlib import Path
 
 from casadical.core.errors import InputError
 from casadical.core.files import write_together
+from casadical.measurements.raw_table import read_table
 from casadical.project.new.dh_table import robot_text
 from casadical.project.new.synthetic import POSES, synthetic_poses
 from casadical.project.new.texts import EXAMPLE_ROBOT, problem_text, readme_text
@@ -41,12 +42,12 @@ def new_problem(
         raise InputError("--data needs the robot that was measured; give --urdf or --dh as well")
     name = folder.resolve().name
     texts, robot = _robot_files(name, urdf, base_link, tip_link, dh, convention)
-    table = _read(data) if data else synthetic_poses(robot, seed)
+    given = read_table(data) if data else None
     compliant = any(j.compliance is not None for j in robot.joints)
     links = (base_link, tip_link) if urdf else None
-    sets = "set" in table.partition("\n")[0].strip().split(",")
+    sets = given is not None and "set" in given.header
     texts |= {
-        "poses.csv": table,
+        "poses.csv": given.text if given else synthetic_poses(robot, seed),
         "problem.toml": problem_text(robot.name, bool(data), links, compliant, sets, seed, POSES),
         "README.md": readme_text(name, robot.name, *(path.name if path else None for path in (data, urdf, dh))),
     }

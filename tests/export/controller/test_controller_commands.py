@@ -198,7 +198,7 @@ BAD = {
     "seventh joint": (f"{HEAD},q7_deg\n1,90,180,0,0,0,0\n", ["'q7_deg': this robot has only 6 joints"]),
     "wrong unit": ("q1_mm\n1\n", ["'q1_mm'", "allowed: q1_deg, q1_rad"]),
     "corrected before": (f"{HEAD},correction_status\n1,90,180,0,0,0,OK\n", ["corrected before"]),
-    "semicolons": (HEAD.replace(",", ";") + "\n1;90;180;0;0;0\n", ["parted by ';'"]),
+    "semicolons": (HEAD.replace(",", ";") + "\n1;90;180;0;0;0\n", ["separated by ';'"]),
     "no rows": (HEAD + "\n", ["a header but no rows"]),
     "empty": ("", ["is empty"]),
 }

@@ -30,7 +30,8 @@ from casadical.export.mjcf import mjcf, positions, replay_campaign
 from casadical.export.mjcf.replay import replay
 from casadical.export.mjcf.urdf import urdf
 from casadical.identification.accuracy import predicted
-from casadical.measurements.measurements import Measurements, read_measurements
+from casadical.measurements.measurements import Measurements
+from casadical.measurements.reading import read_measurements
 from casadical.pose_selection import Workspace
 from casadical.pose_selection.candidates import draw_uniform
 from casadical.project.problem import read_campaign_robot

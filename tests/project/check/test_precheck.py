@@ -15,8 +15,7 @@ import pandas as pd
 import pytest
 
 from casadical.identification.identification import identify
-from casadical.project.check import Precheck
-from casadical.project.check import check as precheck
+from casadical.project.check import Precheck, precheck
 from casadical.project.problem import read_problem
 
 ROOT = Path(__file__).parents[3]

@@ -14,7 +14,7 @@ import pytest
 
 from casadical.core.errors import InputError
 from casadical.identification.identification import identify
-from casadical.project.check import check as precheck
+from casadical.project.check import precheck
 from casadical.project.new import new_problem
 from casadical.project.problem import read_problem
 from casadical.robot.robot_file import read_robot

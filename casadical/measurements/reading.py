@@ -1,0 +1,117 @@
+"""Measurements from CSV files and pandas tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from casadical.core.errors import InputError
+from casadical.measurements.columns import Columns
+from casadical.measurements.kinds import KINDS, OBSERVED, Kind, guess_kind
+from casadical.measurements.measurements import Measurements
+from casadical.measurements.raw_table import read_table
+
+_POSITIONS = {f"{c}{u}" for c in "xyz" for u in ("_mm", "_m")}
+
+
+def read_measurements(
+    path: str | Path,
+    joints: int | Sequence[str],
+    kind: Kind | None = None,
+    *,
+    columns: Mapping[str, str] | None = None,
+    point_from: Sequence[str] = (),
+    sigma_mm: float | None = None,
+    sigma_deg: float | None = None,
+) -> Measurements:
+    """Measurements from a CSV file.
+
+    joints : number of joints, or the kind of each ("revolute", "prismatic")
+    kind : what was observed; by default what the columns say
+    columns : our name -> name in the file, where the file's headers differ from ours
+    point_from : columns that together name the touched point, of kind contact
+    sigma_mm, sigma_deg : standard deviation of one coordinate [mm] and angle [deg]; None: estimated from the fit
+
+    Raises InputError that names the file, row and column where something is wrong.
+    """
+    table = Columns.of_file(read_table(path)).mapped(columns or {}, point_from)
+    return from_columns(table, joints, kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
+
+
+def from_table(
+    table: pd.DataFrame,
+    joints: int | Sequence[str],
+    kind: Kind | None = None,
+    *,
+    columns: Mapping[str, str] | None = None,
+    sigma_mm: float | None = None,
+    sigma_deg: float | None = None,
+    source: str = "table",
+) -> Measurements:
+    """Measurements from a pandas table; arguments and errors (Raises InputError) as of `read_measurements`."""
+    given = Columns.of_frame(table, source).mapped(columns or {})
+    return from_columns(given, joints, kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
+
+
+def from_columns(
+    columns: Columns,
+    joints: int | Sequence[str],
+    kind: Kind | None = None,
+    *,
+    sigma_mm: float | None = None,
+    sigma_deg: float | None = None,
+) -> Measurements:
+    """Measurements from columns under our names; arguments and errors (Raises InputError) as of `read_measurements`."""
+    kinds = ["revolute"] * joints if isinstance(joints, int) else list(joints)
+    if not kinds or set(kinds) - {"revolute", "prismatic"}:
+        raise InputError(
+            f"{columns.source}: joints {joints!r}; allowed: their number, or 'revolute' or 'prismatic' for each"
+        )
+    kind = kind or guess_kind(columns)
+    if kind not in KINDS:
+        raise InputError(f"{columns.source}: kind {kind!r} is not known; allowed: {', '.join(KINDS)}")
+    q = columns.joints(kinds)
+    observed = OBSERVED[kind](columns, q)
+    found = Measurements(
+        q=q,
+        kind=kind,
+        conditions=columns.conditions(),
+        sigma=None if sigma_mm is None else sigma_mm * 1e-3,
+        sigma_angle=None if sigma_deg is None else float(np.deg2rad(sigma_deg)),
+        weight=columns.column("weight") if "weight" in columns.table else np.ones(len(q)),
+        row=columns.row,
+        source=columns.source,
+        **observed,  # type: ignore[arg-type]
+    )
+    _refuse_repeats(found)
+    return found
+
+
+def readings_alone(columns: Columns, joints: int | Sequence[str]) -> Measurements:
+    """Poses that are planned but not measured: readings and conditions, every position zero. Raises InputError."""
+    table = columns.table.drop(columns=[name for name in columns.table if name in _POSITIONS])
+    return from_columns(replace(columns, table=table.assign(x_m=0.0, y_m=0.0, z_m=0.0)), joints, "position")
+
+
+def _refuse_repeats(found: Measurements) -> None:
+    """A row copied whole is no second measurement."""
+    seen = [found.q]
+    for part in (found.position, found.distance, found.other):
+        if part is not None:
+            seen.append(part.reshape(len(found), -1))
+    if found.label is not None:
+        seen.append(np.unique(found.label.astype(str), return_inverse=True)[1].reshape(-1, 1).astype(float))
+    stacked = np.concatenate(seen, axis=1)
+    _, first, inverse = np.unique(stacked, axis=0, return_index=True, return_inverse=True)
+    origin = first[inverse.ravel()]
+    copies = np.flatnonzero(origin != np.arange(len(found)))
+    if copies.size:
+        k = int(copies[0])
+        raise InputError(
+            f"{found.source}: row {found.row[k]} repeats row {found.row[origin[k]]} to the last digit, readings "
+            f"and observation alike ({copies.size} such rows); a true repeat differs by its noise: delete copies"
+        )

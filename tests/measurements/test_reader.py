@@ -1,0 +1,128 @@
+"""One reader: every command says the same of the same file, rows count as in the file, problem.toml names columns."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from casadical import InputError, read_measurements, read_problem
+from casadical.measurements.raw_table import read_table
+from casadical.project.check import precheck
+from casadical.project.new import new_problem
+from casadical.project.problem import read_campaign
+
+ROOT = Path(__file__).parents[2]
+PLANAR = ROOT / "problems" / "planar"
+CAMPAIGN = ROOT / "data" / "planar" / "planar.csv"
+POINT = {"x_mm": "X", "y_mm": "Y", "z_mm": "Z"}
+HEAD = 'casadical = 1\ntitle = "t"\n'
+
+
+def folder_with(tmp_path: Path, text: str, problem: str = '[[measurements]]\nfile = "poses.csv"\n') -> Path:
+    """A folder with the planar arm and a table."""
+    (tmp_path / "robot.toml").write_text((PLANAR / "robot.toml").read_text())
+    (tmp_path / "problem.toml").write_text(HEAD + problem)
+    (tmp_path / "poses.csv").write_text(text)
+    return tmp_path
+
+
+WRONG = {
+    "semicolons": (CAMPAIGN.read_text().replace(",", ";"), "separated by ';' or tabs; allowed: commas"),
+    "tabs": (CAMPAIGN.read_text().replace(",", "\t"), "separated by ';' or tabs; allowed: commas"),
+    "nothing": ("", "not a readable CSV table: it is empty"),
+    "a header": ("q1_deg,q2_deg,x_mm\n", "a header but no rows"),
+    "a cell too many": ("q1_deg,q2_deg,x_mm,y_mm,z_mm\n1,2,3,4,5,\n", "row 2 has 6 cells, the header 5"),
+    "a name twice": ("q1_deg,q2_deg,x_mm, x_mm\n1,2,3,4\n", "column 'x_mm' is there twice"),
+    "an open quote": ('q1_deg,q2_deg\n"1,2\n', "not a readable CSV table: unexpected end of data"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_every_command_says_the_same_of_the_same_file(name: str, tmp_path: Path) -> None:
+    text, words = WRONG[name]
+    folder = folder_with(tmp_path, text)
+    path = folder / "poses.csv"
+    said = []
+    for act in (
+        lambda: read_problem(folder),
+        lambda: read_campaign(folder, path, read_problem(PLANAR).robot),
+        lambda: read_measurements(path, 2),
+        lambda: new_problem(tmp_path / "made", dh=path),
+    ):
+        with pytest.raises(InputError) as refused:
+            act()
+        said.append(str(refused.value))
+    said += [f.text for f in precheck(folder).findings if f.topic == "reading"]
+    assert len(said) == 5
+    assert set(said) == {f"{path}: {said[0].removeprefix(f'{path}: ')}"}
+    assert words in said[0]
+
+
+def test_rows_count_as_in_the_file(tmp_path: Path) -> None:
+    """Blank lines and cells over several lines included."""
+    path = tmp_path / "blank.csv"
+    path.write_text('q1_deg,x_mm,y_mm,z_mm,remark\n\n10,1,2,3,"two\nlines"\n  \n20,4,5,6,\n30,bad,8,9,\n')
+    assert read_table(path).line == (3, 6, 7)
+    with pytest.raises(InputError, match=r"blank\.csv: row 7, column 'x_mm': 'bad' is not a finite number"):
+        read_measurements(path, 1)
+    path.write_text(path.read_text().replace("bad", "7"))
+    assert read_measurements(path, 1).row.tolist() == [3, 6, 7]
+
+
+@pytest.mark.parametrize("prefix", [b"", b"\xef\xbb\xbf"], ids=["plain", "with a byte order mark"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"], ids=["unix", "windows", "old mac"])
+def test_what_spreadsheets_write_reads_alike(prefix: bytes, end: str, tmp_path: Path) -> None:
+    path = tmp_path / "planar.csv"
+    path.write_bytes(prefix + CAMPAIGN.read_text().replace("\n", end).encode())
+    ours, theirs = read_measurements(path, 2), read_measurements(CAMPAIGN, 2)
+    assert np.array_equal(ours.q, theirs.q)
+    assert np.array_equal(ours.row, theirs.row)
+
+
+def renamed(tmp_path: Path) -> tuple[Path, Path]:
+    """A problem whose tables have other headers, and a campaign with these headers."""
+    table = pd.read_csv(CAMPAIGN).rename(columns=POINT)
+    named = ", ".join(f'{ours} = "{theirs}"' for ours, theirs in {**POINT, "payload_kg": "load"}.items())
+    folder = folder_with(
+        tmp_path,
+        table.assign(load=1.0).to_csv(index=False),
+        f'[[measurements]]\nfile = "poses.csv"\ncolumns = {{ {named} }}\n',
+    )
+    table.to_csv(tmp_path / "campaign.csv", index=False)
+    return folder, tmp_path / "campaign.csv"
+
+
+def test_a_campaign_is_understood_as_the_problems_own_tables_are(tmp_path: Path) -> None:
+    folder, campaign = renamed(tmp_path)
+    robot = read_problem(folder).robot
+    plain = read_measurements(CAMPAIGN, 2)
+    m = read_campaign(folder, campaign, robot)
+    assert m.position is not None
+    assert np.array_equal(m.position, plain.position)
+    assert "payload_kg" not in m.conditions  # the campaign has no column "load"; the problem's own table has
+    assert read_campaign(folder, folder / "poses.csv", robot).conditions["payload_kg"].tolist() == [1.0] * len(m)
+    assert np.array_equal(read_campaign(folder, CAMPAIGN, robot).position, plain.position)  # our own names need no map
+    assert not read_campaign(folder, campaign, robot, readings_only=True).position.any()
+
+
+def test_diagnose_takes_the_headers_of_the_problem(tmp_path: Path) -> None:
+    """Also where problem.toml lists nothing to calibrate from."""
+    folder, campaign = renamed(tmp_path)
+    for name, path in (("a", campaign), ("b", CAMPAIGN)):
+        if name == "b":
+            (folder / "problem.toml").write_text(HEAD)
+        command = [Path(sys.executable).parent / "casadical", "diagnose", "--isolability", "-q", folder, path]
+        done = subprocess.run(
+            [*command, "--json", tmp_path / f"{name}.json"], capture_output=True, text=True, check=False
+        )
+        assert (done.returncode, done.stderr) == (0, "")
+    first, second = (json.loads((tmp_path / f"{name}.json").read_text()) for name in "ab")
+    assert first | {"campaign": ""} == second | {"campaign": ""}
+    with pytest.raises(InputError, match=r"a calibration needs at least one table \[\[measurements\]\]"):
+        read_problem(folder)
