@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadical.compensator.layout import Array
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 
 

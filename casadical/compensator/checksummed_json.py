@@ -6,11 +6,11 @@ The seal guards against damage and careless edits, not against someone who compu
 import hashlib
 import json
 import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
 from casadical.core.errors import InputError
+from casadical.core.files import write_whole
 
 
 def digest(body: dict[str, Any]) -> str:
@@ -30,20 +30,8 @@ def sealed(kind: str, version: int, body: dict[str, Any]) -> str:
 
 
 def write_sealed(path: str | os.PathLike[str], kind: str, version: int, body: dict[str, Any]) -> None:
-    """Write a body as a sealed file: into a new file beside it, flushed to disk, then put in its place."""
-    text = sealed(kind, version, body)
-    target = Path(path)
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=target.name + ".", suffix=".part")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(name, 0o666 & ~_umask())
-        os.replace(name, target)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+    """Write a body as a sealed file, whole or not at all. Raises InputError where it cannot be written."""
+    write_whole(Path(path), sealed(kind, version, body))
 
 
 def read_sealed(path: str | os.PathLike[str], kind: str, version: int) -> dict[str, Any]:
@@ -80,9 +68,3 @@ def _intact(document: dict[str, Any], text: str) -> bool:
         return document.get("sha256") == digest(body) and sealed_text(document) == text
     except ValueError:  # NaN or Infinity, which a sealed file never holds
         return False
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

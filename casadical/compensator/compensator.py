@@ -14,12 +14,13 @@ from numpy.typing import ArrayLike
 
 from casadical.compensator.checks import joint_angles, residuals
 from casadical.compensator.folds import training_masks
-from casadical.compensator.layout import Array, Box, Layout, box_around
+from casadical.compensator.layout import Box, Layout, box_around
 from casadical.compensator.network import Network
 from casadical.compensator.report import BeforeAfter, table
 from casadical.compensator.task import Loss, make_task
 from casadical.compensator.trainers import Trainer, trainer_named
 from casadical.compensator.training import Progress, Training, train_all
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -155,7 +156,7 @@ class Compensator:
         rows = joint_angles(q, self.layout.joints)
         return np.zeros((len(rows), self.layout.outputs) if np.ndim(q) == 2 else self.layout.outputs)
 
-    def inside(self, q: ArrayLike) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    def inside(self, q: ArrayLike) -> Array:
         """Tell for every row of q, shape (n, joints) [rad], whether training saw such angles, joint by joint."""
         return self.trained_box.contains(joint_angles(q, self.layout.joints))
 

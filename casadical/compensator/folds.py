@@ -1,10 +1,11 @@
 """Folds of a cross-validation."""
 
 import numpy as np
-from numpy.typing import NDArray
+
+from casadical.core.arrays import Array
 
 
-def training_masks(samples: int, folds: int, seed: int) -> NDArray[np.bool_]:
+def training_masks(samples: int, folds: int, seed: int) -> Array:
     """Split samples at random into folds of sizes that differ by one at most.
 
     Returns a boolean array of shape (folds, samples), true where a sample is trained on.

@@ -7,14 +7,12 @@ Shapes: P networks, N samples, O outputs, weights (P, count), inputs (features +
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casadical.compensator.layout import Array, Layout
-
-Floats = NDArray[np.floating]
+from casadical.compensator.layout import Layout
+from casadical.core.arrays import Array
 
 
-def forward(layout: Layout, weights: Floats, inputs: Floats) -> Floats:
+def forward(layout: Layout, weights: Array, inputs: Array) -> Array:
     """Return the outputs of every network for every sample, shape (P, O, N), in the precision of the arguments."""
     first, *rest = layout.layers(weights)
     count, samples = len(weights), inputs.shape[1]

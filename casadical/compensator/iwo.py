@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from casadical.compensator.layout import Array
 from casadical.compensator.packing import pack, unpack
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 
 
@@ -63,7 +63,7 @@ class IwoSettings:
         return float(left**self.exponent * (self.sigma_initial - self.sigma_final) + self.sigma_final)
 
 
-def seed_counts(losses: Array, seeds_min: int, seeds_max: int) -> NDArray[np.int64]:
+def seed_counts(losses: Array, seeds_min: int, seeds_max: int) -> Array:
     """Return the number of children of every member (eqs. 15-16); all are best when all losses are equal.
 
     losses : array, shape (members,). A member whose loss is not finite has the fewest children.

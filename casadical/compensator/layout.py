@@ -11,11 +11,9 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -57,7 +55,7 @@ class Layout:
         """Number of weights, biases included."""
         return sum(m * k for m, k in self.shapes)
 
-    def layers(self, weights: NDArray[np.floating]) -> list[NDArray[np.floating]]:
+    def layers(self, weights: Array) -> list[Array]:
         """Split weight vectors into layers.
 
         weights : array, shape (..., count).
@@ -74,14 +72,14 @@ class Layout:
             start = stop
         return parts
 
-    def weights(self, layers: Sequence[NDArray[np.floating]]) -> NDArray[np.floating]:
+    def weights(self, layers: Sequence[Array]) -> Array:
         """Join layers into weight vectors: the inverse of `layers`. Raises InputError for layers of other shapes."""
         got = [np.shape(layer)[-2:] for layer in layers]
         if got != list(self.shapes):
             raise InputError(f"{self} has layers of shape {list(self.shapes)}; got {got}")
         return np.concatenate([np.asarray(part).reshape(*np.shape(part)[:-2], -1) for part in layers], axis=-1)
 
-    def output_biases(self) -> NDArray[np.bool_]:
+    def output_biases(self) -> Array:
         """Mark the biases of the output layer in a weight vector: boolean array, shape (count,)."""
         marks = [np.zeros(shape, dtype=bool) for shape in self.shapes]
         marks[-1][:, -1] = True
@@ -120,9 +118,9 @@ class Box:
         half = 0.5 * np.subtract(self.upper, self.lower, dtype=np.float64)
         return np.where(half > 0, half, 1.0)
 
-    def contains(self, q: Array) -> NDArray[np.bool_]:
+    def contains(self, q: Array) -> Array:
         """Tell for every row of q, shape (n, joints) [rad], whether it lies in the box."""
-        within: NDArray[np.bool_] = (q >= self.lower) & (q <= self.upper)
+        within: Array = (q >= self.lower) & (q <= self.upper)
         return np.asarray(within.all(axis=1), dtype=np.bool_)
 
 

@@ -7,7 +7,8 @@ import numpy as np
 
 from casadical.compensator.checks import joint_angles
 from casadical.compensator.forward import forward
-from casadical.compensator.layout import Array, Box, Layout, network_inputs
+from casadical.compensator.layout import Box, Layout, network_inputs
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 
 if TYPE_CHECKING:

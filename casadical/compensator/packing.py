@@ -4,12 +4,11 @@ from base64 import b64decode, b64encode
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casadical.compensator.layout import Array
+from casadical.core.arrays import Array
 
 
-def pack(array: NDArray[np.float64]) -> dict[str, Any]:
+def pack(array: Array) -> dict[str, Any]:
     """Return an array as its shape and its little-endian doubles in base64."""
     return {"shape": list(array.shape), "base64": b64encode(array.astype("<f8").tobytes()).decode("ascii")}
 

@@ -5,7 +5,7 @@ from typing import Self
 
 import numpy as np
 
-from casadical.compensator.layout import Array
+from casadical.core.arrays import Array
 
 
 @dataclass(frozen=True)

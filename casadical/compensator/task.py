@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.compensator.forward import Floats, forward
-from casadical.compensator.layout import Array, Box, Layout, network_inputs
+from casadical.compensator.forward import forward
+from casadical.compensator.layout import Box, Layout, network_inputs
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 
 
@@ -23,7 +24,7 @@ class Loss:
         if not (self.mean >= 0 and self.max >= 0 and self.mean + self.max > 0):
             raise InputError(f"the weights of the loss must not be negative nor both zero; got {self}")
 
-    def of(self, errors: Floats) -> Floats:
+    def of(self, errors: Array) -> Array:
         """Return the loss of every network: errors of shape (P, outputs, N) [mm] -> shape (P,) [mm^2]."""
         squares = np.einsum("pon,pon->pn", errors, errors)
         samples = errors.shape[2]
@@ -53,7 +54,7 @@ class Task:
     scale_mm: float = 1.0
     loss: Loss = Loss()
 
-    def losses(self, weights: Floats) -> Floats:
+    def losses(self, weights: Array) -> Array:
         """Return the loss of every row of weights, shape (P, count) -> (P,) [mm^2]."""
         errors = forward(self.layout, weights, self.inputs)
         errors -= self.targets

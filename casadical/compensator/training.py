@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from casadical.compensator.checksummed_json import digest, read_sealed, write_sealed
-from casadical.compensator.layout import Array
 from casadical.compensator.packing import pack, unpack
 from casadical.compensator.task import Task
 from casadical.compensator.trainers.base import Run, Trainer
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 
 _KIND, _VERSION = "casadical-training-checkpoint", 1

@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.parts import WIDTHS, Body, FourBar, Joint, Placement, Width, parallel, refuse_joint, with_hayati
-from casadical.core.transforms import Array
 
 STANDARD_GRAVITY = 9.80665
 

@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 
 
 def call(f: ca.Function, *arguments: Array) -> list[Array]:

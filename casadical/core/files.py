@@ -18,23 +18,32 @@ def write_whole(path: Path, text: str) -> None:
     write_together({path: text})
 
 
-def write_together(texts: Mapping[Path, str]) -> None:
-    """Write several files: all of them or, if one cannot be written, none. Raises InputError."""
+def write_together(contents: Mapping[Path, str | bytes]) -> None:
+    """Write several files, text as UTF-8: all of them or, if one cannot be written, none. Raises InputError."""
     scratch: dict[Path, Path] = {}
     try:
-        for path, text in texts.items():
+        for path, content in contents.items():
             if path.is_dir():
                 raise InputError(f"{path}: is a folder; name a file")
             path.parent.mkdir(parents=True, exist_ok=True)
             handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
             scratch[path] = Path(name)
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-            Path(name).chmod(0o644)
+            with os.fdopen(handle, "wb") as file:
+                file.write(content.encode() if isinstance(content, str) else content)
+                file.flush()
+                os.fsync(file.fileno())
+            Path(name).chmod(0o666 & ~_umask())
         for path, temporary in scratch.items():
             temporary.replace(path)
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}; nothing was written") from error
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}; nothing was written") from error
     finally:
         for temporary in scratch.values():
             temporary.unlink(missing_ok=True)
+
+
+def _umask() -> int:
+    """The permissions that new files of this process lack; they can only be read by setting them."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

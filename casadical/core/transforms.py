@@ -7,10 +7,10 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
+
+from casadical.core.arrays import Array as Array
 
 Symbolic = Any  # ca.SX, ca.MX, ca.DM or float: casadi's operators accept them all
-Array = NDArray[Any]
 
 
 def rot_x(angle: Symbolic) -> Symbolic:

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Array
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.candidates import Candidates, Circumstances, circumstanced
 from casadical.pose_selection.criteria import Criterion

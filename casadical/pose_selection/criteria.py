@@ -12,8 +12,8 @@ from typing import Literal
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Array
 
 Criterion = Literal["O1", "O2", "O3", "O4", "O5", "D", "A", "V"]
 CRITERIA: tuple[Criterion, ...] = ("O1", "O2", "O3", "O4", "O5", "D", "A", "V")

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 from casadical.pose_selection.criteria import SPECTRAL
 
 # After so many updates, C and the blocks are computed anew.

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Array
 from casadical.pose_selection.designs import Design
 
 # How many poses an excursion adds (or takes away) before it returns to the number wanted.

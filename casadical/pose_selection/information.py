@@ -13,8 +13,8 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Array
 from casadical.identification.identifiability import Unidentifiable, correlated, poorly_determined
 from casadical.identification.least_squares import LeastSquares
 from casadical.measurements.measurements import Measurements

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Array
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.candidates import Candidates, Circumstances, expected, timeline
 from casadical.robot.robot import Robot

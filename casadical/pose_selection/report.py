@@ -10,7 +10,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 from casadical.pose_selection.order import travel
 from casadical.pose_selection.selection import Selection
 from casadical.pose_selection.stopping import Forecast

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 from casadical.identification.identifiability import Unidentifiable
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.candidates import Candidates, Circumstances

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Array
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.candidates import Circumstances
 from casadical.pose_selection.design_problem import prepare

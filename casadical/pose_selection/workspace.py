@@ -8,8 +8,8 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Array
 from casadical.robot.kinematics import LEAST_MARGIN, link_frames
 from casadical.robot.model import base_frame
 from casadical.robot.robot import Robot

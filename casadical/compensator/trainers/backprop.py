@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from casadical.compensator.forward import forward, gradient
-from casadical.compensator.layout import Array
 from casadical.compensator.packing import pack, unpack
 from casadical.compensator.task import Task, random_weights
 from casadical.compensator.trainers.base import Trainer
+from casadical.core.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from casadical.compensator.layout import Array
 from casadical.compensator.task import Task
+from casadical.core.arrays import Array
 
 
 class Run(Protocol):

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from casadical.compensator.layout import Array
 from casadical.compensator.task import Task
 from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.gaussian_process import GaussianProcess
 from casadical.compensator.trainers.lm import LevenbergMarquardt, LmRun
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 
 

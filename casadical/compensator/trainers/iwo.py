@@ -6,9 +6,9 @@ from typing import Any, Literal
 import numpy as np
 
 from casadical.compensator.iwo import InvasiveWeeds, IwoSettings
-from casadical.compensator.layout import Array
 from casadical.compensator.task import Task
 from casadical.compensator.trainers.base import Trainer
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 
 
@@ -45,7 +45,7 @@ class IwoRun:
         self.search = search
         self._dtype = np.float32 if trainer.precision == "single" else np.float64
         inputs, targets = task.inputs.astype(self._dtype), task.targets.astype(self._dtype)
-        self._task = Task(task.layout, inputs, targets, task.scale_mm, task.loss)  # type: ignore[arg-type]
+        self._task = Task(task.layout, inputs, targets, task.scale_mm, task.loss)
 
     @property
     def steps(self) -> int:

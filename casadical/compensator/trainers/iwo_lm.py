@@ -3,11 +3,11 @@
 from dataclasses import dataclass, field
 from typing import Any
 
-from casadical.compensator.layout import Array
 from casadical.compensator.task import Task
 from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.iwo import Iwo, IwoRun
 from casadical.compensator.trainers.lm import LevenbergMarquardt, LmRun
+from casadical.core.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from typing import Any, Self
 import numpy as np
 
 from casadical.compensator.forward import forward, outputs_and_jacobian
-from casadical.compensator.layout import Array
 from casadical.compensator.packing import pack, unpack
 from casadical.compensator.task import Task
+from casadical.core.arrays import Array
 
 _CHUNK = 4_000_000  # doubles of one Jacobian held at a time
 

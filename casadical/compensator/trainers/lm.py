@@ -14,11 +14,11 @@ import numpy as np
 
 from casadical.compensator.folds import training_masks
 from casadical.compensator.forward import forward
-from casadical.compensator.layout import Array
 from casadical.compensator.packing import pack, unpack
 from casadical.compensator.task import Task, random_weights
 from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.levenberg import Batch, advance, begin_batch
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 
 _FIRST, _WARM = 100, 20  # iterations at the weakest ridge and at each stronger one

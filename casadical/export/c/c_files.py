@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, Real, literal
 from casadical.export.c.emit import elementary_functions, filled, kernel, template
-from casadical.export.c.products import Command, Vector
+from casadical.export.c.products import Command
 from casadical.export.c.program import Program, prepared_size
 
 SCHEMA = 1
@@ -156,7 +157,7 @@ def _decimal(value: float, real: Real) -> str:
     return repr(float(DTYPE[real](value))) + ("F" if real == "float" else "")
 
 
-def _box_text(lower: Vector, upper: Vector) -> str:
+def _box_text(lower: Array, upper: Array) -> str:
     return "".join(
         f" *   q[{i}]  {low:.9g} to {high:.9g}  ({np.rad2deg(low):.6g} to {np.rad2deg(high):.6g} deg)\n"
         for i, (low, high) in enumerate(zip(lower, upper, strict=True))
@@ -168,9 +169,9 @@ def box_share(n: int) -> float:
     return 2.0 ** -(n - 1).bit_length()
 
 
-def boxes(program: Program) -> dict[str, tuple[Vector, Vector]]:
+def boxes(program: Program) -> dict[str, tuple[Array, Array]]:
     """The boxes that inputs are moved into, by what they are for."""
-    found: dict[str, tuple[Vector, Vector]] = {}
+    found: dict[str, tuple[Array, Array]] = {}
     if program.command is not None:
         lower, upper, reach = program.command.lower, program.command.upper, program.command.limits.delta_rad
         found |= {"command": (lower, upper), "reach": (lower - reach, upper + reach)}
@@ -179,6 +180,6 @@ def boxes(program: Program) -> dict[str, tuple[Vector, Vector]]:
     return found
 
 
-def _table(pair: tuple[Vector, Vector], real: Real) -> str:
+def _table(pair: tuple[Array, Array], real: Real) -> str:
     rows = ("{ " + ", ".join(literal(float(v), real) for v in side) + " }" for side in pair)
     return "{\n            " + ",\n            ".join(rows) + "\n        }"

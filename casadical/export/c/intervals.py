@@ -6,9 +6,7 @@ Bounds are outward: each operation's result is widened by more than the rounding
 import math
 from collections.abc import Callable
 
-import numpy as np
-from numpy.typing import NDArray
-
+from casadical.core.arrays import Array
 from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, Real
 from casadical.export.c.tape import Node, Tape
 
@@ -87,7 +85,7 @@ def _widened(interval: Interval, real: Real) -> Interval:
     return (low, high) if low >= -c.largest and high <= c.largest else _EVERYTHING
 
 
-def bounds(tape: Tape, lower: NDArray[np.float64], upper: NDArray[np.float64], real: Real) -> list[Interval]:
+def bounds(tape: Tape, lower: Array, upper: Array, real: Real) -> list[Interval]:
     """An interval for every node of the tape, for inputs in [lower, upper] (arrays of shape (n_in,)).
 
     The bounds hold for the arithmetic of the real type as well, not only for real numbers.
@@ -101,7 +99,7 @@ def bounds(tape: Tape, lower: NDArray[np.float64], upper: NDArray[np.float64], r
     return found
 
 
-def without_needless_guards(tape: Tape, lower: NDArray[np.float64], upper: NDArray[np.float64], real: Real) -> Tape:
+def without_needless_guards(tape: Tape, lower: Array, upper: Array, real: Real) -> Tape:
     """The tape without the guards that no input of the box can touch."""
     found = bounds(tape, lower, upper, real)
     place: list[int] = []

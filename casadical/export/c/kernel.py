@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casadical.core.arrays import Array
 from casadical.core.errors import CasadicalError, InputError
 from casadical.export.c.coefficients import DTYPE, Real
 from casadical.export.c.emit import filled, template
@@ -37,7 +37,7 @@ class Kernel:
         self.shape = shape
         self._library = ctypes.CDLL(str(library))
 
-    def rows(self, function: str, q: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int32]]:
+    def rows(self, function: str, q: Array) -> tuple[Array, Array]:
         """Call ``network``, ``forward`` or ``correct`` for each row of joints.
 
         Parameters
@@ -66,19 +66,19 @@ class Kernel:
         call(_pointer(table), ctypes.c_uint64(len(table)), _pointer(out), _pointer(status))
         return out, status
 
-    def network(self, q: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int32]]:
+    def network(self, q: Array) -> tuple[Array, Array]:
         """Network correction [mm], shape (k, m), and status."""
         return self.rows("network", q)
 
-    def forward(self, q: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int32]]:
+    def forward(self, q: Array) -> tuple[Array, Array]:
         """Calibrated position [m], shape (k, 3), or (k, 12) with the rotation, and status."""
         return self.rows("forward", q)
 
-    def correct(self, q: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int32]]:
+    def correct(self, q: Array) -> tuple[Array, Array]:
         """Joint corrections [rad], shape (k, n), and status."""
         return self.rows("correct", q)
 
-    def steps(self, q: NDArray[Any], enable: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int32]]:
+    def steps(self, q: Array, enable: Array) -> tuple[Array, Array]:
         """``step`` for consecutive cycles from the zero state: corrections [rad], shape (k, n), and status."""
         table = np.ascontiguousarray(q, DTYPE[self.shape.real])
         on = np.ascontiguousarray(enable, np.uint32)
@@ -92,7 +92,7 @@ class Kernel:
         return int(getattr(self._library, f"{self.shape.name}_self_test")())
 
 
-def _pointer(array: NDArray[Any]) -> ctypes.c_void_p:
+def _pointer(array: Array) -> ctypes.c_void_p:
     return ctypes.c_void_p(array.ctypes.data)
 
 

@@ -8,12 +8,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casadical.core.arrays import Array
 from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, EXP_LIMIT, SQRT_GUESS, TAN_PI_8, Coefficients, Real
 from casadical.export.c.tape import Tape
-
-Array = NDArray[Any]
 
 
 class Mirror:
@@ -119,7 +117,7 @@ def _simple(T: Any) -> dict[str, Callable[..., Any]]:
 _ROWS_AT_ONCE = 4096  # keeps the values of a long tape in the cache
 
 
-def run(tape: Tape, inputs: Array, real: Real) -> tuple[Array, NDArray[np.bool_]]:
+def run(tape: Tape, inputs: Array, real: Real) -> tuple[Array, Array]:
     """Evaluate a tape on many inputs.
 
     Parameters
@@ -136,7 +134,7 @@ def run(tape: Tape, inputs: Array, real: Real) -> tuple[Array, NDArray[np.bool_]
     return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
 
-def _run(tape: Tape, inputs: Array, real: Real) -> tuple[Array, NDArray[np.bool_]]:
+def _run(tape: Tape, inputs: Array, real: Real) -> tuple[Array, Array]:
     mirror = Mirror(real)
     T, simple = mirror.T, _simple(mirror.T)
     k = len(inputs)

@@ -5,11 +5,9 @@ from typing import Any
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-
-Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -41,8 +39,8 @@ class Network:
     """A function q[n] -> dp_mm[m] and the box of joint angles it was trained in (arrays of shape (n,) [rad])."""
 
     function: casadi.Function
-    lower: Vector
-    upper: Vector
+    lower: Array
+    upper: Array
 
     def __post_init__(self) -> None:
         _checked_box(self)
@@ -68,8 +66,8 @@ class Command:
 
     nominal: casadi.Function
     calibrated: casadi.Function
-    lower: Vector
-    upper: Vector
+    lower: Array
+    upper: Array
     jacobian_of: casadi.Function | None = None
     jacobian_at: casadi.Function | None = None
     network: Network | None = None
@@ -122,7 +120,7 @@ def _checked_signature(function: casadi.Function, n: int, sizes: tuple[int, ...]
     return int(n_out)
 
 
-def mapped(function: casadi.Function, q: Vector) -> Vector:
+def mapped(function: casadi.Function, q: Array) -> Array:
     """A function's outputs column by column, a row for each row of q, shape (k, n) [rad]."""
     out = function.map(len(q)).call([casadi.DM(q.T)])
     columns = [np.array(o).reshape(o.shape[0], len(q), -1, order="F") for o in out]

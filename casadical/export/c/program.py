@@ -10,9 +10,10 @@ import casadi
 import numpy as np
 from casadi import SX
 
+from casadical.core.arrays import Array
 from casadical.export.c.coefficients import DTYPE, Real
 from casadical.export.c.intervals import bounds, without_needless_guards
-from casadical.export.c.products import Command, Network, Product, Vector
+from casadical.export.c.products import Command, Network, Product
 from casadical.export.c.tape import Tape, tape_of
 
 
@@ -56,13 +57,13 @@ def program_of(product: Product, real: Real) -> Program:
     return Program(product, real, tapes, tuple(network_bounds))
 
 
-def _rounded(bound: Vector, real: Real) -> Vector:
+def _rounded(bound: Array, real: Real) -> Array:
     return bound.astype(DTYPE[real]).astype(np.float64)
 
 
 def _command_tapes(command: Command, real: Real) -> dict[str, Tape]:
     reach = 1.001 * command.limits.delta_rad  # joints and corrections are added in the real type, and rounded
-    boxes: dict[str, tuple[Vector, Vector]] = {
+    boxes: dict[str, tuple[Array, Array]] = {
         "forward": (_rounded(command.lower, real) - reach, _rounded(command.upper, real) + reach),
         "prepare": (_rounded(command.lower, real), _rounded(command.upper, real)),
     }

@@ -8,12 +8,12 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casadical.core.arrays import Array
 from casadical.export.c.c_files import CommandNumbers, box_share, boxes, command_numbers
 from casadical.export.c.coefficients import DTYPE
-from casadical.export.c.mirror import Array, run
-from casadical.export.c.products import Command, Vector
+from casadical.export.c.mirror import run
+from casadical.export.c.products import Command
 from casadical.export.c.program import Program, prepared_size
 
 
@@ -31,11 +31,7 @@ class Status(IntEnum):
     SELF_TEST_FAILED = 8
 
 
-Flags = NDArray[np.bool_]
-Statuses = NDArray[np.int64]
-
-
-def boxed(q: Array, box: tuple[Vector, Vector]) -> tuple[Array, Statuses]:
+def boxed(q: Array, box: tuple[Array, Array]) -> tuple[Array, Array]:
     """Inputs moved into a box of the same real type, and OK, CLAMPED or NOT_FINITE for each row."""
     T = q.dtype.type
     lower, upper = box[0].astype(T), box[1].astype(T)
@@ -50,17 +46,17 @@ def boxed(q: Array, box: tuple[Vector, Vector]) -> tuple[Array, Statuses]:
     return x, np.where(moved <= np.finfo(T).max, status, Status.NOT_FINITE)
 
 
-def network(program: Program, q: Array) -> tuple[Array, Statuses]:
+def network(program: Program, q: Array) -> tuple[Array, Array]:
     """dp_mm, shape (k, m), and status, shape (k,), for joints q of shape (k, n)."""
     return _values(program, q, "network", "network")
 
 
-def forward(program: Program, q: Array) -> tuple[Array, Statuses]:
+def forward(program: Program, q: Array) -> tuple[Array, Array]:
     """Calibrated position (or position and rotation) and status."""
     return _values(program, q, "forward", "reach")
 
 
-def _values(program: Program, q: Array, tape: str, box: str) -> tuple[Array, Statuses]:
+def _values(program: Program, q: Array, tape: str, box: str) -> tuple[Array, Array]:
     q = np.ascontiguousarray(q, DTYPE[program.real])
     x, status = boxed(q, boxes(program)[box])
     values, fine = run(program.tapes[tape], x, program.real)
@@ -69,7 +65,7 @@ def _values(program: Program, q: Array, tape: str, box: str) -> tuple[Array, Sta
     return values, status
 
 
-def correct(program: Program, q: Array) -> tuple[Array, Statuses]:
+def correct(program: Program, q: Array) -> tuple[Array, Array]:
     """Joint corrections dq, shape (k, n), and status, shape (k,)."""
     assert program.command is not None
     q = np.ascontiguousarray(q, DTYPE[program.real])
@@ -80,7 +76,7 @@ def correct(program: Program, q: Array) -> tuple[Array, Statuses]:
     return dq, np.where(bad, status, np.maximum(status, chord_status))
 
 
-def _limited(v: Array, limit: Any) -> tuple[Array, Flags]:
+def _limited(v: Array, limit: Any) -> tuple[Array, Array]:
     most = np.zeros(len(v), v.dtype)
     for i in range(v.shape[1]):
         magnitude = np.where(v[:, i] < 0, -v[:, i], v[:, i])
@@ -91,7 +87,7 @@ def _limited(v: Array, limit: Any) -> tuple[Array, Flags]:
     return np.where(low < limit, low, limit), beyond
 
 
-def _chord(program: Program, command: Command, x: Array) -> tuple[Array, Statuses]:
+def _chord(program: Program, command: Command, x: Array) -> tuple[Array, Array]:
     T, real, numbers = DTYPE[program.real], program.real, command_numbers(command)
     n, end = program.n, prepared_size(command)
     work, fine = run(program.tapes["prepare"], x, real)
@@ -117,8 +113,8 @@ def _chord(program: Program, command: Command, x: Array) -> tuple[Array, Statuse
 
 
 def _chord_status(
-    numbers: CommandNumbers, T: Any, weakness: Array, ends: Array, before: Array, limited: Flags, clamped: Flags
-) -> Statuses:
+    numbers: CommandNumbers, T: Any, weakness: Array, ends: Array, before: Array, limited: Array, clamped: Array
+) -> Array:
     tolerance2 = T(numbers.tolerance2)
     far = clamped | (ends[:, 1] > tolerance2) | (T(9) * (ends[:, 0] * ends[:, 0]) > tolerance2 * before)
     status = np.where(far, Status.NOT_CONVERGED, Status.OK)

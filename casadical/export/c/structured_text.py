@@ -3,10 +3,11 @@
 It uses the PLC's own SIN, COS, SQRT, EXP and ATAN, so its results agree with the C to rounding, not to the bit.
 """
 
+from casadical.core.arrays import Array
 from casadical.export.c.c_files import Label, boxes, command_numbers
 from casadical.export.c.coefficients import DTYPE, Real
 from casadical.export.c.emit import filled, template
-from casadical.export.c.products import Command, Vector
+from casadical.export.c.products import Command
 from casadical.export.c.program import Program, prepared_size
 from casadical.export.c.tape import Node, Tape
 
@@ -111,7 +112,7 @@ def _box(program: Program, key: str) -> dict[str, str]:
     return {"lower": _list(lower, program.real), "upper": _list(upper, program.real)}
 
 
-def _list(values: Vector, real: Real) -> str:
+def _list(values: Array, real: Real) -> str:
     return ", ".join(number(float(v), real) for v in values)
 
 

@@ -3,12 +3,11 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casadical.core.arrays import Array
 from casadical.export.c.c_files import Label, common_values
 from casadical.export.c.coefficients import DTYPE, Real, literal
 from casadical.export.c.emit import filled, template
-from casadical.export.c.mirror import Array
 from casadical.export.c.program import Program
 from casadical.export.c.reference import correct, forward, network, started, step
 
@@ -28,7 +27,7 @@ def self_test_inputs(program: Program) -> Array:
     signs = np.random.default_rng(_SEED).integers(0, 2, (8, n))
     corners = np.where(signs == 1, upper, lower)
     outside = (lower + upper) / 2 + (upper - lower) * np.array([[0.6], [-0.6], [40.0], [-1e6]])
-    rows: NDArray[np.float64] = np.vstack([(lower + upper) / 2, corners, inside(program, 16), outside])
+    rows: Array = np.vstack([(lower + upper) / 2, corners, inside(program, 16), outside])
     return rows.astype(DTYPE[program.real])
 
 

@@ -3,13 +3,11 @@
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casadical.core.arrays import Array
 from casadical.export.c.kernel import Kernel, Shape, build
-from casadical.export.c.mirror import Array
 from casadical.export.c.products import mapped
 from casadical.export.c.program import Program
 from casadical.export.c.reference import Status
@@ -70,7 +68,7 @@ def _built(program: Program, name: str, texts: dict[str, str], folder: Path, com
     return build(shape_of(program, name), sources, folder, compiler, WARNINGS)
 
 
-def _bits(values: Array) -> NDArray[Any]:
+def _bits(values: Array) -> Array:
     return np.ascontiguousarray(values).view(np.uint32 if values.dtype == np.float32 else np.uint64)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from casadical.core.errors import CasadicalError, InputError
+from casadical.core.files import write_together
 from casadical.export.c.build_files import cmake, cross_check, pkg_config
 from casadical.export.c.c_files import SCHEMA, Label, header, source
 from casadical.export.c.coefficients import Real
@@ -88,9 +89,7 @@ def write_c(
         raise CasadicalError("the compiled C differs from its reference; nothing was written:\n" + "\n".join(wrong))
     figures = accuracy(program)
     blobs["manifest.json"] = _manifest(program, label, blobs, comparisons, figures, found)
-    for key, blob in blobs.items():
-        (folder / key).parent.mkdir(parents=True, exist_ok=True)
-        (folder / key).write_bytes(blob)
+    write_together({folder / key: blob for key, blob in blobs.items()})
     return Export(folder, tuple(sorted(blobs)), tuple(comparisons), figures)
 
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import CasadicalError, InputError
-from casadical.core.transforms import Array
 from casadical.export import Command, Status, load
 from casadical.export.c.products import mapped
 from casadical.export.c.program import program_of

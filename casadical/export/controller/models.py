@@ -16,8 +16,8 @@ import casadi as ca
 import numpy as np
 
 from casadical.compensator import Compensator, load_compensator
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Array
 from casadical.export import Command, Limits, Network
 from casadical.export.c.products import mapped
 from casadical.robot.axes import row_matrix

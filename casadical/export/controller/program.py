@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Array
 
 STATUS = "correction_status"
 

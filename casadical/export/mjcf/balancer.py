@@ -11,7 +11,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 from casadical.export.mjcf.elements import numbers
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Joint

@@ -11,7 +11,8 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from casadical.core.transforms import Array, frame
+from casadical.core.arrays import Array
+from casadical.core.transforms import frame
 from casadical.export.mjcf.elements import add_body, add_mass, add_spring
 from casadical.robot.robot import Body
 

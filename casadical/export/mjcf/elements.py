@@ -6,7 +6,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 
 # s: every spring alone would come to rest with this time constant. Statics know neither inertia nor damping.
 SLOW = 0.02

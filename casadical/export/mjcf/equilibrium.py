@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import ConvergenceError, InputError
-from casadical.core.transforms import Array
 from casadical.export.mjcf.mjcf import POINT
 from casadical.measurements.measurements import Measurements
 

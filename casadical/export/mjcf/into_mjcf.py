@@ -14,8 +14,9 @@ from xml.parsers.expat import ExpatError
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Array, frame, nearest_rotation
+from casadical.core.transforms import frame, nearest_rotation
 from casadical.export.mjcf.elements import inert, numbers, quaternion
 from casadical.export.mjcf.equilibrium import load_mujoco
 from casadical.robot.axes import row_matrix

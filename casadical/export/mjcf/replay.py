@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Array
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.export.mjcf.drives import OF_THE_MEASUREMENT, counterparts
 from casadical.export.mjcf.equilibrium import positions

@@ -6,8 +6,9 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Array, to_rpy
+from casadical.core.transforms import to_rpy
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
 
