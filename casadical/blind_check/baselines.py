@@ -61,7 +61,7 @@ class Regression:
 def regression(case: Case) -> Regression:
     e = case.evidence
     rows = e.r.size
-    y, E, rank = _left(e.J.reshape(rows, -1), e.r.ravel(), e.E.reshape(rows, -1))
+    y, E, rank = _left(e.J.reshape(rows, -1), e.r.ravel(), e.take(np.arange(e.width)).reshape(rows, -1))
     return Regression(y, E, rows - rank)
 
 

@@ -8,7 +8,7 @@ listed or not, against none. (Davison and Hinkley, Bootstrap Methods and their A
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -54,22 +54,24 @@ def noise_odds(case: Case, draws: int, rng: np.random.Generator) -> Iterator[Arr
     rhos, sigmas = (np.flatnonzero(share.sum(axis=a) > LEAST) for a in (1, 0))
     # A draw's own best sigma may lie one step aside.
     sigmas = np.arange(max(sigmas[0] - 1, 0), min(sigmas[-1] + 2, len(SIGMAS)))
-    groups = [_groups(case, e.whitened[k]) for k in rhos]
+    E = e.take(np.arange(e.width))
+    whitened = {k: e.white(float(RHOS[k]), E) for k in rhos}
+    groups = [_groups(case, whitened[k]) for k in rhos]
     for first in range(0, draws, BATCH):
         noise = _noise(e, share, min(BATCH, draws - first), rng)
         total = [
-            _log_likelihoods(e.whitened[k], noise.white(float(RHOS[k])).E, groups[i], sigmas)
+            _log_likelihoods(whitened[k], e.white(float(RHOS[k]), noise).E, groups[i], sigmas)
             for i, k in enumerate(rhos)
         ]
         nothing, something = (np.logaddexp.reduce([t[s] for t in total], axis=0) for s in (0, 1))
         yield something - nothing - np.log(PRIOR_FIRST["none"])
 
 
-def _noise(e: Evidence, share: Array, count: int, rng: np.random.Generator) -> Evidence:
+def _noise(e: Evidence, share: Array, count: int, rng: np.random.Generator) -> Array:
     """Noise alone as columns, shape (n, 3, count) [m]; its size by chance as probable as the data make it."""
     rho, sigma = np.unravel_index(rng.choice(share.size, count, p=share.ravel()), share.shape)
     joints = RHOS[rho] * rng.standard_normal((len(e.r), e.Jq.shape[2], count))
-    return replace(e, E=SIGMAS[sigma] * (rng.standard_normal((*e.r.shape, count)) + e.Jq @ joints))
+    return np.asarray(SIGMAS[sigma] * (rng.standard_normal((*e.r.shape, count)) + e.Jq @ joints))
 
 
 def _groups(case: Case, w: Whitened) -> list[_Group]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -53,8 +53,7 @@ def components(case: Case, noise: Noise, seed: int = 0) -> Components:
                 [E[f"joint {j}"], SIZE * case.whole.Jq[kept][:, :, [j - 1]] * own[:, None]], axis=2
             )
     widths = [part.shape[2] for part in E.values()]
-    few = replace(e, r=e.r[kept], J=e.J[kept], Jq=e.Jq[kept], E=np.concatenate([*E.values()], axis=2))
-    white = few.white(noise.repeatability / noise.sigma)
+    white = e.at(kept).white(noise.repeatability / noise.sigma, np.concatenate([*E.values()], axis=2))
     edges = np.cumsum([0, *widths])
     groups = [white.E[:, a:b] for a, b in itertools.pairwise(edges)]
     size = _sizes(white.y, groups, noise.sigma)

@@ -13,7 +13,6 @@ import numpy as np
 from casadical.core.transforms import Array
 from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence
 from casadical.diagnosis.thresholds import PARTITIONS
-from casadical.effects.base import CHOSEN
 
 FOLDS = 5
 
@@ -56,13 +55,13 @@ class _Normal:
 
 
 def _normal(e: Evidence, columns: Array, noise: Noise) -> _Normal:
-    A = np.concatenate([e.J, e.E[:, :, columns]], axis=2)
+    A = np.concatenate([e.J, e.take(columns)], axis=2)
     AW = np.einsum("nip,nij->npj", A, np.linalg.inv(covariance(e, noise)))
     return _Normal(
         A,
         AW @ A,
         np.einsum("npj,nj->np", AW, e.r),
-        np.concatenate([e.prior, np.full(len(columns), CHOSEN)]),
+        np.concatenate([e.prior, e.width_in_model(columns)]),
         np.concatenate([e.delta0, np.zeros(len(columns))]),
     )
 

@@ -4,17 +4,21 @@ The residual is r = J delta + E theta + noise, with noise covariance sigma^2 (I 
 repeatability, delta ~ N(delta0, prior) and theta ~ N(0, (kappa size)^2). delta and theta are integrated in closed
 form; sigma, rho and kappa on grids. Base parameters that the data tell well are thereby projected out; one that they
 tell badly keeps its prior. (MacKay 1992; Kass and Raftery 1995.)
+
+Only sums over poses of products of columns are needed. They are added up some poses at a time, so that memory does not
+grow with poses times columns.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from casadical.core.transforms import Array
+from casadical.diagnosis.linearisation import Columns
 from casadical.effects.base import CHOSEN
 
 SIGMAS = np.geomspace(3e-6, 300e-6, 33)
@@ -22,6 +26,12 @@ SIGMAS = np.geomspace(3e-6, 300e-6, 33)
 RHOS = np.array([0.0, 0.1, 0.2, 0.4, 0.8, 1.6])
 KAPPAS = np.array([0.35, 0.7, 1.4, 2.8, 5.6])
 KAPPA_WEIGHTS = np.array([0.15, 0.25, 0.3, 0.2, 0.1])
+# Poses whose columns are in memory at a time.
+BLOCK = 256
+# Groups of so many columns, and of more than there are rows, are judged on the rows instead.
+WIDE = 64
+# A wide group is judged at the likely rhos alone: where log evidence is within so much of the best found.
+REACH = 25.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,12 +39,11 @@ class Whitened:
     """The problem at one rho: residual and columns made white and orthogonal to the base model.
 
     y : shape (rows,); E : shape (rows, columns), columns in units of their size
-    basis : orthonormal basis of the base model, shape (rows, P); log_norm : what does not depend on sigma or cause
+    rows : how many numbers were measured; log_norm : what does not depend on sigma or cause
     """
 
     y: Array
     E: Array
-    basis: Array
     rows: int
     log_norm: float
 
@@ -46,7 +55,9 @@ class Evidence:
     r : measured less modelled position, shape (n, 3) [m]
     J : base model's Jacobian, shape (n, 3, P); Jq : by joint variables, shape (n, 3, joints)
     delta0 : prior mean of the parameters less their present values, shape (P,); prior : one sigma, shape (P,)
-    E : columns of all candidates, shape (n, 3, columns), in m per unit of size
+    E : columns of all candidates, in m per unit of size: an array, shape (n, 3, columns), or made when asked for
+    reference : sigma at which the priors of what is in the model are as given [m]; they grow with the noise
+    held : one sigma of each column's parameter once it is in the model, in sizes, shape (columns,); CHOSEN by default
     """
 
     r: Array
@@ -54,19 +65,37 @@ class Evidence:
     Jq: Array
     delta0: Array
     prior: Array
-    E: Array
+    E: Array | Columns
     reference: float = 20e-6
+    held: Array | None = None
 
-    @cached_property
-    def whitened(self) -> tuple[Whitened, ...]:
-        return tuple(self.white(float(rho)) for rho in RHOS)
+    @property
+    def width(self) -> int:
+        """Number of columns of all candidates."""
+        return int(self.E.shape[2])
 
-    def white(self, rho: float) -> Whitened:
-        """The problem at one rho, joint repeatability over the instrument's sigma [rad/m]."""
+    def take(self, columns: Array) -> Array:
+        """Some of the candidates' columns, shape (n, 3, len(columns)) [m per unit of size]."""
+        return self.E[:, :, columns] if isinstance(self.E, np.ndarray) else self.E.take(columns)
+
+    def width_in_model(self, columns: Array) -> Array:
+        """One sigma of these columns' parameters once they are in the model, in sizes, shape (len(columns),)."""
+        return np.full(len(columns), CHOSEN) if self.held is None else self.held[columns]
+
+    def at(self, poses: Array) -> Evidence:
+        """The problem of some poses."""
+        E = self.E[poses] if isinstance(self.E, np.ndarray) else self.E.at(poses)
+        return replace(self, r=self.r[poses], J=self.J[poses], Jq=self.Jq[poses], E=E)
+
+    def white(self, rho: float, E: Array) -> Whitened:
+        """The problem at one rho, joint repeatability over the instrument's sigma [rad/m].
+
+        E : the columns that are wanted, shape (n, 3, columns)
+        """
         C = np.eye(3) + rho**2 * self.Jq @ self.Jq.transpose(0, 2, 1)
         L = np.linalg.cholesky(C)
         W = np.linalg.inv(L)
-        flat = [(W @ part).reshape(self.r.size, -1) for part in (self.r[:, :, None], self.J, self.E)]
+        flat = [(W @ part).reshape(self.r.size, -1) for part in (self.r[:, :, None], self.J, E)]
         weights = self.reference / self.prior
         A = np.concatenate([flat[1], np.diag(weights)])
         # A parameter whose column is long is scaled first, so that rank is judged fairly.
@@ -77,44 +106,242 @@ class Evidence:
         E[:rows] += flat[2]
         log_det = 2 * float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum())
         log_det += 2 * float(np.log(np.abs(np.diag(R)) * np.linalg.norm(A, axis=0)).sum())
-        return Whitened(y - Q @ (Q.T @ y), E, Q, rows, -0.5 * log_det)
+        return Whitened(y - Q @ (Q.T @ y), E, rows, -0.5 * log_det)
 
-    def log_base(self) -> Array:
-        """Log likelihood without any cause, shape (rhos, sigmas)."""
-        return np.array([w.log_norm - w.rows * np.log(SIGMAS) - 0.5 * (w.y @ w.y) / SIGMAS**2 for w in self.whitened])
+    def with_base(self, columns: Array) -> Evidence:
+        """The problem with these columns moved into the base model, as wide as they are held there."""
+        if not len(columns):
+            return self
+        return replace(
+            self,
+            J=np.concatenate([self.J, self.take(columns)], axis=2),
+            delta0=np.concatenate([self.delta0, np.zeros(len(columns))]),
+            prior=np.concatenate([self.prior, self.width_in_model(columns)]),
+        )
+
+    @cached_property
+    def sums(self) -> Sums:
+        """Sums over the poses, by which all groups are judged."""
+        return Sums(self)
+
+    def log_base(self, also: Array | None = None) -> Array:
+        """Log likelihood without a further cause, shape (rhos, sigmas); also : columns that are in the model."""
+        return self.sums.beside(also).log_base
 
     def log_grids(self, groups: Sequence[Array], also: Array | None = None) -> Array:
         """Log likelihood of each group of columns as a cause, shape (groups, rhos, sigmas, kappas).
 
         also : columns of causes that are in the model already; they are treated like the base model
         """
-        problem = self if also is None or not len(also) else self.with_base(also)
-        base = problem.log_base()
-        out = np.empty((len(groups), len(RHOS), len(SIGMAS), len(KAPPAS)))
+        return self.sums.log_grids(groups, also)
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """The base model with some causes in it, at every rho: what is needed to judge further groups of columns.
+
+    log_base : log likelihood without a further cause, shape (rhos, sigmas)
+    b : products of all columns with what is left, shape (rhos, columns)
+    V : all columns by the base model's own in which its normal matrix is one, shape (rhos, base, columns)
+    """
+
+    log_base: Array
+    b: Array
+    V: Array
+
+
+class Sums:
+    """Sums over poses of products of whitened columns, at every rho.
+
+    In the axes of a pose's joint repeatability its whitening at any rho is a weight for each of three rows, so that
+    columns are turned once and weighted for each rho.
+    """
+
+    def __init__(self, e: Evidence, known: Sums | None = None) -> None:
+        """known : of the same poses and the first of the columns."""
+        self.e = e
+        self._cross: dict[tuple[int, int], Array] = {}
+        self._beside: dict[bytes, Beside] = {}
+        self._own: dict[bytes, Array] = dict(known._own) if known else {}
+        if known:
+            self._extend(known)
+            return
+        square, self._turn = np.linalg.eigh(e.Jq @ e.Jq.transpose(0, 2, 1))
+        square = np.maximum(square, 0.0).reshape(-1)
+        self._weight = 1 / (1 + np.outer(RHOS**2, square))
+        self.log_det = np.log1p(np.outer(RHOS**2, square)).sum(axis=1)
+        r, J = (self._turned(part, slice(None)) for part in (e.r[:, :, None], e.J))
+        self._base = np.concatenate([J, r], axis=1)
+        weighted = self._weight[:, :, None] * self._base
+        self.base = self._base.T @ weighted
+        self.columns = self._products(e.E, np.concatenate([*weighted], axis=1)).reshape(e.width, len(RHOS), -1)
+
+    def _extend(self, known: Sums) -> None:
+        """Take over what is known and add up what is new."""
+        new = self.e.E.after(known.e.width) if isinstance(self.e.E, Columns) else self.e.E[:, :, known.e.width :]
+        self._turn, self._weight, self.log_det = known._turn, known._weight, known.log_det
+        self._base, self.base = known._base, known.base
+        weighted = np.concatenate([*(self._weight[:, :, None] * self._base)], axis=1)
+        more = self._products(new, weighted).reshape(new.shape[2], len(RHOS), -1)
+        self.columns = np.concatenate([known.columns, more])
+        for (first, last), cross in known._cross.items():
+            more = self._crossed(new, np.arange(first, last + 1))
+            self._cross[first, last] = np.concatenate([cross, more])
+
+    def _turned(self, part: Array, poses: slice) -> Array:
+        """Columns in the axes of each pose's repeatability, shape (rows, columns)."""
+        turned = self._turn[poses].transpose(0, 2, 1) @ part
+        return np.asarray(turned.reshape(-1, part.shape[2]))
+
+    def _blocks(self, E: Array | Columns) -> Iterator[tuple[Array, slice]]:
+        """All columns of some poses, turned, and the rows where they stand."""
+        for first in range(0, len(self.e.r), BLOCK):
+            poses = slice(first, min(first + BLOCK, len(self.e.r)))
+            some = E[poses] if isinstance(E, np.ndarray) else E.block(poses)
+            yield self._turned(some, poses), slice(3 * poses.start, 3 * poses.stop)
+
+    def _products(self, E: Array | Columns, right: Array) -> Array:
+        """Products of columns with others, shape (columns, others); right : shape (rows, others)."""
+        total = np.zeros((E.shape[2], right.shape[1]))
+        for some, rows in self._blocks(E):
+            total += some.T @ right[rows]
+        return total
+
+    def _crossed(self, E: Array | Columns, run: Array) -> Array:
+        """Products of columns with some of all the columns at every rho, shape (columns, rhos, run)."""
+        other = self._turned(self.e.take(run), slice(None))
+        return np.stack([self._products(E, w[:, None] * other) for w in self._weight], axis=1)
+
+    def _with(self, columns: Array) -> Array:
+        """Products of all columns with these, shape (columns, rhos, these); kept by runs of neighbours."""
+        runs = np.split(columns, np.flatnonzero(np.diff(columns) != 1) + 1)
+        for run in runs:
+            key = int(run[0]), int(run[-1])
+            if key not in self._cross:
+                self._cross[key] = self._crossed(self.e.E, run)
+        return np.concatenate([self._cross[int(run[0]), int(run[-1])] for run in runs], axis=2)
+
+    def own(self, groups: Sequence[Array]) -> None:
+        """Add up the products of each group's columns among themselves, shape (rhos, width, width), all in one go."""
+        new = {g.tobytes(): g for g in groups if g.tobytes() not in self._own}
+        by_width: dict[int, list[Array]] = {}
+        for g in new.values():
+            if not self._on_rows(len(g)):
+                by_width.setdefault(len(g), []).append(g)
+        stacks = {w: np.stack(gs) for w, gs in by_width.items()}
+        totals = {w: np.zeros((len(RHOS), len(s), w, w)) for w, s in stacks.items()}
+        if not stacks:
+            return
+        for E, rows in self._blocks(self.e.E):
+            by_column = np.ascontiguousarray(E.T)
+            for w, which in stacks.items():
+                part = by_column[which]
+                for k, weight in enumerate(self._weight[:, rows]):
+                    scaled = part * np.sqrt(weight)
+                    if w > WIDE:  # one group at a time: half the work for a product with itself
+                        for i, own in enumerate(scaled):
+                            totals[w][k, i] += own @ own.T
+                    else:
+                        totals[w][k] += scaled @ scaled.transpose(0, 2, 1)
+        for w, which in stacks.items():
+            for i, g in enumerate(which):
+                self._own[g.tobytes()] = totals[w][:, i]
+
+    def _on_rows(self, width: int) -> bool:
+        """Whether a group is judged on the rows, of which there are fewer than columns."""
+        return width > WIDE and self._base.shape[0] < width
+
+    def beside(self, also: Array | None = None) -> Beside:
+        """The base model with these columns in it too."""
+        chosen = np.zeros(0, dtype=np.int64) if also is None else also
+        key = chosen.tobytes()
+        if key not in self._beside:
+            self._beside[key] = self._made(chosen)
+        return self._beside[key]
+
+    def _made(self, chosen: Array) -> Beside:
+        e, P = self.e, self.e.J.shape[2]
+        prior = np.concatenate([e.prior, e.width_in_model(chosen)])
+        mean = np.concatenate([e.delta0, np.zeros(len(chosen))])
+        cross = self._with(chosen) if len(chosen) else np.zeros((e.width, len(RHOS), 0))
+        weights = e.reference / prior
+        log_base, b, V = [], [], []
+        for k in range(len(RHOS)):
+            EJ = np.concatenate([self.columns[:, k, :P], cross[:, k]], axis=1)
+            JJ = np.zeros((len(prior), len(prior)))
+            JJ[:P, :P] = self.base[k, :P, :P]
+            JJ[:P, P:] = self.columns[chosen, k, :P].T
+            JJ[P:] = EJ[chosen]
+            right = np.concatenate([self.base[k, :P, P], self.columns[chosen, k, P]]) + weights**2 * mean
+            normal = JJ + np.diag(weights**2)
+            # A parameter whose column is long is scaled first, so that rank is judged fairly.
+            scale = 1 / np.sqrt(np.diag(normal))
+            L = np.linalg.cholesky(normal * np.outer(scale, scale))
+            inverse = np.linalg.inv(L) * scale
+            z = inverse @ right
+            square = float(self.base[k, P, P] + (weights * mean) @ (weights * mean) - z @ z)
+            log_norm = -0.5 * self.log_det[k] - float((np.log(np.diag(L)) - np.log(scale)).sum())
+            log_base.append(log_norm - e.r.size * np.log(SIGMAS) - 0.5 * square / SIGMAS**2)
+            V.append(inverse @ EJ.T)
+            b.append(self.columns[:, k, P] - z @ V[-1])
+        return Beside(np.array(log_base), np.array(b), np.array(V))
+
+    def log_grids(self, groups: Sequence[Array], also: Array | None = None) -> Array:
+        """See `Evidence.log_grids`."""
+        beside = self.beside(also)
+        out = np.full((len(groups), len(RHOS), len(SIGMAS), len(KAPPAS)), -np.inf)
+        self.own(groups)
         widths = np.array([len(g) for g in groups])
-        signal = (KAPPAS[None, :] / SIGMAS[:, None]) ** 2
-        for k, w in enumerate(problem.whitened):
-            b, by_column = w.E.T @ w.y, np.ascontiguousarray(w.E.T)
-            for width in np.unique(widths):
-                which = np.flatnonzero(widths == width)
-                columns = np.stack([groups[int(g)] for g in which])
-                E = by_column[columns]
-                G = E @ E.transpose(0, 2, 1)
-                value, vector = np.linalg.eigh(G)
-                turned = np.einsum("gij,gi->gj", vector, b[columns])
-                gain = 1 + signal[None, :, :, None] * np.maximum(value, 0)[:, None, None, :]
-                quad = signal[None, :, :, None] * turned[:, None, None, :] ** 2 / gain
-                quad = quad.sum(axis=3) / SIGMAS[None, :, None] ** 2
-                out[which, k] = base[k][None, :, None] - 0.5 * np.log(gain).sum(axis=3) + 0.5 * quad
+        for width in np.unique(widths):
+            which = np.flatnonzero(widths == width)
+            if width > WIDE:
+                for g in which:
+                    self._wide(groups[int(g)], beside, also, out[g])
+                continue
+            columns = np.stack([groups[int(g)] for g in which])
+            own = np.stack([self._own[groups[int(g)].tobytes()] for g in which])
+            for k in range(len(RHOS)):
+                V = beside.V[k].T[columns]
+                value, vector = np.linalg.eigh(own[:, k] - V @ V.transpose(0, 2, 1))
+                turned = np.einsum("gij,gi->gj", vector, beside.b[k][columns])
+                out[which, k] = _log_gain(beside.log_base[k], value, turned)
         return out
 
-    def with_base(self, columns: Array) -> Evidence:
-        """The problem with these columns moved into the base model, their prior wide."""
-        J = np.concatenate([self.J, self.E[:, :, columns]], axis=2)
-        zero, one = np.zeros(len(columns)), np.full(len(columns), CHOSEN)
-        return Evidence(
-            self.r, J, self.Jq, np.concatenate([self.delta0, zero]), np.concatenate([self.prior, one]), self.E
-        )
+    def _wide(self, group: Array, beside: Beside, also: Array | None, out: Array) -> None:
+        """A group of many columns, from the rho that is likeliest so far to both sides while it is within reach."""
+        best = int(np.argmax(beside.log_base.max(axis=1)))
+        top = -np.inf
+        for step in (1, -1):
+            k = best if step > 0 else best - 1
+            while 0 <= k < len(RHOS):
+                value, turned = self._spectrum(group, beside, also, k)
+                out[k] = _log_gain(beside.log_base[k], value[None], turned[None])[0]
+                if out[k].max() < top - REACH:
+                    break
+                top = max(top, float(out[k].max()))
+                k += step
+
+    def _spectrum(self, group: Array, beside: Beside, also: Array | None, k: int) -> tuple[Array, Array]:
+        """Eigenvalues of a group's visible products and the products with what is left, in their directions."""
+        if self._on_rows(len(group)):
+            chosen = np.zeros(0, dtype=np.int64) if also is None else also
+            w = self.e.with_base(chosen).white(float(RHOS[k]), self.e.take(group))
+            value, vector = np.linalg.eigh(w.E @ w.E.T)
+            return value, np.sqrt(np.maximum(value, 0.0)) * (vector.T @ w.y)
+        V = beside.V[k][:, group]
+        value, vector = np.linalg.eigh(self._own[group.tobytes()][k] - V.T @ V)
+        return value, vector.T @ beside.b[k][group]
+
+
+def _log_gain(log_base: Array, value: Array, turned: Array) -> Array:
+    """Log likelihood with groups of columns, shape (groups, sigmas, kappas), from that without, shape (sigmas,).
+
+    value, turned : eigenvalues of their visible products, and products with what is left, shapes (groups, width)
+    """
+    signal = (KAPPAS[None, :] / SIGMAS[:, None]) ** 2
+    gain = 1 + signal[None, :, :, None] * np.maximum(value, 0)[:, None, None, :]
+    quad = (signal[None, :, :, None] * turned[:, None, None, :] ** 2 / gain).sum(axis=3) / SIGMAS[None, :, None] ** 2
+    return np.asarray(log_base[None, :, None] - 0.5 * np.log(gain).sum(axis=3) + 0.5 * quad)
 
 
 def log_sum(a: Array, axis: int | tuple[int, ...] | None = None) -> Array:

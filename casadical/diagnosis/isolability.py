@@ -108,9 +108,10 @@ def _judged(
     evidence: Evidence, groups: dict[str, list[Array]], noise: Noise, missing: dict[str, tuple[str, ...]]
 ) -> Isolability:
     n = len(evidence.r)
-    plain = evidence.white(0.0).E
-    seen = evidence.white(noise.repeatability / noise.sigma).E
-    bare = (evidence.E**2).sum(axis=(0, 1))
+    E = evidence.take(np.arange(evidence.width))
+    plain = evidence.white(0.0, E).E
+    seen = evidence.white(noise.repeatability / noise.sigma, E).E
+    bare = (E**2).sum(axis=(0, 1))
     owner = [label for label, variants in groups.items() for _ in variants]
     columns = [c for variants in groups.values() for c in variants]
     energy = np.array([[(part[..., c] ** 2).sum() for c in columns] for part in (plain, seen)])

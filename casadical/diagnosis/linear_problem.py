@@ -11,8 +11,8 @@ import numpy as np
 from casadical.core.errors import InputError
 from casadical.core.transforms import Array
 from casadical.diagnosis.candidates import Candidate, choose
-from casadical.diagnosis.evidence import Evidence
-from casadical.diagnosis.linearisation import signatures
+from casadical.diagnosis.evidence import Evidence, Sums
+from casadical.diagnosis.linearisation import Columns, linearise
 from casadical.effects import Effect
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import Identification
@@ -51,8 +51,11 @@ class Case:
     @cached_property
     def evidence(self) -> Evidence:
         """Residuals and columns of the poses that are no outliers."""
-        e, k = self.whole, self.kept
-        return replace(e, r=e.r[k], J=e.J[k], Jq=e.Jq[k], E=e.E[k])
+        return self.whole.at(np.flatnonzero(self.kept))
+
+    def with_kept(self, kept: Array) -> Case:
+        """The case with other poses left out."""
+        return self if np.array_equal(kept, self.kept) else replace(self, kept=kept)
 
     @cached_property
     def variants(self) -> tuple[tuple[int, int], ...]:
@@ -73,12 +76,16 @@ class Case:
             replace(c, variants=(*c.variants, *variants)) if c.label == label else c for c in self.candidates
         )
         effects = tuple(dict.fromkeys(e for v in variants for e in v if e not in self.columns))
+        if not effects:
+            return replace(self, candidates=candidates)
         m, _ = derive(self.m, [c for e in effects for c in e.conditions])
-        E, _, _ = signatures(self.given, effects, m, self.values)
-        first = self.whole.E.shape[2]
-        columns = {**self.columns, **column_numbers(effects, first)}
-        whole = replace(self.whole, E=np.concatenate([self.whole.E, E * widths(effects)], axis=2))
-        return replace(self, m=m, candidates=candidates, columns=columns, whole=whole)
+        columns = {**self.columns, **column_numbers(effects, self.whole.width)}
+        assert isinstance(self.whole.E, Columns)
+        E = self.whole.E.plus(effects, m.conditions)
+        more = replace(self, m=m, candidates=candidates, columns=columns, whole=replace(self.whole, E=E, held=E.held))
+        if "sums" in self.evidence.__dict__:
+            more.evidence.__dict__["sums"] = Sums(more.evidence, self.evidence.sums)
+        return more
 
 
 def make_case(identification: Identification, candidates: Sequence[Candidate]) -> Case:
@@ -97,7 +104,7 @@ def make_case(identification: Identification, candidates: Sequence[Candidate]) -
     m, _ = derive(m, [c for e in effects for c in e.conditions])
     robot = identification.given
     values = robot.values_of(identification.robot)
-    E, J, Jq = signatures(robot, effects, m, values)
+    linear = linearise(robot, m, values)
     p, _ = predicted(identification.robot, m)
     assert m.position is not None
     delta0 = _prior_mean(identification) - values
@@ -105,7 +112,8 @@ def make_case(identification: Identification, candidates: Sequence[Candidate]) -
     r = m.position - p
     # Gross only: an effect that leaves the points in two clouds must not lose one of them as outliers.
     kept = np.linalg.norm(r, axis=1) / np.sqrt(3) <= GROSS * spread(r)
-    whole = Evidence(r, J, Jq, delta0, base_prior(robot), E * widths(effects))
+    E = Columns(linear, effects)
+    whole = Evidence(r, linear.J, linear.Jq, delta0, base_prior(robot), E, held=E.held)
     columns = column_numbers(effects, 0)
     return Case(identification.robot, robot, values, m, possible, missing, whole, kept, columns)
 

@@ -123,7 +123,7 @@ def _predict(case: Case, variant: tuple[Effect, ...], noise: Noise, m: Measureme
     old = case.evidence
     E, J, _ = signatures(case.given, variant, m, case.values)
     columns = case.group(variant) if variant else np.zeros(0, dtype=np.int64)
-    A = np.concatenate([old.J, old.E[:, :, columns]], axis=2)
+    A = np.concatenate([old.J, old.take(columns)], axis=2)
     new = np.concatenate([J, E * widths(variant)], axis=2)
     prior = np.concatenate([old.prior, np.full(len(columns), WIDE)])
     mean = np.concatenate([old.delta0, np.zeros(len(columns))])

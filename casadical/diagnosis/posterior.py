@@ -49,9 +49,8 @@ def rank(case: Case, chosen: Array, skip: frozenset[str] = frozenset()) -> Ranki
 
     chosen : columns of causes that are in the model already; skip : their labels, no longer candidates
     """
-    problem = case.evidence.with_base(chosen) if len(chosen) else case.evidence
-    grids = problem.log_grids(case.groups) + np.log(KAPPA_WEIGHTS)
-    base_grid = problem.log_base()
+    grids = case.evidence.log_grids(case.groups, chosen) + np.log(KAPPA_WEIGHTS)
+    base_grid = case.evidence.log_base(chosen)
     base = float(log_sum(base_grid))
     log_variant = log_sum(grids.reshape(len(grids), -1), axis=1) - base
     owner = np.array([c for c, _ in case.variants])

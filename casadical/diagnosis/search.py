@@ -88,7 +88,7 @@ class Investigation:
         """Decide anew which poses are outliers, now that the model holds more."""
         case = self.case
         _, distance = remainders(case.whole, self.columns(self.steps), noise, case.kept)
-        self.case = replace(case, kept=np.where(case.kept, distance < OUT, distance < IN))
+        self.case = case.with_kept(np.where(case.kept, distance < OUT, distance < IN))
 
     @property
     def folds(self) -> list[Array]:

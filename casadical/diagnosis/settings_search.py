@@ -66,6 +66,7 @@ def refined(case: Case, label: str, variant: tuple[Effect, ...], chosen: Array) 
 def _log_evidence(case: Case, groups: list[Array], chosen: Array) -> Array:
     """Of each group of columns, up to what they share, shape (groups,); no other column is looked at."""
     used = np.unique(np.concatenate([*groups, chosen.astype(np.int64)]))
-    few = replace(case.evidence, E=case.evidence.E[:, :, used])
+    e = case.evidence
+    few = replace(e, E=e.take(used), held=e.width_in_model(used))
     grids = few.log_grids([np.searchsorted(used, g) for g in groups], also=np.searchsorted(used, chosen))
     return log_sum((grids + np.log(KAPPA_WEIGHTS)).reshape(len(groups), -1), axis=1)

@@ -80,6 +80,8 @@ class Effect:
     joint: int | None = None
 
     name: ClassVar[str] = "none"
+    # One sigma of each parameter once the effect is in a model, in sizes.
+    held: ClassVar[float] = CHOSEN
     # Columns that must have been logged.
     needs: ClassVar[tuple[str, ...]] = ()
     # What to say about its physics, its source, and what it is confused with.

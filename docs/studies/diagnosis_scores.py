@@ -78,7 +78,7 @@ class Trial:
 
 def whitened(e: Evidence, columns: np.ndarray, noise: Noise) -> Whitened:
     """The base model and some columns, shape (n, 3, columns), in the metric of the true noise."""
-    return Evidence(e.r, e.J, e.Jq, e.delta0, e.prior, columns).white(noise.repeatability / noise.sigma)
+    return e.white(noise.repeatability / noise.sigma, columns)
 
 
 def visible(e: Evidence, shift: np.ndarray, noise: Noise, beside: Sequence[np.ndarray] = ()) -> float:
@@ -94,7 +94,7 @@ def visible(e: Evidence, shift: np.ndarray, noise: Noise, beside: Sequence[np.nd
 def near_rival(case: Case, shift: np.ndarray, noise: Noise, truth: str) -> float:
     """Largest share of a shift's visible squares in the span of a listed cause other than the truth."""
     e, k = case.evidence, case.kept
-    W = whitened(e, np.concatenate([shift[k][:, :, None], e.E], axis=2), noise).E
+    W = whitened(e, np.concatenate([shift[k][:, :, None], e.take(np.arange(e.width))], axis=2), noise).E
     s, E = W[:, 0] / max(np.linalg.norm(W[:, 0]), 1e-30), W[:, 1:]
     best = 0.0
     for (c, _), group in zip(case.variants, case.groups, strict=True):
