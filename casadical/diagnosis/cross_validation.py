@@ -7,6 +7,7 @@ evidence uses; the errors are those of the poses left out.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -15,6 +16,8 @@ from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence
 from casadical.diagnosis.thresholds import PARTITIONS
 
 FOLDS = 5
+# Parts in which the poses are gone through one by one.
+BLOCKS = 20
 
 
 @dataclass(frozen=True)
@@ -32,38 +35,81 @@ def likely_noise(log_grid: Array) -> Noise:
     return Noise(float(SIGMAS[sigma]), float(RHOS[rho] * SIGMAS[sigma]))
 
 
-@dataclass(frozen=True, eq=False)
-class _Normal:
-    """Normal equations of base model and causes together, pose by pose."""
+class Fit:
+    """Base model and causes fitted together to the poses, and to all but some of them.
 
-    A: Array
-    H: Array
-    g: Array
-    prior: Array
-    mean: Array
+    A : columns made white, shape (3 n, p); y : residual made white, shape (3 n,); prior, mean : of every parameter
+    W : what makes each pose's columns white, shape (n, 3, 3)
+    """
 
-    def solve(self, use: Array) -> Array:
-        """The fit to the poses in a mask."""
-        return self.solution(self.H[use].sum(axis=0), self.g[use].sum(axis=0))
+    def __init__(self, e: Evidence, columns: Array, noise: Noise) -> None:
+        self.W = np.linalg.inv(np.linalg.cholesky(covariance(e, noise)))
+        whole = np.concatenate([e.J, e.take(columns)], axis=2)
+        self.A = (self.W @ whole).reshape(e.r.size, -1)
+        self.y = (self.W @ e.r[:, :, None]).ravel()
+        self.prior = np.concatenate([e.prior, e.width_in_model(columns)])
+        self.mean = np.concatenate([e.delta0, np.zeros(len(columns))])
+        self.H, self.g = self.A.T @ self.A, self.A.T @ self.y
 
-    def solution(self, H: Array, g: Array) -> Array:
-        """The fit to poses whose normal equations sum to these."""
+    def _rows(self, poses: Array) -> Array:
+        return (3 * poses[:, None] + np.arange(3)).ravel()
+
+    def _normal(self, H: Array) -> tuple[Array, Array]:
+        """Root of the inverse of the normal matrix, and the scale that was taken off first."""
         normal = H + np.diag(self.prior**-2)
         scale = np.sqrt(np.diag(normal))
-        right = g + self.mean / self.prior**2
-        return np.asarray(np.linalg.solve(normal / np.outer(scale, scale), right / scale) / scale)
+        return np.linalg.inv(np.linalg.cholesky(normal / np.outer(scale, scale))), scale
+
+    def _solution(self, H: Array, g: Array) -> Array:
+        root, scale = self._normal(H)
+        return np.asarray(root.T @ (root @ ((g + self.mean / self.prior**2) / scale)) / scale)
+
+    @cached_property
+    def x(self) -> Array:
+        """Fit to all poses, shape (p,)."""
+        return self._solution(self.H, self.g)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Of the fit to all poses, shape (p, p)."""
+        root, scale = self._normal(self.H)
+        return np.asarray(root.T @ root / np.outer(scale, scale))
+
+    def to(self, poses: Array) -> Array:
+        """Fit to some poses alone, given by their numbers, shape (p,)."""
+        if len(poses) == len(self.W):
+            return self.x
+        A, y = self.A[self._rows(poses)], self.y[self._rows(poses)]
+        return self._solution(A.T @ A, A.T @ y)
+
+    def left(self, x: Array) -> Array:
+        """What a fit leaves at every pose, shape (n, 3) [m]; x : its parameters, shape (p,)."""
+        white = (self.y - self.A @ x).reshape(-1, 3, 1)
+        return np.asarray(np.linalg.solve(self.W, white)[:, :, 0])
+
+    def without(self, poses: Array) -> Array:
+        """What is left at some poses by a fit to all others, shape (len(poses), 3) [m]."""
+        rows = self._rows(poses)
+        A, y = self.A[rows], self.y[rows]
+        if len(rows) < len(self.x):  # what all poses leave, freed of these poses' own pull on the fit
+            left = np.linalg.solve(np.eye(len(rows)) - A @ self.covariance @ A.T, y - A @ self.x)
+        else:
+            left = y - A @ self._solution(self.H - A.T @ A, self.g - A.T @ y)
+        return np.asarray(np.linalg.solve(self.W[poses], left.reshape(-1, 3, 1))[:, :, 0])
+
+    def alone(self) -> Array:
+        """What is left at each pose by a fit to all others, shape (n, 3) [m]."""
+        root, scale = self._normal(self.H)
+        pull = np.concatenate(
+            [_blocks(part / scale @ root.T) for part in np.array_split(self.A.reshape(-1, 3, len(scale)), BLOCKS)]
+        )
+        left = np.linalg.solve(np.eye(3) - pull, (self.y - self.A @ self.x).reshape(-1, 3, 1))
+        return np.asarray(np.linalg.solve(self.W, left)[:, :, 0])
 
 
-def _normal(e: Evidence, columns: Array, noise: Noise) -> _Normal:
-    A = np.concatenate([e.J, e.take(columns)], axis=2)
-    AW = np.einsum("nip,nij->npj", A, np.linalg.inv(covariance(e, noise)))
-    return _Normal(
-        A,
-        AW @ A,
-        np.einsum("npj,nj->np", AW, e.r),
-        np.concatenate([e.prior, e.width_in_model(columns)]),
-        np.concatenate([e.delta0, np.zeros(len(columns))]),
-    )
+def _blocks(B: Array) -> Array:
+    """Each pose's own block of B B', shape (n, 3, 3); B : shape (n, 3, p)."""
+    return np.asarray(B @ B.transpose(0, 2, 1))
 
 
 def covariance(e: Evidence, noise: Noise) -> Array:
@@ -76,13 +122,17 @@ def held_out_errors(e: Evidence, columns: Array, noise: Noise, folds: Array) -> 
 
     columns : of the causes in the model; folds : number of the fold of each pose, shape (n,)
     """
-    problem = _normal(e, columns, noise)
-    H, g = problem.H.sum(axis=0), problem.g.sum(axis=0)
-    errors = np.empty(len(e.r))
+    return fold_errors(Fit(e, columns, noise), folds)
+
+
+def fold_errors(fit: Fit, folds: Array) -> Array:
+    """The same for a fit that was made."""
+    if len(np.unique(folds)) == len(folds):
+        return np.asarray(np.linalg.norm(fit.alone(), axis=1))
+    errors = np.empty(len(folds))
     for fold in np.unique(folds):
-        test = folds == fold
-        x = problem.solution(H - problem.H[test].sum(axis=0), g - problem.g[test].sum(axis=0))
-        errors[test] = np.linalg.norm(e.r[test] - problem.A[test] @ x, axis=1)
+        test = np.flatnonzero(folds == fold)
+        errors[test] = np.linalg.norm(fit.without(test), axis=1)
     return errors
 
 
@@ -93,33 +143,29 @@ def partitions(n: int, seed: int) -> list[Array]:
 
 def partitioned_errors(e: Evidence, columns: Array, noise: Noise, seed: int) -> Array:
     """Held-out error of each pose, shape (n,) [m], averaged over partitions."""
-    runs = [held_out_errors(e, columns, noise, folds) for folds in partitions(len(e.r), seed)]
+    fit = Fit(e, columns, noise)
+    runs = [fold_errors(fit, folds) for folds in partitions(len(e.r), seed)]
     return np.asarray(np.mean(runs, axis=0))
 
 
 def fitted_without(e: Evidence, columns: Array, noise: Noise, test: Array) -> Array:
     """What a fit to the poses outside of a mask leaves at every pose, shape (n, 3) [m]."""
-    problem = _normal(e, columns, noise)
-    return np.asarray(e.r - problem.A @ problem.solve(~test))
+    fit = Fit(e, columns, noise)
+    return fit.left(fit.to(np.flatnonzero(~test)))
 
 
 def remainders(e: Evidence, columns: Array, noise: Noise, kept: Array) -> tuple[Array, Array]:
     """What a fit to the kept poses leaves at every pose: length [m] and squared Mahalanobis distance, shapes (n,)."""
-    problem = _normal(e, columns, noise)
-    left = e.r - problem.A @ problem.solve(kept)
-    distance = np.einsum("ni,nij,nj->n", left, np.linalg.inv(covariance(e, noise)), left)
-    return np.linalg.norm(left, axis=1), distance
+    fit = Fit(e, columns, noise)
+    left = fit.left(fit.to(np.flatnonzero(kept)))
+    return np.linalg.norm(left, axis=1), ((fit.W @ left[:, :, None]) ** 2).sum(axis=(1, 2))
 
 
 def estimates(e: Evidence, columns: Array, noise: Noise) -> tuple[Array, Array]:
     """Values and standard errors of the causes' parameters, in sizes, shapes (len(columns),)."""
-    problem = _normal(e, columns, noise)
-    everyone = np.ones(len(e.r), dtype=bool)
-    normal = problem.H.sum(axis=0) + np.diag(problem.prior**-2)
-    scale = np.sqrt(np.diag(normal))
-    inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
+    fit = Fit(e, columns, noise)
     first = e.J.shape[2]
-    return problem.solve(everyone)[first:], np.sqrt(np.diag(inverse))[first:]
+    return fit.x[first:], np.sqrt(np.diag(fit.covariance))[first:]
 
 
 def random_folds(n: int, seed: int, count: int = FOLDS) -> Array:

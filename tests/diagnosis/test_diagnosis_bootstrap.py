@@ -30,7 +30,7 @@ def test_odds_of_noise_are_those_of_the_full_judgement(monkeypatch: pytest.Monke
     (odds,) = bootstrap.noise_odds(c, 6, np.random.default_rng(3))
     for k in range(6):
         assert odds[k] == pytest.approx(
-            odds_in_full(c, drawn[0].E[:, :, k]), abs=0.2
+            odds_in_full(c, drawn[0][:, :, k]), abs=0.2
         )  # sizes of noise that the data exclude are left out
 
 
