@@ -3,7 +3,7 @@
 =======================
 
 The idea of calibration in ten minutes: a model with a few unknown numbers, measured positions, and least squares.
-First with nothing but numpy, then with `casadical.identify`, which must find the same.
+First with numpy only, then with `casadical.identify`, which must give the same result.
 
 Run it from anywhere: ``python docs/tutorials/tutorial_1_planar_arm.py``.
 """
@@ -22,9 +22,9 @@ ROOT = Path(sys.argv[0]).resolve().parents[2]  # this file lies in docs/tutorial
 # %%
 # The data
 # --------
-# An arm of two links moves in a horizontal plane. At 40 poses somebody wrote down the two joint readings and measured
-# where the end is. The drawing says: link 1 is 400 mm long, link 2 is 300 mm, and both zeros are exact. (The data are
-# simulated, with 0.02 mm noise, so that we know the truth.)
+# An arm of two links moves in a horizontal plane. At 40 poses the two joint readings were recorded and the position of
+# the end was measured. The drawing says: link 1 is 400 mm long, link 2 is 300 mm, and both zeros are exact. (The data
+# are simulated, with 0.02 mm noise, so the true values are known.)
 
 table = pd.read_csv(ROOT / "data/planar/planar.csv")
 q = np.deg2rad(table[["q1_deg", "q2_deg"]].to_numpy())
@@ -53,9 +53,9 @@ assert 1.5 < mean_error_mm(drawing, new) < 2.0
 # %%
 # Least squares
 # -------------
-# A small change of the four numbers moves the end by ``J @ change``. Choose the change for which the moved model is
-# nearest to the measurements, move, and repeat until nothing moves: Gauss and Newton's method. The Jacobian ``J``
-# comes from differences here; `casadical` takes exact derivatives from CasADi.
+# A small change of the four numbers moves the end by ``J @ change``. Choose the change that brings the model
+# closest to the measurements, apply it, and repeat until it is zero: the Gauss-Newton method. The Jacobian ``J`` is
+# computed by finite differences here; `casadical` uses exact derivatives from CasADi.
 
 
 def jacobian(values):
@@ -71,16 +71,16 @@ values = drawing
 for step in range(4):
     residual = (measured[known] - position(q[known], *values)).ravel()
     values = values + np.linalg.lstsq(jacobian(values), residual, rcond=None)[0]
-    print(f"step {step + 1}: {mean_error_mm(values, known):.4f} mm left on the 25 poses it learns from")
+    print(f"step {step + 1}: {mean_error_mm(values, known):.4f} mm left on the 25 poses of the fit")
 
-print(f"on the 15 poses it never saw: {mean_error_mm(values, new):.4f} mm")
+print(f"on the 15 held-out poses: {mean_error_mm(values, new):.4f} mm")
 assert mean_error_mm(values, new) < 0.04
 
 # %%
-# How sure is it?
-# ---------------
-# What is left, divided by the degrees of freedom, is the variance of the noise. It goes through the Jacobian into the
-# variance of the numbers. Without standard errors, a calibrated value is worth little.
+# How accurate are the values?
+# ----------------------------
+# The sum of squared residuals, divided by the degrees of freedom, estimates the variance of the noise. The Jacobian
+# converts it into the variance of the parameters. A calibrated value without a standard error is of little use.
 
 residual = (measured[known] - position(q[known], *values)).ravel()
 sigma = np.sqrt(residual @ residual / (residual.size - 4))
@@ -88,7 +88,7 @@ J = jacobian(values)
 error = sigma * np.sqrt(np.diag(np.linalg.inv(J.T @ J)))
 built = np.array([0.4006, np.deg2rad(0.25), 0.2993 * np.cos(np.deg2rad(-0.4)), 0.2993 * np.sin(np.deg2rad(-0.4))])
 
-print(f"noise of a coordinate: {1e3 * sigma:.4f} mm (put in: 0.02)")
+print(f"noise of a coordinate: {1e3 * sigma:.4f} mm (simulated: 0.02)")
 names = ("a1", "theta1", "tool_x", "tool_y")
 for name, value, e, truth in zip(names, 1e3 * values, 1e3 * error, 1e3 * built, strict=True):
     print(f"{name:7s} {value:9.4f} +- {e:.4f}   built with {truth:9.4f}   (mm, mrad)")
@@ -98,7 +98,7 @@ assert np.all(abs(values - built) < 3 * error)
 # %%
 # The same with casadical
 # -----------------------
-# The robot is described in ten lines of ``problems/planar/robot.toml``. Asked for the same four numbers it finds the
+# The robot is described in ten lines of ``problems/planar/robot.toml``. For the same four numbers it finds the
 # same values, to a thousandth of their standard errors.
 
 robot = casadical.read_robot(ROOT / "problems/planar/robot.toml")
@@ -109,12 +109,12 @@ same = np.array([by_name[name] for name in names])
 assert np.all(abs(same - values) < 1e-3 * error)
 
 # %%
-# What cannot be known
-# --------------------
-# The built arm has a wrong zero of joint 2 as well. Why did we not ask for it? Because turning link 2 about its joint
-# moves the end exactly as a sideways shift of the end on link 2: no measurement of the end can tell them apart. A
-# Jacobian with a column for it would have a singular value of zero. `casadical` looks for such columns itself, holds
-# one of each kind at its drawn value, and says which and why.
+# What cannot be identified
+# -------------------------
+# The built arm has a wrong zero of joint 2 as well. It is not among the four numbers, because a rotation of link 2
+# about its joint moves the end exactly like a sideways shift of the end on link 2: no measurement of the end can
+# distinguish them. A Jacobian with a column for it would have a singular value of zero. `casadical` finds such
+# columns, holds one parameter of each group at its nominal value, and reports which and why.
 
 everything = casadical.identify(robot, m[known], method="KM")
 print(everything.verdict)
@@ -128,10 +128,10 @@ print(f"new poses: {1e3 * accuracy['placed'].mean:.2f} mm before, {1e3 * accurac
 assert 1e3 * accuracy["calibrated"].mean < 0.04  # heights are measured too, so the distance holds one noise more
 
 # %%
-# In a picture
-# ------------
-# Each arrow is the error of one pose, 100 times as long as it is. Before, they have a pattern; afterwards only noise
-# is left, and noise has none.
+# A figure
+# --------
+# Each arrow is the error of one pose, enlarged 100 times. Before calibration the errors have a pattern; afterwards
+# only noise is left, which has none.
 
 figure, axes = plt.subplots(1, 2, figsize=(9, 4.6), sharex=True, sharey=True, layout="constrained")
 for ax, numbers, title in zip(axes, (drawing, values), ("as drawn", "calibrated"), strict=True):
@@ -143,9 +143,9 @@ axes[0].set_ylabel("y [m]")
 plt.show()
 
 # %%
-# What to remember
-# ----------------
-# - The parameters are found from some poses and judged by others.
-# - Every value comes with its standard error, and some cannot be had at all.
-# - What is left should look like noise of the size of your instrument's. If it does not, the model lacks something,
+# Summary
+# -------
+# - The parameters are identified from some poses and tested on others.
+# - Every value has a standard error, and some parameters are not identifiable.
+# - The residuals should look like noise of the size of your instrument's. If they do not, the model lacks something,
 #   and :doc:`tutorial 5 <tutorial_5_diagnose_a_gap>` finds out what.

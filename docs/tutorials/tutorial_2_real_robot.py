@@ -3,8 +3,8 @@
 ==========================
 
 A Universal Robots UR10, 2773 random poses measured with a laser tracker (Landgraf et al. 2021, see
-``data/README.md``). We look at the table, identify the robot, ask what the result is worth and how many poses it would
-have taken.
+``data/README.md``). We look at the table, identify the robot, check the accuracy of the result, and find how many poses
+would have been enough.
 """
 
 import sys
@@ -25,8 +25,8 @@ CSV = ROOT / "data/ur10_laser_tracker/series_C_random_poses.csv"
 # %%
 # Look at the table first
 # -----------------------
-# Units stand in the column names, so nothing is guessed: ``q1_rad`` .. are joint readings, ``x_mm`` .. is the measured
-# point. The table also has the probe's orientation; we use the positions only.
+# Units are part of the column names, so nothing is guessed: ``q1_rad`` .. are joint readings, ``x_mm`` .. is the
+# measured point. The table also has the probe's orientation; we use the positions only.
 
 table = pd.read_csv(CSV)
 print(table[["q1_rad", "q2_rad", "x_mm", "y_mm", "z_mm", "std_x"]].describe().round(3).to_string())
@@ -35,8 +35,8 @@ assert len(table) == 2773
 # %%
 # The robot
 # ---------
-# ``problems/ur10/robot.toml`` holds the maker's DH table in the maker's convention. Where the robot stands in the
-# tracker's frame is unknown, and so is where the probe sits on the flange: both are identified.
+# ``problems/ur10/robot.toml`` has the maker's DH table in the maker's convention. The pose of the robot in the
+# tracker's frame is unknown, and so is the position of the probe on the flange: both are identified.
 
 robot = casadical.read_robot(ROOT / "problems/ur10/robot.toml")
 m = casadical.read_measurements(CSV, robot.n, "position")
@@ -47,8 +47,8 @@ print(robot.name, "has", len(robot.parameters), "parameters;", len(sets["identif
 # Identify
 # --------
 # `KM` finds the geometry, `SKCM` the geometry and the compliance of the joints that are marked compliant. A verdict
-# that says AT BOUNDS is a warning: here the data would like a joint to be stiffer than stiff, so the compliances of
-# this arm are not to be believed one by one.
+# with AT BOUNDS is a warning: here the best fit would have a negative compliance, so do not trust the compliances of
+# this arm one by one.
 
 results = {method: casadical.identify(robot, sets["identify"], method=method) for method in ("KM", "SKCM")}
 for result in results.values():
@@ -56,8 +56,8 @@ for result in results.values():
 assert all(result.is_optimal() for result in results.values())
 
 # %%
-# Judged on 1000 poses that the fit never saw. *Given* is the robot file to the letter, *placed* has base and tool
-# fitted: the only "before" that compares robots and not the place where the tracker stood.
+# Errors of 1000 held-out poses. *Given* is the robot file unchanged, *placed* has base and tool fitted: this is the
+# only "before" that does not depend on the position of the tracker.
 
 rows = []
 for method, result in results.items():
@@ -71,8 +71,8 @@ assert 0.8 < before < 1.0
 assert 0.40 < after < 0.50
 
 # %%
-# What was found, and how sure is it?
-# -----------------------------------
+# The identified parameters
+# -------------------------
 
 found = result.parameters.query("status == 'identified'")
 held = result.parameters.query("status == 'not identifiable'")
@@ -81,10 +81,10 @@ print(held[["name", "reason"]].to_string(index=False))
 assert "theta6" in set(held.name)  # a point near the last axis has no direction
 
 # %%
-# Is it noise that is left?
-# -------------------------
-# The tracker repeats a coordinate to some hundredths of a millimetre, the column ``std_x`` says. The fit leaves
-# several times as much. So most of what is left is *not* noise, and the standard errors above, which take it for
+# Are the residuals noise?
+# ------------------------
+# The tracker repeats a coordinate to a few hundredths of a millimetre (column ``std_x``). The scatter after the fit is
+# several times larger. Most of the residuals are therefore *not* noise, and the standard errors above, which assume
 # noise, are too small. This is the most important figure of a calibration, and the easiest to overlook.
 
 scatter = 1e3 * result.sigmas[0][0]
@@ -95,7 +95,7 @@ assert scatter > 5 * tracker
 # %%
 # How many poses would have been enough?
 # --------------------------------------
-# The error on new poses falls quickly and then stays: more poses do not help a model that lacks something.
+# The error on new poses falls quickly and then stays constant: more poses do not help if the model lacks something.
 
 sizes = (15, 25, 40, 70, 150, 400)
 curve = []
@@ -117,9 +117,9 @@ right.legend()
 plt.show()
 
 # %%
-# Keep the robot
+# Save the robot
 # --------------
-# The calibrated robot is a file like the one we began with, and gives the same errors when it is read again.
+# The calibrated robot is a file like the nominal one, and gives the same errors when it is read again.
 
 with tempfile.TemporaryDirectory() as folder:
     path = Path(folder) / "ur10_calibrated.toml"
@@ -131,7 +131,8 @@ print(f"read again: {1e3 * errors(again, sets['report']).mean():.4f} mm")
 # %%
 # Outliers
 # --------
-# Real tables hold blunders. Spoil ten poses of the 400 by 20 mm: the plain fit suffers, a robust loss leaves them out.
+# Real tables have outliers. We shift ten of the 400 poses by 20 mm: the plain fit gets worse, a robust loss removes
+# them.
 
 spoilt = sets["identify"].position.copy()
 spoilt[:10] += 0.02
@@ -139,7 +140,7 @@ with_blunders = replace(sets["identify"], position=spoilt)
 for loss in ("linear", "huber"):
     fitted = casadical.identify(robot, with_blunders, method="KM", loss=loss)
     mean = 1e3 * fitted.accuracy(sets["report"])["calibrated"].mean
-    print(f"{loss}: {mean:.3f} mm on new poses, {len(fitted.outliers)} poses left out")
+    print(f"{loss}: {mean:.3f} mm on new poses, {len(fitted.outliers)} poses removed")
     if loss == "huber":
         assert {i for _, i in fitted.outliers} >= set(range(10))
         assert mean < 1.05 * curve[-1]

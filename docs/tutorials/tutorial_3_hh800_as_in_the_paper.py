@@ -4,8 +4,8 @@
 
 The paper calibrates a Hyundai HH800 in four ways and compares them in two tables. Its measurements are not public.
 Here the same experiment runs on a **simulated** HH800: the paper's nominal geometry, assumed masses, and errors sized
-so that KM and SKCM come near the paper's figures (``problems/hh800/README.md``). So agreement in size means nothing.
-What can be compared is what the four methods do on the same data: how much each gains over the one before.
+so that KM and SKCM come near the paper's figures (``problems/hh800/README.md``). So agreement in size is no evidence.
+The comparison is between the four methods on the same data: how much each gains over the previous one.
 """
 
 import sys
@@ -26,7 +26,7 @@ ROOT = Path(sys.argv[0]).resolve().parents[2]  # this file lies in docs/tutorial
 # The experiment
 # --------------
 # 40 poses to identify the robot (the paper's Q1), 50 to train the network (Q2), 50 to report (Q3). We add 50 more,
-# *choose*, by which a network can be refused before anybody looks at the report.
+# *choose*, which decide whether a network is kept; the report set is not used for this.
 
 problem, results, _ = calibrate_problem(ROOT / "problems/hh800")
 sets = {name: parts[0] for name, parts in problem.sets.items()}
@@ -36,8 +36,8 @@ assert [len(sets[name]) for name in ("identify", "train", "choose", "report")] =
 # %%
 # Tables 2 and 3: what was identified
 # -----------------------------------
-# 29 kinematic parameters and the stiffness of joints 2 to 5, as in the paper. `d2`, `d6`, `theta6` and `L3` cannot be
-# told; they are the X marks of Table 3, and here each has its reason.
+# 29 kinematic parameters and the stiffness of joints 2 to 5, as in the paper. `d2`, `d6`, `theta6` and `L3` are not
+# identifiable; they are the X marks of Table 3, and here each has its reason.
 
 skcm = results["SKCM"]
 print(skcm.verdict)
@@ -50,10 +50,9 @@ assert set(held.name) == {"d2", "d6", "theta6", "L3"}
 # Train the paper's networks
 # --------------------------
 # Six joint angles in, five tansig nodes, three millimetres out: 53 weights, trained on 50 poses. `Backprop` is the
-# paper's rival, `Iwo` its invasive weed optimisation, with the paper's settings but for eq. 17: as printed, steps only
-# ever go up and every weight drifts to its bound, so we take the normal steps of Mehrabian and Lucas (2006), as
-# everybody who uses the method. One run proves nothing for methods that begin at random: the paper shows one, we take
-# fifteen.
+# paper's baseline, `Iwo` its invasive weed optimisation, with the paper's settings except eq. 17: as printed, all
+# steps are positive and every weight drifts to its bound, so we use the normal steps of Mehrabian and Lucas (2006).
+# One run proves nothing for methods with a random start: the paper shows one, we make fifteen.
 
 layout = Layout(joints=6, hidden=(5,), outputs=3)
 q, residual = sets["train"].q, residual_mm(skcm.robot, sets["train"])
@@ -76,7 +75,7 @@ networks = {
 # %%
 # Tables 4 and 5: the errors
 # --------------------------
-# Rows of networks are medians over the fifteen seeds. The paper's figures stand beside; they are of a real robot.
+# Rows of networks are medians over the fifteen seeds. The paper's figures, of a real robot, are in the other columns.
 
 
 def left_mm(name, which, seed=0):
@@ -113,16 +112,16 @@ for title, which, printed in (
 report = {name: row[0] for name, row in ours["report"].items()}
 
 # %%
-# KM and SKCM do what the paper says: joint compliance takes some of the error away, on new poses too.
+# KM and SKCM do what the paper says: joint compliance reduces the error, on new poses too.
 
 assert report["before"] > 3.0
 assert report["KM"] > report["SKCM"]
 assert 0.5 < report["SKCM"] < 0.6
 
 # %%
-# The networks do not. They lower the error on the poses they were trained on and raise it on new ones, both of them:
-# 53 weights learn the noise of 50 poses. Invasive weeds raise it less, because they stop far from the minimum, and not
-# because they would find a better one.
+# The networks do not. Both reduce the error on their training poses and increase it on new ones: 53 weights fit the
+# noise of 50 poses. Invasive weed optimisation increases it less, because it stops far from the minimum, not because
+# it finds a better one.
 
 trained_on = {name: ours["train"][name][0] for name in networks}
 iwo, bp = (np.array([left_mm(name, "report", s).mean() for s in range(15)]) for name in ("IWO-NN-SKCM", "NN-SKCM"))
@@ -148,7 +147,7 @@ axes[1].set_xlabel("pose")
 plt.show()
 
 # %%
-# And the losses. Invasive weeds end far above gradients.
+# The losses: invasive weed optimisation ends far above back-propagation.
 
 figure, ax = plt.subplots(figsize=(7, 3.5), layout="constrained")
 for colour, (name, runs) in zip(("C2", "C3"), networks.items(), strict=True):
@@ -159,11 +158,11 @@ ax.legend()
 plt.show()
 
 # %%
-# What does help
-# --------------
-# The refusal: a network is kept only if it gains on *choose*. And a better teacher for fifty poses: `GP-NN-SKCM` has a
-# Gaussian process learn which joints matter, and the network learns from that. Then the network is worth what the
-# paper promised.
+# What helps
+# ----------
+# A network is kept only if it reduces the error on *choose*. And `GP-NN-SKCM` is better with fifty poses: it fits a
+# Gaussian process with a length scale for each joint, and trains the network on its predictions. This network reaches
+# the gain of the paper.
 
 kept = problem_networks(problem, results)
 for name, found in kept.results.items():
@@ -180,9 +179,9 @@ assert gain > 0.15
 # Where we differ from the paper, and why
 # ---------------------------------------
 # - On fifty poses, the paper's two networks make new poses worse here. In the paper they are better. Its data are not
-#   public, so nobody can say which is the rule; over 30 other simulated experiments it was the same
-#   (``docs/studies/twin_networks.txt``), and on a real UR10 both are refused as well
+#   public, so the reason is unknown; the results are the same in 30 other simulated experiments
+#   (``docs/studies/twin_networks.txt``), and on a real UR10 both are rejected as well
 #   (``docs/studies/real_networks.txt``).
-# - The paper's explanation, that weeds avoid local minima which gradients fall into, does not hold on our data:
-#   polished to the bottom of their basins, ends of gradient runs are as good or better.
+# - The paper's explanation, that the method avoids local minima of gradient methods, does not hold on our data:
+#   refined to their local minima, the results of gradient runs are as good or better.
 # - More in ``docs/the-paper.md``, line by line.

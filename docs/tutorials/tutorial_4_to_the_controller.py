@@ -2,9 +2,9 @@
 4. Train the compensator and put it on a controller
 ===================================================
 
-From a calibrated HH800 to C that a controller calls: train a network on what calibration leaves, export the whole
+From a calibrated HH800 to C that a controller calls: train a network on the remaining error, export the whole
 correction as C99, compile it with gcc, call it through ctypes, run it as an FMU, and send the corrected commands to
-the (simulated) robot to see what they are worth. Needs gcc and, for the FMU, fmpy.
+the (simulated) robot to check them. It needs gcc and, for the FMU, fmpy.
 """
 
 import ctypes
@@ -34,8 +34,8 @@ folder = Path(tempfile.mkdtemp())
 # %%
 # Calibrate, then train
 # ---------------------
-# The network learns measured less computed position from 50 poses; 50 others decide whether it is kept. It says so
-# first.
+# The network learns the measured minus the computed position from 50 poses; 50 others decide whether it is kept. The
+# verdict comes first.
 
 problem, results, _ = calibrate_problem(ROOT / "problems/hh800", method="SKCM")
 calibrated = results["SKCM"]
@@ -55,10 +55,10 @@ assert compensator.validation.gain > 0.15
 # %%
 # Export
 # ------
-# `command_of` makes one CasADi function of it: forward kinematics with the identified values, deflection under
-# gravity, the network, and two damped least-squares steps from the nominal to the real robot. `write_c` emits C from
-# it, compiles it, compares it with its reference on so many joint vectors, bit for bit, and only then writes the
-# files. (`casadical export c` does the same from files.)
+# `command_of` makes one CasADi function: forward kinematics with the identified values, deflection under gravity, the
+# network, and two damped least-squares steps from the nominal to the real robot. `write_c` emits C from it, compiles
+# it, compares it with its reference on many joint vectors, bit for bit, and only then writes the files. (`casadical
+# export c` does the same from files.)
 
 write_robot(calibrated.robot, folder / "calibrated.toml")
 save_compensator(compensator, folder / "network.json")
@@ -68,10 +68,10 @@ print(export)
 assert export.verified
 
 # %%
-# Compile it as your build would
-# ------------------------------
-# Two files, no library, not even libm. `-ffp-contract=off` because fused multiply-adds change the last bits; the
-# self-test would notice.
+# Compile it as in your own build
+# -------------------------------
+# Two files, no library, not even libm. `-ffp-contract=off`, because fused multiply-adds change the last bits; the
+# self-test would detect it.
 
 library = folder / "hh800.so"
 command = "gcc -std=c99 -O2 -ffp-contract=off -Wall -Wextra -Werror -shared -fPIC hh800.c hh800_self_test.c -o"
@@ -92,7 +92,7 @@ dq, status = correction(report.q[0])
 print("corrections of the first pose [mrad]:", np.round(1e3 * dq, 3), status.name)
 
 # %%
-# Bad input is answered by a status and zeros, never by a crash or a wild command.
+# Bad input gives a status and zeros, never a crash or a wrong command.
 
 dq, status = correction(np.array([np.nan, 0, 0, 0, 0, 0]))
 assert (status, np.abs(dq).max()) == (Status.NOT_FINITE, 0)
@@ -101,13 +101,12 @@ assert status != Status.OK
 print("joint 1 far out of its range:", status.name)
 
 # %%
-# Does the real tool go where it should?
-# --------------------------------------
-# The controller asks for joints q and believes that the tool is where the *nominal* robot has it. We ask the simulated
-# true robot, of which our model is only an estimate and which has effects no model here holds, where it really goes:
-# with q, and with q + dq, by the calibration alone and with the network. Some poses lie outside of the joint angles of
-# the 50 that the network was trained on; there the C answers CLAMPED, and such a pose should keep its command. We
-# compare on the others.
+# Does the real tool reach the target?
+# ------------------------------------
+# The controller commands joints q and assumes that the tool is at the position of the *nominal* robot. We compute the
+# position of the simulated true robot, which differs from our model and has unmodelled effects: with q, and with q +
+# dq, for the calibration alone and with the network. Some poses are outside the joint angles of the 50 training poses
+# of the network; there the C returns CLAMPED, and such a pose should keep its command. We compare the others.
 
 
 def real_tool(q):
@@ -170,7 +169,7 @@ plt.show()
 # Corrections for the cyclic task
 # -------------------------------
 # A controller calls `hh800_step` every 4 ms instead. It ramps the correction in and limits its rate; `enable` = 0
-# ramps it out. The same code is inside of the FMU, which TwinCAT and Simulink take. An importer compiles its sources;
+# ramps it out. The same code is in the FMU, which TwinCAT and Simulink can import. An importer compiles its sources;
 # here gcc does.
 
 unpacked = folder / "fmu"
@@ -202,5 +201,5 @@ plt.show()
 # %%
 # Before you switch it on
 # -----------------------
-# The controller's own absolute-accuracy option must be off, or errors are corrected twice. Run the self-test on the
-# target. Then a few poses at low speed. :doc:`/export` has the rest.
+# The controller's own absolute-accuracy option must be off, otherwise errors are corrected twice. Run the self-test on
+# the target, then a few poses at low speed. :doc:`/export` has more.

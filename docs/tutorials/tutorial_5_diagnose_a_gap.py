@@ -2,9 +2,9 @@
 5. Diagnose a gap
 =================
 
-A robot has been calibrated, and an error is left. From the first look to the cause, its proof on poses that had no
-part in finding it, and the shrunken gap. The campaign is simulated, by a simulator that shares no formula with the
-model (`data/campaigns/practice`); its hidden cause is revealed at the end.
+A robot has been calibrated, and an error is left. This tutorial finds the cause, tests it on poses that were
+not used to find it, and corrects the model. The campaign comes from a simulator that shares no formula with the
+model (`data/campaigns/practice`); its hidden cause is shown at the end.
 """
 
 import json
@@ -24,8 +24,8 @@ CAMPAIGNS = ROOT / "data/campaigns/practice"
 # %%
 # First look
 # ----------
-# 60 poses of a KUKA KR 210. The log has what a diagnosis needs beside readings and positions: time, temperature,
-# payload, and from which side each joint came. What was not logged cannot be blamed.
+# 60 poses of a KUKA KR 210. In addition to readings and positions the log has the columns that a diagnosis needs:
+# time, temperature, payload, and the direction of approach of each joint. Effects of a missing column cannot be found.
 
 robot = read_campaign_robot(ROOT / "problems/kr210")
 m = read_measurements(CAMPAIGNS / "kr210-P02.csv", robot.n)
@@ -52,15 +52,14 @@ axes[2].legend()
 plt.show()
 
 # %%
-# The eye sees residuals of a tenth of a millimetre and a pattern here and there. But beware: the fit has already bent
-# link lengths and stiffnesses to hide what it could of the cause. What is left is only the share that the base
-# parameters could not imitate.
+# The residuals are about a tenth of a millimetre, with some pattern. But the fit has already changed link lengths and
+# stiffnesses to absorb part of the cause. Only the part that the base parameters cannot reproduce is left.
 
 # %%
-# What could these poses show at all?
-# -----------------------------------
-# Before blaming anything, ask how visible each effect would be in these poses at a realistic size. *Absorbed* is the
-# share that the base model swallows; *findable_from* is the multiple of the realistic size from which it would be
+# What can these poses show?
+# --------------------------
+# First, compute how visible each effect would be in these poses at a realistic size. *Absorbed* is the
+# share that the base model absorbs; *findable_from* is the multiple of the realistic size from which it would be
 # found nine times in ten.
 
 seen = isolability(robot, m)
@@ -70,8 +69,8 @@ print("and the least visible:\n" + seen.effects.sort_values("visible_to_noise").
 # %%
 # Diagnose
 # --------
-# Each effect's signature is fitted *together* with the base model; the evidence weighs fit against flexibility, and
-# unlisted smooth causes compete with the listed ones.
+# Each effect's signature is fitted *together* with the base model; the evidence balances fit and flexibility, and
+# unlisted smooth causes are compared with the listed ones.
 
 found = diagnose(robot, m)
 print(found.verdict, [(c.label, round(c.confidence, 3)) for c in found.causes])
@@ -87,7 +86,7 @@ assert [c.label for c in found.causes] == ["thermal_growth"]
 # %%
 # Where it lies, and how far the gap falls
 # ----------------------------------------
-# Before any cause is named: seen as growing links, the gap lies in the three long ones; seen as joint errors, nowhere.
+# Before any cause is named: as growth of links, the gap lies in the three long ones; as errors of joints, in none.
 
 print(found.where.links[["part", "share", "low", "high"]].round(2).to_string(index=False))
 print(found.course[["model", "gap_mm", "low_mm", "high_mm", "loo_mm"]].round(4).to_string(index=False))
@@ -95,19 +94,19 @@ shares = found.where.links.set_index("part").share
 assert shares[["link 1", "link 2", "link 4"]].sum() > 0.95
 
 # %%
-# Who else was in question
-# ------------------------
-# Probabilities of the first step. They hold among the hypotheses compared, no further.
+# The other candidates
+# --------------------
+# Probabilities of the first step. They are relative to the hypotheses compared.
 
 first = found.rankings[0]
 for label in first.order[:5]:
     print(f"{label:28s} {first.probability[label]:.2g}")
 
 # %%
-# Prove it on poses that had no part
-# ----------------------------------
-# A cause is worth what it predicts. Identify from the first 45 poses, with and without the effect, and predict the
-# last 15. They are the warm end of the campaign, so this asks for more than folds drawn at random.
+# Test it on other poses
+# ----------------------
+# A cause must predict. Identify from the first 45 poses, with and without the effect, and predict the last 15. They
+# are the warm end of the campaign, so this test is harder than random folds.
 
 better = robot.with_effect(*found.effects())
 logged, _ = derive(m, better.conditions)
@@ -127,9 +126,9 @@ axes[0].set_ylabel("error [mm]")
 plt.show()
 
 # %%
-# The answer
-# ----------
-# The simulator's log says what was hidden, and how far the gap would shrink with the true effect known exactly.
+# The solution
+# ------------
+# The simulator's log has the hidden effect, and the shrink for the exactly known effect.
 
 answers = json.loads((CAMPAIGNS / "answers.json").read_text())
 print(answers["kr210-P02"])
@@ -139,7 +138,7 @@ assert abs(cause.shrink - answers["kr210-P02"]["true_shrink"]) < 0.05
 # %%
 # When there is nothing
 # ---------------------
-# A diagnosis that always finds something is worth nothing. This campaign has no hidden effect.
+# A diagnosis that always finds something is useless. This campaign has no hidden effect.
 
 nothing = diagnose(robot, read_measurements(CAMPAIGNS / "kr210-P08.csv", robot.n))
 left, floor = 1e3 * nothing.gap.before, 1e3 * nothing.gap.floor
@@ -148,11 +147,11 @@ assert nothing.verdict == "none"
 assert not nothing.causes
 
 # %%
-# When it cannot be sure
-# ----------------------
-# Two small effects at once on a UR10e. From the whole campaign of 120 poses both are told. Somebody who stopped after
-# half of it is less sure: the stiffness of joint 2 looks like play in that joint. The diagnosis says so, and
-# `next_poses` gives the poses that would tell the two apart. `separation` grows with each: 3 is a factor of 20.
+# When the result is ambiguous
+# ----------------------------
+# A UR10e with two small effects. The whole campaign of 120 poses identifies both. With the first half only, the result
+# is ambiguous: the stiffness of joint 2 looks like backlash in that joint. The diagnosis says so, and `next_poses`
+# gives the poses that distinguish the two. `separation` grows with each pose: 3 is a factor of 20.
 
 arm = read_campaign_robot(ROOT / "problems/ur10e")
 campaign = read_measurements(CAMPAIGNS / "ur10e-P09.csv", arm.n)

@@ -2,9 +2,9 @@
 6. Your own robot
 =================
 
-From nothing but a URDF, or a DH table on paper, and somebody's CSV, to a problem folder that ``casadical calibrate``
-runs. The robot is a UR10 again, but this time nobody has prepared anything: we write every file here. The readings are
-real (1495 joint configurations, laser tracker).
+From a URDF, or a printed DH table, and a CSV of measurements to a problem folder for ``casadical calibrate``. The robot
+is a UR10 again, but this time nothing is prepared: we write every file here. The readings are real (1495 joint
+configurations, laser tracker).
 """
 
 import json
@@ -23,11 +23,10 @@ folder = Path(tempfile.mkdtemp()) / "my_ur10"
 folder.mkdir()
 
 # %%
-# The way of a URDF
+# Start from a URDF
 # -----------------
-# Joints with their axes and ranges are what matters; masses, where they are given, make gravity torques. Meshes are
-# not needed. The last link is the measured point: here a probe some 185 mm in front of the flange, as somebody
-# measured with a ruler.
+# Only the joints with their axes and ranges are required; masses, if given, define the gravity torques. Meshes are not
+# needed. The last link is the measured point: here a probe about 185 mm in front of the flange, measured with a ruler.
 
 LINKS = ["base_link", "shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3", "probe"]
 JOINTS = (  # name, where it sits on the link before [m], turned by [rad], axis
@@ -61,10 +60,10 @@ robot = casadical.read_urdf(folder / "arm.urdf")
 print(f"{robot.name}: {robot.n} joints;", "; ".join(robot.notes))
 
 # %%
-# The way of a DH table
+# Start from a DH table
 # ---------------------
-# The maker prints the table in the standard convention: theta, d, a, alpha. A robot file is the same with units in the
-# keys. Lines that are not there have their default.
+# The maker gives the table in the standard convention: theta, d, a, alpha. A robot file is the same with units in the
+# keys. Missing keys have their default.
 
 DH = """\
 casadical = 1
@@ -72,7 +71,7 @@ name = "UR10 from the maker's table"
 convention = "standard"
 
 [base]
-unknown = "pose"            # where it stands in the tracker's frame: identified
+unknown = "pose"            # its pose in the tracker's frame: identified
 
 [tool]
 xyz_mm = [0, 0, 185]        # roughly; identified
@@ -91,8 +90,8 @@ for d_mm, a_mm, alpha_deg in (
 from_table = casadical.read_robot(folder / "robot.toml")
 
 # %%
-# Both must be the same robot. They may stand differently in their base frames (this URDF's base is turned by half a
-# turn against the table's), so we compare distances between tool positions at random readings, which no frame changes.
+# Both must be the same robot. Their base frames may differ (this URDF's base is rotated by half a turn against the
+# table's), so we compare distances between tool positions at random readings, which do not depend on the frame.
 
 
 def distances(robot, readings):
@@ -108,9 +107,8 @@ assert apart < 1e-8
 # %%
 # Your CSV
 # --------
-# It comes as it comes. Here: joint names of their own, degrees, tracker columns ``X Y Z`` in millimetres. Nothing has
-# to be renamed in the file: ``problem.toml`` says which column is which. Our names carry the unit, and that is how a
-# unit is declared.
+# Your file has its own format. Here: other joint names, degrees, tracker columns ``X Y Z`` in millimetres. Nothing has
+# to be renamed in the file: ``problem.toml`` maps the columns. Our names include the unit, and this declares the unit.
 
 source = pd.read_csv(ROOT / "data/ur10_laser_tracker/series_B_joint_configurations.csv")
 mine = pd.DataFrame({f"Axis {i}": np.rad2deg(source[f"q{i}_rad"]) for i in range(1, 7)})
@@ -125,7 +123,7 @@ title = "My UR10"
 data = "real"
 robot = "ROBOT"
 methods = ["KM"]
-loss = "huber"              # in case some rows are blunders
+loss = "huber"              # in case some rows are outliers
 
 [[measurements]]
 file = "poses.csv"
@@ -156,7 +154,7 @@ runs = {name: calibrate(name) for name in ("arm.urdf", "robot.toml")}
 print(runs["robot.toml"][0].stdout)
 
 # %%
-# The two descriptions give the same accuracy on the 800 poses that were held out, as they must.
+# The two descriptions give the same accuracy on the 800 held-out poses, as expected.
 
 means = {name: run["methods"]["KM"]["sets"]["report"]["mean_mm"] for name, (_, run) in runs.items()}
 print({name: f"{mean:.4f} mm" for name, mean in means.items()})
@@ -166,8 +164,8 @@ assert abs(means["arm.urdf"] - means["robot.toml"]) < 0.01
 # %%
 # When it does not run
 # --------------------
-# Most first attempts fail at a unit or a sign. A unit that cannot be meant is refused before anything is computed; the
-# message says where.
+# Most first attempts fail because of a unit or a sign. An implausible unit is refused before anything is computed; the
+# message says where it is.
 
 PROBLEM = PROBLEM.replace("_deg", "_rad")
 refused, _ = calibrate("robot.toml")
@@ -176,7 +174,7 @@ assert refused.returncode == 2
 assert "poses.csv" in refused.stderr
 
 # %%
-# A joint that counts the other way shows in no single row. It shows in the fit.
+# The wrong sign of a joint is not visible in a single row, but in the fit.
 
 PROBLEM = PROBLEM.replace("_rad", "_deg")
 mine["Axis 3"] *= -1

@@ -2,9 +2,9 @@
 7. Your own effect
 ==================
 
-You suspect something that is on no list: the dress pack of the wrist has slack, and pulls only when joint 5 is turned
-far out. Write it down in twenty lines, and let the diagnosis judge: does it explain the gap, better than everything
-listed? And does it keep quiet where it is not the cause?
+You suspect an effect that is on no list: the dress pack of the wrist has slack, and pulls only when joint 5 is turned
+far out. Write it in twenty lines, and let the diagnosis compare it: does it explain the gap better than all listed
+effects? And is it not claimed where it is not the cause?
 """
 
 import json
@@ -28,9 +28,9 @@ robot = read_campaign_robot(ROOT / "problems/ur10e")
 # The effect in the model
 # -----------------------
 # An effect names its parameters with a realistic size each (one sigma before seeing data; zero must mean no effect)
-# and overrides the seam at which it acts. A spring is potential energy: what torque it makes on which joint, and how
-# far the compliant joint gives, follows by itself. `slack` is a setting. It does not enter linearly, so the diagnosis
-# searches around the value given.
+# and overrides the method at which it acts. A spring is potential energy: its torque on every joint, and the
+# deflection of the compliant joints, follow automatically. `slack` is a setting. It does not enter linearly, so the
+# diagnosis searches around the value given.
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,10 @@ class SlackDressPack(Effect):
 
 
 # %%
-# A robot that has it
-# -------------------
-# We test on campaigns of the package's simulator, which knows nothing of the model above: here the hose is a torque in
-# numpy, on a true robot with errors in every link. (On your own robot, this is where your CSV comes in.)
+# A robot with this effect
+# ------------------------
+# We test on campaigns of the package's simulator, which is independent of the model above: there the hose is a torque
+# in numpy, on a true robot with errors in every link. (For your own robot, use your CSV here.)
 
 
 @dataclass(frozen=True)
@@ -76,17 +76,17 @@ def measured(*hidden):
 with_hose = measured(Hose())
 
 # %%
-# First the standard list, which does not have it
-# -----------------------------------------------
+# First the standard list, without it
+# -----------------------------------
 
 listed = diagnose(robot, with_hose)
 print(listed.verdict, [(c.label, round(c.confidence, 2)) for c in listed.causes])
 assert "slack_dress_pack@5" not in [c.label for c in listed.causes]
 
 # %%
-# It names the right joint and two wrong causes, with great confidence. A probability holds among the hypotheses
-# compared, no further: what is not on the list cannot be found, and a smooth error of one joint resembles others. This
-# is why it must be easy to add to the list.
+# It names the right joint and two wrong causes, with high probability. A probability is relative to the hypotheses
+# compared: an effect that is not on the list cannot be found, and smooth errors of one joint resemble each other.
+# Therefore it must be easy to add effects to the list.
 
 # %%
 # Then with it
@@ -104,9 +104,9 @@ assert (own.verdict, cause.label) == ("explained", "slack_dress_pack@5")
 assert own.gap.after < 1.3 * own.gap.floor
 
 # %%
-# The spring comes out a third too stiff, far outside of its standard error. The diagnosis works with the model
-# linearised at the base fit, and that had given joint 5 a wrong compliance to make up for the hose. Identified anew
-# with the effect in the model, both are right.
+# The spring is a third too stiff, far outside its standard error. The diagnosis uses the model linearised at the base
+# fit, which had a wrong compliance of joint 5 to compensate the hose. After identification with the effect in the
+# model, both are right.
 
 free = ("kinematic", "compliance")
 refit = own.refit()
@@ -117,11 +117,11 @@ assert abs(table.value["slack_dress_pack@5.spring"] / 12 - 1) < 0.1
 assert abs(table.value["c5"] / (1e6 / plant.stiffness[4]) - 1) < 0.05
 
 # %%
-# Judge it on poses that had no part
-# ----------------------------------
-# The first 70 poses identify, the last 30 judge. The two wrong causes predict as well as the right one: with five
-# parameters they imitate a smooth pull of one joint. Prediction cannot tell them apart. The posterior does, for it
-# asks what is the lesser coincidence: five parameters that happen to agree, or one of a realistic size.
+# Test it on other poses
+# ----------------------
+# Identify with the first 70 poses, test with the last 30. The two wrong causes predict as well as the right one: with
+# five parameters they reproduce a smooth torque of one joint. Prediction cannot distinguish them. The posterior does:
+# it is unlikely that five parameters agree by chance, and likely that one has a realistic size.
 
 early, late = with_hose[:70], with_hose[70:]
 
@@ -150,10 +150,10 @@ ax.legend()
 plt.show()
 
 # %%
-# Does it keep quiet?
-# -------------------
-# An effect of your own that explains everything is worth nothing either. Twice with the same robot: with nothing
-# hidden, and with friction in joint 3.
+# Is it claimed only where it is the cause?
+# -----------------------------------------
+# An effect that explains everything is useless, too. We test the same robot twice: with nothing hidden, and with
+# friction in joint 3.
 
 for name, hidden, expected in (
     ("nothing hidden", (), []),
@@ -166,5 +166,5 @@ for name, hidden, expected in (
 # %%
 # More
 # ----
-# :doc:`/diagnosis` lists the seams and the effects there are; each of these is a file of a page in
+# :doc:`/diagnosis` lists the methods to override and all effects; each effect is one short file in
 # ``casadical/effects``.
