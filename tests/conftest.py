@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from casadical.project.calibration import Run, calibrate_problem
+from casadical import Calibration, calibrate
 
 ROOT = Path(__file__).parents[1]
 
 
 @cache
-def _calibrated(name: str) -> Run:
-    return calibrate_problem(ROOT / "problems" / name)
+def _calibrated(name: str) -> Calibration:
+    return calibrate(ROOT / "problems" / name)
 
 
 @pytest.fixture(scope="session")

@@ -61,8 +61,7 @@ def calibrate(
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug of ours.
     """
     from casadical.core.files import write_together
-    from casadical.project.calibration import calibrate_problem, problem_networks, result_files
-    from casadical.report.calibration_text import as_json, report
+    from casadical.project import calibration as work
 
     if report_file:
         from casadical.report.optional_imports import require
@@ -70,7 +69,7 @@ def calibrate(
         require()
     console = Console(quiet=quiet, soft_wrap=False)
     found: dict[str, Any] = {}
-    runs = []
+    done: list[work.Calibration] = []
     texts: dict[Path, str] = {}
     for name, folder in _by_name(problems).items():
         with progress(quiet) as bar:
@@ -79,14 +78,13 @@ def calibrate(
             def show(text: str, name: str = name, bar: Progress = bar, task: TaskID = task) -> None:
                 bar.update(task, description=f"{name}: {text}")
 
-            run = calibrate_problem(folder, method=method, loss=loss, seed=seed, show=show)
-            networks = problem_networks(run[0], run[1], show)
-        runs.append((*run, networks))
-        found[name] = as_json(*run, networks)
-        console.print(report(*run, networks))
+            done.append(work.calibrate(folder, method=method, loss=loss, seed=seed, show=show))
+        console.print(done[-1].report())
         console.print()
         if out:
-            texts |= result_files(out if len(problems) == 1 else out / name, *run, networks)
+            texts |= done[-1].files(out if len(problems) == 1 else out / name)
+        if json_file:
+            found[name] = done[-1].to_json()
     if json_file:
         texts[json_file] = as_text(found if len(found) > 1 else next(iter(found.values())))
     if report_file:
@@ -94,7 +92,7 @@ def calibrate(
 
         with progress(quiet) as bar:
             bar.add_task("writing the report", total=None)
-            texts[report_file] = calibration_report(runs, as_typed())
+            texts[report_file] = calibration_report(done, as_typed())
     write_together(texts)
     for path in texts:
         console.print(f"wrote {path}", soft_wrap=True)

@@ -108,16 +108,11 @@ def export_urdf(
     with progress(quiet) as bar:
         bar.add_task("calibrating", total=None)
         if source.is_dir():
-            problem, result = calibrated(source)
-            robot, into = result.robot, problem.urdf
+            calibration = calibrated(source)
+            robot, into = calibration.robot, calibration.problem.urdf
         else:
             robot, _ = robot_to_write(source)
-    if into is None:
-        text = urdf(robot)
-    else:
-        from casadical.robot.urdf_export import calibrated_urdf_text
-
-        text = calibrated_urdf_text(problem.robot, robot, *into, measured_link="casadical_measured_point")
+    text = calibration.problem.calibrated_urdf(robot) if into else urdf(robot)
     write_whole(out, text)
     console = plain(quiet)
     console.print(f"wrote {out}: {robot.name}, {robot.n} joints" + (f", after {into[0].name}" if into else ""))

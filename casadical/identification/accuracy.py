@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from casadical.core.errors import InputError
 from casadical.core.transforms import Array
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
@@ -45,6 +46,16 @@ def predicted(robot: Robot, m: Measurements, values: Mapping[str, float] | None 
     w = m.condition_matrix(robot.conditions, robot.declared)
     p, R = robot.model.evaluate(("p", "R"), m.q, w, parameters.values)
     return p.T, R.reshape(3, len(m), 3).transpose(1, 0, 2)
+
+
+def residual_mm(robot: Robot, m: Measurements) -> Array:
+    """Measured less computed positions, shape (n, 3) [mm] (paper, eq. 9).
+
+    Raises InputError where the measurements do not say where the point is.
+    """
+    if m.position is None:
+        raise InputError(f"measurements of the kind {m.kind} do not say where the point is; positions and poses do")
+    return np.asarray(1e3 * (m.position - predicted(robot, m)[0]))
 
 
 def errors(robot: Robot, m: Measurements) -> Array:

@@ -1,102 +1,206 @@
-"""Calibrate a problem folder with its methods, and write what came out."""
+"""A problem calibrated with its methods: one result, what it is worth, and the files that are kept of it."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from dataclasses import replace
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from casadical.compensator import compensator_text
+from casadical.core.blocks import Table, Words, plain_text, terminal
 from casadical.core.errors import InputError
+from casadical.core.files import write_together
+from casadical.identification.accuracy import Accuracy
 from casadical.identification.identification import Identification, identify
 from casadical.identification.residuals import LOSSES
-from casadical.project.networks import Networks, train_networks
+from casadical.identification.tables import correlated, held_table, how_sure, parameter_tables
+from casadical.project.networks import NetworkResult, Networks, train_networks
 from casadical.project.problem import ALL_METHODS, NETWORK_METHODS, Problem, base_methods, read_problem
-from casadical.report.calibration_text import SetAccuracies, accuracies, as_json
+from casadical.project.tables import Accuracies, error_tables, network_tables, paper_tables, verdict
+from casadical.robot.robot import Robot, modified_dh
 from casadical.robot.robot_file import to_toml
 
-Run = tuple[Problem, dict[str, Identification], dict[str, SetAccuracies]]
+if TYPE_CHECKING:
+    from rich.console import RenderableType
 
 
-def calibrate_problem(
-    folder: Path,
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A calibrated problem.
+
+    problem : what was calibrated, from which measurements
+    identifications : by method, in the order of the problem's methods; the last one counts
+    accuracies : error figures by method, by set (one of several kinds as SET/KIND), by state: "nominal", "placed" (base
+    and tool fitted), "calibrated"
+    networks : trained on what SKCM left, or None where the problem lists none
+    """
+
+    problem: Problem
+    identifications: Mapping[str, Identification]
+    accuracies: Accuracies
+    networks: Networks | None = None
+
+    @property
+    def identification(self) -> Identification:
+        """By the last method: the one that counts."""
+        return list(self.identifications.values())[-1]
+
+    @property
+    def robot(self) -> Robot:
+        """Calibrated, by the last method."""
+        return self.identification.robot
+
+    def blocks(self) -> Sequence[Words | Table]:
+        """All that `casadical calibrate` prints, as words and tables."""
+        problem, last = self.problem, self.identification
+        return [
+            Words(problem.title, "title"),
+            Words(f"{problem.robot.name}; {problem.origin}"),
+            *(Words(f"note: {note}", "note") for note in problem.robot.notes),
+            *verdict(problem, self.accuracies),
+            *(Words(result.verdict) for result in self.identifications.values()),
+            how_sure(last),
+            *error_tables(self.accuracies, self.networks),
+            *(network_tables(self.networks) if self.networks else []),
+            *paper_tables(problem.paper, self.accuracies, self.networks),
+            *parameter_tables(last),
+            held_table(last),
+            *correlated(last),
+        ]
+
+    def report(self) -> RenderableType:
+        """What `casadical calibrate` prints, for a console of rich; `str` gives it as plain text."""
+        return terminal(self.blocks())
+
+    def __str__(self) -> str:
+        return plain_text(self.blocks())
+
+    def to_json(self) -> dict[str, Any]:
+        """The same as plain data: per method and set the error figures, per parameter value, error, unit, status."""
+        problem = self.problem
+        found: dict[str, Any] = {
+            "problem": problem.folder.name,
+            "title": problem.title,
+            "data": problem.data,
+            "robot": problem.robot.name,
+            "methods": {
+                method: {
+                    "verdict": result.verdict,
+                    "optimal": result.is_optimal(),
+                    "condition": result.identifiability.condition,
+                    "degrees_of_freedom": result.degrees_of_freedom,
+                    "iterations": len(result.solution.history) - 1,
+                    "sets": {
+                        name: {
+                            **_as_mm(states["calibrated"]),
+                            "before_nominal": _as_mm(states["nominal"]),
+                            "before_placed": _as_mm(states["placed"]),
+                        }
+                        for name, states in self.accuracies[method].items()
+                    },
+                    "parameters": [_parameter(row) for row in result.parameters.to_dict("records")],
+                    "modified_dh": modified_dh(result.robot),
+                }
+                for method, result in self.identifications.items()
+            },
+        }
+        if self.networks:
+            found["trained_on"] = self.networks.trained_on
+            found["networks"] = {name: _network(result) for name, result in self.networks.results.items()}
+        if problem.paper:
+            paper = {"calibration": problem.paper.calibration, "validation": problem.paper.validation}
+            found["paper"] = {"source": problem.paper.source} | {
+                name: {m: dict(zip(("mean_mm", "max_mm", "std_mm"), f, strict=True)) for m, f in table.items()}
+                for name, table in paper.items()
+            }
+        return found
+
+    def files(self, folder: str | Path) -> dict[Path, str]:
+        """What is kept, by file: all figures, of each method the robot and its parameters, or the compensator."""
+        folder, problem = Path(folder), self.problem
+        texts = {folder / "result.json": json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n"}
+        for name, trained in (self.networks.results if self.networks else {}).items():
+            if trained.compensator is not None:
+                texts[folder / f"{name}.compensator.json"] = compensator_text(trained.compensator)
+        for name, result in self.identifications.items():
+            origin = f"Calibrated by casadical, method {name}, from {problem.title} ({problem.origin})."
+            texts[folder / f"{name}.robot.toml"] = to_toml(result.robot, f"{origin}\n{result.verdict}")
+            if problem.urdf:
+                texts[folder / f"{name}.robot.urdf"] = problem.calibrated_urdf(result.robot)
+            texts[folder / f"{name}.parameters.csv"] = result.parameters.to_csv(index=False)
+        return texts
+
+    def write(self, folder: str | Path) -> None:
+        """Write `files`: all of them or none. Raises InputError where one cannot be written."""
+        write_together(self.files(folder))
+
+
+def calibrate(
+    problem: str | Path | Problem,
     *,
     method: str | None = None,
     loss: str | None = None,
     seed: int | None = None,
     show: Callable[[str], None] = lambda _text: None,
-) -> Run:
-    """The problem, an identification for each method, and the errors of each on every set.
+) -> Calibration:
+    """Identify a problem's robot by each of its methods, and train its networks on what is left.
 
-    A network method needs SKCM, which is identified here; the network itself is trained by `problem_networks`.
+    problem : its folder, or what `read_problem` gave; method, loss : in place of the problem's own. A network method
+    needs SKCM, which is then identified too. seed : of the split into sets and of the networks; of a folder only
     show : called with a line of progress. Raises InputError, ConvergenceError.
     """
     if method is not None and method not in ALL_METHODS:
         raise InputError(f"--method {method}: not known; allowed: {', '.join(ALL_METHODS)}")
     if loss is not None and loss not in LOSSES:
         raise InputError(f"--loss {loss}: not known; allowed: {', '.join(LOSSES)}")
-    problem = read_problem(folder, seed)
+    if not isinstance(problem, Problem):
+        problem = read_problem(problem, seed)
+    elif seed is not None:
+        raise InputError(f"seed {seed}: this problem is split into sets already; give the seed to read_problem")
     if loss is not None:
         problem = replace(problem, loss=loss)
-    results: dict[str, Identification] = {}
-    errors: dict[str, SetAccuracies] = {}
     if method is not None:
         chosen = tuple(m for m in NETWORK_METHODS if m == method)
         problem = replace(problem, methods=base_methods([method]), networks=chosen)
+    results: dict[str, Identification] = {}
     for name in problem.methods:
 
         def progress(iteration: int, cost: float, name: str = name) -> None:
             show(f"{name} iteration {iteration}, cost {cost:.6g}")
 
         results[name] = identify(
-            problem.robot,
-            problem.sets["identify"],
-            method=name,
-            loss=problem.loss,
-            progress=progress,
+            problem.robot, problem.sets["identify"], method=name, loss=problem.loss, progress=progress
         )
-        errors[name] = accuracies(results[name], problem.sets)
-    return problem, results, errors
+    networks = None
+    if problem.networks:
+        networks = train_networks(problem, results["SKCM"], problem.networks, seed=problem.seed, show=show)
+    accuracies = {k: {name: result.accuracy(m) for name, m in problem.parts()} for k, result in results.items()}
+    return Calibration(problem, results, accuracies, networks)
 
 
-def problem_networks(
-    problem: Problem, results: dict[str, Identification], show: Callable[[str], None] = lambda _text: None
-) -> Networks | None:
-    """The problem's network methods, trained on what its SKCM left; None where it lists none. Raises InputError."""
-    if not problem.networks:
-        return None
-    return train_networks(problem, results["SKCM"], problem.networks, seed=problem.seed, show=show)
+def _network(result: NetworkResult) -> dict[str, Any]:
+    """One network method: its verdict, the errors by set as it is used, and as trained even where it was refused."""
+    found: dict[str, Any] = {"verdict": result.verdict, "helps": result.helps}
+    c = result.compensator
+    if c is None:
+        return found
+    parts = {"train": c.training, "choose": c.choice, "report": c.validation}
+    return found | {
+        "trainer": c.trainer,
+        "settings": c.settings,
+        "seed": c.seed,
+        "chosen_by": c.chosen_by,
+        "sets": {name: _as_mm(a) for name, a in result.errors.items()},
+        "as_trained": {name: asdict(part) for name, part in parts.items() if part},
+    }
 
 
-def result_files(
-    folder: Path,
-    problem: Problem,
-    results: dict[str, Identification],
-    errors: dict[str, SetAccuracies],
-    networks: Networks | None = None,
-) -> dict[Path, str]:
-    """What is kept of a run, by file: all figures, of each method the robot and its parameters or the compensator."""
-    figures = as_json(problem, results, errors, networks)
-    texts = {folder / "result.json": json.dumps(figures, indent=1, allow_nan=False) + "\n"}
-    for name, trained in (networks.results if networks else {}).items():
-        if trained.compensator is not None:
-            texts[folder / f"{name}.compensator.json"] = compensator_text(trained.compensator)
-    for name, result in results.items():
-        comment = f"Calibrated by casadical, method {name}, from {problem.title} ({problem.origin}).\n{result.verdict}"
-        texts[folder / f"{name}.robot.toml"] = to_toml(result.robot, comment)
-        if problem.urdf:
-            texts[folder / f"{name}.robot.urdf"] = _urdf(problem, result)
-        texts[folder / f"{name}.parameters.csv"] = result.parameters.to_csv(index=False)
-    return texts
+def _as_mm(a: Accuracy) -> dict[str, float | int]:
+    return {name if name == "n" else f"{name}_mm": v if name == "n" else 1e3 * v for name, v in asdict(a).items()}
 
 
-def _urdf(problem: Problem, result: Identification) -> str:
-    """The problem's URDF with the calibrated geometry, the measured point as a link of its own."""
-    from casadical.robot.urdf_export import calibrated_urdf_text
-
-    assert problem.urdf is not None
-    path, base_link, tip_link = problem.urdf
-    return calibrated_urdf_text(
-        problem.robot, result.robot, path, base_link, tip_link, measured_link="casadical_measured_point"
-    )
+def _parameter(row: dict[Any, Any]) -> dict[str, Any]:
+    return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in row.items()}

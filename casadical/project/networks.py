@@ -10,7 +10,7 @@ import numpy as np
 from casadical.compensator import Backprop, Compensator, Iwo, IwoThenLm, LevenbergMarquardt, Taught, Trainer
 from casadical.compensator.training import Progress
 from casadical.core.transforms import Array
-from casadical.identification.accuracy import Accuracy, predicted, summarise
+from casadical.identification.accuracy import Accuracy, residual_mm, summarise
 from casadical.identification.identification import Identification
 from casadical.measurements.measurements import Measurements
 from casadical.project.problem import NETWORK_METHODS, NetworkMethod, Problem
@@ -150,12 +150,6 @@ def training_material(problem: Problem, result: Identification, seed: int = 0) -
     return Material({name: _stacked(result.robot, parts) for name, parts in sets.items()}, lent)
 
 
-def residual_mm(robot: Robot, m: Measurements) -> Array:
-    """Measured less computed positions, shape (n, 3) [mm] (paper, eq. 9)."""
-    assert m.position is not None
-    return np.asarray(1e3 * (m.position - predicted(robot, m)[0]))
-
-
 def _has_position(m: Measurements) -> bool:
     return m.position is not None
 
@@ -188,10 +182,5 @@ def _lend(parts: Sequence[Measurements], seed: int) -> dict[str, tuple[Measureme
 
 def _errors(problem: Problem, robot: Robot, compensator: Compensator) -> dict[str, Accuracy]:
     """Error figures of the corrected positions by set; named as the identifications' are."""
-    found = {}
-    for name, parts in problem.sets.items():
-        for m in parts:
-            left = residual_mm(robot, m) - compensator.correction_mm(m.q)
-            label = name if len(parts) == 1 else f"{name}/{m.kind}"
-            found[label] = summarise(1e-3 * np.linalg.norm(left, axis=1))
-    return found
+    left = {name: residual_mm(robot, m) - compensator.correction_mm(m.q) for name, m in problem.parts()}
+    return {name: summarise(1e-3 * np.linalg.norm(rest, axis=1)) for name, rest in left.items()}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, get_args
@@ -153,6 +153,22 @@ class Problem:
     def origin(self) -> str:
         """What the data are, in words."""
         return f"{self.data} data" if self.data else "data of unstated origin"
+
+    def parts(self) -> Iterator[tuple[str, Measurements]]:
+        """Every set by name; one of several kinds of measurements as SET/KIND."""
+        for name, parts in self.sets.items():
+            yield from ((name if len(parts) == 1 else f"{name}/{m.kind}", m) for m in parts)
+
+    def calibrated_urdf(self, robot: Robot) -> str:
+        """The problem's URDF with the geometry of a calibrated robot, the measured point as a link of its own.
+
+        Raises InputError where the problem's robot is not from a URDF.
+        """
+        from casadical.robot.urdf_export import calibrated_urdf_text
+
+        if self.urdf is None:
+            raise InputError(f"{self.folder}: its robot is not from a URDF; write its robot file, or a new URDF")
+        return calibrated_urdf_text(self.robot, robot, *self.urdf, measured_link="casadical_measured_point")
 
 
 def read_problem(folder: str | Path, seed: int | None = None) -> Problem:

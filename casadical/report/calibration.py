@@ -5,46 +5,39 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from casadical.identification.accuracy import Accuracy
-from casadical.identification.identifiability import CONFOUNDED
+from casadical.core.blocks import Words, mm
 from casadical.identification.identification import Identification
+from casadical.identification.tables import correlated, held_table, how_sure, parameter_tables
+from casadical.project.calibration import Calibration
 from casadical.project.networks import Networks
 from casadical.project.problem import Problem
-from casadical.report.calibration_text import NEARLY_CONFOUNDED, SetAccuracies
-from casadical.report.error_tables import error_tables, network_table
-from casadical.report.figures_of_calibration import Results, calibration_figures, last_of
-from casadical.report.page import Block, Drawing, Part, Section, Table, Tile, Words, report_html
-from casadical.report.parameter_tables import confounded, correlated, parameter_table
+from casadical.project.tables import error_tables, judged_on, network_tables, paper_tables, verdict
+from casadical.report.figures_of_calibration import calibration_figures
+from casadical.report.page import Block, Drawing, Part, Section, Tile, report_html
 from casadical.report.provenance import problem_files, provenance_of
-from casadical.report.style import mm
 from casadical.report.where_blocks import where_drawings
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
 
-def calibration_report(
-    runs: Sequence[tuple[Problem, Results, Mapping[str, SetAccuracies], Networks | None]], command: Sequence[str] = ()
-) -> str:
+def calibration_report(calibrations: Sequence[Calibration], command: Sequence[str] = ()) -> str:
     """One HTML file of one or several calibrated problems.
 
-    runs : what `calibrate_problem` gives, and `problem_networks`; command : as it was typed. Raises InputError where
-    plotly or jinja2 is not installed, or a problem's file is gone.
+    command : as it was typed. Raises InputError where plotly or jinja2 is not installed, or a problem's file is gone.
     """
-    parts = [calibration_part(*run) for run in runs]
-    files = [path for problem, *_ in runs for path in problem_files(problem.folder)]
-    return report_html("Calibration", parts, provenance_of(files, command))
+    files = [path for c in calibrations for path in problem_files(c.problem.folder)]
+    return report_html("Calibration", [calibration_part(c) for c in calibrations], provenance_of(files, command))
 
 
-def calibration_part(
-    problem: Problem, results: Results, errors: Mapping[str, SetAccuracies], networks: Networks | None = None
-) -> Part:
+def calibration_part(calibration: Calibration) -> Part:
     """One problem's part of a page. Raises InputError where plotly is not installed."""
-    figures = calibration_figures(problem, results, networks)
-    last = last_of(results)
+    figures = calibration_figures(calibration)
+    problem, last, networks = calibration.problem, calibration.identification, calibration.networks
+    errors = error_tables(calibration.accuracies, networks)
     sections = [
-        Section("Verdict", [*_verdict(problem, results, errors, networks)]),
-        Section("Errors before and after", [*error_tables(errors, networks), *_paper(problem)]),
+        Section("Verdict", [*_verdict(calibration)]),
+        Section("Errors before and after", [*errors, *paper_tables(problem.paper, calibration.accuracies, networks)]),
         Section("Error of each pose", [*_pose_blocks(figures, networks)]),
         Section("In the workspace", [*_space_blocks(figures, problem)]),
         Section("Where the gap lies", [*_where_blocks(figures, last)]),
@@ -55,19 +48,11 @@ def calibration_part(
     ]
     badges = ["synthetic data"] if problem.data == "synthetic" else []
     subtitle = f"{problem.robot.name}, {problem.origin}"
-    return Part(problem.title, subtitle, sections, [*_tiles(errors)], badges)
+    return Part(problem.title, subtitle, sections, [*_tiles(calibration)], badges)
 
 
-def _judged(errors: Mapping[str, SetAccuracies]) -> tuple[str, Accuracy, Accuracy, bool]:
-    """Method, errors before and after on the poses by which the result is judged, and whether they were held out."""
-    method, states = list(errors.items())[-1]
-    held = [name for name in states if name.startswith("report")]
-    of_set = states[(held or list(states))[0]]
-    return method, of_set["placed"], of_set["calibrated"], bool(held)
-
-
-def _tiles(errors: Mapping[str, SetAccuracies]) -> Iterator[Tile]:
-    method, before, after, held = _judged(errors)
+def _tiles(calibration: Calibration) -> Iterator[Tile]:
+    method, before, after, held = judged_on(calibration.accuracies)
     where_ = f"{after.n} held-out poses" if held else f"{after.n} poses, not held out"
     yield Tile("Mean error before", mm(before.mean), "mm", "base and tool fitted")
     yield Tile(f"Mean error after {method}", mm(after.mean), "mm", where_)
@@ -75,28 +60,13 @@ def _tiles(errors: Mapping[str, SetAccuracies]) -> Iterator[Tile]:
     yield Tile("Largest error", mm(after.max), "mm", f"{method}; before {mm(before.max)} mm")
 
 
-def _verdict(
-    problem: Problem, results: Results, errors: Mapping[str, SetAccuracies], networks: Networks | None
-) -> Iterator[Block]:
-    method, before, after, held = _judged(errors)
-    change = 100 * (1 - after.mean / before.mean)
-    poses = f"On {after.n} poses that were held out" if held else f"On the {after.n} poses it was identified from"
-    yield Words(
-        f"{poses}, the mean position error {'falls' if change > 0 else 'grows'} from {mm(before.mean)} mm to "
-        f"{mm(after.mean)} mm with {method} ({abs(change):.0f} % {'less' if change > 0 else 'more'}). Before means: "
-        "with only base and tool frames fitted.",
-        "verdict",
-    )
-    if not held:
-        yield Words("No poses were held out: on new poses the error will be greater.", "warning")
-    if problem.data == "synthetic":
-        yield Words(
-            "The data are synthetic: they show that the method works, not how accurate a real robot is.", "note"
-        )
-    for result in results.values():
+def _verdict(calibration: Calibration) -> Iterator[Block]:
+    problem, networks = calibration.problem, calibration.networks
+    yield from verdict(problem, calibration.accuracies)
+    for result in calibration.identifications.values():
         bad = result.at_bounds or "DOES NOT FIT" in result.verdict
         yield Words(result.verdict, "warning" if bad else "text")
-    yield Words(_how_sure(last_of(results)))
+    yield how_sure(calibration.identification)
     for trained in networks.results.values() if networks else ():
         if trained.helps:
             yield Words(trained.verdict)
@@ -104,28 +74,6 @@ def _verdict(
     if refused:
         yield Words(f"Networks that make other poses worse or no better, and were refused: {', '.join(refused)}.")
     yield from (Words(note, "note") for note in problem.robot.notes)
-
-
-def _how_sure(result: Identification) -> str:
-    """Scatter of the residuals, condition and optimality in a sentence."""
-    noise = ", ".join(f"{1e3 * sigma:.3f} mm a coordinate" for sigma, _ in result.sigmas)
-    optimal = "confirmed" if result.is_optimal() else "NOT confirmed"
-    return (
-        f"Residual scatter {noise}; condition number {result.identifiability.condition:.0f}; optimum {optimal} by "
-        f"recomputation; {result.degrees_of_freedom} degrees of freedom."
-    ) + (NEARLY_CONFOUNDED if result.identifiability.condition > CONFOUNDED else "")
-
-
-def _paper(problem: Problem) -> Iterator[Block]:
-    if problem.paper is None:
-        return
-    rows = [
-        (name, method, *(f"{v:.4f}" for v in row))
-        for name, published in (("calibration", problem.paper.calibration), ("validation", problem.paper.validation))
-        for method, row in published.items()
-    ]
-    columns = ("poses", "method", "mean", "max", "std")
-    yield Table(f"For comparison, {problem.paper.source}, mm", columns, rows, frozenset({2, 3, 4}), folded=True)
 
 
 def _pose_blocks(figures: Mapping[str, go.Figure], networks: Networks | None) -> Iterator[Block]:
@@ -182,21 +130,19 @@ def _cause_blocks(problem: Problem) -> Iterator[Block]:
 def _parameter_blocks(figures: Mapping[str, go.Figure], result: Identification) -> Iterator[Block]:
     yield Words(f"Of {result.method}. Bars are 95 % intervals. Base and tool frames are in the table only.", "note")
     yield from (Drawing(name, figure) for name, figure in figures.items() if name.startswith("parameters/"))
-    yield parameter_table(result)
+    yield from parameter_tables(result, whole=True)
     if result.at_bounds:
         bounds = ", ".join(result.at_bounds)
         yield Words(f"At a bound: {bounds}. Widen the bounds or doubt the model; no interval can be given.", "warning")
-    yield confounded(result)
-    yield correlated(result)
+    yield held_table(result)
+    yield from correlated(result)
 
 
 def _network_blocks(figures: Mapping[str, go.Figure], networks: Networks | None) -> Iterator[Block]:
     if networks is None:
         return
-    yield Words(networks.trained_on)
-    table = network_table(networks)
-    if table and "training" in figures:
-        yield table
+    yield from network_tables(networks)
+    if "training" in figures:
         caption = (
             "A low loss on the training poses alone is worth nothing: the poses that each network was judged on "
             "decide. Trainers that choose a penalty on the weights may end at a greater loss on purpose."

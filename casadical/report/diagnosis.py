@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from casadical.core.blocks import Table, Words, mm
 from casadical.diagnosis.advice import kinds, told_apart
 from casadical.diagnosis.json_answer import NEXT, Extras, settings
 from casadical.diagnosis.phrases import (
@@ -22,13 +23,12 @@ from casadical.diagnosis.phrases import (
 )
 from casadical.diagnosis.text import readable, refitted, signature
 from casadical.diagnosis.thresholds import PARTITIONS
+from casadical.identification.tables import correlated, held_table, parameter_tables
+from casadical.project.remaining_errors import BEFORE
 from casadical.report.figures_of_diagnosis import diagnosis_figures, held_out_poses
-from casadical.report.page import Block, Drawing, Part, Section, Table, Tile, Words, report_html
-from casadical.report.parameter_tables import confounded, correlated, parameter_table
-from casadical.report.pose_errors import BEFORE
+from casadical.report.page import Block, Drawing, Part, Section, Tile, report_html
 from casadical.report.provenance import campaign_files, provenance_of
 from casadical.report.replay_blocks import replay_blocks
-from casadical.report.style import mm
 from casadical.report.where_blocks import where_drawings
 
 if TYPE_CHECKING:
@@ -212,9 +212,9 @@ def _parameter_blocks(d: Diagnosis, figures: Mapping[str, go.Figure]) -> Iterato
         "note",
     )
     yield from (Drawing(name, figure) for name, figure in figures.items() if name.startswith("parameters/"))
-    yield parameter_table(d.identification)
-    yield confounded(d.identification)
-    yield correlated(d.identification)
+    yield from parameter_tables(d.identification, whole=True)
+    yield held_table(d.identification)
+    yield from correlated(d.identification)
 
 
 def _next_blocks(d: Diagnosis, e: Extras) -> Iterator[Block]:

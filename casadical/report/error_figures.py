@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadical.report.pose_errors import BEFORE, Left, PoseErrors
+from casadical.project.remaining_errors import BEFORE, Left, PoseErrors
 from casadical.report.style import GRID, MUTED, PAPER, new_figure, plain, style
 
 if TYPE_CHECKING:

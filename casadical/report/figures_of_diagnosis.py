@@ -9,10 +9,10 @@ import numpy as np
 from casadical.core.transforms import Array
 from casadical.diagnosis.cross_validation import Noise, fitted_without, held_out_errors, random_folds
 from casadical.diagnosis.thresholds import PARTITIONS
+from casadical.project.remaining_errors import BEFORE, Left, PoseErrors
 from casadical.report.cause_figures import gap_course, posteriors, shrinks
 from casadical.report.error_figures import before_after
 from casadical.report.parameter_figures import parameter_figures
-from casadical.report.pose_errors import BEFORE, Left, PoseErrors
 from casadical.report.share_figures import where_figure
 from casadical.report.workspace import workspace
 

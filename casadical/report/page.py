@@ -8,8 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
+from casadical.core.blocks import Table, Words
 from casadical.report.optional_imports import jinja, plotly_js
 from casadical.report.provenance import Provenance
 from casadical.report.style import COLOURS, DARK
@@ -18,28 +19,6 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
 TEMPLATES = Path(__file__).parent / "templates"
-
-
-@dataclass(frozen=True)
-class Words:
-    """A paragraph; code : a command to show beneath it."""
-
-    text: str
-    kind: Literal["text", "note", "warning", "verdict"] = "text"
-    code: str = ""
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows of cells as text; numbers : columns set flush right; strong, faint : rows to stress or to hold back."""
-
-    title: str
-    columns: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    numbers: frozenset[int] = frozenset()
-    strong: frozenset[int] = frozenset()
-    faint: frozenset[int] = frozenset()
-    folded: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from casadical.core.blocks import Table, Words, mm
 from casadical.core.errors import ConvergenceError, InputError
 from casadical.export.mjcf.equilibrium import load_mujoco
 from casadical.export.mjcf.replay import Replay, Stage, replay_diagnosis
-from casadical.report.page import Block, Drawing, Table, Words
-from casadical.report.style import BLUE, GREEN, GREY, INK, mm, new_figure, plain
+from casadical.report.page import Block, Drawing
+from casadical.report.style import BLUE, GREEN, GREY, INK, new_figure, plain
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go

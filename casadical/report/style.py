@@ -57,12 +57,6 @@ def plain(text: object) -> str:
     return html.escape(str(text), quote=False)
 
 
-def mm(metres: float) -> str:
-    """A length in mm with three significant decimals' worth of digits."""
-    value = 1e3 * metres
-    return f"{value:.{4 if abs(value) < 0.1 else 3 if abs(value) < 10 else 2 if abs(value) < 100 else 1}f}"
-
-
 def new_figure(title: str, x: str = "", y: str = "", height: int = 360, **layout: Any) -> go.Figure:
     """An empty figure in the house's look; x, y : what the axes show, with units."""
     figure = plotly().Figure()

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.transforms import Array
-from casadical.report.pose_errors import BEFORE, Left, PoseErrors
+from casadical.project.remaining_errors import BEFORE, Left, PoseErrors
 from casadical.report.style import COLOURS, GRID, INK, LINE, MUTED, STYLES, new_figure, plain, style
 from casadical.robot.kinematics import link_frames
 from casadical.robot.model import base_frame

@@ -12,23 +12,22 @@ from typing import Any
 
 import tomlkit
 
-from casadical.project.calibration import Run, calibrate_problem
+from casadical import Calibration, calibrate
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 TOLERANCE_MM = 0.002  # what another machine's rounding and solver build may move
 
 
-def figures(run: Run) -> dict[str, Any]:
-    """Figures of a run by method and set, rounded to the last digit that is held."""
-    _, results, errors = run
+def figures(calibration: Calibration) -> dict[str, Any]:
+    """Figures of a calibration by method and set, rounded to the last digit that is held."""
     found: dict[str, Any] = {}
-    for method, result in results.items():
+    for method, result in calibration.identifications.items():
         found[method] = {
             "identified": len(result.names),
             "not_identifiable": [u.name for u in result.identifiability.held],
             "outliers": len(result.outliers),
         }
-        for name, states in errors[method].items():
+        for name, states in calibration.accuracies[method].items():
             a = states["calibrated"]
             found[method][name.replace("/", "_")] = {
                 "n": a.n,
@@ -39,21 +38,21 @@ def figures(run: Run) -> dict[str, Any]:
     return found
 
 
-def certified(run: Run) -> str:
+def certified(calibration: Calibration) -> str:
     """The text of a problem's certified.toml."""
     document = tomlkit.document()
     document.add(
         tomlkit.comment("Position errors after calibration; made by docs/studies/certify.py, held by the tests.")
     )
     document.add("tolerance_mm", tomlkit.item(TOLERANCE_MM))
-    for method, content in figures(run).items():
+    for method, content in figures(calibration).items():
         document.add(method, tomlkit.item(content))
     return tomlkit.dumps(document)
 
 
 def main(names: list[str]) -> None:
     for name in names or sorted(p.parent.name for p in PROBLEMS.glob("*/problem.toml")):
-        text = certified(calibrate_problem(PROBLEMS / name))
+        text = certified(calibrate(PROBLEMS / name))
         (PROBLEMS / name / "certified.toml").write_text(text, encoding="utf-8")
         print(f"problems/{name}/certified.toml")
 

@@ -17,8 +17,8 @@ from matplotlib.axes import Axes
 from matplotlib.offsetbox import AnnotationBbox, HPacker, TextArea
 from matplotlib.patheffects import withStroke
 
+from casadical import calibrate
 from casadical.identification.accuracy import errors
-from casadical.project.calibration import calibrate_problem
 
 ROOT = Path(__file__).parents[2]
 ROWS = {
@@ -37,9 +37,8 @@ SHOWN = 600  # dots of one cloud
 
 def held_out(name: str) -> tuple[np.ndarray, np.ndarray]:
     """Errors [mm] of the held-out poses before and after the problem's last method."""
-    problem, results, _ = calibrate_problem(ROOT / "problems" / name)
-    result = list(results.values())[-1]
-    poses = problem.sets["report"][0]
+    calibration = calibrate(ROOT / "problems" / name)
+    result, poses = calibration.identification, calibration.problem.sets["report"][0]
     return 1e3 * errors(result.placed, poses), 1e3 * errors(result.robot, poses)
 
 

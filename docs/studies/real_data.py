@@ -14,8 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from casadical.project.calibration import calibrate_problem
-from casadical.project.problem import read_problem
+from casadical import calibrate, read_problem
 
 ROOT = Path(__file__).parents[2]
 SEEDS = range(10)
@@ -35,8 +34,7 @@ def held_out(folder: Path) -> dict[str, np.ndarray]:
     """Mean, maximum and standard deviation [mm] on the held-out poses, shape (splits, 3), by model."""
     found: dict[str, list[tuple[float, float, float]]] = {}
     for seed in SEEDS:
-        _, _, errors = calibrate_problem(folder, seed=seed)
-        for method, by_set in errors.items():
+        for method, by_set in calibrate(folder, seed=seed).accuracies.items():
             for model, state in (("before", "placed"), (f"after {method}", "calibrated")):
                 a = by_set["report"][state]
                 rows = found.setdefault(model, [])

@@ -24,7 +24,8 @@ from casadical import from_table, identify, read_problem
 from casadical.blind_check.numpy_physics import campaign, hh800_true, hh800_twin
 from casadical.blind_check.numpy_physics.twin import UNMODELLED, WARMUP
 from casadical.compensator import Compensator, Layout, LevenbergMarquardt, Trainer
-from casadical.project.networks import TRAINERS, residual_mm
+from casadical.identification import residual_mm
+from casadical.project.networks import TRAINERS
 
 HH800 = Path(__file__).parents[2] / "problems" / "hh800"
 SEEDS, EXPERIMENTS, STARTS = 50, 30, 20

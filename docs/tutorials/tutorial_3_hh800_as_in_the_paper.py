@@ -15,10 +15,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
+from casadical import calibrate
 from casadical.compensator import Backprop, Box, Iwo, Layout, Network, make_task, train
-from casadical.identification import errors
-from casadical.project.calibration import calibrate_problem, problem_networks
-from casadical.project.networks import residual_mm
+from casadical.identification import errors, residual_mm
 
 ROOT = Path(sys.argv[0]).resolve().parents[2]  # this file lies in docs/tutorials
 
@@ -28,7 +27,8 @@ ROOT = Path(sys.argv[0]).resolve().parents[2]  # this file lies in docs/tutorial
 # 40 poses to identify the robot (the paper's Q1), 50 to train the network (Q2), 50 to report (Q3). We add 50 more,
 # *choose*, which decide whether a network is kept; the report set is not used for this.
 
-problem, results, _ = calibrate_problem(ROOT / "problems/hh800")
+calibration = calibrate(ROOT / "problems/hh800")
+problem, results = calibration.problem, calibration.identifications
 sets = {name: parts[0] for name, parts in problem.sets.items()}
 print({name: len(m) for name, m in sets.items()})
 assert [len(sets[name]) for name in ("identify", "train", "choose", "report")] == [40, 50, 50, 50]
@@ -164,13 +164,13 @@ plt.show()
 # Gaussian process with a length scale for each joint, and trains the network on its predictions. This network reaches
 # the gain of the paper.
 
-kept = problem_networks(problem, results)
-for name, found in kept.results.items():
+kept = calibration.networks.results
+for name, found in kept.items():
     word = "kept" if found.helps else "REFUSED"
     print(f"{name:15s} {word:8s} mean on new poses {1e3 * found.errors['report'].mean:.3f} mm")
-assert not kept.results["NN-SKCM"].helps
-assert not kept.results["IWO-NN-SKCM"].helps
-gain = 1 - 1e3 * kept.results["GP-NN-SKCM"].errors["report"].mean / report["SKCM"]
+assert not kept["NN-SKCM"].helps
+assert not kept["IWO-NN-SKCM"].helps
+gain = 1 - 1e3 * kept["GP-NN-SKCM"].errors["report"].mean / report["SKCM"]
 papers = 1 - 0.4662 / 0.5458
 print(f"GP-NN-SKCM: {100 * gain:.0f} % less than SKCM; the paper's Table 5: {100 * papers:.1f} % for IWO-NN-SKCM")
 assert gain > 0.15

@@ -19,14 +19,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
-from casadical import from_table, write_robot
+from casadical import calibrate, from_table, write_robot
 from casadical.blind_check.numpy_physics import campaign, hh800_true
 from casadical.blind_check.numpy_physics.twin import UNMODELLED, WARMUP
 from casadical.compensator import Compensator, Taught, save_compensator
 from casadical.export import Sources, Status, command_of, model_corrector, write_c
-from casadical.identification import predicted
-from casadical.project.calibration import calibrate_problem
-from casadical.project.networks import residual_mm
+from casadical.identification import predicted, residual_mm
 
 ROOT = Path(sys.argv[0]).resolve().parents[2]  # this file lies in docs/tutorials
 folder = Path(tempfile.mkdtemp())
@@ -37,8 +35,8 @@ folder = Path(tempfile.mkdtemp())
 # The network learns the measured minus the computed position from 50 poses; 50 others decide whether it is kept. The
 # verdict comes first.
 
-problem, results, _ = calibrate_problem(ROOT / "problems/hh800", method="SKCM")
-calibrated = results["SKCM"]
+calibration = calibrate(ROOT / "problems/hh800", method="SKCM")
+problem, calibrated = calibration.problem, calibration.identification
 train, choose, report = (problem.sets[name][0] for name in ("train", "choose", "report"))
 compensator = Compensator.fit(
     train.q,

@@ -193,7 +193,7 @@ def test_a_bug_of_ours_ends_in_70_with_its_traceback(
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("planted")
 
-    monkeypatch.setattr("casadical.project.calibration.calibrate_problem", broken)
+    monkeypatch.setattr("casadical.project.calibration.calibrate", broken)
     assert main(monkeypatch, "calibrate", PLANAR) == 70
     message = capfd.readouterr().err
     assert "ZeroDivisionError: planted" in message

@@ -99,7 +99,6 @@ def test_methods_from_the_literature_name_their_source() -> None:
         *(f"identification.{name}" for name in ("identifiability", "identification", "placement")),
         *(f"compensator.{name}" for name in ("iwo", "network", "task", "trainers.levenberg", "trainers.distilled")),
         *("pose_selection.criteria", "pose_selection.exchange", "diagnosis.evidence", "core.statistics"),
-        "export.correction",
     ]
     without = []
     for module in modules:

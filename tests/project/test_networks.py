@@ -2,39 +2,27 @@
 
 from __future__ import annotations
 
-import io
 import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
-from casadical import read_problem
+from casadical import calibrate, read_problem
 from casadical.compensator import Backprop, load_compensator
 from casadical.core.errors import InputError
-from casadical.project.calibration import problem_networks, result_files
-from casadical.project.networks import TRAINERS, Material, Networks, residual_mm, train_networks, training_material
+from casadical.identification import residual_mm
+from casadical.project.networks import TRAINERS, Material, train_networks, training_material
 from casadical.project.problem import NETWORK_METHODS
-from casadical.report.calibration_text import as_json, report
 
 ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
 def hh800(calibrated):
-    """The run of the command, and its networks."""
-    run = calibrated("hh800")
-    networks = problem_networks(run[0], run[1])
-    assert isinstance(networks, Networks)
-    return run, networks
-
-
-def printed(*arguments: object) -> str:
-    console = Console(width=80, record=True, file=io.StringIO())
-    console.print(report(*arguments))  # type: ignore[arg-type]
-    return console.export_text()
+    """What the command makes of it, networks and all."""
+    return calibrated("hh800")
 
 
 def planted(problem, result, mm: float = 1.0):
@@ -49,8 +37,8 @@ def planted(problem, result, mm: float = 1.0):
 
 
 def test_all_four_methods_of_the_paper_and_the_best_trainer_run(hh800) -> None:
-    (problem, _, errors), networks = hh800
-    assert problem.methods == ("KM", "SKCM")
+    networks, errors = hh800.networks, hh800.accuracies
+    assert hh800.problem.methods == ("KM", "SKCM")
     assert tuple(networks.results) == NETWORK_METHODS == tuple(TRAINERS)
     assert [r.compensator.trainer for r in networks.results.values()] == ["backprop", "iwo", "lm", "iwo-lm", "taught"]
     for r in networks.results.values():
@@ -66,7 +54,7 @@ def test_all_four_methods_of_the_paper_and_the_best_trainer_run(hh800) -> None:
 
 
 def test_a_planted_residual_is_learnt_and_its_figures_are_those_of_the_corrected_robot(hh800) -> None:
-    (problem, results, _), _ = hh800
+    problem, results = hh800.problem, hh800.identifications
     easy = planted(problem, results["SKCM"])
     seen: list[str] = []
     networks = train_networks(easy, results["SKCM"], ("NN-SKCM",), seed=3, show=seen.append)
@@ -85,7 +73,7 @@ def test_a_planted_residual_is_learnt_and_its_figures_are_those_of_the_corrected
 
 def test_report_has_no_part_in_any_choice(hh800) -> None:
     """Nonsense in the report set changes neither the network nor the decision; in train or choose it does."""
-    (problem, results, _), _ = hh800
+    problem, results = hh800.problem, hh800.identifications
     easy = planted(problem, results["SKCM"])
 
     def learnt(changed: str | None):
@@ -105,8 +93,8 @@ def test_report_has_no_part_in_any_choice(hh800) -> None:
 
 
 def test_a_large_problem_without_a_set_to_train_on_lends_identified_poses(calibrated) -> None:
-    problem, results, _ = calibrated("ur10_joints")
-    material = training_material(problem, results["SKCM"], 0)
+    problem, result = calibrated("ur10_joints").problem, calibrated("ur10_joints").identification
+    material = training_material(problem, result, 0)
     assert isinstance(material, Material)
     assert "lent" in material.lent
     rows = {name: set(map(tuple, q)) for name, (q, _) in material.sets.items()}
@@ -114,7 +102,7 @@ def test_a_large_problem_without_a_set_to_train_on_lends_identified_poses(calibr
     assert not rows["train"] & rows["choose"]
     assert not rows["report"] & rows["identify"]
     assert len(material.sets["train"][0]) <= 1500
-    again = training_material(problem, results["SKCM"], 0)
+    again = training_material(problem, result, 0)
     assert isinstance(again, Material)
     assert np.array_equal(material.sets["train"][0], again.sets["train"][0])
 
@@ -124,18 +112,19 @@ def test_a_large_problem_without_a_set_to_train_on_lends_identified_poses(calibr
     [("panda_3", "the data are contact"), ("fr3_camera", "too few to learn"), ("planar", "too few to learn")],
 )
 def test_where_nothing_can_be_learnt_it_says_why(calibrated, name: str, words: str) -> None:
-    problem, results, errors = calibrated(name)
-    networks = train_networks(problem, results["KM"])
+    bare = calibrated(name)
+    networks = train_networks(bare.problem, bare.identifications["KM"])
+    calibration = replace(bare, networks=networks)
     assert all(words in r.verdict and r.compensator is None and not r.helps for r in networks.results.values())
-    text = " ".join(printed(problem, results, errors, networks).split())
+    text = " ".join(str(calibration).split())
     assert words in text
     assert "after NN-SKCM" not in text
-    assert words in as_json(problem, results, errors, networks)["networks"]["NN-SKCM"]["verdict"]
+    assert words in calibration.to_json()["networks"]["NN-SKCM"]["verdict"]
 
 
 def test_poses_left_out_as_outliers_are_not_lent(calibrated) -> None:
-    problem, results, _ = calibrated("ur10_joints")
-    result = replace(results["SKCM"], outliers=tuple((0, i) for i in range(100)))
+    problem = calibrated("ur10_joints").problem
+    result = replace(calibrated("ur10_joints").identification, outliers=tuple((0, i) for i in range(100)))
     material = training_material(problem, result, 0)
     assert isinstance(material, Material)
     out = set(map(tuple, result.measurements[0].q[:100]))
@@ -145,22 +134,21 @@ def test_poses_left_out_as_outliers_are_not_lent(calibrated) -> None:
 
 
 def test_the_tables_stand_beside_the_papers(hh800) -> None:
-    run, networks = hh800
-    text = printed(*run, networks)
+    text = str(hh800)
     for line in text.splitlines():
         assert len(line) <= 80
         assert "…" not in line
     for figure in ("0.3450", "0.6374", "0.1624", "0.4662", "0.6538", "0.1333", "0.5038", "4.4266"):
         assert figure in text
-    for method, r in networks.results.items():
-        assert f"after {method}{'' if r.helps else ': refused'}" in text
+    for method, r in hh800.networks.results.items():
+        assert (f"after {method} " in text) == r.helps
         assert f"{r.compensator.validation.after.mean_mm:.4f}" in text
     assert "Beside the paper: calibration" in text
 
 
 def test_json_holds_refusals_settings_and_the_papers_figures(hh800) -> None:
-    run, networks = hh800
-    found = json.loads(json.dumps(as_json(*run, networks), allow_nan=False))
+    networks = hh800.networks
+    found = json.loads(json.dumps(hh800.to_json(), allow_nan=False))
     assert found["methods"].keys() == {"KM", "SKCM"}
     assert found["networks"].keys() == set(NETWORK_METHODS)
     for name, entry in found["networks"].items():
@@ -174,12 +162,9 @@ def test_json_holds_refusals_settings_and_the_papers_figures(hh800) -> None:
 
 
 def test_compensators_are_kept_as_files_that_load(hh800, tmp_path: Path) -> None:
-    run, networks = hh800
-    texts = result_files(tmp_path, *run, networks)
-    for name, r in networks.results.items():
-        path = tmp_path / f"{name}.compensator.json"
-        path.write_text(texts[path])
-        assert load_compensator(path).verdict == r.compensator.verdict
+    hh800.write(tmp_path / "kept")
+    for name, r in hh800.networks.results.items():
+        assert load_compensator(tmp_path / "kept" / f"{name}.compensator.json").verdict == r.compensator.verdict
 
 
 @pytest.mark.parametrize(
@@ -203,13 +188,9 @@ def test_a_wrong_method_in_the_file_is_refused(tmp_path: Path, line: str, expect
 
 
 def test_a_network_method_brings_the_identification_that_it_needs(tmp_path: Path, monkeypatch) -> None:
-    from casadical.project import calibration, networks
+    from casadical.project import networks
 
     monkeypatch.setitem(networks.TRAINERS, "NN-SKCM", (Backprop(steps=20), 1.0))
-    problem, results, _ = calibration.calibrate_problem(ROOT / "problems" / "hh800", method="NN-SKCM")
-    assert (tuple(results), problem.networks) == (("SKCM",), ("NN-SKCM",))
-    found = problem_networks(problem, results)
-    assert found is not None
-    assert tuple(found.results) == ("NN-SKCM",)
-    only_km = calibration.calibrate_problem(ROOT / "problems" / "planar", method="KM")
-    assert problem_networks(only_km[0], only_km[1]) is None
+    found = calibrate(ROOT / "problems" / "hh800", method="NN-SKCM")
+    assert (tuple(found.identifications), tuple(found.networks.results)) == (("SKCM",), ("NN-SKCM",))
+    assert calibrate(ROOT / "problems" / "planar", method="KM").networks is None

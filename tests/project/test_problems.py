@@ -62,7 +62,7 @@ def test_certified_figures_hold(folder: Path, calibrated) -> None:
 
 @every_problem
 def test_no_pose_is_in_two_sets(folder: Path, calibrated) -> None:
-    sets = calibrated(folder.name)[0].sets
+    sets = calibrated(folder.name).problem.sets
     rows = [set(map(tuple, np.concatenate([m.q for m in parts]))) for parts in sets.values()]
     for i, some in enumerate(rows):
         for other in rows[i + 1 :]:
@@ -84,8 +84,7 @@ def test_the_planar_data_come_from_the_script() -> None:
 def test_the_planar_arm_gets_its_planted_errors_back(calibrated) -> None:
     """Within four standard errors; theta2 stands in the direction of the tool, as its README says."""
     planted = study("planar")
-    _, results, _ = calibrated("planar")
-    found = results["KM"].parameters.set_index("name")
+    found = calibrated("planar").identification.parameters.set_index("name")
     offset = np.deg2rad(planted.OFFSET_2_DEG)
     truth = {
         "theta1": planted.OFFSET_1_DEG,

@@ -8,7 +8,6 @@ import pytest
 
 from casadical.diagnosis.diagnose import diagnose
 from casadical.measurements.reading import read_measurements
-from casadical.project.calibration import problem_networks
 from casadical.project.problem import read_campaign_robot
 from casadical.report import calibration_report, diagnosis_report
 
@@ -19,8 +18,7 @@ CAMPAIGN = ROOT / "data/campaigns/practice/hh800-P01.csv"
 @pytest.fixture(scope="session")
 def hh800(calibrated):
     """The HH800 calibrated as the command does, networks included."""
-    run = calibrated("hh800")
-    return (*run, problem_networks(run[0], run[1]))
+    return calibrated("hh800")
 
 
 @pytest.fixture(scope="session")

@@ -8,18 +8,17 @@ import numpy as np
 import pytest
 
 from casadical.core.errors import InputError
+from casadical.project.remaining_errors import Left, PoseErrors
 from casadical.report import calibration_figures, dark, diagnosis_figures
 from casadical.report import optional_imports as libraries
 from casadical.report.page import safe_json
-from casadical.report.pose_errors import Left, PoseErrors
 from casadical.report.style import COLOURS, STYLES
 from casadical.report.workspace import round_factor, skeleton, workspace
 
 
 @pytest.fixture(scope="module")
 def figures(hh800):
-    problem, results, _, networks = hh800
-    return calibration_figures(problem, results, networks)
+    return calibration_figures(hh800)
 
 
 def trace(figure, name):
@@ -27,13 +26,12 @@ def trace(figure, name):
 
 
 def test_errors_of_each_pose_average_to_the_error_table(hh800, figures) -> None:
-    _, _, errors, networks = hh800
     for name in ("report", "identify"):
         for method in ("KM", "SKCM"):
             y = np.array(trace(figures[f"errors/{name}"], method).y)
-            assert y.mean() == pytest.approx(1e3 * errors[method][name]["calibrated"].mean, abs=1e-5)
+            assert y.mean() == pytest.approx(1e3 * hh800.accuracies[method][name]["calibrated"].mean, abs=1e-5)
     # A refused network is drawn as it was trained: its mean is that of its own report, not that of SKCM.
-    refused = [r for r in networks.results.values() if r.compensator and not r.helps]
+    refused = [r for r in hh800.networks.results.values() if r.compensator and not r.helps]
     assert refused
     for r in refused:
         y = np.array(trace(figures["errors/report"], f"{r.method}, refused").y)
@@ -51,8 +49,8 @@ def test_vectors_are_as_long_as_their_errors_times_the_factor_in_the_legend(figu
 
 
 def test_the_skeleton_ends_at_the_measured_point_and_keeps_its_links(hh800) -> None:
-    robot = hh800[1]["SKCM"].robot
-    a, b = (skeleton(robot, q) for q in hh800[0].sets["report"][0].q[:2])
+    robot = hh800.robot
+    a, b = (skeleton(robot, q) for q in hh800.problem.sets["report"][0].q[:2])
     lengths = [np.linalg.norm(np.diff(points, axis=0), axis=1) for points in (a, b)]
     # The last stretch, to the tool, bends by the joints' compliance, fractions of a millimetre.
     assert lengths[0] == pytest.approx(lengths[1], abs=2e-3)
@@ -74,7 +72,7 @@ def test_shares_and_probabilities_sum_to_one(diagnosis) -> None:
 
 
 def test_the_history_of_a_training_ends_at_the_loss_of_the_network_it_made(hh800, figures) -> None:
-    networks = hh800[3]
+    networks = hh800.networks
     assert len(figures["training"].data) == len(networks.results)
     for r in networks.results.values():
         steps, losses = np.array(r.compensator.history).T

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from casadical.core.blocks import Words
 from casadical.report import calibration_report
 from casadical.report.diagnosis import diagnosis_part
-from casadical.report.page import Words
 from casadical.report.provenance import campaign_files, problem_files, provenance_of
 
 ROOT = Path(__file__).parents[2]
@@ -69,9 +69,8 @@ def test_it_is_below_six_megabytes_and_holds_plotly_once(calibration_file) -> No
 
 
 def test_the_tables_say_what_the_command_prints(hh800, calibration_file) -> None:
-    _, _, errors, _ = hh800
     text = calibration_file.read_text(encoding="utf-8")
-    a = errors["SKCM"]["report"]["calibrated"]
+    a = hh800.accuracies["SKCM"]["report"]["calibrated"]
     cells = "".join(f'<td class="n">{1e3 * v:.3f}</td>' for v in (a.mean, a.max, a.std, a.rms, a.p95))
     assert f"<td>after SKCM</td>{cells}" in text
 
@@ -106,16 +105,17 @@ def test_provenance_names_hash_versions_command_and_date() -> None:
 
 
 def test_a_users_text_stays_text(calibrated) -> None:
-    problem, results, errors = calibrated("planar")
+    calibration = calibrated("planar")
+    problem = calibration.problem
     evil = "<script>alert(1)</script> & <img src=x onerror=alert(1)>"
     named = replace(problem, title=evil, robot=replace(problem.robot, name=evil, notes=(evil,)))
-    text = calibration_report([(named, results, errors, None)])
+    text = calibration_report([replace(calibration, problem=named)])
     assert evil not in text
     assert text.count("&lt;script&gt;alert(1)&lt;/script&gt;") >= 3
 
 
 def test_distances_and_contacts_have_a_report_too(calibrated) -> None:
-    text = calibration_report([(*calibrated("panda_1"), None)])
+    text = calibration_report([calibrated("panda_1")])
     assert "there is no map" in text
     assert 'data-name="errors/report"' in text
 

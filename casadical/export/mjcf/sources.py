@@ -9,20 +9,21 @@ from casadical.core.errors import InputError
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.export.mjcf.into_mjcf import into_mjcf
 from casadical.export.mjcf.mjcf import MjcfExport
-from casadical.identification.identification import Identification, identify
+from casadical.identification.identification import identify
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
-from casadical.project.problem import Problem, read_campaign, read_campaign_robot, read_problem, read_problem_robot
+from casadical.project.calibration import Calibration, calibrate
+from casadical.project.problem import read_campaign, read_campaign_robot, read_problem, read_problem_robot
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
 Show = Callable[[str], None]
 
 
-def calibrated(folder: Path) -> tuple[Problem, Identification]:
-    """A problem and its identification by the last of its methods. Raises InputError, ConvergenceError."""
+def calibrated(folder: Path) -> Calibration:
+    """A problem calibrated by the last of its methods. Raises InputError, ConvergenceError."""
     problem = read_problem(folder)
-    return problem, identify(problem.robot, problem.sets["identify"], method=problem.methods[-1], loss=problem.loss)
+    return calibrate(problem, method=problem.methods[-1])
 
 
 def robot_to_write(
@@ -41,7 +42,7 @@ def robot_to_write(
             raise InputError(f"--campaign needs the problem folder, not {source}: it is calibrated from the campaign")
         return read_robot(source), None
     if campaign is None:
-        return calibrated(source)[1].robot, None
+        return calibrated(source).robot, None
     robot = read_campaign_robot(source)
     m = read_campaign(source, campaign, robot)
     found = diagnose(robot, m, effects.split(",") if effects else "standard", show=show)

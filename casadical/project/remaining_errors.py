@@ -1,18 +1,20 @@
-"""What each model leaves at each pose: the numbers behind the figures."""
+"""What a calibration leaves: the error of every model at every pose, and where it lies."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from casadical.core.transforms import Array
-from casadical.identification.accuracy import errors, predicted
-from casadical.identification.identification import Identification
+from casadical.diagnosis.cross_validation import Noise
+from casadical.diagnosis.linear_problem import make_case
+from casadical.diagnosis.localisation import Where, where
+from casadical.identification.accuracy import errors, residual_mm
 from casadical.measurements.measurements import Measurements
-from casadical.project.networks import NetworkResult, Networks
-from casadical.project.problem import Problem
+from casadical.project.calibration import Calibration
+from casadical.project.networks import NetworkResult
 from casadical.robot.robot import Robot
 
 BEFORE = "before"
@@ -80,45 +82,44 @@ class PoseErrors:
         return PoseErrors(self.name, self.held_out, self.row[k], self.q[k], position, models)
 
 
-def pose_errors(
-    problem: Problem, results: Mapping[str, Identification], networks: Networks | None = None
-) -> dict[str, PoseErrors]:
+def pose_errors(calibration: Calibration) -> dict[str, PoseErrors]:
     """For every set of a problem, report first: what placement, each method and each network leave at its poses.
 
     Networks that were refused are there as they were trained, and say so.
     """
+    order = list(SETS)
     found = {}
-    for name in sorted(problem.sets, key=lambda n: ("report", "identify", "train", "choose").index(n)):
-        for m in problem.sets[name]:
-            label = name if len(problem.sets[name]) == 1 else f"{name}/{m.kind}"
-            models = tuple(_models(m, results, networks))
-            found[label] = PoseErrors(label, name == "report", m.row, m.q, m.position, models)
+    for name, m in sorted(calibration.problem.parts(), key=lambda part: order.index(part[0].split("/")[0])):
+        models = tuple(_models(m, calibration))
+        found[name] = PoseErrors(name, name.startswith("report"), m.row, m.q, m.position, models)
     return found
 
 
-def left_by(robot: Robot, m: Measurements) -> tuple[Array, Array | None]:
-    """Length [m] and, where positions were measured, vector [m] of what a robot leaves at every pose."""
-    vector = None if m.position is None else m.position - predicted(robot, m)[0]
-    return errors(robot, m), vector
-
-
-def _models(m: Measurements, results: Mapping[str, Identification], networks: Networks | None) -> Iterator[Left]:
-    last = list(results.values())[-1]
-    yield Left(BEFORE, *left_by(last.placed, m), shown=False)
-    for method, result in results.items():
-        yield Left(method, *left_by(result.robot, m))
-    for trained in networks.results.values() if networks else ():
-        found = _with_network(m, results["SKCM"], trained)
-        if found:
-            yield found
-
-
-def _with_network(m: Measurements, result: Identification, trained: NetworkResult) -> Left | None:
-    network = trained.compensator.trained if trained.compensator else None
-    vector = left_by(result.robot, m)[1]
-    if network is None or vector is None:
+def where_left(calibration: Calibration) -> Where | None:
+    """Where the error that the last method left lies; None unless it is of one set of measured positions."""
+    result = calibration.identification
+    if len(result.measurements) != 1 or result.measurements[0].position is None:
         return None
-    rest = vector - 1e-3 * network.output_mm(m.q)
+    return where(make_case(result, ()), Noise(result.sigmas[0][0], 0.0))
+
+
+def _models(m: Measurements, calibration: Calibration) -> Iterator[Left]:
+    yield _left_by(BEFORE, calibration.identification.placed, m, shown=False)
+    for method, result in calibration.identifications.items():
+        yield _left_by(method, result.robot, m)
+    for trained in calibration.networks.results.values() if calibration.networks else ():
+        network = trained.compensator.trained if trained.compensator else None
+        if network and m.position is not None:
+            rest = 1e-3 * (residual_mm(calibration.identifications["SKCM"].robot, m) - network.output_mm(m.q))
+            yield _with_network(trained, rest)
+
+
+def _left_by(model: str, robot: Robot, m: Measurements, shown: bool = True) -> Left:
+    vector = None if m.position is None else 1e-3 * residual_mm(robot, m)
+    return Left(model, errors(robot, m), vector, shown=shown)
+
+
+def _with_network(trained: NetworkResult, rest: Array) -> Left:
     in_paper = trained.method in ("NN-SKCM", "IWO-NN-SKCM")
     note = "" if trained.helps else "refused"
     return Left(trained.method, np.linalg.norm(rest, axis=1), rest, note, trained.helps or in_paper)
