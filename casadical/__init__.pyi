@@ -12,7 +12,7 @@ from casadical.identification.identification import identify as identify
 from casadical.measurements.measurements import Measurements as Measurements
 from casadical.measurements.reading import from_table as from_table
 from casadical.measurements.reading import read_measurements as read_measurements
-from casadical.pose_selection.choice import select_poses as select_poses
+from casadical.pose_selection.pose_search import select_poses as select_poses
 from casadical.project.calibration import Calibration as Calibration
 from casadical.project.calibration import calibrate as calibrate
 from casadical.project.problem import Problem as Problem

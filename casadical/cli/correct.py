@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from casadical.cli.sources import Compensator, Nominal, Payload
+from casadical.cli.options import Compensator, Nominal, Payload
 from casadical.cli.terminal import Json, Quiet, keep_json, plain
 from casadical.core.errors import InputError
 

@@ -70,7 +70,7 @@ def diagnose(
     from casadical.diagnosis.diagnose import diagnose as run
     from casadical.diagnosis.json_answer import as_json
     from casadical.diagnosis.text import report
-    from casadical.pose_selection.room import read_room
+    from casadical.pose_selection.workspace_file import read_workspace
     from casadical.project.problem import read_campaign, read_campaign_robot
 
     if report_file:
@@ -82,7 +82,7 @@ def diagnose(
     if isolability:
         _print_isolability(problem, robot, campaigns, effects, json_file, console)
         return
-    workspace = read_room(room, robot) if room else None
+    workspace = read_workspace(room, robot) if room else None
     answers, answered = [], []
     for path in campaigns:
         m = read_campaign(problem, path, robot)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from casadical.cli.export_model import export_mjcf, export_urdf
-from casadical.cli.sources import Compensator, Nominal, Payload, Tool
+from casadical.cli.options import Compensator, Nominal, Payload, Tool
 from casadical.cli.terminal import Json, Quiet, keep_json, plain
 from casadical.core.errors import InputError
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from casadical.cli import completion as words
-from casadical.cli.sources import Nominal
+from casadical.cli.options import Nominal
 from casadical.cli.terminal import Json, Quiet, keep_json, plain, progress
 from casadical.core.errors import InputError
 

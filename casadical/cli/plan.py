@@ -79,7 +79,7 @@ def plan(
     from casadical.pose_selection.criteria import checked
     from casadical.pose_selection.information import Noise
     from casadical.pose_selection.report import ahead_files, how_many, plan_files, report
-    from casadical.pose_selection.room import read_room
+    from casadical.pose_selection.workspace_file import read_workspace
     from casadical.project.planning import look_ahead, planned_with, robot_of
     from casadical.project.planning import plan as run
     from casadical.project.problem import read_campaign
@@ -92,7 +92,7 @@ def plan(
     given = noise_mm is not None or measured is None
     noise = Noise(1e-3 * (0.02 if noise_mm is None else noise_mm), 1e-6 * joint_noise_urad) if given else None
     target = None if target_mm is None else 1e-3 * target_mm
-    workspace = read_room(room, robot) if room else None
+    workspace = read_workspace(room, robot) if room else None
     circumstances = Circumstances(_numbers(payloads), every_payload, both_approaches, repeats)
     word = checked(criterion)
     with progress(quiet) as bar:

@@ -2,7 +2,7 @@
 
 from casadical.compensator.compensator import Compensator
 from casadical.compensator.iwo import InvasiveWeeds, IwoHistory, IwoResult, IwoSettings, iwo_minimise
-from casadical.compensator.layout import Box, Layout
+from casadical.compensator.layout import JointBox, Layout
 from casadical.compensator.network import Network
 from casadical.compensator.report import BeforeAfter, Errors
 from casadical.compensator.saving import compensator_text, load_compensator, save_compensator
@@ -14,7 +14,6 @@ __all__ = [
     "TRAINERS",
     "Backprop",
     "BeforeAfter",
-    "Box",
     "Compensator",
     "Errors",
     "InvasiveWeeds",
@@ -23,6 +22,7 @@ __all__ = [
     "IwoResult",
     "IwoSettings",
     "IwoThenLm",
+    "JointBox",
     "Layout",
     "LevenbergMarquardt",
     "Loss",

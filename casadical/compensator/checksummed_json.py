@@ -1,6 +1,6 @@
 """JSON files that carry their own sha256, written in one piece and refused when anything in them was changed.
 
-The seal guards against damage and careless edits, not against someone who computes a new one.
+The checksum protects from damage and careless edits, not from someone who computes a new one.
 """
 
 import hashlib
@@ -18,24 +18,24 @@ def digest(body: dict[str, Any]) -> str:
     return hashlib.sha256(_canonical(body).encode("utf-8")).hexdigest()
 
 
-def sealed_text(document: dict[str, Any]) -> str:
-    """Return the text of a sealed file: the one way in which its document is written."""
+def checksummed_text(document: dict[str, Any]) -> str:
+    """Return the text of a file: the one way in which a document is written."""
     return json.dumps(document, indent=1, allow_nan=False) + "\n"
 
 
-def sealed(kind: str, version: int, body: dict[str, Any]) -> str:
-    """Return the text of a body as a sealed file."""
+def checksummed(kind: str, version: int, body: dict[str, Any]) -> str:
+    """Return the text of a body as a file with its checksum."""
     document = {"format": kind, "version": version, **body}
-    return sealed_text(document | {"sha256": digest(document)})
+    return checksummed_text(document | {"sha256": digest(document)})
 
 
-def write_sealed(path: str | os.PathLike[str], kind: str, version: int, body: dict[str, Any]) -> None:
-    """Write a body as a sealed file, whole or not at all. Raises InputError where it cannot be written."""
-    write_whole(Path(path), sealed(kind, version, body))
+def write_checksummed(path: str | os.PathLike[str], kind: str, version: int, body: dict[str, Any]) -> None:
+    """Write a body with its checksum, whole or not at all. Raises InputError where it cannot be written."""
+    write_whole(Path(path), checksummed(kind, version, body))
 
 
-def read_sealed(path: str | os.PathLike[str], kind: str, version: int) -> dict[str, Any]:
-    """Read a sealed file.
+def read_checksummed(path: str | os.PathLike[str], kind: str, version: int) -> dict[str, Any]:
+    """Read a file that `write_checksummed` wrote; its fields without the checksum.
 
     Raises InputError when it is not there, truncated, changed, of another kind, or of a later version.
     """
@@ -62,9 +62,9 @@ def _canonical(body: dict[str, Any]) -> str:
 
 
 def _intact(document: dict[str, Any], text: str) -> bool:
-    """Tell whether the seal fits and the text is the one its values are written as: no digit may differ."""
+    """Tell whether the checksum fits and the text is the one its values are written as: no digit may differ."""
     try:
         body = {name: value for name, value in document.items() if name != "sha256"}
-        return document.get("sha256") == digest(body) and sealed_text(document) == text
-    except ValueError:  # NaN or Infinity, which a sealed file never holds
+        return document.get("sha256") == digest(body) and checksummed_text(document) == text
+    except ValueError:  # NaN or Infinity, which such a file never holds
         return False

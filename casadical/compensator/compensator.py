@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from casadical.compensator.checks import joint_angles, residuals
 from casadical.compensator.folds import training_masks
-from casadical.compensator.layout import Box, Layout, box_around
+from casadical.compensator.layout import JointBox, Layout, box_around
 from casadical.compensator.network import Network
 from casadical.compensator.report import BeforeAfter, table
 from casadical.compensator.task import Loss, make_task
@@ -43,7 +43,7 @@ class Compensator:
 
     network: Network | None
     layout: Layout
-    trained_box: Box
+    trained_box: JointBox
     training: BeforeAfter
     choice: BeforeAfter
     validation: BeforeAfter | None
@@ -67,7 +67,7 @@ class Compensator:
         choose: Data | None = None,
         trainer: Trainer | str = "lm",
         layout: Layout | None = None,
-        joint_range: Box | None = None,
+        joint_range: JointBox | None = None,
         output_scale_mm: float | None = None,
         loss: Loss | None = None,
         seed: int = 0,

@@ -87,7 +87,7 @@ class Layout:
 
 
 @dataclass(frozen=True)
-class Box:
+class JointBox:
     """Joint ranges that a network is scaled by and trusted in.
 
     lower, upper : one angle a joint [rad]. ``lower`` is sent to -1 and ``upper`` to +1; a joint that does not move
@@ -124,12 +124,12 @@ class Box:
         return np.asarray(within.all(axis=1), dtype=np.bool_)
 
 
-def box_around(q: Array) -> Box:
+def box_around(q: Array) -> JointBox:
     """Return the smallest box that holds the joint angles q, shape (n, joints) [rad]."""
-    return Box(tuple(q.min(axis=0)), tuple(q.max(axis=0)))
+    return JointBox(tuple(q.min(axis=0)), tuple(q.max(axis=0)))
 
 
-def network_inputs(layout: Layout, box: Box, q: Array) -> Array:
+def network_inputs(layout: Layout, box: JointBox, q: Array) -> Array:
     """Scale joint angles to network inputs.
 
     q : array, shape (n, joints) [rad].

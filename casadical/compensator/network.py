@@ -7,7 +7,7 @@ import numpy as np
 
 from casadical.compensator.checks import joint_angles
 from casadical.compensator.forward import forward
-from casadical.compensator.layout import Box, Layout, network_inputs
+from casadical.compensator.layout import JointBox, Layout, network_inputs
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 
@@ -25,7 +25,7 @@ class Network:
     """
 
     layout: Layout
-    box: Box
+    box: JointBox
     weights: Array = field(repr=False)
     output_scale_mm: float = 1.0
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from casadical.compensator.checksummed_json import read_sealed, sealed, write_sealed
+from casadical.compensator.checksummed_json import checksummed, read_checksummed, write_checksummed
 from casadical.compensator.compensator import Compensator
-from casadical.compensator.layout import Box, Layout
+from casadical.compensator.layout import JointBox, Layout
 from casadical.compensator.network import Network
 from casadical.compensator.report import BeforeAfter, Errors
 from casadical.core.errors import InputError
@@ -18,12 +18,12 @@ KIND, VERSION = "casadical-compensator", 1
 
 def save_compensator(compensator: Compensator, path: str | os.PathLike[str]) -> None:
     """Write a compensator to a JSON file; an older file is replaced in one piece."""
-    write_sealed(path, KIND, VERSION, _body(compensator))
+    write_checksummed(path, KIND, VERSION, _body(compensator))
 
 
 def compensator_text(compensator: Compensator) -> str:
     """Return the text that `save_compensator` writes, for those who write several files together."""
-    return sealed(KIND, VERSION, _body(compensator))
+    return checksummed(KIND, VERSION, _body(compensator))
 
 
 def _body(compensator: Compensator) -> dict[str, Any]:
@@ -43,7 +43,7 @@ def load_compensator(path: str | os.PathLike[str]) -> Compensator:
 
     Raises InputError when the file is missing, truncated, changed, of another kind or version, or does not fit itself.
     """
-    body = read_sealed(path, KIND, VERSION)
+    body = read_checksummed(path, KIND, VERSION)
     try:
         return _compensator(body)
     except InputError as error:
@@ -72,8 +72,8 @@ def _compensator(body: dict[str, Any]) -> Compensator:
     )
 
 
-def _box(value: dict[str, Any]) -> Box:
-    return Box(tuple(value["lower"]), tuple(value["upper"]))
+def _box(value: dict[str, Any]) -> JointBox:
+    return JointBox(tuple(value["lower"]), tuple(value["upper"]))
 
 
 def _before_after(value: dict[str, Any]) -> BeforeAfter:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadical.compensator.forward import forward
-from casadical.compensator.layout import Box, Layout, network_inputs
+from casadical.compensator.layout import JointBox, Layout, network_inputs
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 
@@ -67,7 +67,7 @@ class Task:
 
 
 def make_task(
-    layout: Layout, box: Box, q: Array, residual_mm: Array, *, scale_mm: float = 1.0, loss: Loss | None = None
+    layout: Layout, box: JointBox, q: Array, residual_mm: Array, *, scale_mm: float = 1.0, loss: Loss | None = None
 ) -> Task:
     """Prepare joint angles, shape (n, joints) [rad], and residuals, shape (n, outputs) [mm], for training.
 

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from casadical.compensator.checksummed_json import digest, read_sealed, write_sealed
+from casadical.compensator.checksummed_json import digest, read_checksummed, write_checksummed
 from casadical.compensator.packing import pack, unpack
 from casadical.compensator.task import Task
 from casadical.compensator.trainers.base import Run, Trainer
@@ -92,7 +92,7 @@ class _Job:
         self.history: list[tuple[int, float]] = []
         self.mark = _fingerprint(tasks, trainer, seed, every)
         if path is not None and Path(path).exists():
-            self._restore(read_sealed(path, _KIND, _VERSION))
+            self._restore(read_checksummed(path, _KIND, _VERSION))
 
     @property
     def task(self) -> Task | None:
@@ -115,7 +115,7 @@ class _Job:
             self.done.append(Training(weights, history[-1][1], self.run.steps, reasons, self.run.note(), history))
             self.run = None
         if self.path is not None:
-            write_sealed(self.path, _KIND, _VERSION, self._state())
+            write_checksummed(self.path, _KIND, _VERSION, self._state())
 
     def progress(self) -> Progress:
         """Return where the job stands."""

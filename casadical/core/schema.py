@@ -41,7 +41,7 @@ Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Schema = TypeVar("Schema", bound=BaseModel)
 
 
-class Table(BaseModel):
+class TomlTable(BaseModel):
     """A TOML table. A field that is a `Quantity` is written with its unit in the key and is SI here."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
@@ -118,7 +118,7 @@ def _fault(schema: type[BaseModel], data: Mapping[str, Any], error: Any) -> str:
     key, value = _as_written(schema, data, place)
     if error["type"] == "extra_forbidden":
         table = _table(schema, error["loc"][:-1])
-        keys = table.keys() if issubclass(table, Table) else list(table.model_fields)
+        keys = table.keys() if issubclass(table, TomlTable) else list(table.model_fields)
         near = difflib.get_close_matches(str(error["loc"][-1]), keys, 1, 0.6)
         hint = f" (is {near[0]} meant?)" if near else ""
         return f"{key} = {_short(value)}: not a known key{hint}; allowed here: {', '.join(keys)}"
@@ -154,14 +154,14 @@ def _as_written(schema: type[BaseModel], data: Any, location: tuple[int | str, .
             continue
         table = _table(schema, location[:depth])
         key = part
-        if isinstance(data, Mapping) and part not in data and issubclass(table, Table):
+        if isinstance(data, Mapping) and part not in data and issubclass(table, TomlTable):
             key = next((k for k in data if table.field_of(k)[0] == part), _written_key(table, part))
         words.append(f".{key}")
         data = data.get(key) if isinstance(data, Mapping) else None
     return "".join(words).lstrip(".") or "file", data
 
 
-def _written_key(table: type[Table], field: str) -> str:
+def _written_key(table: type[TomlTable], field: str) -> str:
     names = list(table.model_fields)
     return table.keys()[names.index(field)] if field in names else field
 

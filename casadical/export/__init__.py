@@ -1,7 +1,7 @@
 """CasADi functions to guarded, deterministic C99 without a mathematical library; knows no robot.
 
-from casadical.export import Network, write_c
-export = write_c(Network(function, lower, upper), "out", name="arm", real="float")
+from casadical.export import NetworkFunction, write_c
+export = write_c(NetworkFunction(function, lower, upper), "out", name="arm", real="float")
 """
 
 from casadical.core.lazy import attach

@@ -2,7 +2,7 @@ from casadical.export.c.kernel import Kernel as Kernel
 from casadical.export.c.kernel import load as load
 from casadical.export.c.products import Command as Command
 from casadical.export.c.products import Limits as Limits
-from casadical.export.c.products import Network as Network
+from casadical.export.c.products import NetworkFunction as NetworkFunction
 from casadical.export.c.reference import Status as Status
 from casadical.export.c.write import Export as Export
 from casadical.export.c.write import write_c as write_c

@@ -115,7 +115,7 @@ _LOSS: dict[Loss, Callable[[ca.SX, float], tuple[ca.SX, ca.SX]]] = {
 }
 
 
-class Kernel:
+class PoseFunctions:
     """Functions of one pose, each made when it is first asked for; shared by all robots of one structure.
 
     robot : the numbers that differ between them: nominal parameters, nominal frames, scales (see `robot_numbers`)
@@ -182,12 +182,12 @@ class Kernel:
         return self._function("hessian", ca.project(H, ca.Sparsity.upper(self._z.numel())).nz[:])
 
 
-_kernel = lru_cache(maxsize=64)(Kernel)
+_kernel = lru_cache(maxsize=64)(PoseFunctions)
 
 
 def kernel(
     robot: Robot, kind: Kind, point: bool, names: tuple[str, ...], loss: Loss, fixed_loads: bool = False
-) -> Kernel:
+) -> PoseFunctions:
     """The kernel of one kind of measurement for the chosen parameters of a robot.
 
     fixed_loads : whether gravity torques are those of the nominal geometry (see `model.build`)
@@ -229,7 +229,7 @@ class Block:
     robot : see `robot_numbers`
     """
 
-    kernel: Kernel
+    kernel: PoseFunctions
     data: Array
     group: Array
     robot: Array

@@ -1,11 +1,11 @@
 """Which poses to measure, how many are enough, and what accuracy to expect before and while measuring."""
 
 from casadical.pose_selection.candidates import Circumstances
-from casadical.pose_selection.choice import select_poses
 from casadical.pose_selection.criteria import CRITERIA, Criterion, observability
 from casadical.pose_selection.information import Noise
+from casadical.pose_selection.pose_search import select_poses
 from casadical.pose_selection.selection import Selection
-from casadical.pose_selection.stopping import Forecast, forecast
+from casadical.pose_selection.stopping_rule import Forecast, forecast
 from casadical.pose_selection.workspace import Box, Tracker, Workspace
 
 __all__ = [

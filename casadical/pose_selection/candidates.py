@@ -125,7 +125,7 @@ def draw_uniform(robot: Robot, count: int, workspace: Workspace, rng: np.random.
     raise InputError(f"only {len(kept)} of {100 * count} readings drawn are allowed by the workspace; widen it")
 
 
-def circumstanced(robot: Robot, q: Array, circumstances: Circumstances, n: int, rng: np.random.Generator) -> Candidates:
+def candidates_at(robot: Robot, q: Array, circumstances: Circumstances, n: int, rng: np.random.Generator) -> Candidates:
     """Candidates at readings q with every column that the robot's model needs, chosen or by chance.
 
     n : how many readings the campaign will hold, which says how long it takes

@@ -12,9 +12,9 @@ from casadical.core.errors import InputError
 from casadical.identification.identifiability import Unidentifiable
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
-from casadical.pose_selection.candidates import Candidates, Circumstances, circumstanced, draw, draw_uniform
+from casadical.pose_selection.candidates import Candidates, Circumstances, candidates_at, draw, draw_uniform
 from casadical.pose_selection.criteria import Criterion, checked
-from casadical.pose_selection.designs import Design, Determinant, Linear, Spectral, inverse
+from casadical.pose_selection.experimental_design import Design, Determinant, Linear, Spectral, inverse
 from casadical.pose_selection.information import Noise, independent, noise_covariance, scaled_jacobian, whitened
 from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
@@ -23,7 +23,7 @@ TASK_POSES = 300
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class DesignProblem:
     """What a search works on.
 
     names, held, measured, task : as of `Selection`; pool : candidates; open : whether new ones may be drawn near them
@@ -87,13 +87,13 @@ def prepare(
     noise: Noise,
     pool: int,
     rng: np.random.Generator,
-) -> Problem:
+) -> DesignProblem:
     """Candidates, independent parameters and weights; arguments as of `select_poses`. Raises InputError."""
     criterion = checked(criterion)
     words = ("kinematic", "compliance", *(e.label for e in robot.effects)) if free is None else tuple(free)
     wanted = robot.parameters.select(words)
     q = draw(robot, pool, workspace, rng) if candidates is None else _allowed(robot, candidates, workspace)
-    ready = circumstanced(robot, q, circumstances, n, rng)
+    ready = candidates_at(robot, q, circumstances, n, rng)
     m = ready.measurements(robot)
     if measured is not None:
         measured = _with_columns(robot, measured)
@@ -106,7 +106,7 @@ def prepare(
         )
     task_q = draw_uniform(robot, TASK_POSES, workspace, rng) if task is None else np.atleast_2d(task)
     one = replace(circumstances, every_payload=False, both_approaches=False, repeats=1)
-    goal = circumstanced(robot, task_q, one, n, rng).measurements(robot, "task")
+    goal = candidates_at(robot, task_q, one, n, rng).measurements(robot, "task")
     p = len(names)
     fixed = np.zeros((p, p))
     if measured is not None:
@@ -116,7 +116,7 @@ def prepare(
     J = scaled_jacobian(robot, names, goal)
     A = _rows(robot, names, m, noise).reshape(-1, p)
     weight = _weight(criterion, J, chosen, inverse(A.T @ A * total / len(m)))
-    return Problem(
+    return DesignProblem(
         robot, workspace, circumstances, noise, names, held, measured, goal, ready, candidates is None, fixed, weight
     )
 

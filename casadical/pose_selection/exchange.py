@@ -6,7 +6,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.pose_selection.designs import Design
+from casadical.pose_selection.experimental_design import Design
 
 # How many poses an excursion adds (or takes away) before it returns to the number wanted.
 DEPTH = 4

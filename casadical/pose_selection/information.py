@@ -18,7 +18,7 @@ from casadical.core.errors import InputError
 from casadical.identification.identifiability import Unidentifiable, correlated, poorly_determined
 from casadical.identification.least_squares import LeastSquares
 from casadical.measurements.measurements import Measurements
-from casadical.pose_selection.designs import inverse
+from casadical.pose_selection.experimental_design import inverse
 from casadical.robot.robot import Robot
 
 MM = 1e-3

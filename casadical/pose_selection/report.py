@@ -11,9 +11,9 @@ from rich.table import Table
 from rich.text import Text
 
 from casadical.core.arrays import Array
-from casadical.pose_selection.order import travel
+from casadical.pose_selection.pose_order import travel
 from casadical.pose_selection.selection import Selection
-from casadical.pose_selection.stopping import Forecast
+from casadical.pose_selection.stopping_rule import Forecast
 
 _HEIGHTS, _DISTANCES = ("low", "middle", "high"), ("near", "middle", "far")
 

@@ -13,9 +13,9 @@ from casadical.identification.identifiability import Unidentifiable
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.candidates import Candidates, Circumstances
 from casadical.pose_selection.criteria import Criterion, observability
-from casadical.pose_selection.designs import inverse
+from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.information import MM, Noise, noise_covariance, scaled_jacobian
-from casadical.pose_selection.order import arranged
+from casadical.pose_selection.pose_order import arranged
 from casadical.robot.robot import Robot
 
 

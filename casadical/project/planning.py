@@ -14,11 +14,11 @@ from casadical.identification.identification import identify
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.candidates import Circumstances
-from casadical.pose_selection.choice import select_poses
 from casadical.pose_selection.criteria import Criterion
 from casadical.pose_selection.information import Noise
+from casadical.pose_selection.pose_search import select_poses
 from casadical.pose_selection.selection import Selection
-from casadical.pose_selection.stopping import Forecast, forecast
+from casadical.pose_selection.stopping_rule import Forecast, forecast
 from casadical.pose_selection.workspace import Workspace
 from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot import Robot

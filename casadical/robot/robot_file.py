@@ -25,7 +25,7 @@ from casadical.core.schema import (
     FaultError,
     Length,
     Pair,
-    Table,
+    TomlTable,
     Triple,
     check,
     load_toml,
@@ -38,7 +38,7 @@ HalfLength = Annotated[float | None, LENGTH, Field(gt=0)]
 HalfAngle = Annotated[float | None, ANGLE, Field(gt=0)]
 
 
-class _Body(Table):
+class _Body(TomlTable):
     mass_kg: float = Field(ge=0)
     com: Annotated[Triple, LENGTH] = Field(default=[0.0, 0.0, 0.0])
 
@@ -46,7 +46,7 @@ class _Body(Table):
         return Body(self.mass_kg, np.array(self.com))
 
 
-class _Joint(Table):
+class _Joint(TomlTable):
     alpha: Angle = 0.0
     a: Length = 0.0
     theta: Angle = 0.0
@@ -97,7 +97,7 @@ class _Joint(Table):
         )  # fmt: skip
 
 
-class _Frame(Table):
+class _Frame(TomlTable):
     xyz: Annotated[Triple, LENGTH] = Field(default=[0.0, 0.0, 0.0])
     rpy: Annotated[Triple, ANGLE] = Field(default=[0.0, 0.0, 0.0])
     unknown: Literal["none", "position", "pose"] = "none"
@@ -106,7 +106,7 @@ class _Frame(Table):
         return Placement(frame(from_rpy(np.array(self.rpy)), np.array(self.xyz)), self.unknown)
 
 
-class _FourBar(Table):
+class _FourBar(TomlTable):
     driven: int
     carrier: int
     crank: Bar
@@ -115,19 +115,19 @@ class _FourBar(Table):
     offset: Angle = 0.0
 
 
-class _Gravity(Table):
+class _Gravity(TomlTable):
     frame: Literal["measuring", "base"] = "measuring"
     vector_m_per_s2: Triple = Field(default=[0.0, 0.0, -STANDARD_GRAVITY])
 
 
-class _Width(Table):
+class _Width(TomlTable):
     length_bound: HalfLength = None
     angle_bound: HalfAngle = None
     length_prior: HalfLength = None
     angle_prior: HalfAngle = None
 
 
-class _Widths(Table):
+class _Widths(TomlTable):
     base: _Width = _Width()
     geometry: _Width = _Width()
     loop: _Width = _Width()
@@ -139,7 +139,7 @@ class _Widths(Table):
         return {group: replace(default, **given[group]) for group, default in WIDTHS.items()}
 
 
-class _RobotFile(Table):
+class _RobotFile(TomlTable):
     casadical: Literal[1]
     name: str = Field(min_length=1)
     convention: Literal["modified", "standard"] = "modified"

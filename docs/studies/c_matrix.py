@@ -25,9 +25,9 @@ sys.path.insert(0, str(ROOT / "tests" / "export" / "c"))
 import export_models as models  # noqa: E402
 import export_targets as targets  # noqa: E402
 
-from casadical.export import Command, Network, Status, load, write_c  # noqa: E402
-from casadical.export.c.program import program_of  # noqa: E402
+from casadical.export import Command, NetworkFunction, Status, load, write_c  # noqa: E402
 from casadical.export.c.reference import correct, network  # noqa: E402
+from casadical.export.c.tape_program import tape_program  # noqa: E402
 from casadical.export.c.toolchain import WARNINGS, compilers  # noqa: E402
 from casadical.export.c.vectors import inside  # noqa: E402
 
@@ -113,7 +113,7 @@ def export_all(count):
 def three_million(folders, count):
     section("network, 3e6 outputs, 0 ulp wanted")
     for real in REALS:
-        program = program_of(PRODUCTS["network"], real)
+        program = tape_program(PRODUCTS["network"], real)
         q = inside(program, count, seed=1)
         expected, _ = network(program, q)
         for compiler in compilers():
@@ -130,7 +130,7 @@ def processors(folders, count):
     section(f"the same bits on other processors, {count} vectors, one hash (status and outputs)")
     for kind, call, outputs, compute in CALLS:
         for real in REALS:
-            program = program_of(PRODUCTS[kind], real)
+            program = tape_program(PRODUCTS[kind], real)
             wanted = targets.digest(*compute(program, targets.bench_inputs(real, count)))
             flags = targets.defines(real, call, outputs, count)
             found = {"NumPy": wanted} | host_and_foreign(folders[kind, real], flags)
@@ -180,7 +180,7 @@ def portable(path, real):
     """CasADi's C with its tanh replaced by the exporter's: the second way to get there, for comparison."""
     from casadical.export.c.emit import elementary_functions
 
-    function = elementary_functions([program_of(PRODUCTS["network"], real).tapes["network"]], "arm", real)
+    function = elementary_functions([tape_program(PRODUCTS["network"], real).tapes["network"]], "arm", real)
     text = path.read_text().replace("#include <math.h>", f"#include <stdint.h>\ntypedef {real} arm_real;\n{function}\n")
     out = path.with_name(f"portable_{real}.c")
     out.write_text(re.sub(r"\btanh\(", "arm_tansig(", text))
@@ -335,7 +335,7 @@ def convergence(count):
         chain = models.kinematics(seed, compliance=False)
         real_robot, nominal = models.calibrated(seed), models.nominal()
         product = replace(PRODUCTS["command"], calibrated=real_robot, jacobian_of=chain, network=None)
-        q = inside(program_of(product, "double"), count, seed=7)
+        q = inside(tape_program(product, "double"), count, seed=7)
         slope = ca.Function("J", [x], [ca.jacobian(real_robot(x), x)])
         J = np.array(slope.map(count)(q.T)).reshape(3, count, 6).transpose(1, 0, 2)
         weakest = np.linalg.svd(J, compute_uv=False)[:, 2]
@@ -345,7 +345,7 @@ def convergence(count):
         for real in REALS:
             words = []
             for steps in (1, 2, 3):
-                dq, status = correct(program_of(replace(product, steps=steps), real), q)
+                dq, status = correct(tape_program(replace(product, steps=steps), real), q)
                 moved = np.array(real_robot.map(count)((q + dq.astype(float)).T))
                 rest = 1e6 * np.linalg.norm(moved - target, axis=0)
                 unsaid = int(((status == Status.OK) & (rest > 50)).sum())
@@ -457,7 +457,7 @@ def eva(folders):
         alarms = re.findall(r"\[eva:alarm\] (.*?):\s*(Warning:.*?)(?=\n\[)", text, flags=re.S)
         own = [f"{where} {what}" for where, what in alarms if "arm_" in where]
         shown = re.findall(r"Frama_C_show_each_dp:\s*((?:.*,\n)*.*)", text)
-        bounds = program_of(PRODUCTS["network"], real).network_bounds
+        bounds = tape_program(PRODUCTS["network"], real).network_bounds
         done = "ANALYSIS SUMMARY" in text
         line(
             f"{real}",
@@ -581,7 +581,7 @@ def main():
     shutil.rmtree(WORK)
 
 
-NETWORK = Network(models.network(), models.LOWER, models.UPPER)
+NETWORK = NetworkFunction(models.network(), models.LOWER, models.UPPER)
 PRODUCTS = {
     "network": NETWORK,
     "command": Command(

@@ -12,7 +12,7 @@ import time
 
 import numpy as np
 
-from casadical.compensator import Box, InvasiveWeeds, Iwo, IwoSettings, Layout, Task, make_task, train
+from casadical.compensator import InvasiveWeeds, Iwo, IwoSettings, JointBox, Layout, Task, make_task, train
 from casadical.compensator.forward import forward
 
 SEEDS = 10
@@ -35,7 +35,7 @@ def synthetic_task(data_set: int = 0) -> Task:
     residual = np.sin(q @ rates + phase) @ mix.T
     residual *= 0.25 / np.sqrt((residual**2).sum(axis=1).mean())
     residual += random.normal(0, 0.02, residual.shape)
-    return make_task(Layout(), Box((-2.0,) * 6, (2.0,) * 6), q, residual)
+    return make_task(Layout(), JointBox((-2.0,) * 6, (2.0,) * 6), q, residual)
 
 
 def plain_objective(task: Task):

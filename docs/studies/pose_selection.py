@@ -21,7 +21,7 @@ from casadical.blind_check.numpy_physics.plant import Plant
 from casadical.measurements.reading import from_table
 from casadical.pose_selection import Box, Noise, Tracker, Workspace, forecast, select_poses
 from casadical.pose_selection.candidates import draw_uniform, expected
-from casadical.pose_selection.designs import inverse
+from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian, whitened
 
 HERE = Path(__file__).parent

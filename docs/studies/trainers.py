@@ -19,11 +19,11 @@ import pandas as pd
 
 from casadical.compensator import (
     Backprop,
-    Box,
     Compensator,
     Iwo,
     IwoSettings,
     IwoThenLm,
+    JointBox,
     Layout,
     LevenbergMarquardt,
     Loss,
@@ -81,7 +81,7 @@ def from_file(path: str) -> Source:
 def tasks_of(source: Source, seed: int, scale: float | None):
     """Return training and held-out task of a seed."""
     (q, residual), (other_q, other) = source(seed)
-    layout, box = Layout(joints=q.shape[1]), Box(tuple(q.min(axis=0)), tuple(q.max(axis=0)))
+    layout, box = Layout(joints=q.shape[1]), JointBox(tuple(q.min(axis=0)), tuple(q.max(axis=0)))
     unit = scale if scale is not None else float(np.sqrt(np.mean(residual**2)))
     return make_task(layout, box, q, residual, scale_mm=unit), make_task(layout, box, other_q, other, scale_mm=unit)
 

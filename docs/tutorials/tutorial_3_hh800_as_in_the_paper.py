@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from casadical import calibrate
-from casadical.compensator import Backprop, Box, Iwo, Layout, Network, make_task, train
+from casadical.compensator import Backprop, Iwo, JointBox, Layout, Network, make_task, train
 from casadical.identification import errors, residual_mm
 
 ROOT = Path(sys.argv[0]).resolve().parents[2]  # this file lies in docs/tutorials
@@ -56,7 +56,7 @@ assert set(held.name) == {"d2", "d6", "theta6", "L3"}
 
 layout = Layout(joints=6, hidden=(5,), outputs=3)
 q, residual = sets["train"].q, residual_mm(skcm.robot, sets["train"])
-box = Box(q.min(axis=0), q.max(axis=0))
+box = JointBox(q.min(axis=0), q.max(axis=0))
 task = make_task(layout, box, q, residual, scale_mm=1.0)
 assert layout.count == 53
 

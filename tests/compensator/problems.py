@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from casadical.compensator import Box, Layout, Task, make_task
+from casadical.compensator import JointBox, Layout, Task, make_task
 
 
 def smooth(poses: int, seed: int, noise_mm: float = 0.01):
@@ -17,4 +17,4 @@ def smooth(poses: int, seed: int, noise_mm: float = 0.01):
 
 def small_task(hidden=(3,), poses: int = 24, seed: int = 0, scale_mm: float = 0.2) -> Task:
     q, residual = smooth(poses, seed)
-    return make_task(Layout(hidden=hidden), Box((-2,) * 6, (2,) * 6), q, residual, scale_mm=scale_mm)
+    return make_task(Layout(hidden=hidden), JointBox((-2,) * 6, (2,) * 6), q, residual, scale_mm=scale_mm)

@@ -11,18 +11,18 @@ from casadical.compensator import (
     TRAINERS,
     Backprop,
     BeforeAfter,
-    Box,
     Compensator,
     Errors,
     Iwo,
     IwoSettings,
     IwoThenLm,
+    JointBox,
     Layout,
     LevenbergMarquardt,
     load_compensator,
     save_compensator,
 )
-from casadical.compensator.checksummed_json import digest, sealed_text
+from casadical.compensator.checksummed_json import checksummed_text, digest
 from casadical.core.errors import InputError
 from problems import smooth
 
@@ -115,7 +115,7 @@ def test_growing_maximum_is_said():
     words = Compensator(
         network=Compensator.fit(*smooth(30, 0), trainer=QUICK).network,
         layout=Layout(),
-        trained_box=Box((0,) * 6, (1,) * 6),
+        trained_box=JointBox((0,) * 6, (1,) * 6),
         training=none,
         choice=row,
         validation=None,
@@ -222,7 +222,7 @@ def test_every_truncation_and_every_changed_number_is_refused(helping, tmp_path)
 def reseal(document):
     """Seal a changed document again, as a determined editor could."""
     document.pop("sha256")
-    return sealed_text(document | {"sha256": digest(document)})
+    return checksummed_text(document | {"sha256": digest(document)})
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from casadical.compensator import Box, Layout, Network
+from casadical.compensator import JointBox, Layout, Network
 from casadical.compensator.forward import forward, gradient, outputs_and_jacobian
 from casadical.compensator.layout import network_inputs
 from casadical.core.errors import InputError
@@ -25,7 +25,7 @@ LAYOUTS = [
 
 def make(layout: Layout, seed: int = 0, count: int = 4, samples: int = 9):
     rng = np.random.default_rng(seed)
-    box = Box(tuple(rng.uniform(-3, -1, layout.joints)), tuple(rng.uniform(0.5, 2, layout.joints)))
+    box = JointBox(tuple(rng.uniform(-3, -1, layout.joints)), tuple(rng.uniform(0.5, 2, layout.joints)))
     q = rng.uniform(-3, 2, (samples, layout.joints))
     return box, q, rng.normal(0, 0.7, (count, layout.count))
 
@@ -40,7 +40,7 @@ def test_paper_network_has_53_weights():
 
 def test_hand_computed_network():
     """1-1-1 network on q in [0, 4]: q = 3 scales to 0.5; a = 2 * 0.5 + 0 = 1; y = 3 tansig(1) + 0.25, times 2 mm."""
-    net = Network(Layout(1, (1,), 1), Box((0.0,), (4.0,)), np.array([2.0, 0.0, 3.0, 0.25]), output_scale_mm=2.0)
+    net = Network(Layout(1, (1,), 1), JointBox((0.0,), (4.0,)), np.array([2.0, 0.0, 3.0, 0.25]), output_scale_mm=2.0)
     assert net.output_mm(np.array([3.0])) == pytest.approx([2 * (3 * 0.7615941559557649 + 0.25)], rel=1e-15)
 
 
@@ -118,7 +118,7 @@ def test_single_pose_and_rows_agree():
 
 
 def test_a_joint_that_does_not_move_does_no_harm():
-    net = Network(Layout(1, (1,), 1), Box((0.5,), (0.5,)), np.array([1.0, 0.0, 1.0, 0.0]))
+    net = Network(Layout(1, (1,), 1), JointBox((0.5,), (0.5,)), np.array([1.0, 0.0, 1.0, 0.0]))
     assert net.output_mm(np.array([[0.5]])) == 0.0
 
 
@@ -137,12 +137,18 @@ def test_network_is_frozen():
         (lambda: Layout(hidden=(0,)), "at least one neuron"),
         (lambda: Layout(periodic=(6,)), "joints 0 to 5"),
         (lambda: Layout().layers(np.zeros(52)), "53 weights"),
-        (lambda: Box((0.0,), (np.nan,)), "joint 0"),
-        (lambda: Box((1.0,), (0.0,)), "in order"),
-        (lambda: Network(Layout(), Box((0,) * 6, (1,) * 6), np.full(53, np.nan)), "not finite"),
-        (lambda: Network(Layout(), Box((0,) * 5, (1,) * 5), np.zeros(53)), "5 joints"),
-        (lambda: Network(Layout(), Box((0,) * 6, (1,) * 6), np.zeros(53)).output_mm(np.zeros((3, 5))), r"\(n, 6\)"),
-        (lambda: Network(Layout(), Box((0,) * 6, (1,) * 6), np.zeros(53)).output_mm(np.full(6, np.inf)), "not finite"),
+        (lambda: JointBox((0.0,), (np.nan,)), "joint 0"),
+        (lambda: JointBox((1.0,), (0.0,)), "in order"),
+        (lambda: Network(Layout(), JointBox((0,) * 6, (1,) * 6), np.full(53, np.nan)), "not finite"),
+        (lambda: Network(Layout(), JointBox((0,) * 5, (1,) * 5), np.zeros(53)), "5 joints"),
+        (
+            lambda: Network(Layout(), JointBox((0,) * 6, (1,) * 6), np.zeros(53)).output_mm(np.zeros((3, 5))),
+            r"\(n, 6\)",
+        ),
+        (
+            lambda: Network(Layout(), JointBox((0,) * 6, (1,) * 6), np.zeros(53)).output_mm(np.full(6, np.inf)),
+            "not finite",
+        ),
     ],
 )
 def test_wrong_input_is_named(call, message):

@@ -7,8 +7,8 @@ import pytest
 
 from casadical import InputError
 from casadical.pose_selection import exchange
-from casadical.pose_selection.designs import Determinant, Linear, Spectral
 from casadical.pose_selection.exchange import search
+from casadical.pose_selection.experimental_design import Determinant, Linear, Spectral
 
 N, M, P = 11, 2, 4
 

@@ -11,10 +11,10 @@ import casadical
 from casadical import InputError, identify
 from casadical.effects import Backlash, FrameDrift, PayloadError, ThermalGrowth
 from casadical.pose_selection import Circumstances, Noise, Workspace, forecast, select_poses
-from casadical.pose_selection.candidates import circumstanced, draw_uniform, expected
+from casadical.pose_selection.candidates import candidates_at, draw_uniform, expected
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian, whitened
-from casadical.pose_selection.order import distances, travel
-from casadical.pose_selection.stopping import Forecast
+from casadical.pose_selection.pose_order import distances, travel
+from casadical.pose_selection.stopping_rule import Forecast
 
 SIGMA = 3e-5
 QUICK = {"pool": 200, "restarts": 1}
@@ -172,7 +172,7 @@ def test_a_column_that_cannot_be_planned_is_named(robot) -> None:
 
     arm = robot.with_effect(Damp(2))
     with pytest.raises(InputError, match="'humidity' is needed by an effect and cannot be planned"):
-        circumstanced(arm, readings(arm, 3, 0), Circumstances(), 3, np.random.default_rng(0))
+        candidates_at(arm, readings(arm, 3, 0), Circumstances(), 3, np.random.default_rng(0))
 
 
 def test_poses_are_chosen_between_limits(robot) -> None:

@@ -9,8 +9,8 @@ from pose_arms import elbow, planar, readings, with_loop
 from casadical import InputError
 from casadical.pose_selection import Box, Tracker, Workspace
 from casadical.pose_selection.candidates import draw, draw_uniform
-from casadical.pose_selection.room import read_room
 from casadical.pose_selection.workspace import _places
+from casadical.pose_selection.workspace_file import read_workspace
 
 BOX = Box(np.array([-0.2, -0.1, 0.1]), np.array([0.3, 0.5, 0.4]))
 
@@ -113,7 +113,7 @@ half_angle_deg = 15
 
 def test_a_room_file(tmp_path) -> None:
     (tmp_path / "room.toml").write_text(ROOM, encoding="utf-8")
-    room = read_room(tmp_path / "room.toml", elbow())
+    room = read_workspace(tmp_path / "room.toml", elbow())
     assert room.floor == pytest.approx(0.1)
     assert room.clearance == pytest.approx(0.05)
     assert room.lower[1] == pytest.approx(np.deg2rad(-30))
@@ -135,4 +135,4 @@ def test_a_room_file(tmp_path) -> None:
 def test_faults_of_a_room_file(tmp_path, text, message) -> None:
     (tmp_path / "room.toml").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=message):
-        read_room(tmp_path / "room.toml", elbow())
+        read_workspace(tmp_path / "room.toml", elbow())

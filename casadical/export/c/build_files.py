@@ -5,7 +5,7 @@ import numpy as np
 
 from casadical.export.c.c_files import SCHEMA, Label
 from casadical.export.c.emit import filled, template
-from casadical.export.c.program import Program
+from casadical.export.c.tape_program import TapeProgram
 
 
 def cmake(label: Label) -> str:
@@ -19,7 +19,7 @@ def pkg_config(label: Label) -> str:
     return filled(template("pkg_config.pc.in"), kept | {"name": label.name, "schema": str(SCHEMA)})
 
 
-def cross_check(program: Program, label: Label) -> str:
+def cross_check(program: TapeProgram, label: Label) -> str:
     """C by CasADi's own code generator (double, with math.h): a second way from the same functions to numbers."""
     generator = casadi.CodeGenerator(f"{label.name}_casadi", {"with_header": False})
     found = {} if program.network is None else {"network": program.network.function}
@@ -31,6 +31,6 @@ def cross_check(program: Program, label: Label) -> str:
     return str(generator.dump())
 
 
-def box_middle(program: Program) -> list[float]:
+def box_middle(program: TapeProgram) -> list[float]:
     """The middle of the box of joints, where the FMU and the structured text start."""
     return [float(v) for v in np.mean([program.product.lower, program.product.upper], axis=0)]

@@ -8,7 +8,7 @@ from casadical.core.arrays import Array
 from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, Real, literal
 from casadical.export.c.emit import elementary_functions, filled, kernel, template
 from casadical.export.c.products import Command
-from casadical.export.c.program import Program, prepared_size
+from casadical.export.c.tape_program import TapeProgram, prepared_size
 
 SCHEMA = 1
 _METHODS = {
@@ -26,7 +26,7 @@ class Label:
     data_sha256: str = "not given"
 
 
-def header(program: Program, label: Label) -> str:
+def header(program: TapeProgram, label: Label) -> str:
     """Text of NAME.h."""
     values = common_values(program, label)
     command, network = program.command, program.network
@@ -40,7 +40,7 @@ def header(program: Program, label: Label) -> str:
     return filled(template("header.h"), values)
 
 
-def source(program: Program, label: Label) -> str:
+def source(program: TapeProgram, label: Label) -> str:
     """Text of NAME.c."""
     values = common_values(program, label)
     parts = [template("network.c")] if program.network else []
@@ -66,7 +66,7 @@ _COMMAND_STATUSES = """\
 """
 
 
-def common_values(program: Program, label: Label) -> dict[str, str]:
+def common_values(program: TapeProgram, label: Label) -> dict[str, str]:
     """Placeholders that every template may use."""
     real, command = program.real, program.command
     c = COEFFICIENTS[real]
@@ -124,7 +124,7 @@ def command_numbers(command: Command) -> CommandNumbers:
     )
 
 
-def _command_values(command: Command, program: Program, real: Real) -> dict[str, str]:
+def _command_values(command: Command, program: TapeProgram, real: Real) -> dict[str, str]:
     numbers, n_p, n = command_numbers(command), len(program.tapes["forward"].outputs), program.n
     prepared = prepared_size(command)
     pose = "position p [m]" if n_p == 3 else "position p[0..2] [m], then the columns of the rotation matrix"
@@ -169,7 +169,7 @@ def box_share(n: int) -> float:
     return 2.0 ** -(n - 1).bit_length()
 
 
-def boxes(program: Program) -> dict[str, tuple[Array, Array]]:
+def boxes(program: TapeProgram) -> dict[str, tuple[Array, Array]]:
     """The boxes that inputs are moved into, by what they are for."""
     found: dict[str, tuple[Array, Array]] = {}
     if program.command is not None:

@@ -8,7 +8,7 @@ from xml.sax.saxutils import quoteattr
 from casadical.export.c.build_files import box_middle
 from casadical.export.c.c_files import Label, common_values
 from casadical.export.c.emit import filled, template
-from casadical.export.c.program import Program
+from casadical.export.c.tape_program import TapeProgram
 
 _DATE = (1980, 1, 1, 0, 0, 0)  # the same bytes each time
 
@@ -35,7 +35,7 @@ _CYCLES = """\
 """
 
 
-def fmu(program: Program, label: Label, texts: dict[str, str]) -> bytes:
+def fmu(program: TapeProgram, label: Label, texts: dict[str, str]) -> bytes:
     """The archive: modelDescription.xml and sources; ``texts`` holds the exported C by file name."""
     name = label.name
     files = {f"sources/{file}": texts[file] for file in (f"{name}.h", f"{name}.c", f"{name}_self_test.c")}
@@ -52,11 +52,11 @@ def fmu(program: Program, label: Label, texts: dict[str, str]) -> bytes:
     return buffer.getvalue()
 
 
-def _output_count(program: Program) -> int:
+def _output_count(program: TapeProgram) -> int:
     return program.n if program.command else len(program.network_bounds)
 
 
-def _source(program: Program, label: Label) -> str:
+def _source(program: TapeProgram, label: Label) -> str:
     name, command = label.name, program.command
     values = common_values(program, label) | {"n_out": str(_output_count(program))}
     values["middle"] = ", ".join(repr(v) for v in box_middle(program))
@@ -70,7 +70,7 @@ def _source(program: Program, label: Label) -> str:
     return filled(template("fmu.c"), values)
 
 
-def _description(program: Program, label: Label, digest: str) -> str:
+def _description(program: TapeProgram, label: Label, digest: str) -> str:
     name, command = label.name, program.command
     guid = f"{{{digest[:8]}-{digest[8:12]}-{digest[12:16]}-{digest[16:20]}-{digest[20:32]}}}"
     variables = [

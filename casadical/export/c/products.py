@@ -35,7 +35,7 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Network:
+class NetworkFunction:
     """A function q[n] -> dp_mm[m] and the box of joint angles it was trained in (arrays of shape (n,) [rad])."""
 
     function: casadi.Function
@@ -70,7 +70,7 @@ class Command:
     upper: Array
     jacobian_of: casadi.Function | None = None
     jacobian_at: casadi.Function | None = None
-    network: Network | None = None
+    network: NetworkFunction | None = None
     limits: Limits = field(default_factory=Limits)
     steps: int = 2
     length_m: float = 0.3
@@ -90,7 +90,7 @@ class Command:
             raise InputError(f"the network has {len(self.network.lower)} joints and the robot {n}; both must be equal")
 
 
-Product = Network | Command
+Product = NetworkFunction | Command
 
 
 def with_steps(command: Command, steps: int) -> Command:

@@ -14,7 +14,7 @@ from casadical.export.c.c_files import CommandNumbers, box_share, boxes, command
 from casadical.export.c.coefficients import DTYPE
 from casadical.export.c.mirror import run
 from casadical.export.c.products import Command
-from casadical.export.c.program import Program, prepared_size
+from casadical.export.c.tape_program import TapeProgram, prepared_size
 
 
 class Status(IntEnum):
@@ -46,17 +46,17 @@ def boxed(q: Array, box: tuple[Array, Array]) -> tuple[Array, Array]:
     return x, np.where(moved <= np.finfo(T).max, status, Status.NOT_FINITE)
 
 
-def network(program: Program, q: Array) -> tuple[Array, Array]:
+def network(program: TapeProgram, q: Array) -> tuple[Array, Array]:
     """dp_mm, shape (k, m), and status, shape (k,), for joints q of shape (k, n)."""
     return _values(program, q, "network", "network")
 
 
-def forward(program: Program, q: Array) -> tuple[Array, Array]:
+def forward(program: TapeProgram, q: Array) -> tuple[Array, Array]:
     """Calibrated position (or position and rotation) and status."""
     return _values(program, q, "forward", "reach")
 
 
-def _values(program: Program, q: Array, tape: str, box: str) -> tuple[Array, Array]:
+def _values(program: TapeProgram, q: Array, tape: str, box: str) -> tuple[Array, Array]:
     q = np.ascontiguousarray(q, DTYPE[program.real])
     x, status = boxed(q, boxes(program)[box])
     values, fine = run(program.tapes[tape], x, program.real)
@@ -65,7 +65,7 @@ def _values(program: Program, q: Array, tape: str, box: str) -> tuple[Array, Arr
     return values, status
 
 
-def correct(program: Program, q: Array) -> tuple[Array, Array]:
+def correct(program: TapeProgram, q: Array) -> tuple[Array, Array]:
     """Joint corrections dq, shape (k, n), and status, shape (k,)."""
     assert program.command is not None
     q = np.ascontiguousarray(q, DTYPE[program.real])
@@ -87,7 +87,7 @@ def _limited(v: Array, limit: Any) -> tuple[Array, Array]:
     return np.where(low < limit, low, limit), beyond
 
 
-def _chord(program: Program, command: Command, x: Array) -> tuple[Array, Array]:
+def _chord(program: TapeProgram, command: Command, x: Array) -> tuple[Array, Array]:
     T, real, numbers = DTYPE[program.real], program.real, command_numbers(command)
     n, end = program.n, prepared_size(command)
     work, fine = run(program.tapes["prepare"], x, real)
@@ -130,13 +130,13 @@ class StepState:
     gain: Any
 
 
-def started(program: Program) -> StepState:
+def started(program: TapeProgram) -> StepState:
     """The state to start from."""
     T = DTYPE[program.real]
     return StepState(np.zeros(program.n, T), T(0))
 
 
-def step(program: Program, state: StepState, q: Array, enable: bool) -> tuple[Array, Status]:
+def step(program: TapeProgram, state: StepState, q: Array, enable: bool) -> tuple[Array, Status]:
     """One cycle: the correction for joints q of shape (n,); the state is changed as the C changes it."""
     assert program.command is not None
     T, numbers = DTYPE[program.real], command_numbers(program.command)

@@ -8,13 +8,13 @@ from casadical.export.c.c_files import Label, boxes, command_numbers
 from casadical.export.c.coefficients import DTYPE, Real
 from casadical.export.c.emit import filled, template
 from casadical.export.c.products import Command
-from casadical.export.c.program import Program, prepared_size
 from casadical.export.c.tape import Node, Tape
+from casadical.export.c.tape_program import TapeProgram, prepared_size
 
 _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 
 
-def structured_text(program: Program, label: Label) -> str:
+def structured_text(program: TapeProgram, label: Label) -> str:
     """Text of NAME.st: function blocks for the network, and for the correction with ramp and rate limit."""
     kind = "REAL" if program.real == "float" else "LREAL"
     values = {
@@ -107,7 +107,7 @@ def _expression(node: Node, a: list[str], real: Real) -> str:
     }[node.op]
 
 
-def _box(program: Program, key: str) -> dict[str, str]:
+def _box(program: TapeProgram, key: str) -> dict[str, str]:
     lower, upper = boxes(program)[key]
     return {"lower": _list(lower, program.real), "upper": _list(upper, program.real)}
 
@@ -116,7 +116,7 @@ def _list(values: Array, real: Real) -> str:
     return ", ".join(number(float(v), real) for v in values)
 
 
-def _command(program: Program, command: Command) -> dict[str, str]:
+def _command(program: TapeProgram, command: Command) -> dict[str, str]:
     numbers, real, n_p = command_numbers(command), program.real, len(program.tapes["forward"].outputs)
     prepared = prepared_size(command)
     integers = {

@@ -8,20 +8,20 @@ from casadical.core.arrays import Array
 from casadical.export.c.c_files import Label, common_values
 from casadical.export.c.coefficients import DTYPE, Real, literal
 from casadical.export.c.emit import filled, template
-from casadical.export.c.program import Program
 from casadical.export.c.reference import correct, forward, network, started, step
+from casadical.export.c.tape_program import TapeProgram
 
 _SEED = 20201  # of the vectors; any number does, the same one each time keeps the files the same
 CYCLES, ON_CYCLES = 8, 6
 
 
-def inside(program: Program, count: int, seed: int = _SEED) -> Array:
+def inside(program: TapeProgram, count: int, seed: int = _SEED) -> Array:
     """Random joints in the box, shape (count, n)."""
     lower, upper = program.product.lower, program.product.upper
     return np.random.default_rng(seed).uniform(lower, upper, (count, program.n)).astype(DTYPE[program.real])
 
 
-def self_test_inputs(program: Program) -> Array:
+def self_test_inputs(program: TapeProgram) -> Array:
     """The middle, eight corners, sixteen random points, and four outside the box."""
     lower, upper, n = program.product.lower, program.product.upper, program.n
     signs = np.random.default_rng(_SEED).integers(0, 2, (8, n))
@@ -31,7 +31,7 @@ def self_test_inputs(program: Program) -> Array:
     return rows.astype(DTYPE[program.real])
 
 
-def comparison_inputs(program: Program, count: int) -> Array:
+def comparison_inputs(program: TapeProgram, count: int) -> Array:
     """Mostly random joints inside the box; one row in eight outside, some far, some not finite, some at corners."""
     T = DTYPE[program.real]
     q = inside(program, count, _SEED + 1)
@@ -49,7 +49,7 @@ def comparison_inputs(program: Program, count: int) -> Array:
     return q
 
 
-def functions(program: Program) -> dict[str, Any]:
+def functions(program: TapeProgram) -> dict[str, Any]:
     """The exported functions of joints alone, with the reference that computes each."""
     found: dict[str, Any] = {}
     if program.network is not None:
@@ -59,7 +59,7 @@ def functions(program: Program) -> dict[str, Any]:
     return found
 
 
-def self_test_source(program: Program, label: Label) -> str:
+def self_test_source(program: TapeProgram, label: Label) -> str:
     """Text of NAME_self_test.c."""
     real, q = program.real, self_test_inputs(program)
     values = common_values(program, label) | {
@@ -83,7 +83,7 @@ def self_test_source(program: Program, label: Label) -> str:
     return filled(template("self_test.c"), values)
 
 
-def _step_part(program: Program, values: dict[str, str], q: Array) -> str:
+def _step_part(program: TapeProgram, values: dict[str, str], q: Array) -> str:
     state = started(program)
     given = [step(program, state, q, k < ON_CYCLES) for k in range(CYCLES)]
     return filled(
@@ -98,7 +98,7 @@ def _step_part(program: Program, values: dict[str, str], q: Array) -> str:
     )
 
 
-def example_source(program: Program, label: Label) -> str:
+def example_source(program: TapeProgram, label: Label) -> str:
     """Text of NAME_example.c."""
     values = common_values(program, label)
     values["zeros"] = ", ".join([literal(0.0, program.real)] * program.n)

@@ -9,8 +9,8 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.export.c.kernel import Kernel, Shape, build
 from casadical.export.c.products import mapped
-from casadical.export.c.program import Program
 from casadical.export.c.reference import Status
+from casadical.export.c.tape_program import TapeProgram
 from casadical.export.c.toolchain import WARNINGS, Compiler
 from casadical.export.c.vectors import comparison_inputs, functions, inside
 
@@ -30,7 +30,7 @@ class Comparison:
         return f"{self.function}: {self.vectors} vectors, {self.outputs} outputs, {verdict} ({self.compiler})"
 
 
-def shape_of(program: Program, name: str) -> Shape:
+def shape_of(program: TapeProgram, name: str) -> Shape:
     """What the kernel loader must know of a program."""
     sizes: dict[str, int] = {}
     if program.network is not None:
@@ -40,7 +40,9 @@ def shape_of(program: Program, name: str) -> Shape:
     return Shape(name, program.real, program.n, sizes)
 
 
-def compared(program: Program, name: str, texts: dict[str, str], found: list[Compiler], count: int) -> list[Comparison]:
+def compared(
+    program: TapeProgram, name: str, texts: dict[str, str], found: list[Compiler], count: int
+) -> list[Comparison]:
     """Compile the texts with each compiler and compare every function on ``count`` vectors.
 
     The self-test counts as a comparison of one vector.
@@ -61,7 +63,7 @@ def compared(program: Program, name: str, texts: dict[str, str], found: list[Com
     return results
 
 
-def _built(program: Program, name: str, texts: dict[str, str], folder: Path, compiler: Compiler) -> Kernel:
+def _built(program: TapeProgram, name: str, texts: dict[str, str], folder: Path, compiler: Compiler) -> Kernel:
     for file in (f"{name}.h", f"{name}.c", f"{name}_self_test.c"):
         (folder / file).write_text(texts[file], encoding="utf-8")
     sources = [folder / f"{name}.c", folder / f"{name}_self_test.c"]
@@ -72,7 +74,7 @@ def _bits(values: Array) -> Array:
     return np.ascontiguousarray(values).view(np.uint32 if values.dtype == np.float32 else np.uint64)
 
 
-def accuracy(program: Program, count: int = 10_000) -> dict[str, float]:
+def accuracy(program: TapeProgram, count: int = 10_000) -> dict[str, float]:
     """Figures of this model, from the reference arithmetic and CasADi's doubles on joints inside the box.
 
     Largest errors of the network [um] and of the forward kinematics [um]; for a command, the tool's error before the

@@ -14,8 +14,8 @@ from casadical.export.c.c_files import SCHEMA, Label, header, source
 from casadical.export.c.coefficients import Real
 from casadical.export.c.fmu import fmu
 from casadical.export.c.products import Product
-from casadical.export.c.program import Program, program_of
 from casadical.export.c.structured_text import structured_text
+from casadical.export.c.tape_program import TapeProgram, tape_program
 from casadical.export.c.toolchain import Compiler, compilers
 from casadical.export.c.vectors import example_source, self_test_source
 from casadical.export.c.verify import Comparison, accuracy, compared, shape_of
@@ -63,7 +63,7 @@ def write_c(
 
     Parameters
     ----------
-    product : :class:`Network` or :class:`Command`
+    product : :class:`NetworkFunction` or :class:`Command`
     folder : made when missing; what is in it already stays
     name : prefix of the C functions and files: a lower-case C identifier of at most 24 characters
     vectors : joint vectors on which the compiled C is compared with the reference
@@ -78,7 +78,7 @@ def write_c(
     """
     label = _checked_label(name, real, model_sha256, data_sha256)
     folder = Path(folder)
-    program = program_of(product, real)
+    program = tape_program(product, real)
     texts = _texts(program, label)
     blobs = {key: text.encode() for key, text in texts.items()} | {f"{name}.fmu": fmu(program, label, texts)}
     _check_nothing_in_the_way(folder, [*blobs, "manifest.json"], overwrite)
@@ -104,7 +104,7 @@ def _checked_label(name: str, real: str, model_sha256: str, data_sha256: str) ->
     return Label(name, model_sha256, data_sha256)
 
 
-def _texts(program: Program, label: Label) -> dict[str, str]:
+def _texts(program: TapeProgram, label: Label) -> dict[str, str]:
     name = label.name
     return {
         f"{name}.h": header(program, label),
@@ -150,7 +150,7 @@ def _sha256(blob: bytes) -> str:
 
 
 def _manifest(
-    program: Program,
+    program: TapeProgram,
     label: Label,
     blobs: dict[str, bytes],
     comparisons: list[Comparison],

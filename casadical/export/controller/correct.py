@@ -16,8 +16,8 @@ from casadical.core.arrays import Array
 from casadical.core.errors import CasadicalError, InputError
 from casadical.export import Command, Status, load
 from casadical.export.c.products import mapped
-from casadical.export.c.program import program_of
 from casadical.export.c.reference import correct as reference_correct
+from casadical.export.c.tape_program import tape_program
 from casadical.export.controller.program import Program
 
 LEAVES_BOX = "LEAVES_BOX"
@@ -115,7 +115,7 @@ def kernel_corrector(folder: Path) -> Corrector:
 
 def model_corrector(command: Command) -> Corrector:
     """Correction by the exporter's arithmetic in NumPy, the bits of the exported double C without a compiler."""
-    made = program_of(command, "double")
+    made = tape_program(command, "double")
     return Corrector(
         made.n,
         lambda q: reference_correct(made, q),

@@ -18,7 +18,7 @@ import numpy as np
 from casadical.compensator import Compensator, load_compensator
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.export import Command, Limits, Network
+from casadical.export import Command, Limits, NetworkFunction
 from casadical.export.c.products import mapped
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Body, Placement, Robot
@@ -99,7 +99,7 @@ def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -
     return command
 
 
-def network_of(sources: Sources) -> Network:
+def network_of(sources: Sources) -> NetworkFunction:
     """The compensator alone: joints [rad] -> what to add to the computed position [mm], in the measuring frame.
 
     Raises InputError where `sources` names no compensator, or one that was refused when it was trained.
@@ -201,7 +201,7 @@ def _refuse_far_apart(command: Command, sources: Sources) -> None:
         )
 
 
-def _network(sources: Sources, joints: int) -> Network | None:
+def _network(sources: Sources, joints: int) -> NetworkFunction | None:
     """The compensator's network in the box of its training; None without one, or where it was refused."""
     if sources.compensator is None:
         return None
@@ -215,11 +215,11 @@ def _network(sources: Sources, joints: int) -> Network | None:
         )
     if not compensator.helps:
         return None
-    return Network(compensator.function(), np.array(box.lower), np.array(box.upper))
+    return NetworkFunction(compensator.function(), np.array(box.lower), np.array(box.upper))
 
 
 def _tool(
-    robot: Robot, name: str, orientation: bool, turn: Array | None = None, network: Network | None = None
+    robot: Robot, name: str, orientation: bool, turn: Array | None = None, network: NetworkFunction | None = None
 ) -> ca.Function:
     """NAME:(q[n])->(p[3] m) or (p[3] m, R[3x3]).
 

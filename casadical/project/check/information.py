@@ -18,7 +18,7 @@ from casadical.identification.least_squares import SIGMA_ANGLE_GUESS, SIGMA_GUES
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection import Workspace, observability
 from casadical.pose_selection.candidates import draw_uniform, expected
-from casadical.pose_selection.designs import inverse
+from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.information import MM, scaled_jacobian
 from casadical.robot.robot import Robot
 

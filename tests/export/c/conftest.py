@@ -3,13 +3,13 @@
 import export_models as models
 import pytest
 
-from casadical.export import Command, Network, load, write_c
+from casadical.export import Command, NetworkFunction, load, write_c
 from casadical.export.c.toolchain import compilers
 
 
 @pytest.fixture(scope="session")
 def network():
-    return Network(models.network(), models.LOWER, models.UPPER)
+    return NetworkFunction(models.network(), models.LOWER, models.UPPER)
 
 
 @pytest.fixture(scope="session")

@@ -13,8 +13,8 @@ import pytest
 
 from casadical.export import Command, Limits, Status, load, write_c
 from casadical.export.c.c_files import Label
-from casadical.export.c.program import program_of
 from casadical.export.c.reference import correct, started, step
+from casadical.export.c.tape_program import tape_program
 from casadical.export.c.toolchain import compilers
 from casadical.export.c.vectors import inside
 from casadical.export.c.verify import accuracy, compared
@@ -25,7 +25,7 @@ TYPE = {"float": np.float32, "double": np.float64}
 
 
 def compared_all(product, real, count):
-    program = program_of(product, real)
+    program = tape_program(product, real)
     results = compared(program, "arm", _texts(program, Label("arm")), compilers()[:1], count)
     assert results
     return [str(r) for r in results if r.different], program
@@ -104,16 +104,16 @@ def test_any_input_at_all_keeps_the_limits_and_gets_a_status(kernels, real):
     assert (status[finite & ~box] >= Status.CLAMPED).all()
     assert {Status.OK, Status.CLAMPED, Status.NOT_FINITE} <= set(status.tolist())
     dp, dp_status = kernel.network(q)
-    bounds = program_of(load_network(), real).network_bounds
+    bounds = tape_program(load_network(), real).network_bounds
     assert all(low <= dp[:, k].min() and dp[:, k].max() <= high for k, (low, high) in enumerate(bounds))
     assert (dp_status[finite & ~box] == Status.CLAMPED).all()
     assert (dp_status[finite & box] == Status.OK).all()
 
 
 def load_network():
-    from casadical.export import Network
+    from casadical.export import NetworkFunction
 
-    return Network(models.network(), models.LOWER, models.UPPER)
+    return NetworkFunction(models.network(), models.LOWER, models.UPPER)
 
 
 def test_singular_and_limited_poses_say_so_and_stay_bounded(compiler, tmp_path):
@@ -138,7 +138,7 @@ def test_singular_and_limited_poses_say_so_and_stay_bounded(compiler, tmp_path):
 
 
 def test_the_correction_takes_the_tool_where_the_nominal_model_has_it(command):
-    program = program_of(replace(command, steps=3), "double")
+    program = tape_program(replace(command, steps=3), "double")
     q = inside(program, 2_000)
     target = np.array(models.nominal().map(2_000)(q.T))
     J = ca.Function("J", [s := ca.SX.sym("q", 6)], [ca.jacobian(models.calibrated()(s), s)])
@@ -156,7 +156,7 @@ def test_the_correction_takes_the_tool_where_the_nominal_model_has_it(command):
 
 def test_step_ramps_limits_its_rate_and_equals_the_reference(kernels, command):
     limits, n = command.limits, 700
-    kernel, program = kernels["command", "double"], program_of(command, "double")
+    kernel, program = kernels["command", "double"], tape_program(command, "double")
     q = np.linspace(models.LOWER * 0.5, models.UPPER * 0.5, n)
     q[100] = np.nan
     q[300:310] *= 30

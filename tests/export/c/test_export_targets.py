@@ -5,8 +5,8 @@ import subprocess
 import export_targets as targets
 import pytest
 
-from casadical.export.c.program import program_of
 from casadical.export.c.reference import correct, network
+from casadical.export.c.tape_program import tape_program
 from casadical.export.c.toolchain import WARNINGS
 
 
@@ -29,7 +29,7 @@ def test_cortex_m_gives_the_same_bits_within_the_instruction_budget(request, exp
     )
     flags = targets.defines(real, f"arm_{'network' if kind == 'network' else 'correct'}", outputs, 500)
     run = targets.cortex(board, [folder / "arm.c"], folder, flags)
-    values, status = compute(program_of(product, real), targets.bench_inputs(real, 500))
+    values, status = compute(tape_program(product, real), targets.bench_inputs(real, 500))
     assert run.digest == targets.digest(values, status)
     assert run.most <= most
     assert run.jitter <= 0.02

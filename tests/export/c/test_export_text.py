@@ -10,8 +10,8 @@ import pytest
 
 from casadical.export import Command, Status
 from casadical.export.c.c_files import Label
-from casadical.export.c.program import program_of
 from casadical.export.c.structured_text import structured_text
+from casadical.export.c.tape_program import tape_program
 
 # A few lines of an IEC 61131-3 interpreter: structured text turned into Python source, block by block.
 _WORDS = {"NOT": "not", "AND": "and", "OR": "or", "TRUE": "True", "FALSE": "False"}
@@ -100,7 +100,7 @@ def called(block, q):
 
 
 def test_structured_text_computes_what_the_c_computes(command, kernels):
-    space = interpreted(structured_text(program_of(command, "double"), Label("arm")))
+    space = interpreted(structured_text(tape_program(command, "double"), Label("arm")))
     rng = np.random.default_rng(8)
     q = rng.uniform(models.LOWER, models.UPPER, (40, 6))
     q[5] *= 4
@@ -118,7 +118,7 @@ def test_structured_text_computes_what_the_c_computes(command, kernels):
 
 
 def test_structured_text_ramps_like_the_c(command, kernels):
-    space = interpreted(structured_text(program_of(command, "double"), Label("arm")))
+    space = interpreted(structured_text(tape_program(command, "double"), Label("arm")))
     n = 60
     q = np.linspace(models.LOWER * 0.5, models.UPPER * 0.5, n)
     q[20] = np.nan
@@ -133,7 +133,7 @@ def test_structured_text_ramps_like_the_c(command, kernels):
 
 def test_structured_text_of_a_loop_has_its_own_atan2():
     product = Command(models.nominal(), models.with_loop(), models.LOWER, models.UPPER)
-    space = interpreted(structured_text(program_of(product, "double"), Label("arm")))
+    space = interpreted(structured_text(tape_program(product, "double"), Label("arm")))
     for angle in np.linspace(-3.1, 3.1, 25):
         assert math.isclose(space["arm_atan2"](math.sin(angle), math.cos(angle)), angle, abs_tol=1e-14)
     assert space["arm_atan2"](0.0, 0.0) == 0.0

@@ -12,13 +12,17 @@ import pytest
 
 import casadical.export.c.write as write_module
 from casadical.core.errors import CasadicalError, InputError
-from casadical.export import Command, Limits, Network, load, write_c
+from casadical.export import Command, Limits, NetworkFunction, load, write_c
 
 
 def test_the_same_model_gives_the_same_bytes(tmp_path, network):
     first = write_c(network, tmp_path / "a", name="arm", real="float", vectors=1000)
     write_c(
-        Network(models.network(), models.LOWER, models.UPPER), tmp_path / "b", name="arm", real="float", vectors=1000
+        NetworkFunction(models.network(), models.LOWER, models.UPPER),
+        tmp_path / "b",
+        name="arm",
+        real="float",
+        vectors=1000,
     )
     for name in first.files:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes(), name
@@ -85,9 +89,9 @@ def test_wrong_arguments_are_refused_with_what_is_allowed(tmp_path, network):
     with pytest.raises(InputError, match="no sha256"):
         write_c(network, tmp_path, name="arm", model_sha256="abc")
     with pytest.raises(InputError, match="not empty"):
-        Network(models.network(), models.UPPER, models.LOWER)
+        NetworkFunction(models.network(), models.UPPER, models.LOWER)
     with pytest.raises(InputError, match="expected 5 joint angles"):
-        Network(models.network(), models.LOWER[:5], models.UPPER[:5])
+        NetworkFunction(models.network(), models.LOWER[:5], models.UPPER[:5])
     with pytest.raises(InputError, match="rate_rad_s is -1"):
         Limits(rate_rad_s=-1)
     q = ca.SX.sym("q", 6)

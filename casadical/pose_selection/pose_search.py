@@ -10,12 +10,12 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.measurements.measurements import Measurements
-from casadical.pose_selection.candidates import Candidates, Circumstances, circumstanced
+from casadical.pose_selection.candidates import Candidates, Circumstances, candidates_at
 from casadical.pose_selection.criteria import Criterion
-from casadical.pose_selection.design_problem import Problem, prepare
+from casadical.pose_selection.design_problem import DesignProblem, prepare
 from casadical.pose_selection.exchange import improve, search
 from casadical.pose_selection.information import Noise
-from casadical.pose_selection.order import arranged
+from casadical.pose_selection.pose_order import arranged
 from casadical.pose_selection.selection import Selection
 from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
@@ -99,7 +99,7 @@ def _sources(
     return among, room
 
 
-def selection(problem: Problem, chosen: Candidates, criterion: Criterion) -> Selection:
+def selection(problem: DesignProblem, chosen: Candidates, criterion: Criterion) -> Selection:
     """The result of a search."""
     return Selection(
         robot=problem.robot,
@@ -116,7 +116,7 @@ def selection(problem: Problem, chosen: Candidates, criterion: Criterion) -> Sel
 
 
 def _refined(
-    problem: Problem,
+    problem: DesignProblem,
     chosen: Candidates,
     criterion: Criterion,
     min_distance: float | None,
@@ -129,7 +129,7 @@ def _refined(
     steps = size * (upper - lower) * rng.normal(size=(NEIGHBOURS, len(chosen), robot.n))
     q = np.clip(chosen.q + steps, lower, upper).reshape(-1, robot.n)
     q = q[workspace.allows(robot, q)]
-    pool = chosen.joined(circumstanced(robot, q, problem.circumstances, len(chosen), rng)) if len(q) else chosen
+    pool = chosen.joined(candidates_at(robot, q, problem.circumstances, len(chosen), rng)) if len(q) else chosen
     design = problem.design(pool, criterion, min_distance)
     design.start(list(range(len(chosen))))
     improve(design)

@@ -13,12 +13,12 @@ from casadi import SX
 from casadical.core.arrays import Array
 from casadical.export.c.coefficients import DTYPE, Real
 from casadical.export.c.intervals import bounds, without_needless_guards
-from casadical.export.c.products import Command, Network, Product
+from casadical.export.c.products import Command, NetworkFunction, Product
 from casadical.export.c.tape import Tape, tape_of
 
 
 @dataclass(frozen=True)
-class Program:
+class TapeProgram:
     """A product ready to be written: its tapes by name, and what the header says of them."""
 
     product: Product
@@ -37,15 +37,15 @@ class Program:
         return self.product if isinstance(self.product, Command) else None
 
     @property
-    def network(self) -> Network | None:
+    def network(self) -> NetworkFunction | None:
         """The network alone or the one beside a command."""
         return self.product.network if isinstance(self.product, Command) else self.product
 
 
-def program_of(product: Product, real: Real) -> Program:
+def tape_program(product: Product, real: Real) -> TapeProgram:
     """Tapes of a network (``network``) or a command (``forward``, ``prepare``, ``advance``, perhaps ``network``)."""
     tapes: dict[str, Tape] = {}
-    network = product if isinstance(product, Network) else product.network
+    network = product if isinstance(product, NetworkFunction) else product.network
     network_bounds: list[tuple[float, float]] = []
     if network is not None:
         lower, upper = _rounded(network.lower, real), _rounded(network.upper, real)
@@ -54,7 +54,7 @@ def program_of(product: Product, real: Real) -> Program:
         tapes["network"], network_bounds = tape, [found[o] for o in tape.outputs]
     if isinstance(product, Command):
         tapes |= _command_tapes(product, real)
-    return Program(product, real, tapes, tuple(network_bounds))
+    return TapeProgram(product, real, tapes, tuple(network_bounds))
 
 
 def _rounded(bound: Array, real: Real) -> Array:

@@ -1,4 +1,4 @@
-"""A room file: where poses may lie, as TOML with units in the keys; see docs/plan.md."""
+"""A workspace file (`--given`): where poses may lie, as TOML with units in the keys; see docs/plan.md."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ import numpy as np
 from pydantic import Field
 
 from casadical.core.errors import InputError
-from casadical.core.schema import ANGLE, LENGTH, READING, Angle, Length, Pair, Table, Triple, check, load_toml
+from casadical.core.schema import ANGLE, LENGTH, READING, Angle, Length, Pair, TomlTable, Triple, check, load_toml
 from casadical.pose_selection.workspace import Box, Tracker, Workspace
 from casadical.robot.robot import Robot
 
 
-class _Joint(Table):
+class _Joint(TomlTable):
     number: int = Field(ge=1)
     limits: Annotated[Pair, READING]
 
 
-class _Box(Table):
+class _Box(TomlTable):
     low: Annotated[Triple, LENGTH]
     high: Annotated[Triple, LENGTH]
 
 
-class _Tracker(Table):
+class _Tracker(TomlTable):
     station: Annotated[Triple, LENGTH]
     towards: Annotated[Triple | None, LENGTH] = None
     half_angle: Angle = np.pi / 4
@@ -34,7 +34,7 @@ class _Tracker(Table):
     acceptance: Annotated[float, ANGLE] = np.pi / 6
 
 
-class _Room(Table):
+class _Workspace(TomlTable):
     casadical: Literal[1]
     floor: Annotated[float | None, LENGTH] = None
     clearance: Length = 0.0
@@ -44,11 +44,11 @@ class _Room(Table):
     tracker: _Tracker | None = None
 
 
-def read_room(path: str | Path, robot: Robot) -> Workspace:
-    """The workspace of a room file, in the measuring frame. Raises InputError that names file and key."""
-    room = check(_Room, load_toml(Path(path)), str(path))
+def read_workspace(path: str | Path, robot: Robot) -> Workspace:
+    """The workspace of a file, in the measuring frame. Raises InputError that names file and key."""
+    given = check(_Workspace, load_toml(Path(path)), str(path))
     lower, upper = np.array([(j.lower, j.upper) for j in robot.joints]).T
-    for joint in room.joint:
+    for joint in given.joint:
         if joint.number > robot.n:
             raise InputError(f"{path}: joint {joint.number}: {robot.name} has {robot.n} joints")
         k = joint.number - 1
@@ -56,8 +56,8 @@ def read_room(path: str | Path, robot: Robot) -> Workspace:
         lower[k], upper[k] = max(lower[k], joint.limits[0]), min(upper[k], joint.limits[1])
         if lower[k] >= upper[k]:
             raise InputError(f"{path}: joint {joint.number}: nothing of its range is left between these limits")
-    boxes = tuple(Box(np.array(b.low), np.array(b.high)) for b in room.box)
-    return Workspace(lower, upper, room.four_bar_margin, room.floor, boxes, room.clearance, _tracker(room.tracker))
+    boxes = tuple(Box(np.array(b.low), np.array(b.high)) for b in given.box)
+    return Workspace(lower, upper, given.four_bar_margin, given.floor, boxes, given.clearance, _tracker(given.tracker))
 
 
 def _tracker(t: _Tracker | None) -> Tracker | None:

@@ -1,4 +1,4 @@
-"""A set of poses that grows and shrinks by one, with the worth of every possible next step known at once.
+"""Experimental designs: a set of poses that grows and shrinks by one, and what each possible step would gain.
 
 For D-optimality (and O1, the same order) and for all criteria of the form trace(W C), C the inverse of the information
 matrix (A, V, chosen parameters), a step changes C by a matrix of as many ranks as a candidate has rows (Woodbury's
