@@ -3,6 +3,7 @@
 import ast
 import lzma
 import re
+from pathlib import Path
 
 import pytest
 from repository import ROOT, tracked
@@ -40,3 +41,15 @@ def test_every_module_says_what_it_is(path) -> None:
 
 def test_the_wheel_carries_the_types_marker() -> None:
     assert (ROOT / "casadical" / "py.typed").exists()
+
+
+def test_the_tests_mirror_the_package() -> None:
+    """A folder of tests is named as the folder of the package that it tests; every room has one."""
+    house_and_docs = {"house", "docs"}
+    folders = {path.parent for path in tracked() if path.parts[0] == "tests" and path.name.startswith("test_")}
+    names = {folder.relative_to("tests") for folder in folders}
+    assert names.isdisjoint({Path()}), "a test lies in no room's folder"
+    package = ROOT / "casadical"
+    assert [n for n in sorted(names) if n.parts[0] not in house_and_docs and not (package / n).is_dir()] == []
+    rooms = {path.parts[1] for path in tracked() if path.parts[0] == "casadical" and len(path.parts) > 2}
+    assert rooms - {name.parts[0] for name in names} == set()

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cases import case, practice, robot, simulated, small_problem
-from test_diagnosis_gap import NOISE, refit
+from test_diagnosis_cross_validation import NOISE, refit
 
 from casadical import InputError
 from casadical.blind_check.numpy_physics import disturbances
