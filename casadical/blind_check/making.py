@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.blind_check.drawing import POSES, Plan, plans
-from casadical.blind_check.physics import Record, reality
+from casadical.blind_check.physics import Record, physics_named
 from casadical.blind_check.predictor import nominal
 from casadical.blind_check.protocol import KEY, MANIFEST, ROBOTS, HiddenEffect, Key, Listed, Manifest, Secret, sha256
 from casadical.blind_check.running import results, workers
@@ -58,7 +58,7 @@ def make(
     seed: int | None = None,
     *,
     poses: Sequence[int] = POSES,
-    engine: str = "mujoco",
+    physics: str = "mujoco",
     project: str | Path = ".",
     executor: Executor | None = None,
     show: Callable[[str, int, int], None] = lambda _text, _done, _all: None,
@@ -67,7 +67,7 @@ def make(
 
     seed : of all chance, kept in the key; by default one that nobody knows, which a real test needs
     poses : of a campaign, one of these; each has 50 more that are not told
-    engine : mujoco, or numpy for the project's own simulator; project : folder with problems/ and data/
+    physics : mujoco, or numpy for the project's own simulator; project : folder with problems/ and data/
     executor : any of `concurrent.futures`' kind; by default a process for each core
     show : called with a word, how many are done, and how many there are
 
@@ -76,20 +76,20 @@ def make(
     folder, key_folder = Path(folder), Path(key)
     _check(folder, key_folder, n, poses)
     seed = secrets.randbits(62) if seed is None else seed
-    physics = reality(engine)
-    todo = plans(n, seed, physics.words(), poses)
+    simulated = physics_named(physics)
+    todo = plans(n, seed, (simulated.listed, simulated.unlisted), poses)
     drawings = {r: _drawing(Path(project), r) for r in sorted({p.robot for p in todo})}
     made: dict[str, _Campaign] = {}
     with workers(executor) as pool:
-        tasks = [(engine, *drawings[p.robot], p) for p in todo]
+        tasks = [(physics, *drawings[p.robot], p) for p in todo]
         for done, campaign in enumerate(results(pool, campaign_of, tasks), 1):
             made[campaign.name] = campaign
             show(campaign.name, done, len(todo))
     inside = Key(
         salt=hashlib.sha256(f"casadical withheld {seed}".encode()).hexdigest(),
         seed=seed,
-        reality=engine,
-        versions={"casadical": version("casadical"), **physics.versions()},
+        reality=physics,
+        versions={"casadical": version("casadical"), **simulated.versions()},
         campaigns={p.name: made[p.name].secret for p in todo},
     )
     manifest = Manifest(key_sha256=sha256(inside.text()), campaigns={p.name: Listed(robot=p.robot) for p in todo})
@@ -121,9 +121,9 @@ def _drawing(project: Path, robot: str) -> tuple[dict[str, Any], str]:
     return json.loads(path.read_text(encoding="utf-8")), to_toml(read_campaign_robot(project / "problems" / robot))
 
 
-def campaign_of(engine: str, table: Mapping[str, Any], model: str, plan: Plan) -> _Campaign:
+def campaign_of(physics: str, table: Mapping[str, Any], model: str, plan: Plan) -> _Campaign:
     """One campaign of a plan; runs in a worker. model : text of the base model's robot file."""
-    plan, record = _recorded(engine, table, plan)
+    plan, record = _recorded(physics, table, plan)
     rng = np.random.default_rng([plan.seed, 2])
     # Among the others, so that nothing has to be foretold beyond the campaign's time and temperature.
     kept = np.ones(plan.poses + UNSEEN, dtype=bool)
@@ -139,14 +139,14 @@ def campaign_of(engine: str, table: Mapping[str, Any], model: str, plan: Plan) -
     )
 
 
-def _recorded(engine: str, table: Mapping[str, Any], plan: Plan) -> tuple[Plan, Record]:
-    """The session of a plan. Where the engine finds no rest, everything but the plan is drawn anew, a few times."""
-    for _ in range(REDRAWN):
-        try:
-            return plan, reality(engine).record(table, plan, plan.poses + UNSEEN)
-        except ConvergenceError:
-            plan = replace(plan, seed=plan.seed + 1)
-    return plan, reality(engine).record(table, plan, plan.poses + UNSEEN)
+def _recorded(physics: str, table: Mapping[str, Any], plan: Plan, left: int = REDRAWN) -> tuple[Plan, Record]:
+    """The session of a plan. Where the robot finds no rest, everything but the plan is drawn anew, a few times."""
+    try:
+        return plan, physics_named(physics).record(table, plan, plan.poses + UNSEEN)
+    except ConvergenceError:
+        if not left:
+            raise
+        return _recorded(physics, table, replace(plan, seed=plan.seed + 1), left - 1)
 
 
 def _secret(plan: Plan, record: Record, kept: Array, model: str, unseen: pd.DataFrame) -> Secret:

@@ -69,7 +69,7 @@ def make_command(
     place = key or out.with_name(f"{out.resolve().name}-key")
     with progress(quiet) as bar, pool(None, workers) as executor:
         show = _counting(bar, bar.add_task("drawing campaigns", total=None))
-        made = make(out, place, n, seed, poses=sizes, engine=reality, project=project, executor=executor, show=show)
+        made = make(out, place, n, seed, poses=sizes, physics=reality, project=project, executor=executor, show=show)
     console = Console(quiet=quiet)
     console.print(f"wrote {len(made.campaigns)} campaigns to {out}, their key to {place}", soft_wrap=True)
     console.print(f"sha256 of the key: {made.key_sha256}", soft_wrap=True)

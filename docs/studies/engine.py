@@ -18,9 +18,9 @@ from casadical.blind_check import mujoco_physics as engine
 from casadical.blind_check.mujoco_physics.equilibrium import Engine, Stop
 from casadical.blind_check.mujoco_physics.robot import start
 from casadical.blind_check.numpy_physics import Plant, perturb
-from casadical.blind_check.numpy_physics.fourbar import unfolded
-from casadical.blind_check.numpy_physics.machine import settle, tool_point
-from casadical.blind_check.numpy_physics.stops import Stops, draw_poses
+from casadical.blind_check.numpy_physics.statics import positions
+from casadical.blind_check.synthetic.fourbar import unfolded
+from casadical.blind_check.synthetic.stops import Stops, draw_poses
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "blind_check"))
 from mujoco_physics.oracle import rest as by_pinocchio
@@ -57,7 +57,7 @@ def main() -> None:
             machine = perturb(nominal, seed)
             at = stops(machine, 100, seed)
             ours = engine.positions(machine, (), at)
-            theirs["simulation"].append(ours - tool_point(settle(machine, at)))
+            theirs["simulation"].append(ours - positions(machine, (), at))
             balanced = [by_pinocchio(machine, p, q) for p, q in zip(at.payload_kg, at.q, strict=True)]
             theirs["pinocchio"].append(ours - np.array(balanced))
             if machine.four_bar is not None:

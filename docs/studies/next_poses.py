@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from casadical.blind_check.numpy_physics import Plant, Warmup, draw_disturbance, perturb
-from casadical.blind_check.numpy_physics.machine import settle, tool_point
-from casadical.blind_check.numpy_physics.stops import Stops, draw_poses, draw_stops
+from casadical.blind_check.numpy_physics.statics import positions
+from casadical.blind_check.synthetic.stops import Stops, draw_poses, draw_stops
 from casadical.core.errors import InputError
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.linear_problem import make_case
@@ -55,7 +55,7 @@ def measured(built: Plant, stops: Stops, disturbance, seed: int) -> Measurements
     # A stream each, so that further poses leave the noise of the first ones as it was.
     joints, instrument, other = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
     jitter = REPEATABILITY * joints.standard_normal(stops.q.shape)
-    xyz = tool_point(settle(built, stops, [disturbance], jitter), [disturbance])
+    xyz = positions(built, [disturbance], stops, jitter)
     xyz = disturbance.measured(xyz, stops, other) + NOISE * instrument.standard_normal(xyz.shape)
     conditions = {
         "pose": np.arange(1.0, len(stops) + 1),

@@ -16,8 +16,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from casadical import identify, read_robot
-from casadical.blind_check.numpy_physics import campaign, perturb
-from casadical.blind_check.numpy_physics.plant import Plant
+from casadical.blind_check.numpy_physics import Plant, campaign, perturb
 from casadical.measurements.reading import from_table
 from casadical.pose_selection import Box, Noise, Tracker, Workspace, forecast, select_poses
 from casadical.pose_selection.candidates import draw_uniform, expected

@@ -23,5 +23,5 @@ class Small:
 def small(tmp_path_factory) -> Small:
     top = tmp_path_factory.mktemp("withheld")
     folder, key = top / "campaigns", top / "key"
-    make(folder, key, N, 5, poses=[40], engine="numpy", project=ROOT, executor=Here())
+    make(folder, key, N, 5, poses=[40], physics="numpy", project=ROOT, executor=Here())
     return Small(folder, key, predict(folder, top / "bic.jsonl", by="bic", executor=Here()))

@@ -37,7 +37,7 @@ def test_shares_add_up_whatever_the_number() -> None:
 
 
 def test_a_seed_gives_the_same_check_to_the_byte(small, tmp_path) -> None:
-    make(tmp_path / "a", tmp_path / "b", N, 5, poses=[40], engine="numpy", project=ROOT, executor=Here())
+    make(tmp_path / "a", tmp_path / "b", N, 5, poses=[40], physics="numpy", project=ROOT, executor=Here())
     again = {p.relative_to(tmp_path / "a"): p.read_bytes() for p in (tmp_path / "a").rglob("*.*") if p.is_file()}
     first = {p.relative_to(small.folder): p.read_bytes() for p in small.folder.rglob("*.*") if p.is_file()}
     assert again == first
@@ -47,7 +47,7 @@ def test_a_seed_gives_the_same_check_to_the_byte(small, tmp_path) -> None:
 def test_without_a_seed_each_check_is_another(tmp_path) -> None:
     hashes = {
         make(
-            tmp_path / f"{k}", tmp_path / f"{k}-key", N, poses=[20], engine="numpy", project=ROOT, executor=Here()
+            tmp_path / f"{k}", tmp_path / f"{k}-key", N, poses=[20], physics="numpy", project=ROOT, executor=Here()
         ).key_sha256
         for k in range(2)
     }
@@ -69,7 +69,7 @@ def test_a_session_without_rest_is_drawn_anew(monkeypatch) -> None:
                 raise ConvergenceError("no rest")
             return "measured"
 
-    monkeypatch.setattr(module, "reality", lambda _name: Restless)
+    monkeypatch.setattr(module, "physics_named", lambda _name: Restless)
     plan = plans(4, 1, WORDS)[0]
     found, record = module._recorded("mujoco", {}, plan)
     assert (record, seeds) == ("measured", [plan.seed, plan.seed + 1, plan.seed + 2])
@@ -107,12 +107,12 @@ def test_unseen_poses_are_others_and_come_without_positions(small) -> None:
     [
         ({"n": 3}, "n is 3; a blind check needs at least 4"),
         ({"poses": [5]}, "a campaign needs at least 20"),
-        ({"engine": "paper"}, "reality 'paper' is not known; allowed: mujoco, numpy"),
+        ({"physics": "paper"}, "--reality paper: not known; allowed: mujoco, numpy"),
         ({"project": "nowhere"}, "no such robot; name the project's folder"),
     ],
 )
 def test_bad_input_is_named(tmp_path, change, message) -> None:
-    given = {"n": 4, "seed": 1, "engine": "numpy", "project": ROOT, "executor": Here()} | change
+    given = {"n": 4, "seed": 1, "physics": "numpy", "project": ROOT, "executor": Here()} | change
     with pytest.raises(InputError, match=message):
         make(tmp_path / "a", tmp_path / "b", **given)
     assert not any(tmp_path.rglob("*.csv"))
@@ -121,6 +121,6 @@ def test_bad_input_is_named(tmp_path, change, message) -> None:
 def test_the_key_may_not_lie_with_the_campaigns(tmp_path, small) -> None:
     for key in (tmp_path / "a", tmp_path / "a" / "inside"):
         with pytest.raises(InputError, match="must lie apart"):
-            make(tmp_path / "a", key, 4, 1, engine="numpy", project=ROOT)
+            make(tmp_path / "a", key, 4, 1, physics="numpy", project=ROOT)
     with pytest.raises(InputError, match="is there already"):
-        make(small.folder, tmp_path / "key", 4, 1, engine="numpy", project=ROOT)
+        make(small.folder, tmp_path / "key", 4, 1, physics="numpy", project=ROOT)

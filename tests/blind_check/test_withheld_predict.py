@@ -16,27 +16,6 @@ from casadical.blind_check.predicting import predict
 from casadical.blind_check.protocol import read_manifest
 from casadical.core.errors import InputError
 
-PREDICTING = ("predicting", "predictor", "baselines", "gaussian_process", "answers", "running")
-
-
-def test_predicting_loads_no_engine() -> None:
-    program = (
-        f"import sys, json; from casadical.blind_check import predicting, {', '.join(PREDICTING[1:])}\n"
-        "import casadical.diagnosis.json_answer, casadical.diagnosis.diagnose\n"
-        "print(json.dumps(sorted(sys.modules)))"
-    )
-    out = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True).stdout
-    loaded = json.loads(out)
-    assert "casadical.blind_check.predictor" in loaded
-    room = "casadical.blind_check"
-    makers = (
-        "mujoco",
-        f"{room}.numpy_physics",
-        f"{room}.mujoco_physics",
-        f"{room}.making",
-    )
-    assert [m for m in loaded if m.startswith((*makers, "casadical.blind_check.physics"))] == []
-
 
 def test_the_package_gives_its_three_verbs() -> None:
     program = (

@@ -9,10 +9,11 @@ from typing import ClassVar
 import numpy as np
 
 from casadical.blind_check.mujoco_physics.equilibrium import Setting
-from casadical.blind_check.mujoco_physics.mechanism import Array, Mechanism
-from casadical.blind_check.numpy_physics.fourbar import close_loop
-from casadical.blind_check.numpy_physics.plant import Plant
-from casadical.blind_check.numpy_physics.stops import Stops
+from casadical.blind_check.mujoco_physics.mechanism import Mechanism
+from casadical.blind_check.synthetic.fourbar import close_loop
+from casadical.blind_check.synthetic.plant import Plant
+from casadical.blind_check.synthetic.rigid import Array
+from casadical.blind_check.synthetic.stops import Stops
 
 
 @dataclass(frozen=True)
@@ -45,13 +46,6 @@ class Cause:
     def measured(self, xyz: Array, stops: Stops, rng: np.random.Generator) -> Array:
         """What the instrument makes of the positions ``xyz`` (n, 3) [m]."""
         return xyz
-
-
-def only(joint: int, values: Array) -> Array:
-    """Zeros (n, 6) with ``values`` (n,) in the column of ``joint`` (1-based)."""
-    columns = np.zeros((len(values), 6))
-    columns[:, joint - 1] = values
-    return columns
 
 
 def turned(plant: Plant, stops: Stops, joint: int) -> Array:

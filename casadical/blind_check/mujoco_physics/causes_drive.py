@@ -7,10 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.cause import Cause, only, warmth_inside
-from casadical.blind_check.mujoco_physics.mechanism import Array, Mechanism, Shaft
-from casadical.blind_check.numpy_physics.plant import Plant
-from casadical.blind_check.numpy_physics.stops import Stops
+from casadical.blind_check.mujoco_physics.cause import Cause, warmth_inside
+from casadical.blind_check.mujoco_physics.mechanism import Mechanism, Shaft
+from casadical.blind_check.synthetic.plant import Plant
+from casadical.blind_check.synthetic.rigid import Array
+from casadical.blind_check.synthetic.stops import Stops, only
 
 
 @dataclass(frozen=True)

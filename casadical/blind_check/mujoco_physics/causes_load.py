@@ -6,10 +6,11 @@ from typing import ClassVar
 import numpy as np
 
 from casadical.blind_check.mujoco_physics.cause import Cause
-from casadical.blind_check.mujoco_physics.mechanism import Array, Body, Cord, Joint, Mechanism, Shaft
+from casadical.blind_check.mujoco_physics.mechanism import Body, Cord, Joint, Mechanism, Shaft
 from casadical.blind_check.mujoco_physics.robot import SLOW, spring
-from casadical.blind_check.numpy_physics.machine import rated_torque
-from casadical.blind_check.numpy_physics.plant import Plant
+from casadical.blind_check.numpy_physics.statics import rated_torque
+from casadical.blind_check.synthetic.plant import Plant
+from casadical.blind_check.synthetic.rigid import Array
 
 
 @dataclass(frozen=True)

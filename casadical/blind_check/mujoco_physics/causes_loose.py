@@ -9,8 +9,8 @@ from casadical.blind_check.mujoco_physics.cause import Cause, beam_axes, length_
 from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Mechanism, X, Y
 from casadical.blind_check.mujoco_physics.robot import SLOW, spring
 from casadical.blind_check.numpy_physics.disturbances_structure import plant_stretch
-from casadical.blind_check.numpy_physics.machine import GRAVITY
-from casadical.blind_check.numpy_physics.plant import Plant
+from casadical.blind_check.numpy_physics.state import GRAVITY
+from casadical.blind_check.synthetic.plant import Plant
 
 
 @dataclass(frozen=True)

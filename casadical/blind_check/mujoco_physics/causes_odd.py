@@ -7,13 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.cause import Cause, only
+from casadical.blind_check.mujoco_physics.cause import Cause
 from casadical.blind_check.mujoco_physics.equilibrium import Setting
-from casadical.blind_check.mujoco_physics.mechanism import Array, Mechanism, Shaft, X, Y, Z
+from casadical.blind_check.mujoco_physics.mechanism import Mechanism, Shaft, X, Y, Z
 from casadical.blind_check.mujoco_physics.robot import spring
-from casadical.blind_check.numpy_physics.machine import GRAVITY, rated_torque, settle, tool_point
-from casadical.blind_check.numpy_physics.plant import Plant
-from casadical.blind_check.numpy_physics.stops import Stops
+from casadical.blind_check.numpy_physics.state import GRAVITY
+from casadical.blind_check.numpy_physics.statics import positions, rated_torque, settle
+from casadical.blind_check.synthetic.plant import Plant
+from casadical.blind_check.synthetic.rigid import Array
+from casadical.blind_check.synthetic.stops import Stops, only
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,6 @@ class RangeOffset(Cause):
     stand_m: tuple[float, float, float]
 
     def settings(self, plant: Plant, stops: Stops) -> Sequence[Setting]:
-        sight = tool_point(settle(plant, stops)) - np.array(self.stand_m)
+        sight = positions(plant, (), stops) - np.array(self.stand_m)
         away = sight / np.linalg.norm(sight, axis=1, keepdims=True)
         return (Setting("shift", "tracker", -self.size * away),)

@@ -9,9 +9,9 @@ import numpy as np
 
 from casadical.blind_check.mujoco_physics.cause import Cause
 from casadical.blind_check.mujoco_physics.equilibrium import Setting
-from casadical.blind_check.mujoco_physics.mechanism import Array
-from casadical.blind_check.numpy_physics.plant import Plant
-from casadical.blind_check.numpy_physics.stops import Stops
+from casadical.blind_check.synthetic.plant import Plant
+from casadical.blind_check.synthetic.rigid import Array
+from casadical.blind_check.synthetic.stops import Stops
 
 
 @dataclass(frozen=True)

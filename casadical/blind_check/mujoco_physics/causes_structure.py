@@ -17,11 +17,12 @@ from casadical.blind_check.mujoco_physics.cause import (
     warmth_inside,
 )
 from casadical.blind_check.mujoco_physics.equilibrium import Setting
-from casadical.blind_check.mujoco_physics.mechanism import Array, Body, Mechanism, X, Y
+from casadical.blind_check.mujoco_physics.mechanism import Body, Mechanism, X, Y
 from casadical.blind_check.mujoco_physics.robot import spring
 from casadical.blind_check.numpy_physics.disturbances_structure import plant_stretch
-from casadical.blind_check.numpy_physics.plant import Plant
-from casadical.blind_check.numpy_physics.stops import Stops
+from casadical.blind_check.synthetic.plant import Plant
+from casadical.blind_check.synthetic.rigid import Array
+from casadical.blind_check.synthetic.stops import Stops
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from casadical.blind_check.mujoco_physics.hidden import LISTED, UNLISTED, Hidden
-from casadical.blind_check.numpy_physics.machine import rated_torque
-from casadical.blind_check.numpy_physics.plant import Plant
+from casadical.blind_check.numpy_physics.statics import rated_torque
+from casadical.blind_check.synthetic.plant import Plant
 from casadical.core.errors import InputError
 
 Kind = Literal["none", "one", "pair", "three", "unlisted"]
@@ -19,7 +19,7 @@ _ANY = (
 )
 
 
-def draw_hidden(machine: Plant, kind: Kind, rng: np.random.Generator, *, poses: int = 100) -> tuple[Hidden, ...]:
+def draw_hidden(plant: Plant, kind: Kind, rng: np.random.Generator, *, poses: int = 100) -> tuple[Hidden, ...]:
     """No effect, one, two or three different listed ones, or one that is on no list.
 
     Sizes scatter by about a factor of two about what is usual. Steps in time fall into the middle of a campaign of
@@ -29,21 +29,21 @@ def draw_hidden(machine: Plant, kind: Kind, rng: np.random.Generator, *, poses: 
         raise InputError(f"kind {kind!r} is unknown; it must be one of {', '.join(get_args(Kind))}")
     pool = list(UNLISTED if kind == "unlisted" else LISTED)
     chosen = rng.choice(pool, _COUNT[kind], replace=False)
-    return tuple(draw_effect(machine, str(effect), rng, poses=poses) for effect in chosen)
+    return tuple(draw_effect(plant, str(effect), rng, poses=poses) for effect in chosen)
 
 
-def draw_effect(machine: Plant, effect: str, rng: np.random.Generator, *, poses: int = 100) -> Hidden:
+def draw_effect(plant: Plant, effect: str, rng: np.random.Generator, *, poses: int = 100) -> Hidden:
     """One effect by its name, its joint and sizes by chance. Raises InputError for an unknown name."""
     if effect not in {**LISTED, **UNLISTED}:
         raise InputError(f"effect {effect!r} is unknown; there are {', '.join([*LISTED, *UNLISTED])}")
-    joint = _joint(machine, effect, rng)
+    joint = _joint(plant, effect, rng)
     usual = float(np.exp(rng.normal(0.2, 0.4)))
-    return Hidden(effect, joint, _size(machine, effect, joint, usual, rng, 30.0 * poses))
+    return Hidden(effect, joint, _size(plant, effect, joint, usual, rng, 30.0 * poses))
 
 
-def _joint(machine: Plant, effect: str, rng: np.random.Generator) -> int | None:
+def _joint(plant: Plant, effect: str, rng: np.random.Generator) -> int | None:
     if effect in _LOADED:
-        torque = rated_torque(machine)
+        torque = rated_torque(plant)
         return int(rng.choice(np.flatnonzero(torque > 0.06 * torque.max()) + 1))
     if effect == "joint_coupling":
         return int(rng.integers(4, 7))
@@ -51,12 +51,12 @@ def _joint(machine: Plant, effect: str, rng: np.random.Generator) -> int | None:
 
 
 def _size(
-    machine: Plant, effect: str, joint: int | None, usual: float, rng: np.random.Generator, lasts_s: float
+    plant: Plant, effect: str, joint: int | None, usual: float, rng: np.random.Generator, lasts_s: float
 ) -> dict[str, Any]:
     """Everything but the joint, ``usual`` times as large as it is on most robots."""
     sign, angle = float(rng.choice([-1.0, 1.0])), float(rng.uniform(0, 2 * np.pi))
     middle = float(np.round(rng.uniform(0.3, 0.7) * lasts_s))
-    inside = float(rng.uniform(*machine.ranges[(joint or 1) - 1]))
+    inside = float(rng.uniform(*plant.ranges[(joint or 1) - 1]))
     sizes: dict[str, dict[str, Any]] = {
         "gear_eccentricity": {
             "size": 40e-6 * usual,
@@ -117,24 +117,24 @@ def _size(
         "damaged_tooth": {"size": 80e-6 * usual, "ratio": float(rng.choice([3.0, 5.0, 7.5, 10.0])), "at_rad": angle},
     }
     # Those drawn apart leave the sizes of the others as they were for the same seed.
-    return sizes[effect] if effect in sizes else _odd(machine, usual, sign, angle, inside, rng)[effect]
+    return sizes[effect] if effect in sizes else _odd(plant, usual, sign, angle, inside, rng)[effect]
 
 
 def _odd(
-    machine: Plant, usual: float, sign: float, angle: float, inside: float, rng: np.random.Generator
+    plant: Plant, usual: float, sign: float, angle: float, inside: float, rng: np.random.Generator
 ) -> dict[str, dict[str, Any]]:
     return {
         "loose_cargo": {"size": 80e-6 * usual},
         "tight_cable": {"size": 100e-6 * usual, "free": float(rng.uniform(0.2, 0.6))},
         "lost_bits": {"size": 100e-6 * usual, "at_rad": inside},
         "rubber_coupling": {"size": 120e-6 * usual, "lag_minutes": float(rng.uniform(0.7, 4.0))},
-        "range_offset": {"size": 150e-6 * usual * sign, "stand_m": _stand(machine, angle, rng)},
+        "range_offset": {"size": 150e-6 * usual * sign, "stand_m": _stand(plant, angle, rng)},
     }
 
 
-def _stand(machine: Plant, towards: float, rng: np.random.Generator) -> tuple[float, float, float]:
+def _stand(plant: Plant, towards: float, rng: np.random.Generator) -> tuple[float, float, float]:
     """Where a tracker stands: out of the robot's reach, at about a man's height or lower."""
-    reach = float(np.linalg.norm(np.diff(machine.stations, axis=0), axis=-1).sum())
+    reach = float(np.linalg.norm(np.diff(plant.stations, axis=0), axis=-1).sum())
     away = reach * float(rng.uniform(1.3, 2.0))
     return away * float(np.cos(towards)), away * float(np.sin(towards)), float(rng.uniform(0.0, 1.5))
 

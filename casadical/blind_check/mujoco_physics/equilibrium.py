@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.mechanism import Array, Mechanism
+from casadical.blind_check.mujoco_physics.mechanism import Mechanism
 from casadical.blind_check.mujoco_physics.mjcf import mjcf
+from casadical.blind_check.synthetic.rigid import Array
 from casadical.core.errors import ConvergenceError, InputError
 
 if TYPE_CHECKING:

@@ -2,14 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, Self, TypeAlias
+from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casadical.blind_check.synthetic.rigid import Array
 from casadical.core.errors import InputError
 
-Array: TypeAlias = NDArray[np.float64]
 X, Y, Z, ORIGIN = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 
 

@@ -4,7 +4,8 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.mechanism import Array, Body, Joint, Mechanism, Shaft
+from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Mechanism, Shaft
+from casadical.blind_check.synthetic.rigid import Array
 
 STEP = 0.02  # s, of the integrator
 HARD = "0.9999 0.9999 0.001 0.5 2"  # the hardest impedance that MuJoCo knows, at every violation

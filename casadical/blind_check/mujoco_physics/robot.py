@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.mechanism import Array, Body, Joint, Loop, Mechanism
-from casadical.blind_check.numpy_physics.fourbar import close_loop, pivot, unfolded
-from casadical.blind_check.numpy_physics.plant import Plant
-from casadical.blind_check.numpy_physics.rigid import turn
+from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Loop, Mechanism
+from casadical.blind_check.synthetic.fourbar import close_loop, pivot, unfolded
+from casadical.blind_check.synthetic.plant import Plant
+from casadical.blind_check.synthetic.rigid import Array, turn
 
 SLOW = 0.1  # s: every spring joint alone would come to rest with this time constant
 NONE = np.zeros(3)

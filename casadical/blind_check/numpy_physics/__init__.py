@@ -9,10 +9,10 @@ from casadical.blind_check.numpy_physics import disturbances
 from casadical.blind_check.numpy_physics.campaigns import campaign
 from casadical.blind_check.numpy_physics.disturbance import Disturbance
 from casadical.blind_check.numpy_physics.draw import draw_disturbance
-from casadical.blind_check.numpy_physics.perturb import perturb
-from casadical.blind_check.numpy_physics.plant import FourBar, Plant
-from casadical.blind_check.numpy_physics.stops import Warmup
 from casadical.blind_check.numpy_physics.twin import HH800, hh800_true, hh800_twin
+from casadical.blind_check.synthetic.perturb import perturb
+from casadical.blind_check.synthetic.plant import FourBar, Plant
+from casadical.blind_check.synthetic.stops import Warmup
 
 __all__ = [
     "HH800",

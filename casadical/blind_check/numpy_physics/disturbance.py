@@ -3,16 +3,13 @@
 # ruff: noqa: ARG002 - every disturbance is called with the same arguments, whether it needs them or not
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadical.blind_check.numpy_physics.plant import Plant
-from casadical.blind_check.numpy_physics.rigid import Array
-from casadical.blind_check.numpy_physics.stops import Stops
-
-if TYPE_CHECKING:
-    from casadical.blind_check.numpy_physics.machine import Rest
+from casadical.blind_check.numpy_physics.state import State
+from casadical.blind_check.synthetic.plant import Plant
+from casadical.blind_check.synthetic.rigid import Array
+from casadical.blind_check.synthetic.stops import Stops
 
 
 @dataclass(frozen=True)
@@ -30,15 +27,15 @@ class Disturbance:
         """What the true joint angles are beyond the readings, without load: (n, 6) [rad]."""
         return 0.0
 
-    def torque(self, rest: "Rest") -> Array | float:
+    def torque(self, state: State) -> Array | float:
         """Torques on the actuated joints beside those of the weights: (n, 6) [N m]."""
         return 0.0
 
-    def twist(self, rest: "Rest") -> Array | float:
+    def twist(self, state: State) -> Array | float:
         """Twists of the joints beside torque over stiffness: (n, 6) [rad]."""
         return 0.0
 
-    def outboard(self, link: int, rest: "Rest") -> Array | None:
+    def outboard(self, link: int, state: State) -> Array | None:
         """Motion (n, 4, 4) [m] of all beyond ``link`` (0 pedestal, 6 flange), seen from that link at zero readings."""
         return None
 
@@ -49,10 +46,3 @@ class Disturbance:
     def measured(self, xyz: Array, stops: Stops, rng: np.random.Generator) -> Array:
         """What the instrument makes of the positions ``xyz`` (n, 3) [m]."""
         return xyz
-
-
-def only(joint: int, values: Array) -> Array:
-    """Zeros (n, 6) with ``values`` (n,) in the column of ``joint`` (1-based)."""
-    columns = np.zeros((len(values), 6))
-    columns[:, joint - 1] = values
-    return columns

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.blind_check.numpy_physics.disturbance import Disturbance, only
-from casadical.blind_check.numpy_physics.rigid import Array
-from casadical.blind_check.numpy_physics.stops import Stops
+from casadical.blind_check.numpy_physics.disturbance import Disturbance
+from casadical.blind_check.synthetic.rigid import Array
+from casadical.blind_check.synthetic.stops import Stops, only
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.blind_check.numpy_physics.disturbance import Disturbance, only
-from casadical.blind_check.numpy_physics.machine import GRAVITY, Rest
-from casadical.blind_check.numpy_physics.rigid import Array, back, motion, move
+from casadical.blind_check.numpy_physics.disturbance import Disturbance
+from casadical.blind_check.numpy_physics.state import GRAVITY, State
+from casadical.blind_check.synthetic.rigid import Array, back, motion, move
+from casadical.blind_check.synthetic.stops import only
 
 
 @dataclass(frozen=True)
@@ -20,9 +21,9 @@ class Backlash(Disturbance):
     size: float = 60e-6
     soft: float = 0.05
 
-    def twist(self, rest: Rest) -> Array:
+    def twist(self, state: State) -> Array:
         j = self.joint - 1
-        closing = rest.load[:, j] / (self.soft * rest.rated[j]) - rest.stops.approach[:, j]
+        closing = state.load[:, j] / (self.soft * state.rated[j]) - state.stops.approach[:, j]
         return only(self.joint, self.size * np.tanh(closing))
 
 
@@ -37,10 +38,10 @@ class FrictionWindup(Disturbance):
     size: float = 40e-6
     load_share: float = 0.8
 
-    def twist(self, rest: Rest) -> Array:
+    def twist(self, state: State) -> Array:
         j = self.joint - 1
-        friction = np.hypot(1.0, self.load_share * rest.load[:, j] / rest.rated[j])
-        return only(self.joint, -self.size * friction * rest.stops.approach[:, j])
+        friction = np.hypot(1.0, self.load_share * state.load[:, j] / state.rated[j])
+        return only(self.joint, -self.size * friction * state.stops.approach[:, j])
 
 
 @dataclass(frozen=True)
@@ -54,10 +55,10 @@ class HardeningSpring(Disturbance):
     size: float = 120e-6
     linear: float = 0.15
 
-    def twist(self, rest: Rest) -> Array:
+    def twist(self, state: State) -> Array:
         j = self.joint - 1
         b = 1 - self.linear
-        p, r = self.linear / b, rest.load[:, j] / rest.rated[j] / b
+        p, r = self.linear / b, state.load[:, j] / state.rated[j] / b
         stretch = 2 * np.sqrt(p / 3)
         return only(self.joint, self.size * stretch * np.sinh(np.arcsinh(1.5 * r / p * np.sqrt(3 / p)) / 3))
 
@@ -69,16 +70,16 @@ class SpringBalancer(Disturbance):
     size: float = 0.2
     free_length_m: float = 0.1
 
-    def torque(self, rest: Rest) -> Array:
-        plant = rest.plant
+    def torque(self, state: State) -> Array:
+        plant = state.plant
         shoulder, arm = plant.centres[1], plant.centres[2] - plant.centres[1]
         reach = 0.35 * np.linalg.norm(arm)
-        post = move(rest.bodies[0], shoulder + np.array([0.0, 0.0, reach]))
-        lug = move(rest.bodies[1], shoulder + 0.35 * arm)
+        post = move(state.bodies[0], shoulder + np.array([0.0, 0.0, reach]))
+        lug = move(state.bodies[1], shoulder + 0.35 * arm)
         pull = post - lug
         length = np.linalg.norm(pull, axis=-1, keepdims=True)
-        force = self.size * rest.rated[1] / reach**2 * (length - self.free_length_m * reach) * pull / length
-        axis, centre = rest.axis(2)
+        force = self.size * state.rated[1] / reach**2 * (length - self.free_length_m * reach) * pull / length
+        axis, centre = state.axis(2)
         return only(2, np.sum(axis * np.cross(lug - centre, force), -1))
 
 
@@ -91,20 +92,20 @@ class HoseDrag(Disturbance):
 
     size: float = 150e-6
 
-    def torque(self, rest: Rest) -> Array:
-        plant = rest.plant
+    def torque(self, state: State) -> Array:
+        plant = state.plant
         wrist, flange = plant.centres[4], plant.at_home(6, plant.reflector)
         forearm = plant.centres[2] - wrist
         clip_home = wrist + 0.3 * forearm + 0.1 * np.linalg.norm(forearm) * plant.axes[2]
         usual = float(np.linalg.norm(flange - clip_home))
-        clip, end = move(rest.bodies[2], clip_home), move(rest.bodies[6], flange)
+        clip, end = move(state.bodies[2], clip_home), move(state.bodies[6], flange)
         pull = clip - end
         length = np.linalg.norm(pull, axis=-1, keepdims=True)
         strain = np.logaddexp(0.0, 6 * (length / usual - 1)) / np.log(2)
         force = self.size * plant.stiffness[4] / float(np.linalg.norm(flange - wrist)) * strain * pull / length
-        torque = np.zeros((len(rest.stops), 6))
+        torque = np.zeros((len(state.stops), 6))
         for joint in (4, 5, 6):
-            axis, centre = rest.axis(joint)
+            axis, centre = state.axis(joint)
             torque[:, joint - 1] = np.sum(axis * np.cross(end - centre, force), -1)
         return torque
 
@@ -116,12 +117,12 @@ class LooseFlange(Disturbance):
     size: float = 60e-6
     soft: float = 0.3
 
-    def outboard(self, link: int, rest: Rest) -> Array | None:
+    def outboard(self, link: int, state: State) -> Array | None:
         if link != 6:
             return None
-        plant, flange = rest.plant, rest.plant.home[5, :3, 3]
-        G = rest.bodies[6]
-        _, tip = rest.wrench_beyond(6, move(G, flange))
+        plant, flange = state.plant, state.plant.home[5, :3, 3]
+        G = state.bodies[6]
+        _, tip = state.wrench_beyond(6, move(G, flange))
         local = back(G, tip)
         local -= np.outer(local @ plant.axes[5], plant.axes[5])
         full = GRAVITY * max(plant.payload_kg, 1e-9) * max(float(np.linalg.norm(plant.payload_com)), 1e-9)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadical.blind_check.numpy_physics.disturbance import Disturbance
-from casadical.blind_check.numpy_physics.rigid import Array, motion, move
-from casadical.blind_check.numpy_physics.stops import Stops
+from casadical.blind_check.synthetic.rigid import Array, motion, move
+from casadical.blind_check.synthetic.stops import Stops
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadical.blind_check.numpy_physics.disturbance import Disturbance
-from casadical.blind_check.numpy_physics.machine import GRAVITY, Rest
-from casadical.blind_check.numpy_physics.plant import Plant
-from casadical.blind_check.numpy_physics.rigid import Array, back, motion, move, slide
+from casadical.blind_check.numpy_physics.state import GRAVITY, State
+from casadical.blind_check.synthetic.plant import Plant
+from casadical.blind_check.synthetic.rigid import Array, back, motion, move, slide
 
 
 @dataclass(frozen=True)
@@ -25,11 +25,11 @@ class AxisWobble(Disturbance):
     phase: float = 0.8
     flatness: float = 0.3
 
-    def outboard(self, link: int, rest: Rest) -> Array | None:
+    def outboard(self, link: int, state: State) -> Array | None:
         if link != self.joint - 1:
             return None
-        home = rest.plant.home[self.joint - 1]
-        turn = self.cycles * rest.angles[:, self.joint - 1] + self.phase
+        home = state.plant.home[self.joint - 1]
+        turn = self.cycles * state.angles[:, self.joint - 1] + self.phase
         wide, narrow = np.cos(turn), self.flatness * np.sin(turn)
         tilt = self.size * (np.outer(wide, home[:3, 0]) + np.outer(narrow, home[:3, 1]))
         shift = self.shift_m * (np.outer(narrow, home[:3, 0]) - np.outer(wide, home[:3, 1]))
@@ -48,16 +48,16 @@ class LinkFlexure(Disturbance):
     size: float = 60e-6
     torsion: float = 0.8
 
-    def outboard(self, link: int, rest: Rest) -> Array | None:
+    def outboard(self, link: int, state: State) -> Array | None:
         if link != self.link:
             return None
-        plant, G = rest.plant, rest.bodies[link - 1]
+        plant, G = state.plant, state.bodies[link - 1]
         root, tip = plant.stations[link], plant.stations[link + 1]
         length = float(np.linalg.norm(tip - root))
         e = (tip - root) / length
         stretched, _ = plant_stretch(plant, link)
         bend = self.size / (stretched * length)
-        force, moment = (back(G, w) for w in rest.wrench_beyond(link, move(G, tip)))
+        force, moment = (back(G, w) for w in state.wrench_beyond(link, move(G, tip)))
         own = back(G, np.array([0.0, 0.0, -GRAVITY * plant.mass[link - 1]]))
         across, own = force - np.outer(force @ e, e), own - np.outer(own @ e, e)
         along = np.outer(moment @ e, e)
@@ -74,12 +74,12 @@ class PedestalTilt(Disturbance):
     size: float = 50e-6
     across: float = 0.6
 
-    def outboard(self, link: int, rest: Rest) -> Array | None:
+    def outboard(self, link: int, state: State) -> Array | None:
         if link != 0:
             return None
-        _, stretched = plant_stretch(rest.plant, 0)
-        base = rest.plant.base
-        _, moment = rest.wrench_beyond(0, base[:3, 3])
+        _, stretched = plant_stretch(state.plant, 0)
+        base = state.plant.base
+        _, moment = state.wrench_beyond(0, base[:3, 3])
         rock = back(base, moment) * np.array([1.0, self.across, 0.0]) * self.size / stretched
         return motion(rock, np.zeros(3), np.zeros(3))
 
@@ -91,11 +91,11 @@ class BearingSag(Disturbance):
     joint: int
     size: float = 30e-6
 
-    def outboard(self, link: int, rest: Rest) -> Array | None:
+    def outboard(self, link: int, state: State) -> Array | None:
         if link != self.joint - 1:
             return None
-        axis = rest.plant.axes[self.joint - 1]
-        before = rest.bodies[link - 1] if link else np.broadcast_to(rest.plant.base, (len(rest.stops), 4, 4))
+        axis = state.plant.axes[self.joint - 1]
+        before = state.bodies[link - 1] if link else np.broadcast_to(state.plant.base, (len(state.stops), 4, 4))
         down = back(before, np.array([0.0, 0.0, -1.0]))
         across = down - np.outer(down @ axis, axis)
         return slide(self.size * across / np.sqrt(0.01 + np.sum(across**2, -1, keepdims=True)))
@@ -108,10 +108,10 @@ class ThermalGrowth(Disturbance):
     size: float = 11.5e-6
     lag_minutes: float = 6.0
 
-    def outboard(self, link: int, rest: Rest) -> Array | None:
-        ends = rest.plant.stations
+    def outboard(self, link: int, state: State) -> Array | None:
+        ends = state.plant.stations
         share, lag = (0.3, 20.0) if link == 6 else (1.0, self.lag_minutes * (2 - link / 5))
-        return slide(np.outer(self.size * share * rest.stops.warmth_after(lag), ends[link + 1] - ends[link]))
+        return slide(np.outer(self.size * share * state.stops.warmth_after(lag), ends[link + 1] - ends[link]))
 
 
 @dataclass(frozen=True)

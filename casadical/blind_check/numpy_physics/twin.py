@@ -26,10 +26,10 @@ from casadical.blind_check.numpy_physics.disturbances_structure import (
     PedestalTilt,
     ThermalGrowth,
 )
-from casadical.blind_check.numpy_physics.fourbar import unfolded
-from casadical.blind_check.numpy_physics.perturb import perturb
-from casadical.blind_check.numpy_physics.plant import Plant
-from casadical.blind_check.numpy_physics.stops import Warmup, draw_poses, spread_poses
+from casadical.blind_check.synthetic.fourbar import unfolded
+from casadical.blind_check.synthetic.perturb import perturb
+from casadical.blind_check.synthetic.plant import Plant
+from casadical.blind_check.synthetic.stops import Warmup, draw_poses, spread_poses
 
 SETS = {"identify": 40, "train": 50, "choose": 50, "report": 50}
 SEED, ROBOT_SEED = 145, 102

@@ -5,16 +5,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from plants import arm, stops_at
 from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from casadical.blind_check.numpy_physics import HH800, Plant, disturbances, perturb
 from casadical.blind_check.numpy_physics.disturbance import Disturbance
-from casadical.blind_check.numpy_physics.machine import GRAVITY, Rest, placed, rated_torque, settle, tool_point
-from casadical.blind_check.numpy_physics.stops import Stops, Warmup, draw_poses, draw_stops
-
-from .robots import arm, stops_at
+from casadical.blind_check.numpy_physics.state import GRAVITY, State
+from casadical.blind_check.numpy_physics.statics import placed, rated_torque, settle, tool_point
+from casadical.blind_check.synthetic.stops import Stops, Warmup, draw_poses, draw_stops
 
 ALL = disturbances.LISTED | disturbances.UNLISTED
 NOTHING: dict[str, dict[str, Any]] = {
@@ -73,7 +73,7 @@ def test_twice_the_size_moves_about_twice(effect: str) -> None:
     assert np.linalg.norm(more - 2 * once) < 0.15 * np.linalg.norm(2 * once)
 
 
-def rest_of(plant: Plant, q: np.ndarray, payload_kg: float = 100.0) -> Rest:
+def rest_of(plant: Plant, q: np.ndarray, payload_kg: float = 100.0) -> State:
     return replace(settle(plant, stops_at(q, payload_kg)), rated=rated_torque(plant))
 
 

@@ -1,19 +1,15 @@
 """The HH800 twin: its sets, its determinism, the error before calibration, what no model of the joints can learn."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pandas as pd
 import pytest
+from plants import stops_at
 from scipy.optimize import least_squares
 
 from casadical.blind_check.numpy_physics import HH800, Plant, campaign, hh800_true, hh800_twin
-from casadical.blind_check.numpy_physics.machine import placed
-from casadical.blind_check.numpy_physics.rigid import rotation
+from casadical.blind_check.numpy_physics.statics import placed
 from casadical.blind_check.numpy_physics.twin import UNMODELLED, WARMUP
-
-from .robots import stops_at
+from casadical.blind_check.synthetic.rigid import rotation
 
 Q, XYZ = [f"q{j}_deg" for j in range(1, 7)], ["x_mm", "y_mm", "z_mm"]
 
@@ -62,12 +58,3 @@ def test_what_does_not_repeat_is_a_small_part() -> None:
     ]
     rms = np.sqrt(np.var(np.array(again), axis=0, ddof=1).sum(1).mean())
     assert 0.15 < rms < 0.25
-
-
-def test_imports_nothing_of_the_model() -> None:
-    code = "import sys, casadical.blind_check.numpy_physics; print(*[m for m in sys.modules])"
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    ours = {m for m in loaded if m.startswith("casadical")}
-    foreign = {m for m in ours if not m.startswith("casadical.blind_check")}
-    assert foreign == {"casadical", "casadical.core", "casadical.core.errors", "casadical.core.lazy"}
-    assert not {"casadi", "scipy", "pinocchio"} & set(loaded)

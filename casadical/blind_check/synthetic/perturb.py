@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.blind_check.numpy_physics.plant import Plant
-from casadical.blind_check.numpy_physics.rigid import Array, motion
+from casadical.blind_check.synthetic.plant import Plant
+from casadical.blind_check.synthetic.rigid import Array, motion
 
 
 def perturb(

@@ -7,7 +7,7 @@ import pytest
 
 from casadical.blind_check import mujoco_physics as engine
 from casadical.blind_check.mujoco_physics import Hidden
-from casadical.blind_check.numpy_physics.machine import placed, rated_torque, settle, tool_point
+from casadical.blind_check.numpy_physics.statics import placed, rated_torque, settle, tool_point
 
 from .machines import angle_about, built, drawn, shift, stops
 

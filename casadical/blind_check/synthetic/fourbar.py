@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.blind_check.numpy_physics.plant import FourBar, Plant
-from casadical.blind_check.numpy_physics.rigid import Array
+from casadical.blind_check.synthetic.plant import FourBar, Plant
+from casadical.blind_check.synthetic.rigid import Array
 from casadical.core.errors import InputError
 
 

@@ -3,13 +3,12 @@
 import numpy as np
 import pandas as pd
 import pytest
+from plants import ARM, arm, stops_at
 
 from casadical.blind_check.numpy_physics import HH800, Plant, Warmup, campaign, disturbances, perturb
-from casadical.blind_check.numpy_physics.fourbar import crank_distance
-from casadical.blind_check.numpy_physics.machine import settle
+from casadical.blind_check.numpy_physics.statics import settle
+from casadical.blind_check.synthetic.fourbar import crank_distance
 from casadical.core.errors import ConvergenceError, InputError
-
-from .robots import ARM, arm, stops_at
 
 COLUMNS = [
     *("pose", "time_s", "temperature_degC", "payload_kg"),

@@ -11,7 +11,8 @@ from casadical.blind_check.mujoco_physics import Hidden
 from casadical.blind_check.mujoco_physics.equilibrium import Engine, Stop
 from casadical.blind_check.mujoco_physics.hidden import cause
 from casadical.blind_check.mujoco_physics.robot import start
-from casadical.blind_check.numpy_physics.machine import moments, rated_torque, settle
+from casadical.blind_check.numpy_physics.state import moments
+from casadical.blind_check.numpy_physics.statics import positions, rated_torque, settle
 
 from .machines import angle_about, built, drawn, nominal, shift, stops
 
@@ -110,9 +111,7 @@ def test_a_wrong_payload_is_the_one_of_the_independent_simulator_and_nothing_wit
     hidden = Hidden("payload_error", None, {"size": 0.08, "shift_m": (0.02, -0.01, 0.03)})
     theirs = simulation.disturbances.PayloadError(size=0.08, shift_m=(0.02, -0.01, 0.03))
     at = stops(q, machine.payload_kg)
-    moved = simulation.machine.tool_point(settle(machine, at, [theirs])) - simulation.machine.tool_point(
-        settle(machine, at)
-    )
+    moved = positions(machine, [theirs], at) - positions(machine, (), at)
     np.testing.assert_allclose(shift(machine, hidden, at), moved, atol=1e-7)
     assert np.abs(shift(machine, hidden, stops(q, 0.0))).max() < 1e-9
 

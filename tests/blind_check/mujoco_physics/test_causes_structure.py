@@ -11,7 +11,7 @@ from casadical.blind_check.mujoco_physics import Hidden
 from casadical.blind_check.mujoco_physics.equilibrium import Engine, Stop
 from casadical.blind_check.mujoco_physics.hidden import cause
 from casadical.blind_check.mujoco_physics.robot import start
-from casadical.blind_check.numpy_physics.machine import settle, tool_point
+from casadical.blind_check.numpy_physics.statics import settle, tool_point
 
 from .machines import built, drawn, nominal, shift, stops
 

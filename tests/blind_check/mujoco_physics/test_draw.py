@@ -88,7 +88,7 @@ def test_bare_readings_are_measured_with_the_payload_on():
         (lambda m: engine.campaign(m, (engine.Hidden("joint_scale", None, {"size": 1e-4}),), 1, 0), "from 1 to 6"),
         (lambda m: engine.campaign(m, (engine.Hidden("link_flexure", 2, {}),), 1, 0), "sits in no joint"),
         (lambda m: engine.campaign(m, (engine.Hidden("joint_scale", 1, {"sise": 1e-4}),), 1, 0), "size"),
-        (lambda m: engine.campaign(m, (), 0, 0), "at least 1"),
+        (lambda m: engine.campaign(m, (), 0, 0), "at least 1 pose"),
         (lambda m: engine.campaign(m, (), 2, 0, q_deg=np.zeros((1, 6))), "(2, 6)"),
         (lambda m: engine.measure(m, (), pd.DataFrame({"q1_deg": [0.0]}), seed=0), "q2_deg"),
     ],

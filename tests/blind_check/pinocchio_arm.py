@@ -1,18 +1,10 @@
-"""Forward kinematics, gravity torques and rest of serial arms against Pinocchio, on a URDF built from the DH rows."""
+"""Pinocchio's forward kinematics and gravity torques of a serial arm, on a URDF built from its DH rows."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
-import pytest
-from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
-
-from casadical.blind_check.numpy_physics.machine import moments, placed, settle, tool_point
-from casadical.blind_check.numpy_physics.plant import Plant
-
-from .robots import ARM, random_arm, stops_at
 
 
 def urdf(robot: dict[str, Any]) -> str:
@@ -45,7 +37,7 @@ def _origin(xyz: Any, rpy: Any = (0, 0, 0)) -> str:
     return f'<origin xyz="{place}" rpy="{angles}"/>'
 
 
-class Oracle:
+class PinocchioArm:
     def __init__(self, robot: dict[str, Any], base: np.ndarray) -> None:
         self.model = pin.buildModelFromXML(urdf(robot))
         self.model.gravity.linear = base[:3, :3].T @ np.array([0, 0, -9.81])
@@ -58,34 +50,3 @@ class Oracle:
 
     def weight_torque(self, q: np.ndarray) -> np.ndarray:
         return -pin.computeGeneralizedGravity(self.model, self.data, q)
-
-
-ROBOTS = [ARM, *(random_arm(seed) for seed in range(5))]
-
-
-@pytest.fixture(params=range(len(ROBOTS)))
-def pair(request: pytest.FixtureRequest) -> tuple[Plant, Oracle]:
-    robot = ROBOTS[request.param]
-    base = np.eye(4)
-    base[:3, :3] = Rotation.from_rotvec([0.03, -0.02, 0.4]).as_matrix()
-    base[:3, 3] = 0.02, -0.01, 0.03
-    return replace(Plant.from_dict(robot), base=base), Oracle(robot, base)
-
-
-def test_positions_and_torques(pair: tuple[Plant, Oracle]) -> None:
-    plant, oracle = pair
-    q = np.random.default_rng(1).uniform(-3, 3, (40, 6))
-    rest = placed(plant, stops_at(q, plant.payload_kg), q)
-    np.testing.assert_allclose(tool_point(rest), [oracle.position(x) for x in q], atol=1e-12)
-    np.testing.assert_allclose(moments(rest), [oracle.weight_torque(x) for x in q], atol=1e-9)
-
-
-def test_rest_is_where_springs_and_weights_agree(pair: tuple[Plant, Oracle]) -> None:
-    plant, oracle = pair
-    plant = replace(plant, stiffness=np.array([2e5, 1e5, 2e5, 1e5, 5e4, 4e4]))
-    q = np.random.default_rng(2).uniform(-3, 3, (10, 6))
-    found = tool_point(settle(plant, stops_at(q, plant.payload_kg)))
-    for reading, point in zip(q, found, strict=True):
-        true = fsolve(lambda x, r=reading: x - r - oracle.weight_torque(x) / plant.stiffness, reading, xtol=1e-11)
-        np.testing.assert_allclose(point, oracle.position(true), atol=1e-9)
-        assert np.linalg.norm(point - oracle.position(reading)) > 1e-3

@@ -4,16 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pinocchio_arm import PinocchioArm
+from plants import arm, stops_at
 from scipy.optimize import fsolve
 
 from casadical.blind_check.numpy_physics import HH800, Plant, perturb
-from casadical.blind_check.numpy_physics.fourbar import close_loop, crank_distance, unfolded
-from casadical.blind_check.numpy_physics.machine import GRAVITY, Rest, moments, placed, settle, tool_point
-from casadical.blind_check.numpy_physics.stops import draw_poses
+from casadical.blind_check.numpy_physics.state import GRAVITY, State, moments
+from casadical.blind_check.numpy_physics.statics import placed, settle, tool_point
+from casadical.blind_check.synthetic.fourbar import close_loop, crank_distance, unfolded
+from casadical.blind_check.synthetic.stops import draw_poses
 from casadical.core.errors import InputError
-
-from .robots import arm, stops_at
-from .test_pinocchio import Oracle
 
 
 @pytest.fixture(params=[None, 1, 2, 3])
@@ -51,7 +51,7 @@ def test_closure_against_a_numeric_solve(plant: Plant) -> None:
         assert close_loop(plant, np.array([crank])).passive[0] == pytest.approx(rocker - np.pi / 2, abs=1e-10)
 
 
-def energy(rest: Rest) -> np.ndarray:
+def energy(rest: State) -> np.ndarray:
     mass, centre = rest.weights()
     return np.sum(GRAVITY * mass * centre[..., 2], 0)
 
@@ -88,7 +88,7 @@ def test_positions_as_a_serial_arm() -> None:
     q = poses(plant, 30)
     opened = q.copy()
     opened[:, 2] = q[:, 2] - q[:, 1] - np.pi / 2
-    oracle = Oracle(HH800, np.eye(4))
+    oracle = PinocchioArm(HH800, np.eye(4))
     np.testing.assert_allclose(
         tool_point(placed(plant, stops_at(q, 300.0), q)), [oracle.position(x) for x in opened], atol=1e-12
     )

@@ -10,7 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from casadical.blind_check.numpy_physics.rigid import Array, motion
+from casadical.blind_check.synthetic.rigid import Array, motion
 from casadical.core.errors import InputError
 
 _X, _Z, _0 = np.array([1.0, 0, 0]), np.array([0, 0, 1.0]), np.zeros(3)

@@ -6,9 +6,9 @@ from typing import Literal
 
 import numpy as np
 
-from casadical.blind_check.numpy_physics.fourbar import crank_distance
-from casadical.blind_check.numpy_physics.plant import Plant
-from casadical.blind_check.numpy_physics.rigid import Array
+from casadical.blind_check.synthetic.fourbar import crank_distance
+from casadical.blind_check.synthetic.plant import Plant
+from casadical.blind_check.synthetic.rigid import Array
 from casadical.core.errors import InputError
 
 
@@ -116,3 +116,10 @@ def draw_stops(
     blocks = 1 if len(payload_states) == 1 else 2 * len(payload_states)
     turn = (np.arange(n) * blocks // n) % len(payload_states)
     return Stops(q, time, warmup.course(time), np.asarray(payload_states, float)[turn], came)
+
+
+def only(joint: int, values: Array) -> Array:
+    """Zeros (n, 6) with ``values`` (n,) in the column of ``joint`` (1-based)."""
+    columns = np.zeros((len(values), 6))
+    columns[:, joint - 1] = values
+    return columns

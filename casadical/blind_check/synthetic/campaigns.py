@@ -1,0 +1,187 @@
+"""A campaign as a table: poses, their circumstances, and what an instrument would have recorded.
+
+A physics says where the reflector is; all that is drawn, rounded and written is the same for both.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol, TypedDict
+
+import numpy as np
+import pandas as pd
+
+from casadical.blind_check.synthetic.fourbar import unfolded
+from casadical.blind_check.synthetic.plant import Plant
+from casadical.blind_check.synthetic.rigid import Array
+from casadical.blind_check.synthetic.stops import Stops, Warmup, draw_poses, draw_stops
+from casadical.core.errors import InputError
+
+READINGS, APPROACHES = [f"q{j}_deg" for j in range(1, 7)], [f"approach{j}" for j in range(1, 7)]
+MEASURED, TRUE = ["x_mm", "y_mm", "z_mm"], ["x_true_mm", "y_true_mm", "z_true_mm"]
+
+
+class Instrument(Protocol):
+    """An effect as the instrument sees it; those of both physics have this method."""
+
+    def measured(self, xyz: Array, stops: Stops, rng: np.random.Generator) -> Array:
+        """What the instrument makes of the positions ``xyz`` (n, 3) [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """A robot as built with its effects, as one of the physics simulates it.
+
+    Attributes
+    ----------
+    plant : the robot as built (see ``perturb``)
+    positions : where the reflector is, (n, 3) [m], at n stops with errors (n, 6) [rad] of the joints
+    instruments : effects, for what they do to the measured positions
+    true_decimals : of true positions [mm] in a table
+    """
+
+    plant: Plant
+    positions: Callable[[Stops, Array | float], Array]
+    instruments: Sequence[Instrument]
+    true_decimals: int
+
+    def measured(
+        self,
+        stops: Stops,
+        q_deg: Array,
+        temperature: Array,
+        seeds: Sequence[np.random.SeedSequence],
+        noise_mm: float,
+        repeatability_urad: float,
+        truth: bool,
+    ) -> pd.DataFrame:
+        """The table of a campaign, rounded like a real one.
+
+        q_deg, temperature : readings (n, 6) [deg] and temperatures (n,) [degC] as written
+        seeds : of the joints' errors, the noise, and the instrument's errors; all else as in ``simulate``
+        """
+        joints, noise, instrument = (np.random.default_rng(s) for s in seeds)
+        n = len(stops)
+        xyz = self.positions(stops, joints.normal(0, repeatability_urad * 1e-6, (n, 6)))
+        for effect in self.instruments:
+            xyz = effect.measured(xyz, stops, instrument)
+        table = pd.DataFrame({"pose": np.arange(1, n + 1), "time_s": np.round(stops.time_s, 1)})
+        table["temperature_degC"] = temperature
+        table["payload_kg"] = stops.payload_kg
+        table[APPROACHES] = stops.approach.astype(int)
+        table[READINGS] = q_deg
+        table[MEASURED] = np.round(1e3 * xyz + noise.normal(0, noise_mm, (n, 3)), 4)
+        if truth:
+            table[TRUE] = np.round(1e3 * self.positions(stops, 0.0), self.true_decimals)
+        return table
+
+
+class Options(TypedDict, total=False):
+    """Keywords of ``simulate`` that the ``campaign`` of each physics passes on."""
+
+    noise_mm: float
+    payload_states: Sequence[float] | None
+    warmup: Warmup | None
+    approach: Literal["chance", "motion"]
+    q_deg: Array | None
+    ranges_deg: Array | None
+    crank_distance_m: tuple[float, float] | None
+    truth: bool
+
+
+def simulate(
+    machine: Machine,
+    n: int,
+    seed: int,
+    *,
+    repeatability_urad: float,
+    noise_mm: float = 0.02,
+    payload_states: Sequence[float] | None = None,
+    warmup: Warmup | None = None,
+    approach: Literal["chance", "motion"] = "chance",
+    q_deg: Array | None = None,
+    ranges_deg: Array | None = None,
+    crank_distance_m: tuple[float, float] | None = None,
+    truth: bool = False,
+) -> pd.DataFrame:
+    """Measure ``n`` poses of a machine; the same seed gives the same table.
+
+    Poses, circumstances and noise do not depend on the effects: the same campaign without them is their absence.
+
+    Parameters
+    ----------
+    n, seed : number of poses, and what everything drawn follows from
+    repeatability_urad : standard deviation of each joint about its reading
+    noise_mm : standard deviation of each measured coordinate
+    payload_states : declared payloads [kg], taken in turn in blocks; by default none and the plant's
+    warmup : the arm's temperature; by default 7 K in some 35 minutes
+    approach : each joint's last motion by chance, or (``"motion"``) as it follows from the order of the poses
+    q_deg : readings (n, 6) to take instead of drawing them from ``ranges_deg`` (6, 2), by default the plant's
+    crank_distance_m : limits of the loop's crank distance; by default a quarter of the rocker away from the folds
+    truth : add x_true_mm, y_true_mm, z_true_mm: no noise, joints exactly repeated, and the instrument right
+
+    Returns
+    -------
+    DataFrame with pose, time_s, temperature_degC, payload_kg, approach1..6, q1_deg..q6_deg, x_mm, y_mm, z_mm
+
+    Raises InputError when an argument is not usable or no pose keeps the loop's limits.
+    """
+    if n < 1:
+        raise InputError(f"n is {n}; a campaign needs at least 1 pose")
+    if min(noise_mm, repeatability_urad) < 0:
+        raise InputError(f"noise_mm is {noise_mm} and repeatability_urad {repeatability_urad}; neither may be negative")
+    if ranges_deg is not None and np.shape(ranges_deg) != (6, 2):
+        raise InputError(f"ranges_deg has shape {np.shape(ranges_deg)}; it must be (6, 2): lowest and highest readings")
+    if payload_states is not None and len(payload_states) == 0:
+        raise InputError("payload_states is empty; give at least one declared payload [kg], 0 for none")
+    poses, *times, thermometer, joints, noise, instrument = np.random.SeedSequence(seed).spawn(7)
+    plant, warmup = machine.plant, warmup or Warmup()
+    if q_deg is None:
+        ranges = plant.ranges if ranges_deg is None else np.deg2rad(np.asarray(ranges_deg, float))
+        limits = crank_distance_m or unfolded(plant)
+        q_deg = np.rad2deg(draw_poses(plant, n, np.random.default_rng(poses), ranges, limits))
+    if np.shape(q_deg) != (n, 6):
+        raise InputError(f"q_deg has shape {np.shape(q_deg)}; for n = {n} it must be ({n}, 6)")
+    q_deg = np.round(q_deg, 6)
+    states = (0.0, plant.payload_kg) if payload_states is None else payload_states
+    stops = draw_stops(np.deg2rad(q_deg), times, states, warmup, approach)
+    shown = warmup.start_degC + stops.warmth_K + np.random.default_rng(thermometer).normal(0, warmup.sensor_K, n)
+    seeds = (joints, noise, instrument)
+    return machine.measured(stops, q_deg, np.round(shown, 2), seeds, noise_mm, repeatability_urad, truth)
+
+
+def simulate_readings(
+    machine: Machine,
+    readings: pd.DataFrame,
+    seed: int,
+    *,
+    noise_mm: float,
+    repeatability_urad: float,
+    truth: bool,
+) -> pd.DataFrame:
+    """Measure given poses: the table ``readings`` with the positions of the reflector.
+
+    Parameters
+    ----------
+    machine, seed, noise_mm, repeatability_urad, truth : as in ``simulate``
+    readings : one row a pose, with q1_deg..q6_deg; where they are missing, time_s is 30 s a pose, temperature_degC 20
+        throughout, payload_kg the robot's, approach1..6 1
+
+    Raises InputError when a reading is missing.
+    """
+    n = len(readings)
+    usual: dict[str, Any] = {"time_s": 30.0 * np.arange(1, n + 1), "temperature_degC": 20.0}
+    usual |= {"payload_kg": machine.plant.payload_kg, **dict.fromkeys(APPROACHES, 1)}
+    full = readings.assign(**{name: value for name, value in usual.items() if name not in readings})
+    missing = [name for name in READINGS if name not in full]
+    if missing or n == 0:
+        raise InputError(f"readings: {n} rows, columns missing: {', '.join(missing) or 'none'}; give q1_deg to q6_deg")
+    q_deg, temperature = full[READINGS].to_numpy(float), full["temperature_degC"].to_numpy(float)
+    stops = Stops(
+        np.deg2rad(q_deg),
+        full["time_s"].to_numpy(float),
+        temperature - Warmup().start_degC,
+        full["payload_kg"].to_numpy(float),
+        np.where(full[APPROACHES].to_numpy(float) < 0, -1.0, 1.0),
+    )
+    seeds = np.random.SeedSequence(seed).spawn(3)
+    return machine.measured(stops, q_deg, temperature, seeds, noise_mm, repeatability_urad, truth)

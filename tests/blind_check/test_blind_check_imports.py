@@ -1,0 +1,100 @@
+"""Judge and judged stand apart, in fresh processes: what each of them has loaded once it has done its work."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from checks import ROOT
+
+ROOM = "casadical.blind_check"
+# Of the package, the two physics and what they share may load no more than this.
+ALLOWED = {"casadical", "casadical.core", "casadical.core.errors", "casadical.core.lazy", ROOM}
+PHYSICS = tuple(f"{ROOM}.{part}" for part in ("synthetic", "numpy_physics", "mujoco_physics"))
+# Every effect there is, hidden and measured.
+NUMPY_AT_WORK = """
+from plants import arm
+from casadical.blind_check.numpy_physics import campaign, disturbances, draw_disturbance, hh800_twin
+hh800_twin(truth=True)
+for word, kind in (disturbances.LISTED | disturbances.UNLISTED).items():
+    joint = 5 if "joint" in kind.__dataclass_fields__ else None
+    campaign(arm(), 2, seed=1, disturbances=[draw_disturbance(word, 0, joint=joint)], truth=True)
+"""
+MUJOCO_AT_WORK = """
+import numpy as np
+from mujoco_physics.machines import built
+from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, campaign, draw_effect
+for word in (*LISTED, *UNLISTED):
+    plant = built("kr210")
+    campaign(plant, [draw_effect(plant, word, np.random.default_rng(0))], 2, seed=1, truth=True)
+"""
+COMMAND = """
+from casadical.cli import main
+sys.argv[1:] = {words!r}
+try:
+    main()
+except SystemExit as end:
+    assert not end.code
+"""
+PREDICTING = """
+from casadical.blind_check import predict
+import casadical.blind_check.predictor, casadical.blind_check.baselines, casadical.blind_check.gaussian_process
+import casadical.diagnosis.diagnose, casadical.diagnosis.json_answer
+"""
+
+
+def loaded_by(program: str) -> set[str]:
+    """Modules that a process has loaded after a program."""
+    tail = "\nprint(json.dumps([*sys.modules]))"
+    done = subprocess.run(
+        [sys.executable, "-c", "import json, sys\n" + program + tail],
+        capture_output=True, text=True, cwd=Path(__file__).parent, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+def of_the_room(loaded: set[str]) -> list[str]:
+    return sorted(m for m in loaded if m == ROOM or m.startswith(f"{ROOM}."))
+
+
+@pytest.mark.parametrize(
+    ("program", "needs"),
+    [
+        ("import casadical.blind_check.numpy_physics, casadical.blind_check.mujoco_physics", "numpy"),
+        (NUMPY_AT_WORK, "numpy"),
+        (MUJOCO_AT_WORK, "mujoco"),
+    ],
+    ids=["import", "numpy at work", "mujoco at work"],
+)
+def test_the_physics_load_nothing_of_what_they_judge(program: str, needs: str) -> None:
+    pytest.importorskip(needs, reason=f"{needs} is not installed")
+    loaded = loaded_by(program)
+    ours = {m for m in loaded if m.split(".")[0] == "casadical"}
+    assert {m for m in ours if m not in ALLOWED and not m.startswith(PHYSICS)} == set()
+    assert {m.split(".")[0] for m in loaded} & {"casadi", "scipy", "pinocchio", "sklearn"} == set()
+    assert f"{ROOM}.numpy_physics.disturbances_load" in ours
+    assert ("mujoco" in loaded) == (needs == "mujoco")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["calibrate", str(ROOT / "problems" / "planar"), "-q"],
+        ["diagnose", str(ROOT / "problems" / "ur10e"), str(ROOT / "data/campaigns/practice/ur10e-P03.csv"), "-q"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_user_who_calibrates_or_diagnoses_loads_nothing_of_the_blind_check(words: list[str]) -> None:
+    loaded = loaded_by(COMMAND.format(words=words))
+    assert "casadical.identification.identification" in loaded
+    assert of_the_room(loaded) == []
+
+
+def test_predicting_loads_nothing_that_makes_campaigns() -> None:
+    loaded = of_the_room(loaded_by(PREDICTING))
+    assert f"{ROOM}.predictor" in loaded
+    assert [m for m in loaded if m.startswith((*PHYSICS, f"{ROOM}.physics", f"{ROOM}.making"))] == []
