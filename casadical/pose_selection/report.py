@@ -6,11 +6,10 @@ import json
 from pathlib import Path
 
 import numpy as np
-from rich.console import Group, RenderableType
-from rich.table import Table
-from rich.text import Text
+from rich.console import RenderableType
 
 from casadical.core.arrays import Array
+from casadical.core.blocks import Table, Words, terminal
 from casadical.pose_selection.pose_order import travel
 from casadical.pose_selection.selection import Selection
 from casadical.pose_selection.stopping_rule import Forecast
@@ -58,20 +57,19 @@ def report(plan: Selection, forecast: Forecast, target: float | None = None, roo
         f"from noise of {noise}; {len(plan.names)} parameters."
     )
     indices = ", ".join(f"{name} {value:.3g}" for name, value in plan.observability.items())
-    parts: list[RenderableType] = [
-        Text(head, style="bold"),
-        Text(f"Criterion {plan.criterion}; observability {indices}; travel {_degrees(plan)} deg."),
-        Text(how_many(forecast, target)),
-        *([] if room else _under_the_base(plan)),
-        Text(),
-        _map(plan),
-        Text(),
-        _errors(plan),
-    ]
-    return Group(*parts)
+    return terminal(
+        [
+            Words(head, "verdict"),
+            Words(f"Criterion {plan.criterion}; observability {indices}; travel {_degrees(plan)} deg."),
+            Words(how_many(forecast, target)),
+            *([] if room else _under_the_base(plan)),
+            _map(plan),
+            _errors(plan),
+        ]
+    )
 
 
-def _under_the_base(plan: Selection) -> list[Text]:
+def _under_the_base(plan: Selection) -> list[Words]:
     """A warning of poses below the base frame's plane, where a floor may be."""
     assert plan.m.position is not None
     height = ((plan.m.position - plan.robot.base.T[:3, 3]) @ plan.robot.base.T[:3, :3])[:, 2]
@@ -79,7 +77,7 @@ def _under_the_base(plan: Selection) -> list[Text]:
     if not low:
         return []
     words = f"{low} of {len(plan)} poses lie below the base frame's plane, the lowest by {-1e3 * height.min():.0f} mm"
-    return [Text(f"{words}; no room was given, so nothing was checked for floor or obstacles: --room FILE.toml")]
+    return [Words(f"{words}; no room was given, so nothing was checked for floor or obstacles: --room FILE.toml")]
 
 
 def _degrees(plan: Selection) -> str:
@@ -112,15 +110,12 @@ def _map(plan: Selection) -> Table:
     local = (plan.task.position - plan.robot.base.T[:3, 3]) @ plan.robot.base.T[:3, :3]
     error = plan.expected_error()
     height = _thirds(local[:, 2])
-    table = Table(title="Expected error [mm]", title_justify="left", title_style="bold", box=None, pad_edge=False)
-    table.add_column("point")
-    for name in _DISTANCES:
-        table.add_column(name, justify="right")
     distance = _thirds(np.hypot(local[:, 0], local[:, 1]))
+    rows = []
     for k in (2, 1, 0):
         cells = [error[(height == k) & (distance == i)] for i in range(3)]
-        table.add_row(_HEIGHTS[k], *(f"{1e3 * np.sqrt(np.mean(c**2)):.4f}" if len(c) else "-" for c in cells))
-    return table
+        rows.append((_HEIGHTS[k], *(f"{1e3 * np.sqrt(np.mean(c**2)):.4f}" if len(c) else "-" for c in cells)))
+    return Table("Expected error [mm]", ("point", *_DISTANCES), rows, frozenset({1, 2, 3}))
 
 
 def _thirds(values: Array) -> Array:
@@ -128,13 +123,7 @@ def _thirds(values: Array) -> Array:
 
 
 def _errors(plan: Selection) -> Table:
-    table = Table(title="Expected standard errors", title_justify="left", title_style="bold", box=None, pad_edge=False)
-    table.add_column("parameter", no_wrap=True)
-    table.add_column("std error", justify="right")
-    table.add_column("unit")
-    for name, error in zip(plan.names, plan.standard_errors, strict=True):
-        parameter = plan.robot.parameters[name]
-        table.add_row(name, f"{parameter.readable(error):.3g}", parameter.readable_unit)
-    for u in plan.held:
-        table.add_row(u.name, "-", f"not identifiable: {u.reason}")
-    return table
+    told = ((plan.robot.parameters[name], error) for name, error in zip(plan.names, plan.standard_errors, strict=True))
+    rows = [(p.name, f"{p.readable(error):.3g}", p.readable_unit) for p, error in told]
+    rows += [(u.name, "-", f"not identifiable: {u.reason}") for u in plan.held]
+    return Table("Expected standard errors", ("parameter", "std error", "unit"), rows, frozenset({1}))

@@ -6,9 +6,9 @@ from dataclasses import asdict
 from typing import Any
 
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
+from casadical.core.blocks import Table
 from casadical.project.check.check import Precheck
 from casadical.project.check.information import Outlook
 
@@ -42,13 +42,18 @@ def _verdict(found: Precheck) -> str:
 
 
 def _ranges(found: Precheck) -> Table:
-    table = Table(title="Readings of the poses that are fitted", title_justify="left", box=None, pad_edge=False)
-    for column in ("joint", "from", "to", "limits", "covered"):
-        table.add_column(column, justify="right", no_wrap=True)
-    for c in found.joints:
-        ends = (f"{c.low:.1f}", f"{c.high:.1f} {c.unit}", f"{c.lower:.0f} .. {c.upper:.0f}")
-        table.add_row(str(c.joint), *ends, f"{100 * c.share:.0f} %")
-    return table
+    rows = [
+        (
+            str(c.joint),
+            f"{c.low:.1f}",
+            f"{c.high:.1f} {c.unit}",
+            f"{c.lower:.0f} .. {c.upper:.0f}",
+            f"{100 * c.share:.0f} %",
+        )
+        for c in found.joints
+    ]
+    columns = ("joint", "from", "to", "limits", "covered")
+    return Table("Readings of the poses that are fitted", columns, rows, frozenset(range(5)))
 
 
 def _outlook(view: Outlook, found: Precheck) -> list[RenderableType]:
@@ -67,12 +72,7 @@ def _outlook(view: Outlook, found: Precheck) -> list[RenderableType]:
             lines.append(f"Expected mean error on other poses like these: {1e3 * view.held_out:.3g} mm.")
     parts: list[RenderableType] = [Text(line) for line in lines]
     if view.held:
-        table = Table(box=None, pad_edge=False)
-        table.add_column("held", no_wrap=True)
-        table.add_column("why")
-        for u in view.held:
-            table.add_row(u.name, u.reason)
-        parts.append(table)
+        parts.append(Table("", ("held", "why"), [(u.name, u.reason) for u in view.held]))
     return parts
 
 
