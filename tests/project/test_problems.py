@@ -81,6 +81,21 @@ def test_the_planar_data_come_from_the_script() -> None:
     pd.testing.assert_frame_equal(made, stored, atol=1.01e-4)
 
 
+@pytest.mark.parametrize("robot", ["ur5", "wam"])
+@pytest.mark.parametrize("name", ["grid", "random"])
+def test_the_measured_tables_come_from_the_published_ones(robot: str, name: str) -> None:
+    """And the nominal DH table gives back the published targets, so that angles and units are what they say."""
+    tables = study("real_tables")
+    table = tables.published(robot, name)
+    stored = pd.read_csv(ROOT / "data" / f"{robot}_laser_tracker" / f"measured_{name}.csv")
+    pd.testing.assert_frame_equal(tables.measured(table, tables.SETS[name]), stored, rtol=0, atol=1e-9)
+    sums = stored[["x_mm", "y_mm", "z_mm"]].to_numpy() + table[["x_dif", "y_dif", "z_dif"]].to_numpy()
+    np.testing.assert_allclose(sums, table[["x_t", "y_t", "z_t"]], atol=6e-5)
+    _, off = tables.reproduced(robot, table)
+    assert off.mean() < 0.011
+    assert off.max() < 0.05
+
+
 def test_the_planar_arm_gets_its_planted_errors_back(calibrated) -> None:
     """Within four standard errors; theta2 stands in the direction of the tool, as its README says."""
     planted = study("planar")
