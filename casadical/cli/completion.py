@@ -30,8 +30,8 @@ def criteria(incomplete: str) -> list[str]:
 
 def effects(incomplete: str) -> list[str]:
     """Names of effects; after a comma, of the next one."""
-    from casadical import effects as package
+    from casadical.effects.plugins import known_effects
 
-    names = tuple(sorted({str(getattr(getattr(package, c), "name", "")) for c in package.__all__} - {""}))
+    names = tuple(sorted(kind.name for kind in known_effects().values() if kind.on_list != "unknown"))
     before, comma, last = incomplete.rpartition(",")
     return [f"{before}{comma}{word}" for word in _begun(names, last)]

@@ -52,6 +52,20 @@ class Arm:
         """Number of joints."""
         return len(self.joints)
 
+    @property
+    def numbers(self) -> range:
+        """Of the joints, 1 to n."""
+        return range(1, self.n + 1)
+
+    @property
+    def revolute(self) -> tuple[int, ...]:
+        """Numbers of the joints that turn."""
+        return tuple(i for i in self.numbers if self.joints[i - 1].kind == "revolute")
+
+    def near(self, joint: int) -> tuple[int, ...]:
+        """Numbers of the joints whose motors can move this one: those right before it and behind it."""
+        return tuple(i for i in (joint - 2, joint - 1, joint + 1, joint + 2) if i in self.numbers)
+
     @cached_property
     def reach(self) -> float:
         """Sum of all link lengths and the tool [m]; no point can lie farther from the base."""

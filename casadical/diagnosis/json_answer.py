@@ -15,39 +15,6 @@ from casadical.diagnosis.result import Cause, Diagnosis
 from casadical.diagnosis.smooth_description import Unlisted
 from casadical.effects import Effect
 
-# Mechanical causes that leave the same signature in joint space.
-SIGNATURES = {
-    "gear_eccentricity": "once-per-turn error (gear, encoder disc, coupling; balancer on joint 2)",
-    "transmission_ripple": "periodic error at a fixed number of cycles a turn (mesh, wave generator)",
-    "joint_scale": "error that grows with the reading (ratio; eccentricity over part of a turn)",
-    "joint_coupling": "error that follows another joint's reading (wrist gears, hoses)",
-    "joint_zero_step": "a jump of one joint's zero",
-    "thermal_growth": "links that lengthen with temperature",
-    "thermal_zero_drift": "a joint's zero that follows the temperature",
-    "target_shift": "a jump of the reflector in its nest",
-    "payload_error": "torque errors where the payload is mounted",
-    "axis_wobble": "an axis that tilts and shifts as it turns (bearing, eccentric flange)",
-    "gravity_compensator": "a smooth torque on joint 2 (spring, gas balancer)",
-    "nonlinear_stiffness": "deflection that saturates with torque (gear bedding in)",
-    "cubic_stiffness": "deflection that grows less than the torque (hardening)",
-    "backlash": "two positions, by the sign of gravity's torque",
-    "friction_windup": "a lag behind the last motion",
-    "link_flexure": "a link that bends under the weight beyond it",
-    "base_compliance": "a foot that tilts under the overturning moment",
-    "frame_drift": "a measuring frame that creeps with time",
-    "outliers": "single points that are wrong",
-    "bearing_play": "a bearing or flange that rocks under the weight beyond it",
-    "load_hysteresis": "a lag behind the last motion that grows with the load",
-    "gear_mesh": "periodic error once and twice a turn of the motor or wave generator",
-    "cross_coupling": "a joint that gives way to another one's torque (parallelogram, link bending)",
-    "missing_compliance": "deflection of a joint that the model takes as rigid",
-    "hose_drag": "a pull at the wrist that grows as hose or cable is drawn out",
-    "tracker_scale": "all lengths wrong by one factor",
-    "refraction": "a beam bent by warm air",
-    "smr_offset": "an offset that stays fixed against the beam",
-}
-
-
 # Poses to measure next.
 NEXT = 15
 

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.transforms import Array
-from casadical.diagnosis.candidates import CYCLES, PHASES, TIMES
+from casadical.core.arrays import Array
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
 from casadical.diagnosis.linear_problem import Case
 from casadical.effects import Effect
@@ -16,25 +15,19 @@ from casadical.effects import Effect
 # Steps are halved once none of them helps, so often at most; a gain of log evidence below the second is none.
 HALVINGS, GAIN, MOST_ROUNDS = 2, 0.3, 10
 
-# Spacing of the grid for settings that are places on a line; other settings are sizes and are scaled.
-_SPACING = {"at": TIMES[1] - TIMES[0], "cycles": CYCLES[1] - CYCLES[0], "phase": PHASES[1] - PHASES[0], "shape": 0.5}
-
 
 def neighbours(effect: Effect, fineness: float) -> list[Effect]:
-    """The effect with one setting moved by a fraction of the grid's spacing, each in turn.
-
-    Only fields of type float are moved, and none whose metadata say that it is given (a known gear ratio).
-    """
+    """The effect with one setting moved by a fraction of the grid's spacing, each in turn (see `Effect`)."""
     found = []
     for f in fields(effect):
         value = getattr(effect, f.name)
         if not isinstance(value, float) or f.metadata.get("given"):
             continue
-        if f.name in _SPACING:
-            moved = [value + step * fineness * _SPACING[f.name] for step in (-0.67, -0.33, 0.33, 0.67)]
+        if "spacing" in f.metadata:
+            moved = [value + step * fineness * f.metadata["spacing"] for step in (-0.67, -0.33, 0.33, 0.67)]
         else:
             moved = [value * float(np.exp(step * fineness)) for step in (-0.5, -0.25, 0.25, 0.5)]
-        settings: list[dict[str, Any]] = [{f.name: v} for v in moved if v > 0 or f.name == "phase"]
+        settings: list[dict[str, Any]] = [{f.name: v} for v in moved if v > 0 or f.metadata.get("signed")]
         found += [replace(effect, **s) for s in settings]
     return found
 

@@ -10,7 +10,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from casadical.diagnosis.advice import kinds, told_apart
-from casadical.diagnosis.json_answer import SIGNATURES, Extras, settings
+from casadical.diagnosis.json_answer import Extras, settings
 from casadical.diagnosis.network import NetworkGap
 from casadical.diagnosis.phrases import (
     alike,
@@ -26,6 +26,7 @@ from casadical.diagnosis.phrases import mm as _mm
 from casadical.diagnosis.refit import Check
 from casadical.diagnosis.result import Cause, Diagnosis
 from casadical.diagnosis.shrink_course import of_time
+from casadical.effects.plugins import signature_of
 
 WIDTH = 112
 LABEL = 8
@@ -156,7 +157,9 @@ def _beneath(d: Diagnosis, c: Cause) -> Iterator[str]:
 
 def signature(c: Cause) -> tuple[str, str]:
     """What the data show, and the mechanical causes that share it."""
-    words = SIGNATURES.get(c.effect) or (c.effects[0].physics if c.effects else c.effect)
+    words = "single points that are wrong" if c.effect == "outliers" else signature_of(c.effect)
+    if c.effects:
+        words = words or c.effects[0].signature or c.effects[0].physics
     shown, _, causes = words.partition(" (")
     if c.joint != 2:
         causes = causes.replace("; balancer on joint 2", "")

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 import casadi as ca
 
+from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic, small_frame
 from casadical.effects.base import Context, Effect
 
@@ -23,9 +23,15 @@ class AxisWobble(Effect):
     cycles: int = 1
     still: bool = False
 
-    name: ClassVar[str] = "axis_wobble"
-    physics: ClassVar[str] = "Bearing run-out: the axis of rotation tilts and translates periodically (ISO 230-7)."
-    confused_with: ClassVar[str] = "base_compliance for joint 1; gear_eccentricity of neighbours"
+    name = "axis_wobble"
+    on_list = "standard"
+    signature = "an axis that tilts and shifts as it turns (bearing, eccentric flange)"
+    physics = "Bearing run-out: the axis of rotation tilts and translates periodically (ISO 230-7)."
+    confused_with = "base_compliance for joint 1; gear_eccentricity of neighbours"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(j, cycles, still) for j in arm.revolute for cycles in (1, 2) for still in (False, True))
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         parts = [f"{c}_{f}" for c in ("rx", "ry", "x", "y") for f in ("sin", "cos")]

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 import casadi as ca
 
+from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect
+from casadical.effects.counterparts import Counterparts
+
+FRICTIONS = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
 
 
 @dataclass(frozen=True)
@@ -22,12 +25,18 @@ class Backlash(Effect):
     friction: float = 0.05
     width: float = 0.03
 
-    name: ClassVar[str] = "backlash"
-    physics: ClassVar[str] = (
+    name = "backlash"
+    on_list = "standard"
+    signature = "two positions, by the sign of gravity's torque"
+    physics = (
         "The tooth rests on the flank to which gravity pushes it; where friction holds it against gravity, on the "
         "flank that drove it there (Ruderman, Hoffmann and Bertram 2009)."
     )
-    confused_with: ClassVar[str] = "friction_windup where the torque is small; nonlinear_stiffness where it is large"
+    confused_with = "friction_windup where the torque is small; nonlinear_stiffness where it is large"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(j, f, f * w) for j in arm.numbers for f in FRICTIONS for w in (0.3, 0.6, 1.2))
 
     @property
     def conditions(self) -> tuple[str, ...]:
@@ -36,8 +45,15 @@ class Backlash(Effect):
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {"half": (50e-6, "rad")}
 
-    def angle(self, context: Context, q: Symbolic) -> Symbolic:  # noqa: ARG002 - a function of torque and approach
+    def angle(self, context: Context, q: Symbolic) -> Symbolic:
         assert self.joint is not None
         # The link lies behind its last motion.
         push = context.load(self.joint) - self.friction * context.conditions[f"approach{self.joint}"]
         return self.value(context, "half") * ca.tanh(push / self.width)
+
+    def counterpart(self, found: Counterparts, v: Mapping[str, float]) -> Counterparts:
+        if v["half"] <= 0:
+            return found.without_sign(self.label)
+        held = self.friction * found.great(self.joint)
+        found = found.with_drive(self.joint, play=v["half"], play_friction=held)
+        return found.noted(f"{self.label}: joint{self.joint}_play with limits of +-{1e6 * v['half']:.1f} urad")

@@ -7,15 +7,20 @@ needs; the defaults leave the model as it is.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import ClassVar
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, get_type_hints
 
 import casadi as ca
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from casadical.core.arm import Arm
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
 from casadical.core.parameters import Parameter
-from casadical.core.transforms import Array, Symbolic, apply
+from casadical.core.transforms import Symbolic, apply
+from casadical.effects.counterparts import Counterparts
 
 
 @dataclass(frozen=True)
@@ -68,6 +73,7 @@ class Context:
 # One sigma, in realistic sizes, of an effect once it is in a model: wide, for somebody had a reason to put it there,
 # and a robot's own may be many times the usual.
 CHOSEN = 8.0
+_STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 
 
 @dataclass(frozen=True)
@@ -75,6 +81,10 @@ class Effect:
     """One unmodelled effect. Subclass it, name it, give its parameters, and override the seams it acts at.
 
     joint : 1-based, of effects that belong to a joint
+
+    Further fields are settings, in which the effect is not linear. The diagnosis refines those of type float between
+    the points of the grid: by factors, or by steps where `metadata` give a "spacing" ("signed" allows negative ones);
+    none that is "given" (a known gear ratio). "joint" says that a setting is the number of a joint.
     """
 
     joint: int | None = None
@@ -82,11 +92,59 @@ class Effect:
     name: ClassVar[str] = "none"
     # One sigma of each parameter once the effect is in a model, in sizes.
     held: ClassVar[float] = CHOSEN
+    # Where it is a candidate: standard, extended, unknown (names no cause), or only where it is asked for by name.
+    on_list: ClassVar[str] = ""
+    # Another effect's name under which it is a candidate and an answer, as one more law of the same cause.
+    answers_as: ClassVar[str] = ""
     # Columns that must have been logged.
     needs: ClassVar[tuple[str, ...]] = ()
-    # What to say about its physics, its source, and what it is confused with.
+    # What the data show of it (in brackets: mechanical causes that share it), its physics and source, what looks alike.
+    signature: ClassVar[str] = ""
     physics: ClassVar[str] = ""
     confused_with: ClassVar[str] = ""
+    # Whether it acts on what the instrument reports, and leaves the robot as it is.
+    of_measurement: ClassVar[bool] = False
+    # Whether a simulator needs its counterpart before those of others, which bend around it.
+    simulated_first: ClassVar[bool] = False
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        """The effect with its settings on a grid, for an arm; by default once, at every joint if it adds an `angle`."""
+        return (cls(j) for j in arm.numbers) if cls.angle is not Effect.angle else (cls(),)
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterable[tuple[Effect, ...]]:
+        """The candidates, those together that act together; by default each alone."""
+        return ((effect,) for effect in cls.candidates(arm))
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Effect:
+        """The effect that `to_dict` wrote; settings that are not given have their defaults. Raises InputError."""
+        hints = get_type_hints(cls)
+        names = [f.name for f in fields(cls) if f.name != "joint"]
+        found = {}
+        for key, value in data.get("settings", {}).items():
+            if key not in names:
+                raise InputError(f"settings.{key}: no setting of {cls.name}; allowed: {', '.join(names) or 'none'}")
+            try:
+                found[key] = TypeAdapter(hints[key], config=_STRICT).validate_json(json.dumps(value, default=str))
+            except ValidationError as error:
+                wrong = error.errors()[0]["msg"].replace("Input should be", "must be")
+                raise InputError(f"settings.{key} = {value!r}: {wrong}") from None
+        return cls(data.get("joint"), **found)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Name, joint where it has one, and settings where there are any, as plain data."""
+        settings = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "joint"}
+        whole = {"name": self.name, "joint": self.joint, "settings": settings}
+        return {key: value for key, value in whole.items() if value not in (None, {})}
+
+    def refuse_joints(self, arm: Arm) -> None:
+        """Raises InputError for the number of a joint that the arm does not have."""
+        for f in fields(self):
+            number = getattr(self, f.name)
+            if (f.name == "joint" or f.metadata.get("joint")) and number is not None and number not in arm.numbers:
+                raise InputError(f"{self.name}: {f.name} = {number}; robot {arm.name!r} has joints 1 to {arm.n}")
 
     @property
     def label(self) -> str:
@@ -108,6 +166,10 @@ class Effect:
             Parameter(f"{self.label}.{name}", self.label, unit, 0.0, size, -1e3 * size, 1e3 * size, CHOSEN * size)
             for name, (size, unit) in self.sizes().items()
         )
+
+    def own_values(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Values of its parameters [SI] by their short names, out of those of a model; zero where there is none."""
+        return {name: values.get(f"{self.label}.{name}", 0.0) for name in self.sizes()}
 
     def value(self, context: Context, name: str) -> Symbolic:
         """The symbol of one of its parameters."""
@@ -143,3 +205,8 @@ class Effect:
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
         """The measured point, shape (3,) [m], as the instrument reports it."""
         return point
+
+    def counterpart(self, found: Counterparts, v: Mapping[str, float]) -> Counterparts:
+        """What a simulator has in its place, added to what was found before; v : its values (see `own_values`)."""
+        why = "an effect of the measurement, not of the robot" if self.of_measurement else "no counterpart in MuJoCo"
+        return found.without(f"{self.label}: {why}")

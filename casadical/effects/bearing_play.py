@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 import casadi as ca
 
+from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic, small_frame, translate
 from casadical.effects.base import Context, Effect
 
@@ -21,12 +21,18 @@ class BearingPlay(Effect):
 
     soft: float = 0.3
 
-    name: ClassVar[str] = "bearing_play"
-    physics: ClassVar[str] = (
+    name = "bearing_play"
+    on_list = "extended"
+    signature = "a bearing or flange that rocks under the weight beyond it"
+    physics = (
         "A bearing or a bolted flange holds the moment across its axis by its tilting stiffness, after play; its inner "
         "ring drops along the load by the radial play (ISO 5753-1; Harris, Rolling Bearing Analysis)."
     )
-    confused_with: ClassVar[str] = "link_flexure of the links beside it; axis_wobble; payload_error at the flange"
+    confused_with = "link_flexure of the links beside it; axis_wobble; payload_error at the flange"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(j, soft) for j in arm.numbers for soft in (0.1, 0.3))
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {"rock": (60e-6, "rad"), "drop": (30e-6, "m")}

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import ClassVar
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 
 import casadi as ca
 
+from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect
 
@@ -16,16 +16,19 @@ from casadical.effects.base import Context, Effect
 class FrameDrift(Effect):
     """shape : power of time; 1 creeps steadily, less settles, more comes late."""
 
-    shape: float = 1.0
+    shape: float = field(default=1.0, metadata={"spacing": 0.5})
 
-    name: ClassVar[str] = "frame_drift"
-    needs: ClassVar[tuple[str, ...]] = ("progress",)
-    physics: ClassVar[str] = (
-        "Tripods settle and floors warm: the instrument's frame moves some tens of micrometres an hour."
-    )
-    confused_with: ClassVar[str] = (
-        "thermal_growth and thermal_zero_drift while the temperature only rises; a step in time"
-    )
+    name = "frame_drift"
+    on_list = "standard"
+    of_measurement = True
+    signature = "a measuring frame that creeps with time"
+    needs = ("progress",)
+    physics = "Tripods settle and floors warm: the instrument's frame moves some tens of micrometres an hour."
+    confused_with = "thermal_growth and thermal_zero_drift while the temperature only rises; a step in time"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(None, s) for s in (0.5, 1.0, 2.0))
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return dict.fromkeys("xyz", (6e-05, "m")) | {f"r{c}": (25e-6, "rad") for c in "xyz"}

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 import casadi as ca
 
+from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect
 
 
 @dataclass(frozen=True)
 class GearEccentricity(Effect):
-    name: ClassVar[str] = "gear_eccentricity"
-    physics: ClassVar[str] = (
+    name = "gear_eccentricity"
+    on_list = "standard"
+    signature = "once-per-turn error (gear, encoder disc, coupling; balancer on joint 2)"
+    physics = (
         "A wheel or code disc whose centre is off the axis by e reads e/r sin(q - phase) wrong (Mooring, Roth and "
         "Driels 1991, ch. 2); linear in the sine and cosine parts."
     )
-    confused_with: ClassVar[str] = "joint_scale over less than a turn; gravity_compensator on joint 2; axis_wobble"
+    confused_with = "joint_scale over less than a turn; gravity_compensator on joint 2; axis_wobble"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(j) for j in arm.revolute)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {"sin1": (40e-6, "rad"), "cos1": (40e-6, "rad"), "sin2": (12e-6, "rad"), "cos2": (12e-6, "rad")}

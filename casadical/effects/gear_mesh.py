@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar
 
 import casadi as ca
 
+from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect
+
+# Usual ratios of strain-wave and cycloid gears; a gear of another ratio is a candidate of its own, GearMesh(3, 171.5).
+RATIOS = (50.0, 80.0, 100.0, 120.0, 160.0)
 
 
 @dataclass(frozen=True)
@@ -18,12 +21,18 @@ class GearMesh(Effect):
 
     ratio: float = field(default=100.0, metadata={"given": True})
 
-    name: ClassVar[str] = "gear_mesh"
-    physics: ClassVar[str] = (
+    name = "gear_mesh"
+    on_list = "extended"
+    signature = "periodic error once and twice a turn of the motor or wave generator"
+    physics = (
         "Run-out of the motor's shaft repeats N times a turn of the joint, the two lobes of a wave generator 2N times "
         "(Tuttle and Seering 1996). Joint readings must not be rounded to more than a hundredth of 1/N turn."
     )
-    confused_with: ClassVar[str] = "joint repeatability, if the ratio is not exact"
+    confused_with = "joint repeatability, if the ratio is not exact"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(j, ratio) for j in arm.revolute for ratio in RATIOS)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return dict.fromkeys(("sin1", "cos1", "sin2", "cos2"), (20e-6, "rad"))

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import ClassVar
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 
 import casadi as ca
+import numpy as np
 
+from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect
+from casadical.effects.counterparts import Balancer, Counterparts
+
+PHASES = tuple(float(p) for p in np.deg2rad(np.arange(0, 360, 30)))
 
 
 @dataclass(frozen=True)
@@ -20,14 +24,20 @@ class GravityCompensator(Effect):
     """
 
     anchor: float = 2.0
-    phase: float = 0.0
+    phase: float = field(default=0.0, metadata={"spacing": PHASES[1] - PHASES[0], "signed": True})
 
-    name: ClassVar[str] = "gravity_compensator"
-    physics: ClassVar[str] = (
+    name = "gravity_compensator"
+    on_list = "standard"
+    signature = "a smooth torque on joint 2 (spring, gas balancer)"
+    physics = (
         "A spring between base and arm pulls joint 2 by k a b sin(g) (1 - l0/l(g)): without preload a sine, with "
         "preload the sine over the spring's length (Klimchik et al. 2013)."
     )
-    confused_with: ClassVar[str] = "gear_eccentricity of joint 2, wholly, unless payload or spring pressure change"
+    confused_with = "gear_eccentricity of joint 2, wholly, unless payload or spring pressure change"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(2, a, p) for a in (1.2, 2.0, 4.0) for p in PHASES) if arm.n >= 2 else ()
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         # Shares of the joint's great torque.
@@ -40,3 +50,12 @@ class GravityCompensator(Effect):
         share = self.value(context, "sin") * ca.sin(turn) + self.value(context, "cos") * ca.cos(turn)
         share = share + self.value(context, "preload") * ca.sin(turn) / length
         return context.values.get(f"c{self.joint}", 0.0) * context.torque_scale[self.joint - 1] * share
+
+    def counterpart(self, found: Counterparts, v: Mapping[str, float]) -> Counterparts:
+        if not self.joint or found.drive(self.joint).compliance <= 0:
+            return found.without_sign(self.label)
+        great = found.great(self.joint)
+        swing, ahead = great * float(np.hypot(v["sin"], v["cos"])), float(np.arctan2(v["cos"], v["sin"]))
+        made = Balancer(self.joint, self.anchor, self.phase, swing, ahead, great * v["preload"])
+        found = replace(found, balancers=(*found.balancers, made))
+        return found.noted(f"{self.label}: tendon from link to link before, {swing:.4g} N m at its greatest")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 import casadi as ca
 import numpy as np
 
+from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic, apply
 from casadical.effects.base import Context, Effect
 
@@ -23,12 +23,18 @@ class HoseDrag(Effect):
     clip: float = 0.7
     side: float = 0.1
 
-    name: ClassVar[str] = "hose_drag"
-    physics: ClassVar[str] = (
+    name = "hose_drag"
+    on_list = "extended"
+    signature = "a pull at the wrist that grows as hose or cable is drawn out"
+    physics = (
         "A dress pack is a weak spring with some tension from its clip on the forearm to the load; its pull turns the "
         "wrist joints through their own springs, by the slope of its length."
     )
-    confused_with: ClassVar[str] = "gear_eccentricity and joint_scale of joint 5; any smooth error of the wrist"
+    confused_with = "gear_eccentricity and joint_scale of joint 5; any smooth error of the wrist"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(None, clip, side) for clip in (0.3, 0.6, 0.9) for side in (0.0, 0.2)) if arm.n >= 6 else ()
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         # Torque at the last joint but one, as a share of its great torques.

@@ -2,28 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import ClassVar
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 
 import casadi as ca
+import numpy as np
 
+from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic, small_frame, translate
 from casadical.effects.base import Context, Effect
+from casadical.effects.counterparts import Counterparts
+
+# A link shorter than this share of the longest bends a thirtieth of it.
+BEAM = 0.3
 
 
 @dataclass(frozen=True)
 class LinkFlexure(Effect):
     """member : the link (1-based) that bends."""
 
-    member: int = 2
+    member: int = field(default=2, metadata={"joint": True})
 
-    name: ClassVar[str] = "link_flexure"
-    physics: ClassVar[str] = (
+    name = "link_flexure"
+    on_list = "standard"
+    signature = "a link that bends under the weight beyond it"
+    physics = (
         "A beam under a moment turns its end by M l / (E I) about each axis; the part about the next joint's axis is "
         "that joint's compliance (Klimchik, Pashkevich and Chablat 2013)."
     )
-    confused_with: ClassVar[str] = "cross_coupling of torques; base_compliance for the first link"
+    confused_with = "cross_coupling of torques; base_compliance for the first link"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        """The links long enough to bend: a beam's sag goes with the cube of its length; short links are castings."""
+        lengths = np.array([np.hypot(j.a, j.d) for j in arm.joints[1:]])
+        return (cls(None, k) for k, length in enumerate(lengths, 1) if length >= BEAM * lengths.max())
+
+    @classmethod
+    def variants(cls, arm: Arm) -> Iterable[tuple[Effect, ...]]:
+        """Each beam alone, and all of them together."""
+        links = tuple(cls.candidates(arm))
+        return (*((e,) for e in links), links)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {f"{c}{self.member}": (60e-6, "rad") for c in ("rx", "ry", "rz")}
@@ -45,3 +64,6 @@ class LinkFlexure(Effect):
             @ small_frame(0, 0, 0, *ca.vertsplit(slope))
             @ translate(*ca.vertsplit(-far))
         )
+
+    def counterpart(self, found: Counterparts, v: Mapping[str, float]) -> Counterparts:
+        return found.with_springs(self.label, v, self.member)

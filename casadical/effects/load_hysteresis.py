@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 import casadi as ca
 
+from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect
 
@@ -18,12 +18,18 @@ class LoadHysteresis(Effect):
 
     power: int = 1
 
-    name: ClassVar[str] = "load_hysteresis"
-    physics: ClassVar[str] = (
+    name = "load_hysteresis"
+    on_list = "extended"
+    signature = "a lag behind the last motion that grows with the load"
+    physics = (
         "Loading and unloading a gear follow two branches; their distance grows with the torque (dry friction), or "
         "with its square (inner friction, as in Rayleigh's law). Nothing of it is left at an idle joint."
     )
-    confused_with: ClassVar[str] = "friction_windup, whose load part it is; tell by both approaches at no load"
+    confused_with = "friction_windup, whose load part it is; tell by both approaches at no load"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(j, power) for j in arm.numbers for power in (1, 2))
 
     @property
     def conditions(self) -> tuple[str, ...]:
@@ -32,7 +38,7 @@ class LoadHysteresis(Effect):
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {"half": (40e-6, "rad")}
 
-    def angle(self, context: Context, q: Symbolic) -> Symbolic:  # noqa: ARG002 - a function of approach and torque
+    def angle(self, context: Context, q: Symbolic) -> Symbolic:
         assert self.joint is not None
         load = ca.sqrt(context.load(self.joint) ** 2 + 1e-6)
         return -self.value(context, "half") * context.conditions[f"approach{self.joint}"] * load**self.power

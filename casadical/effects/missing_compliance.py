@@ -2,25 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
+from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect
+from casadical.effects.counterparts import Counterparts
 
 
 @dataclass(frozen=True)
 class MissingCompliance(Effect):
-    name: ClassVar[str] = "missing_compliance"
-    physics: ClassVar[str] = (
-        "Every drive train is a spring: its deflection is its torque over its stiffness (paper, 4)."
-    )
-    confused_with: ClassVar[str] = "payload_error; wholly absorbed where the model has this joint's compliance already"
+    name = "missing_compliance"
+    simulated_first = True
+    on_list = "extended"
+    signature = "deflection of a joint that the model takes as rigid"
+    physics = "Every drive train is a spring: its deflection is its torque over its stiffness (paper, 4)."
+    confused_with = "payload_error; wholly absorbed where the model has this joint's compliance already"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(j) for j in arm.numbers if not arm.joints[j - 1].compliance)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {"deflection": (200e-6, "rad")}
 
-    def angle(self, context: Context, q: Symbolic) -> Symbolic:  # noqa: ARG002 - a function of the torque
+    def angle(self, context: Context, q: Symbolic) -> Symbolic:
         assert self.joint is not None
         return self.value(context, "deflection") * context.load(self.joint)
+
+    def counterpart(self, found: Counterparts, v: Mapping[str, float]) -> Counterparts:
+        if v["deflection"] <= 0:
+            return found.without_sign(self.label)
+        soft = found.drive(self.joint).compliance + v["deflection"] / found.great(self.joint)
+        return found.with_drive(self.joint, compliance=soft).noted(f"{self.label}: spring of joint {self.joint}")

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 import casadi as ca
 
+from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect
+from casadical.effects.counterparts import Counterparts
+
+# tanh(x) is nearest to SLOPE x that stops at STOP, off by OFF at most.
+SLOPE, STOP, OFF = 0.76, 0.92, 0.083
 
 
 @dataclass(frozen=True)
@@ -18,16 +22,30 @@ class NonlinearStiffness(Effect):
 
     knee: float = 0.3
 
-    name: ClassVar[str] = "nonlinear_stiffness"
-    physics: ClassVar[str] = (
+    name = "nonlinear_stiffness"
+    on_list = "standard"
+    signature = "deflection that saturates with torque (gear bedding in)"
+    physics = (
         "Gear teeth and strain-wave cups bed in: the deflection saturates, c tau + b tanh(tau / knee) "
         "(Kircanski and Goldenberg 1997)."
     )
-    confused_with: ClassVar[str] = "backlash on the side of the gravity torque; cubic stiffness; payload_error"
+    confused_with = "backlash on the side of the gravity torque; cubic stiffness; payload_error"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(j, k) for j in arm.numbers for k in (0.1, 0.2, 0.4, 0.7))
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {"bend": (60e-6, "rad")}
 
-    def angle(self, context: Context, q: Symbolic) -> Symbolic:  # noqa: ARG002 - a function of the torque
+    def angle(self, context: Context, q: Symbolic) -> Symbolic:
         assert self.joint is not None
         return self.value(context, "bend") * ca.tanh(context.load(self.joint) / self.knee)
+
+    def counterpart(self, found: Counterparts, v: Mapping[str, float]) -> Counterparts:
+        if v["bend"] <= 0:
+            return found.without_sign(self.label)
+        stiffness = self.knee * found.great(self.joint) / (SLOPE * v["bend"])
+        found = found.with_drive(self.joint, give=STOP * v["bend"], give_stiffness=stiffness)
+        off = 1e6 * OFF * v["bend"]
+        return found.noted(f"{self.label}: joint{self.joint}_bed, a soft spring between stops, within {off:.1f} urad")

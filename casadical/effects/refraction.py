@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 import casadi as ca
 
@@ -16,12 +15,15 @@ from casadical.effects.base import Context, Effect
 class Refraction(Effect):
     """The bend is the square of the way to the instrument; where that stands enters as the two slopes."""
 
-    name: ClassVar[str] = "refraction"
-    physics: ClassVar[str] = (
+    name = "refraction"
+    on_list = "extended"
+    of_measurement = True
+    signature = "a beam bent by warm air"
+    physics = (
         "The index of refraction falls by 1e-6 a kelvin, so a gradient g across the beam bends it by g s^2 / 2 over a "
         "way s (Edlen 1966): 12 micrometres over 5 m at 1 K/m."
     )
-    confused_with: ClassVar[str] = "base_compliance; link_flexure under an unchanging load"
+    confused_with = "base_compliance; link_flexure under an unchanging load"
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {"bend": (0.5e-6, "1/m"), "slope_x": (5e-6, "m/m"), "slope_y": (5e-6, "m/m")}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 import casadi as ca
 
@@ -18,12 +17,15 @@ class SmrOffset(Effect):
 
     station: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
-    name: ClassVar[str] = "smr_offset"
-    physics: ClassVar[str] = (
+    name = "smr_offset"
+    on_list = "extended"
+    of_measurement = True
+    signature = "an offset that stays fixed against the beam"
+    physics = (
         "A reflector is turned in its nest to face the instrument: its offset, some micrometres, stays fixed against "
         "the beam (ISO 10360-10), along it and, if it is always held the same way up, above it."
     )
-    confused_with: ClassVar[str] = "tracker_scale; refraction"
+    confused_with = "tracker_scale; refraction"
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {"along": (10e-6, "m"), "across": (10e-6, "m"), "above": (10e-6, "m")}

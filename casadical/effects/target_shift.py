@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import ClassVar
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 
 import casadi as ca
 
+from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect
+from casadical.effects.grids import TIMES
 
 
 @dataclass(frozen=True)
 class TargetShift(Effect):
     """at : when, as a share of the campaign."""
 
-    at: float = 0.5
+    at: float = field(default=0.5, metadata={"spacing": TIMES[1] - TIMES[0]})
 
-    name: ClassVar[str] = "target_shift"
-    needs: ClassVar[tuple[str, ...]] = ("progress",)
-    physics: ClassVar[str] = (
-        "A reflector that is reseated or knocked sits elsewhere by tens of micrometres (ISO 10360-10)."
-    )
-    confused_with: ClassVar[str] = "joint_zero_step of the last joints at the same time"
+    name = "target_shift"
+    on_list = "standard"
+    of_measurement = True
+    signature = "a jump of the reflector in its nest"
+    needs = ("progress",)
+    physics = "A reflector that is reseated or knocked sits elsewhere by tens of micrometres (ISO 10360-10)."
+    confused_with = "joint_zero_step of the last joints at the same time"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(None, t) for t in TIMES)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return dict.fromkeys("xyz", (6e-05, "m"))

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 import casadi as ca
 
+from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect
+from casadical.effects.grids import LAGS
 
 
 @dataclass(frozen=True)
@@ -18,10 +19,16 @@ class ThermalGrowth(Effect):
 
     lag: float = 600.0
 
-    name: ClassVar[str] = "thermal_growth"
-    needs: ClassVar[tuple[str, ...]] = ("temperature_degC",)
-    physics: ClassVar[str] = "Every link length grows by alpha dT: steel 11.5e-6, aluminium 23e-6 per K (ISO 230-3)."
-    confused_with: ClassVar[str] = "thermal_zero_drift; frame_drift while the temperature only rises"
+    name = "thermal_growth"
+    on_list = "standard"
+    signature = "links that lengthen with temperature"
+    needs = ("temperature_degC",)
+    physics = "Every link length grows by alpha dT: steel 11.5e-6, aluminium 23e-6 per K (ISO 230-3)."
+    confused_with = "thermal_zero_drift; frame_drift while the temperature only rises"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(None, lag) for lag in LAGS)
 
     @property
     def conditions(self) -> tuple[str, ...]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
+from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect
+from casadical.effects.grids import LAGS
 
 
 @dataclass(frozen=True)
@@ -16,12 +17,16 @@ class ThermalZeroDrift(Effect):
 
     lag: float = 600.0
 
-    name: ClassVar[str] = "thermal_zero_drift"
-    needs: ClassVar[tuple[str, ...]] = ("temperature_degC",)
-    physics: ClassVar[str] = (
-        "Encoder mounts and gear housings turn with temperature by some urad per K (Gong, Yuan and Ni 2000)."
-    )
-    confused_with: ClassVar[str] = "thermal_growth; joint_zero_step and frame_drift while the temperature only rises"
+    name = "thermal_zero_drift"
+    on_list = "standard"
+    signature = "a joint's zero that follows the temperature"
+    needs = ("temperature_degC",)
+    physics = "Encoder mounts and gear housings turn with temperature by some urad per K (Gong, Yuan and Ni 2000)."
+    confused_with = "thermal_growth; joint_zero_step and frame_drift while the temperature only rises"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(j, lag) for j in arm.numbers for lag in LAGS)
 
     @property
     def conditions(self) -> tuple[str, ...]:
@@ -30,5 +35,5 @@ class ThermalZeroDrift(Effect):
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {"drift": (6e-6, "rad/K")}
 
-    def angle(self, context: Context, q: Symbolic) -> Symbolic:  # noqa: ARG002 - the same at every reading
+    def angle(self, context: Context, q: Symbolic) -> Symbolic:
         return self.value(context, "drift") * context.conditions[self.conditions[0]]

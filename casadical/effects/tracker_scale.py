@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect
@@ -12,11 +11,14 @@ from casadical.effects.base import Context, Effect
 
 @dataclass(frozen=True)
 class TrackerScale(Effect):
-    name: ClassVar[str] = "tracker_scale"
-    physics: ClassVar[str] = (
+    name = "tracker_scale"
+    on_list = "extended"
+    of_measurement = True
+    signature = "all lengths wrong by one factor"
+    physics = (
         "Distances are counted in wavelengths: 1 K or 3 hPa not accounted for make 1e-6 of every length (Edlen 1966)."
     )
-    confused_with: ClassVar[str] = "the lengths of all links, wholly: only a known length (a scale bar) tells"
+    confused_with = "the lengths of all links, wholly: only a known length (a scale bar) tells"
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {"k": (5e-6, "m/m")}

@@ -2,27 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import ClassVar
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 
 import casadi as ca
+import numpy as np
 
+from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect
+
+CYCLES = tuple(float(c) for c in np.arange(2, 32.01, 0.5))
 
 
 @dataclass(frozen=True)
 class TransmissionRipple(Effect):
     """cycles : per turn of the joint; known from the gear ratio (N, 2N), else found on a grid."""
 
-    cycles: float = 2.0
+    cycles: float = field(default=2.0, metadata={"spacing": CYCLES[1] - CYCLES[0]})
 
-    name: ClassVar[str] = "transmission_ripple"
-    physics: ClassVar[str] = (
+    name = "transmission_ripple"
+    on_list = "standard"
+    signature = "periodic error at a fixed number of cycles a turn (mesh, wave generator)"
+    physics = (
         "Meshing and wave-generator errors repeat N and 2N times a turn (Tuttle and Seering 1996, harmonic drives)."
     )
-    confused_with: ClassVar[str] = "gear_eccentricity at two cycles; any smooth periodic error of the same joint"
+    confused_with = "gear_eccentricity at two cycles; any smooth periodic error of the same joint"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(j, c) for j in arm.revolute for c in CYCLES)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {"sin": (25e-6, "rad"), "cos": (25e-6, "rad")}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from casadical.diagnosis.json_answer import SIGNATURES
+from casadical.effects.plugins import signature_of
 from casadical.report.share_figures import intervals
 from casadical.report.style import BLUE, GREEN, GREY, INK, ORANGE, new_figure, plain
 
@@ -41,7 +41,7 @@ def posteriors(d: Diagnosis, step: int = 0) -> go.Figure:
         textposition="outside",
         textfont={"color": INK, "size": 12},
         cliponaxis=False,
-        customdata=[[plain(label), SIGNATURES.get(label.split("@")[0], "")] for label, _, _ in rows],
+        customdata=[[plain(label), signature_of(label.split("@")[0])] for label, _, _ in rows],
         hovertemplate="<b>%{customdata[0]}</b>: %{x:.3g}<br>%{customdata[1]}<extra></extra>",
         showlegend=False,
     )

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.arm import STANDARD_GRAVITY, Arm
+from casadical.core.arrays import Array
 from casadical.core.parameters import Parameters
 from casadical.core.parts import (
     NEAR_PARALLEL,
@@ -25,7 +26,7 @@ from casadical.core.parts import (
     Placement,
     Width,
 )
-from casadical.core.transforms import Array, frame, small_frame, to_rpy
+from casadical.core.transforms import frame, small_frame, to_rpy
 from casadical.effects import Effect
 from casadical.robot.model import Model, Structure, expressions
 from casadical.robot.parameter_list import SIX, bar_names, parameters_of
@@ -59,6 +60,11 @@ class Robot(Arm):
     effects: tuple[Effect, ...] = ()
     effect_values: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for effect in self.effects:
+            effect.refuse_joints(self)
 
     @cached_property
     def conditions(self) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from casadical.diagnosis import posterior as which
 from casadical.diagnosis import thresholds as rules
 from casadical.diagnosis.candidates import Candidate, extended_candidates, standard_candidates
-from casadical.diagnosis.json_answer import SIGNATURES
+from casadical.effects.plugins import signature_of
 from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]
@@ -50,7 +50,7 @@ def _effects(candidates: list[Candidate]) -> str:
     lines = ["| effect | signature | one sigma of its parameters | columns it needs |", "|---|---|---|---|"]
     for name, c in sorted(_by_name(candidates).items()):
         joint = "@joint" if c.joint is not None and name != "gravity_compensator" else ""
-        lines.append(f"| `{name}{joint}` | {SIGNATURES[name]} | {_sizes(c)} | {_columns(c)} |")
+        lines.append(f"| `{name}{joint}` | {signature_of(name)} | {_sizes(c)} | {_columns(c)} |")
     return "\n".join(lines)
 
 

@@ -6,15 +6,12 @@ import numpy as np
 import pytest
 from bench import FIRST, batches, campaign, moved_by, robot, with_columns
 
-import casadical.effects
 from casadical.diagnosis.candidates import extended_candidates, standard_candidates
-from casadical.diagnosis.json_answer import SIGNATURES
 from casadical.effects import Effect
+from casadical.effects.plugins import known_effects
 from casadical.identification.accuracy import predicted
 
-CLASSES = [
-    c for _, c in inspect.getmembers(casadical.effects, inspect.isclass) if issubclass(c, Effect) and c is not Effect
-]
+CLASSES = [kind for kind in known_effects().values() if kind.on_list != "unknown"]
 
 
 @pytest.mark.parametrize("kind", CLASSES, ids=lambda c: c.__name__)
@@ -25,7 +22,8 @@ def test_effect_says_what_it_is(kind: type[Effect]) -> None:
     assert len(kind.physics) > 40
     assert kind.physics.endswith(".")
     assert kind.confused_with
-    assert kind.name in SIGNATURES
+    assert kind.signature
+    assert kind.on_list in ("standard", "extended")
     assert inspect.getmodule(kind).__name__.endswith(kind.name)
     for p in effect.parameters():
         assert p.name.startswith(f"{effect.label}.")

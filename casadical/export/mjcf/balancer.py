@@ -6,34 +6,19 @@ sin(t + phase), and that of a constant pull F along the line from anchor to leve
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.effects.counterparts import Balancer
 from casadical.export.mjcf.elements import numbers
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Joint
 
 # Length of the lever [m]: any will do, stiffness and pull follow it.
 LEVER = 0.3
-
-
-@dataclass(frozen=True)
-class Balancer:
-    """joint : 1-based; anchor : in levers; phase : reading at which all lie in line [rad]
-
-    swing : torque of the spring [N m] at its greatest; ahead : by how much its phase is ahead [rad]
-    pull : torque of the constant pull [N m], as the effect's preload
-    """
-
-    joint: int
-    anchor: float
-    phase: float
-    swing: float
-    ahead: float
-    pull: float
 
 
 def add_sites(balancer: Balancer, before: ET.Element, behind: Array, link: ET.Element, row: Joint) -> None:

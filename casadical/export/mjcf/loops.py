@@ -13,7 +13,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.export.mjcf.drives import Drive
+from casadical.effects.counterparts import Drive
 from casadical.export.mjcf.elements import SLOW, add_body, add_mass, numbers
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import FourBar, Joint, Robot

@@ -16,7 +16,7 @@ import pandas as pd
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
-from casadical.export.mjcf.drives import OF_THE_MEASUREMENT, counterparts
+from casadical.export.mjcf.drives import counterparts
 from casadical.export.mjcf.equilibrium import positions
 from casadical.export.mjcf.mjcf import MjcfExport, mjcf
 from casadical.export.mjcf.sources import with_causes
@@ -82,13 +82,13 @@ def replay(robot: Robot, m: Measurements, name: str = "model") -> Stage:
     there = positions(export.text, m, counterparts(robot).payload_factor) + _of_the_measurement(robot, m)
     apart = np.linalg.norm(there - predicted(robot, m)[0], axis=1)
     out = {text.partition(":")[0] for text in export.left_out}
-    lacking = tuple(e.label for e in robot.effects if e.label in out and not isinstance(e, OF_THE_MEASUREMENT))
+    lacking = tuple(e.label for e in robot.effects if e.label in out and not e.of_measurement)
     return Stage(name, export, np.linalg.norm(there - m.position, axis=1), apart, lacking)
 
 
 def _of_the_measurement(robot: Robot, m: Measurements) -> Array:
     """What effects of the measurement add to each point, shape (n, 3) [m]."""
-    own = tuple(e for e in robot.effects if not isinstance(e, OF_THE_MEASUREMENT))
+    own = tuple(e for e in robot.effects if not e.of_measurement)
     names = {p.name for e in own for p in e.parameters()}
     without = replace(robot, effects=own, effect_values={n: v for n, v in robot.effect_values.items() if n in names})
     return np.asarray(predicted(robot, m)[0] - predicted(without, m)[0])

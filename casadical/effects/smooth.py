@@ -6,17 +6,15 @@ other and its marginal likelihood competes with those of named causes on equal t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from itertools import combinations
 
 import casadi as ca
 
+from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
-from casadical.effects import Context, Effect
-
-if TYPE_CHECKING:
-    from casadical.robot.robot import Robot
+from casadical.effects.base import Context, Effect
 
 SIZE = 30e-6
 SIZE_LENGTH = 30e-6
@@ -46,9 +44,14 @@ class _Series(Effect):
 class SmoothInJoint(_Series):
     """A smooth function of joint `driver`."""
 
-    driver: int = 1
+    driver: int = field(default=1, metadata={"joint": True})
 
-    name: ClassVar[str] = "unknown_in_joint"
+    name = "unknown_in_joint"
+    on_list = "unknown"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(None, arm.n, i) for i in arm.numbers)
 
     @property
     def label(self) -> str:
@@ -65,7 +68,12 @@ class AnyOfOwnAngle(Effect):
 
     orders: int = 12
 
-    name: ClassVar[str] = "unknown_of_own_angle"
+    name = "unknown_of_own_angle"
+    on_list = "unknown"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(j) for j in arm.revolute)
 
     @property
     def label(self) -> str:
@@ -83,10 +91,15 @@ class AnyOfOwnAngle(Effect):
 class SmoothInJoints(_Series):
     """A smooth function of two joints together."""
 
-    first: int = 1
-    second: int = 2
+    first: int = field(default=1, metadata={"joint": True})
+    second: int = field(default=2, metadata={"joint": True})
 
-    name: ClassVar[str] = "unknown_in_joints"
+    name = "unknown_in_joints"
+    on_list = "unknown"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(None, arm.n, i, j) for i, j in combinations(arm.numbers, 2))
 
     @property
     def label(self) -> str:
@@ -102,7 +115,12 @@ class SmoothInJoints(_Series):
 class SmoothInTime(_Series):
     """A smooth function of time, of the joints, the measuring frame and the tool."""
 
-    name: ClassVar[str] = "unknown_in_time"
+    name = "unknown_in_time"
+    on_list = "unknown"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(None, arm.n),)
 
     @property
     def label(self) -> str:
@@ -141,7 +159,12 @@ class SmoothInSpace(Effect):
 
     reach: float = 2.0
 
-    name: ClassVar[str] = "unknown_in_space"
+    name = "unknown_in_space"
+    on_list = "unknown"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(None, max(arm.reach, 0.1)),)
 
     @property
     def label(self) -> str:
@@ -168,7 +191,12 @@ class SmoothInSpace(Effect):
 class SmoothInLoad(_Series):
     """Errors of all joints that follow the direction of gravity in the flange and the approach directions."""
 
-    name: ClassVar[str] = "unknown_in_load"
+    name = "unknown_in_load"
+    on_list = "unknown"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(None, arm.n),)
 
     @property
     def label(self) -> str:
@@ -189,17 +217,3 @@ class SmoothInLoad(_Series):
         found = [(f"g{c}", 1.0, d) for c, d in zip("xyz", down, strict=True)]
         found += [(f"l{i}", 1.0, load) for i, load in enumerate(loads, 1)]
         return found + [(f"a{i}", 0.7, side) for i, side in enumerate(sides, 1)]
-
-
-def unknowns(robot: Robot) -> list[Effect]:
-    """All forms of the unknown for a robot."""
-    n = robot.n
-    pairs = [(i, j) for i in range(1, n + 1) for j in range(i + 1, n + 1)]
-    return [
-        *(SmoothInJoint(None, n, i) for i in range(1, n + 1)),
-        *(AnyOfOwnAngle(i) for i, joint in enumerate(robot.joints, 1) if joint.kind == "revolute"),
-        *(SmoothInJoints(None, n, i, j) for i, j in pairs),
-        SmoothInTime(None, n),
-        SmoothInSpace(None, max(robot.reach, 0.1)),
-        SmoothInLoad(None, n),
-    ]

@@ -1,0 +1,114 @@
+"""An effect from another package, found by its entry point alone: no line of casadical knows it."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from bench import ROOT, robot
+
+NAME = "ur10e"
+MODULE = '''
+from dataclasses import dataclass
+import casadi as ca
+from casadical.effects import Effect
+
+@dataclass(frozen=True)
+class Cable(Effect):
+    """A cable pulls the joint towards its middle, stiffly at the ends of its range."""
+
+    power: float = 3.0
+
+    name = "toy_cable"
+    signature = "a pull that grows towards the ends of the range"
+    physics = "A loop of cable is shortest in the middle of its range."
+
+    @classmethod
+    def candidates(cls, arm):
+        return (cls(j, power) for j in arm.revolute for power in (2.0, 3.0))
+
+    def sizes(self):
+        return {"pull": (20e-6, "rad")}
+
+    def angle(self, context, q):
+        return -self.value(context, "pull") * ca.sign(q) * ca.fabs(q) ** self.power
+'''
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder as an installer leaves it: a module and its metadata."""
+    folder = tmp_path_factory.mktemp("site")
+    (folder / "toy_effects.py").write_text(MODULE)
+    about = folder / "toy_effects-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: toy-effects\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text("[casadical.effects]\ntoy_cable = toy_effects:Cable\n")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Joint 5 turned by what the cable does, worked out here, and noise."""
+    r, rng = robot(NAME), np.random.default_rng(3)
+    lower, upper = np.array([(max(j.lower, -2.0), min(j.upper, 2.0)) for j in r.joints]).T
+    q = rng.uniform(lower, upper, (60, 6))
+    moved = q.copy()
+    moved[:, 4] -= 60e-6 * q[:, 4] ** 3
+    p = r.position.map(60)(moved.T, r.parameters.values).full().T + rng.normal(0, 15e-6, (60, 3))
+    table = pd.DataFrame(np.rad2deg(q), columns=[f"q{i}_deg" for i in range(1, 7)])
+    table[["x_mm", "y_mm", "z_mm"]] = 1e3 * p
+    file = tmp_path_factory.mktemp("campaign") / "cable.csv"
+    table.to_csv(file, index=False)
+    return file
+
+
+def run(site: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """The command in a fresh process that finds packages in `site`."""
+    path = os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
+    command = [Path(sys.executable).parent / "casadical", *map(str, arguments)]
+    environment = {**os.environ, "PYTHONPATH": path}
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, env=environment)
+
+
+def test_a_plug_in_is_diagnosed_by_its_name(site: Path, campaign: Path, tmp_path: Path) -> None:
+    kept = tmp_path / "answer.json"
+    chosen = "toy_cable,backlash,gear_eccentricity"
+    done = run(site, "diagnose", f"problems/{NAME}", campaign, "--effects", chosen, "--json", kept)
+    assert (done.returncode, done.stderr) == (0, "")
+    (cause,) = json.loads(kept.read_text())["causes"]
+    assert (cause["effect"], cause["joint"]) == ("toy_cable", 5)
+    pull = cause["parameters"]["pull"]
+    assert abs(pull["value"] - 60e-6) < 4 * pull["std_error"] + 3e-6
+    assert cause["settings"][0]["power"] == pytest.approx(3, abs=0.2)
+    assert "a pull that grows towards the ends" in done.stdout
+
+
+def test_without_the_package_its_name_is_unknown(campaign: Path) -> None:
+    done = run(Path("nowhere"), "diagnose", f"problems/{NAME}", campaign, "--effects", "toy_cable")
+    assert done.returncode == 2
+    assert "no effect 'toy_cable'" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("module", "message"),
+    [
+        ("raise RuntimeError('broken')", "cannot be loaded (RuntimeError('broken'))"),
+        ("Cable = 3", "is 3; it must be a subclass"),
+        (MODULE.replace('"toy_cable"', '"backlash"'), "its class is named 'backlash'; both need the same name"),
+    ],
+)
+def test_a_faulty_plug_in_is_named(site: Path, campaign: Path, tmp_path: Path, module: str, message: str) -> None:
+    about = tmp_path / "bad_effects-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: bad-effects\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text("[casadical.effects]\nbad = bad_effects:Cable\n")
+    (tmp_path / "bad_effects.py").write_text(module)
+    done = run(tmp_path, "diagnose", f"problems/{NAME}", campaign, "--effects", "backlash")
+    assert done.returncode == 2
+    assert "plug-in bad = 'bad_effects:Cable' of bad-effects" in done.stderr
+    assert message in " ".join(done.stderr.split())
