@@ -142,6 +142,7 @@ def test_an_explained_gap_of_which_much_is_left_says_so_first(fixed: Diagnosis) 
 def test_a_long_signature_is_wrapped_and_whole(fixed: Diagnosis) -> None:
     class Pull(Backlash):
         name = "pull"
+        signature = ""
         physics = (
             "A loop of cable and hose pulls its joint towards the middle, stiffly at both ends of its range, always."
         )
