@@ -8,7 +8,10 @@ from casadical.core.errors import InputError
 
 
 def joint_angles(q: ArrayLike, joints: int) -> Array:
-    """Return q as an array of shape (n, joints) [rad]; a single pose may come as shape (joints,)."""
+    """Return q as an array of shape (n, joints) [rad]; a single pose may have shape (joints,).
+
+    Raises InputError for another shape or values that are not finite.
+    """
     rows = _numbers(q, "q")
     rows = rows[None] if rows.ndim == 1 else rows
     if rows.ndim != 2 or rows.shape[1] != joints:
@@ -18,7 +21,10 @@ def joint_angles(q: ArrayLike, joints: int) -> Array:
 
 
 def residuals(residual_mm: ArrayLike, poses: int, outputs: int) -> Array:
-    """Return residuals as an array of shape (poses, outputs) [mm]."""
+    """Return residuals as an array of shape (poses, outputs) [mm].
+
+    Raises InputError for another shape or values that are not finite.
+    """
     rows = _numbers(residual_mm, "residual_mm")
     if rows.shape != (poses, outputs):
         raise InputError(

@@ -103,7 +103,7 @@ def load_toml(path: Path) -> dict[str, Any]:
 
 
 def check(schema: type[Schema], data: Mapping[str, Any], source: str) -> Schema:
-    """Data checked against a schema, with an InputError that lists every fault by key."""
+    """Check data against a schema; `source` names them. Raises InputError that lists every fault by key."""
     try:
         return schema.model_validate(data)
     except ValidationError as error:

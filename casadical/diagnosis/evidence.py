@@ -158,7 +158,7 @@ class Sums:
     """
 
     def __init__(self, e: Evidence, known: Sums | None = None) -> None:
-        """known : of the same poses and the first of the columns."""
+        """Of a fit; known : sums of the same poses and the first of the columns."""
         self.e = e
         self._cross: dict[tuple[int, int], Array] = {}
         self._beside: dict[bytes, Beside] = {}

@@ -69,6 +69,7 @@ class Columns:
         return f"{self.source}: row {self.row[k]}"
 
     def column(self, name: str) -> Array:
+        """A column's numbers, shape (k,). Raises InputError where it is missing or not finite."""
         if name not in self.table:
             raise InputError(f"{self.source}: column {name!r} is missing; there are {self.names}")
         values = pd.to_numeric(self.table[name], errors="coerce").to_numpy(dtype=float)
@@ -82,7 +83,7 @@ class Columns:
         return values
 
     def si(self, stem: str, units: Sequence[str]) -> Array:
-        """Column `stem` under one of the allowed unit suffixes, in SI."""
+        """Column `stem` in one of the allowed units, shape (k,) [SI]. Raises InputError for none or several."""
         present = [u for u in units if f"{stem}{u}" in self.table]
         if len(present) > 1:
             both = " and ".join(f"{stem}{u}" for u in present)
@@ -93,6 +94,7 @@ class Columns:
         return self.column(stem + present[0]) * _TO_SI[present[0]]
 
     def joints(self, kinds: Sequence[str]) -> Array:
+        """Joint readings, shape (k, n) [rad or m]. Raises InputError for missing columns, others or wrong units."""
         columns = []
         for i, kind in enumerate(kinds, 1):
             units = ("_deg", "_rad") if kind == "revolute" else ("_mm", "_m")
@@ -130,6 +132,7 @@ class Columns:
         return np.stack([self.si(f"{prefix}{c}", units) for c in "xyz"], axis=1)
 
     def orientation(self) -> Array:
+        """Rotation matrices, shape (k, 3, 3), from whichever columns there are. Raises InputError for no rotation."""
         has = set(self.table)
         if "R00" in has:
             R = np.stack([self.column(f"R{i}{j}") for i in range(3) for j in range(3)], axis=1).reshape(-1, 3, 3)

@@ -78,8 +78,8 @@ def independent(
 ) -> tuple[tuple[str, ...], tuple[Unidentifiable, ...]]:
     """Names that an identification from so many poses like these would keep, and the others with the reason.
 
-    First the independent ones, then, one by one, those are let go of which the data would say less than the prior does
-    (as `least_squares.settle` does).
+    First the independent ones; then, one by one, those are held that the data would determine less accurately than the
+    prior (as in `least_squares.settle`). Raises InputError where none is left.
     """
     problem = _problem(robot, names, m[np.arange(min(_PART, len(m)))])
     found = problem.identifiability(np.zeros(problem.size))

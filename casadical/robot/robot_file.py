@@ -214,7 +214,7 @@ def read_robot(path: str | Path) -> Robot:
 
 
 def robot_from(data: Mapping[str, Any], source: str) -> Robot:
-    """A robot from the tables of a TOML file; `source` names it in messages."""
+    """A robot from the tables of a TOML file; `source` names it in messages. Raises InputError for every fault."""
     file = check(_RobotFile, data, source)
     try:
         return file.robot()

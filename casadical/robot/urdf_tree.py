@@ -30,7 +30,10 @@ def parse_xml(path: Path) -> minidom.Document:
 
 
 def parse_urdf(path: Path) -> Any:
-    """yourdfpy's robot. It mends broken XML in silence, so well-formedness is checked before."""
+    """The robot as yourdfpy reads it. It repairs broken XML silently, so the XML is checked first.
+
+    Raises InputError: yourdfpy is not installed, the XML is malformed, or it is no URDF.
+    """
     try:
         import yourdfpy
     except ImportError:
@@ -82,7 +85,7 @@ class Tree:
 
     @property
     def root(self) -> str:
-        """The one link that hangs on no joint."""
+        """The one link that is no joint's child. Raises InputError for several."""
         roots = [name for name in self.names if name not in self.above]
         if len(roots) > 1:
             raise InputError(
@@ -91,13 +94,13 @@ class Tree:
         return roots[0]
 
     def link(self, name: str, role: str) -> str:
-        """The name, if it is a link."""
+        """The name, if it is a link. Raises InputError otherwise."""
         if name not in self.below:
             raise InputError(f"{self.source}: {role} {name!r} is not there; links: {', '.join(self.names)}")
         return name
 
     def path(self, base: str, tip: str) -> list[Any]:
-        """Joints from base to tip."""
+        """Joints from base to tip. Raises InputError where the tip is not below the base."""
         joints: list[Any] = []
         link: str = tip
         while link != base:
@@ -108,7 +111,7 @@ class Tree:
         return joints[::-1]
 
     def only_end(self, base: str) -> str:
-        """The one end of the tree that a joint moves; the base itself where no joint moves."""
+        """The end of the tree that a joint moves; the base where no joint moves. Raises InputError for several."""
         ends = [link for link, moved in self._walk(base, False) if moved and not self.below[link]]
         if len(ends) > 1:
             raise InputError(
@@ -143,7 +146,7 @@ class Tree:
         return T
 
     def origin(self, item: Any) -> Array:
-        """Of a joint or an inertial, shape (4, 4)."""
+        """Transform of a joint or an inertial, shape (4, 4). Raises InputError if it is not finite."""
         if item.origin is None:
             return np.eye(4)
         if not np.isfinite(item.origin).all():

@@ -30,7 +30,7 @@ TRAINERS: dict[str, type[Trainer]] = {
 
 
 def trainer_named(trainer: Trainer | str) -> Trainer:
-    """Return a trainer as it is, or the one of this name with its default settings."""
+    """Return a trainer as it is, or the one of this name with default settings. Raises InputError for other names."""
     if isinstance(trainer, Trainer):
         return trainer
     if trainer not in TRAINERS:

@@ -40,19 +40,11 @@ class Kernel:
     def rows(self, function: str, q: Array) -> tuple[Array, Array]:
         """Call ``network``, ``forward`` or ``correct`` for each row of joints.
 
-        Parameters
-        ----------
         q : array, shape (k, n) [rad]; converted to the kernel's real type
 
-        Returns
-        -------
-        values : array, shape (k, outputs of the function)
-        status : array, shape (k,), see :class:`casadical.export.Status`
+        Returns the values, shape (k, outputs of the function), and the status, shape (k,), a `casadical.export.Status`.
 
-        Raises
-        ------
-        InputError
-            The export has no such function, or q another number of joints.
+        Raises InputError: the export has no such function, or q another number of joints.
         """
         shape = self.shape
         if function not in shape.outputs:
@@ -123,17 +115,11 @@ def build(shape: Shape, sources: list[Path], folder: Path, compiler: Compiler, f
 def load(export: str | Path, folder: str | Path | None = None) -> Kernel:
     """Compile what an export folder holds and load it.
 
-    Parameters
-    ----------
     export : folder that ``write_c`` wrote
     folder : where the library goes; a temporary folder, removed at once (the loaded code stays), when not given
 
-    Raises
-    ------
-    InputError
-        The folder has no manifest, or a source is not the one that was written.
-    CasadicalError
-        There is no C compiler, it fails, or the compiled code fails its self-test.
+    Raises InputError: the folder has no manifest, or a source is not the one that was written. Raises CasadicalError:
+    there is no C compiler, it fails, or the compiled code fails its self-test.
     """
     export = Path(export)
     manifest = _manifest(export)

@@ -120,14 +120,10 @@ _ROWS_AT_ONCE = 4096  # keeps the values of a long tape in the cache
 def run(tape: Tape, inputs: Array, real: Real) -> tuple[Array, Array]:
     """Evaluate a tape on many inputs.
 
-    Parameters
-    ----------
     inputs : array, shape (k, n_in), already of the real type
 
-    Returns
-    -------
-    outputs : array, shape (k, n_out)
-    fine : boolean array, shape (k,); false where a guard of the tape was touched (no real root, argument out of range)
+    Returns the outputs, shape (k, n_out), and a boolean array, shape (k,), false where a guard of the tape was touched
+    (no real root, argument out of range).
     """
     starts = range(0, max(len(inputs), 1), _ROWS_AT_ONCE)
     parts = [_run(tape, inputs[start : start + _ROWS_AT_ONCE], real) for start in starts]

@@ -163,10 +163,8 @@ def tape_of(function: casadi.Function) -> Tape:
 
     All inputs are taken as one vector in the order of the function's arguments, and so are the outputs.
 
-    Raises
-    ------
-    InputError
-        The function cannot be expanded, has sparse arguments, or uses an operation that the generated C does not have.
+    Raises InputError: the function cannot be expanded, has sparse arguments, or uses an operation that the generated C
+    does not have.
     """
     function = _expanded(function)
     starts_in = _starts(function, [function.sparsity_in(i) for i in range(function.n_in())])

@@ -61,20 +61,14 @@ def write_c(
 ) -> Export:
     """Turn a network or a command into C99 with everything an integrator needs, compiled and compared.
 
-    Parameters
-    ----------
     product : :class:`NetworkFunction` or :class:`Command`
     folder : made when missing; what is in it already stays
     name : prefix of the C functions and files: a lower-case C identifier of at most 24 characters
     vectors : joint vectors on which the compiled C is compared with the reference
     overwrite : replace files that this function did not write, or that were changed since
 
-    Raises
-    ------
-    InputError
-        A name, type or function cannot be used, or a file is in the way.
-    CasadicalError
-        The C does not compile without warnings, or gives other bits than the reference; nothing was written.
+    Raises InputError: a name, type or function cannot be used, or a file is in the way. Raises CasadicalError: the C
+    does not compile without warnings, or gives other bits than the reference; nothing was written.
     """
     label = _checked_label(name, real, model_sha256, data_sha256)
     folder = Path(folder)

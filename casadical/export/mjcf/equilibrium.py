@@ -74,7 +74,7 @@ class _Model:
             self.mujoco.mj_setConst(self.m, self.d)
 
     def rest(self, command: Array, approach: Array) -> Array:
-        """The measured point, shape (3,) [m], where everything balances."""
+        """The measured point at equilibrium, shape (3,) [m]. Raises ConvergenceError where none is found."""
         d, m = self.d, self.m  # joints are hinges and slides: the indices of q, of v and of joints agree
         d.qpos[:] = 0.0
         d.qvel[:] = 0.0
