@@ -24,7 +24,6 @@ extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
-    "sphinx.ext.napoleon",
     "sphinx_gallery.gen_gallery",
 ]
 exclude_patterns = ["README.md", "tutorials/*"]
@@ -71,8 +70,6 @@ _ITEM = re.compile(r"^(\*{0,2}\w[\w]*(?:, \*{0,2}\w+)*) : (.*)$")
 
 def _as_lists(*arguments: Any) -> None:
     lines: list[str] = arguments[-1]
-    if any(re.fullmatch(r"\s*-{3,}", line) for line in lines):  # numpydoc's sections: napoleon's business
-        return
     out: list[str] = []
     inside = False
     for line in lines:

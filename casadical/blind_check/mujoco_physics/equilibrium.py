@@ -41,8 +41,6 @@ class Setting:
 class Stop:
     """What the robot does at one pose.
 
-    Attributes
-    ----------
     motors : array (6,), where the motors stop [rad]
     approach : array (6,) of -1 and 1, from which side they come
     start : coordinates of joints to start from

@@ -16,8 +16,6 @@ X, Y, Z, ORIGIN = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 
 class Joint:
     """A hinge or a slide of a body in its parent; the joints of one body act in turn, the first at the parent.
 
-    Attributes
-    ----------
     name : unique in the mechanism
     kind, axis, at : hinge or slide, its direction and a point on it [m], in the body's frame
     ref : coordinate [rad or m] at which the body is where its ``place`` says
@@ -108,14 +106,14 @@ class Mechanism:
     shafts: tuple[Shaft, ...] = ()
 
     def body(self, name: str) -> Body:
-        """The body of that name; InputError when there is none."""
+        """The body of that name. Raises InputError if there is none."""
         for body in self.bodies:
             if body.name == name:
                 return body
         raise InputError(f"no body {name!r}; there are {', '.join(b.name for b in self.bodies)}")
 
     def holder(self, joint: str) -> Body:
-        """The body that has the joint of that name; InputError when none has."""
+        """The body that has the joint of that name. Raises InputError if none has."""
         for body in self.bodies:
             if any(j.name == joint for j in body.joints):
                 return body

@@ -20,8 +20,6 @@ _SIZES = {"size", "oval", "shift_m", "turn_rad", "share", "gradient_K_per_m"}
 def draw_disturbance(effect: str, seed: int, *, joint: int | None = None, scale: float = 1.0) -> Disturbance:
     """The effect with 0.7 to 1.5 times its usual size, times ``scale``, and everything else by chance.
 
-    Parameters
-    ----------
     effect : a word of ``disturbances.LISTED`` or ``disturbances.UNLISTED``
     seed : everything drawn follows from it
     joint : 1 to 6, for an effect that sits in a joint; a coupling comes from the joint before it

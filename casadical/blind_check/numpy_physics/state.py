@@ -19,8 +19,6 @@ GRAVITY = 9.81
 class State:
     """n poses at rest, or on the way to it.
 
-    Attributes
-    ----------
     plant, stops : the robot and the circumstances
     angles : array (n, 6), true angles of the actuated joints [rad]
     bodies : array (7, n, 4, 4), motions of links 1-6 and of what the flange carries, from zero readings to the

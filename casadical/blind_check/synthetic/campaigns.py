@@ -31,8 +31,6 @@ class Instrument(Protocol):
 class Machine:
     """A robot as built with its effects, as one of the physics simulates it.
 
-    Attributes
-    ----------
     plant : the robot as built (see ``perturb``)
     positions : where the reflector is, (n, 3) [m], at n stops with errors (n, 6) [rad] of the joints
     instruments : effects, for what they do to the measured positions
@@ -107,8 +105,6 @@ def simulate(
 
     Poses, circumstances and noise do not depend on the effects: the same campaign without them is their absence.
 
-    Parameters
-    ----------
     n, seed : number of poses, and what everything drawn follows from
     repeatability_urad : standard deviation of each joint about its reading
     noise_mm : standard deviation of each measured coordinate
@@ -119,9 +115,7 @@ def simulate(
     crank_distance_m : limits of the loop's crank distance; by default a quarter of the rocker away from the folds
     truth : add x_true_mm, y_true_mm, z_true_mm: no noise, joints exactly repeated, and the instrument right
 
-    Returns
-    -------
-    DataFrame with pose, time_s, temperature_degC, payload_kg, approach1..6, q1_deg..q6_deg, x_mm, y_mm, z_mm
+    Returns a DataFrame with pose, time_s, temperature_degC, payload_kg, approach1..6, q1_deg..q6_deg, x_mm, y_mm, z_mm.
 
     Raises InputError when an argument is not usable or no pose keeps the loop's limits.
     """
@@ -160,8 +154,6 @@ def simulate_readings(
 ) -> pd.DataFrame:
     """Measure given poses: the table ``readings`` with the positions of the reflector.
 
-    Parameters
-    ----------
     machine, seed, noise_mm, repeatability_urad, truth : as in ``simulate``
     readings : one row a pose, with q1_deg..q6_deg; where they are missing, time_s is 30 s a pose, temperature_degC 20
         throughout, payload_kg the robot's, approach1..6 1

@@ -20,8 +20,6 @@ def perturb(
 ) -> Plant:
     """The robot with generic errors: all six of every link, not only those that DH rows name.
 
-    Parameters
-    ----------
     plant : the nominal robot
     seed : everything drawn follows from it
     length_mm, angle_mrad : standard deviations of each coordinate of a link's error (of the bars and the crank, too)

@@ -36,8 +36,6 @@ class FourBar:
 class Plant:
     """A six-axis robot at zero readings, in SI units.
 
-    Attributes
-    ----------
     home : array (6, 4, 4), frame of every link in the robot's base at zero readings; joint i turns about its z axis
     reflector : array (3,), reflector in frame 6 [m]
     mass, com : arrays (6,) [kg] and (6, 3) [m], mass centres in the link frames

@@ -16,8 +16,6 @@ from casadical.core.errors import InputError
 class Stops:
     """What is known of n poses when the robot has stopped.
 
-    Attributes
-    ----------
     q : array (n, 6), joint readings [rad]
     time_s : array (n,), since the start
     warmth_K : array (n,), the arm's surface over its temperature at time 0
