@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from casadical.blind_check.predictor import Session, foretold, rounded
-from casadical.core.errors import InputError
+from casadical.blind_check.predictor import Session, rounded, unseen_positions
+from casadical.core.errors import ConvergenceError, InputError
 from casadical.core.transforms import Array
 from casadical.diagnosis.candidates import Candidate, standard_candidates
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.effects import Effect
 from casadical.identification.identification import identify
+from casadical.robot.robot import Robot
 
 SIGNIFICANT = 0.01
 MOST = 4
@@ -161,14 +162,23 @@ def _forward(s: Session, step: Step) -> dict[str, Any]:
         case = replace(case, candidates=tuple(c for c in case.candidates if c.label != candidate.label))
         choice = step(left, case, len(taken))
     together = dict.fromkeys(e for t in taken for e in t.effects)
+    out = case.m.row[~case.kept]
     return {
         "campaign": s.name,
         "verdict": "explained" if taken else "none",
         "gap_mm": {"before": round(1e3 * before, 5), "after": round(1e3 * _mean_length(left.y), 5)},
         "causes": [_cause(t, before) for t in taken],
         "posterior": rounded(first.probability),
-        "unseen": foretold(s, found.robot, s.robot.with_effect(*together), case.m.row[~case.kept]),
+        "unseen": unseen_positions(s, found.robot, _with_causes(s, tuple(together), out), out),
     }
+
+
+def _with_causes(s: Session, effects: tuple[Effect, ...], leave_out: Array) -> Robot:
+    """The robot fitted with these effects; the nominal one, without effects, where the fit finds no optimum."""
+    try:
+        return s.fitted(s.robot.with_effect(*effects), leave_out) if effects else s.robot
+    except ConvergenceError:
+        return s.robot
 
 
 def _cause(t: _Taken, before: float) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import import_module
 from typing import Any
@@ -50,14 +50,19 @@ class Session:
     def measured(self) -> Measurements:
         return self.everything[self.seen]
 
-    def foretold(self, robot: Robot) -> Array:
-        """Positions of a robot at the unseen poses, shape (unseen, 3) [m]."""
+    def _with_columns(self, robot: Robot) -> Measurements:
+        """All poses with the columns that a robot's effects need; warmth is counted from the measured poses' mean."""
         m, _ = derive(self.everything, robot.conditions)
-        return predicted(robot, m[~self.seen])[0]
+        columns = {k: c - c[self.seen].mean() if k.startswith("warmth") else c for k, c in m.conditions.items()}
+        return replace(m, conditions=columns)
+
+    def at_unseen(self, robot: Robot) -> Array:
+        """Positions of a robot at the unseen poses, shape (unseen, 3) [m]."""
+        return predicted(robot, self._with_columns(robot)[~self.seen])[0]
 
     def fitted(self, robot: Robot, leave_out: Array) -> Robot:
         """A robot, effects included, identified from the measured poses but those of the rows given."""
-        m, _ = derive(self.everything, robot.conditions)
+        m = self._with_columns(robot)
         m = m[self.seen & ~np.isin(m.row, leave_out)]
         free = ("kinematic", "compliance", *dict.fromkeys(e.label for e in robot.effects))
         return identify(robot, m, free, loss="huber", priors=True, screen=False).robot
@@ -115,20 +120,17 @@ def diagnosed(s: Session) -> dict[str, Any]:
     out = np.array([o.row for o in found.outliers], dtype=int)
     return answer | {
         "posterior": rounded(posterior),
-        "unseen": foretold(s, found.identification.robot, found.apply(), out),
+        "unseen": unseen_positions(s, found.identification.robot, found.apply(), out),
     }
 
 
-def foretold(s: Session, base: Robot, robot: Robot, leave_out: Array) -> dict[str, Any]:
-    """Positions at the unseen poses by the base model and by a robot with effects, both fitted to the same poses.
+def unseen_positions(s: Session, base: Robot, with_causes: Robot, leave_out: Array) -> dict[str, Any]:
+    """Positions at the unseen poses by the base model and by the robot with causes, in mm.
 
-    base : as calibrated on all poses; leave_out : rows of those that are outliers
+    base : as calibrated on all poses; leave_out : rows of outliers, without which it is calibrated anew
     """
-    before = s.foretold(s.fitted(s.robot, leave_out) if len(leave_out) else base)
-    try:
-        after = s.foretold(s.fitted(robot, leave_out)) if robot.effects else before
-    except ConvergenceError:
-        after = before
+    before = s.at_unseen(s.fitted(s.robot, leave_out) if len(leave_out) else base)
+    after = s.at_unseen(with_causes) if with_causes.effects else before
     return {"base_mm": in_mm(before), "with_causes_mm": in_mm(after)}
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,10 +17,12 @@ from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 
 
-def refit(case: Case, effects: tuple[Effect, ...], noise: Noise, use: Array | None = None) -> Identification:
-    """Base model and effects identified together from the poses that are no outliers.
+def refit(case: Case, effects: Sequence[Effect], noise: Noise, use: Array | None = None) -> Identification:
+    """Base model and effects identified together: the evidence's model without its linearisation.
 
-    It starts from the calibrated base model, for what loads a joint shows nothing while the joint's compliance is zero.
+    The data, their noise and the priors are the evidence's: positions of the poses that are no outliers, the sigma
+    that the diagnosis found, base parameters that depart from the robot that was given. It starts from the calibrated
+    base model, for what loads a joint shows nothing while the joint's compliance is zero.
     effects : with their settings (knee, lag, cycles), which stay; their parameters are free
     use : mask over the kept poses of those to identify from, all by default
     """
@@ -28,10 +30,17 @@ def refit(case: Case, effects: tuple[Effect, ...], noise: Noise, use: Array | No
     m = m if use is None else m[use]
     base = case.robot if use is None else identify(case.given, m, priors=True).robot
     free = ("kinematic", "compliance", *dict.fromkeys(e.label for e in effects))
-    return identify(base.with_effect(*effects), m, free, priors=True)
+    return identify(base.with_effect(*effects), m, free, priors=_priors(case))
 
 
-def measurements_of(case: Case, effects: tuple[Effect, ...], noise: Noise) -> Measurements:
+def _priors(case: Case) -> dict[str, tuple[float, float]]:
+    """Mean and one sigma of the evidence's prior of each base parameter; the base frame stays where it was placed."""
+    values = zip(case.given.parameters.values.tolist(), case.whole.prior.tolist(), strict=True)
+    priors = zip(case.given.parameters.names, values, strict=True)
+    return {name: prior for name, prior in priors if not name.startswith("base_")}
+
+
+def measurements_of(case: Case, effects: Sequence[Effect], noise: Noise) -> Measurements:
     """Kept poses as positions, with every column that the effects need, and the noise that was found."""
     m, _ = derive(case.m, [c for e in effects for c in e.conditions])
     return replace(m, kind="position", orientation=None, sigma=noise.sigma)[case.kept]
@@ -52,7 +61,7 @@ class Check:
 
 
 def held_out_refit(
-    case: Case, effects: tuple[Effect, ...], noise: Noise, seed: int, show: Callable[[str], None] = lambda _text: None
+    case: Case, effects: Sequence[Effect], noise: Noise, seed: int, show: Callable[[str], None] = lambda _text: None
 ) -> Array:
     """Position error of each kept pose, shape (kept,) [m], by a refit to the other fifths."""
     folds = random_folds(int(case.kept.sum()), seed)

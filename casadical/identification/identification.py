@@ -205,7 +205,7 @@ def identify(
     *,
     method: Method | None = None,
     loss: Loss = "linear",
-    priors: bool = False,
+    priors: bool | Mapping[str, tuple[float, float]] = False,
     screen: bool = True,
     progress: Progress | None = None,
 ) -> Identification:
@@ -215,7 +215,8 @@ def identify(
     free : parameters by group (base, geometry, loop, tool, compliance), union (kinematic, placement), name or pattern
     method : the paper's KM (kinematics only, joints rigid) or SKCM (with compliance), instead of `free`
     loss : linear, huber or soft_l1; the robust ones leave poses that noise explains once in 100 000 out of a last solve
-    priors : whether departures from nominal are held back by the robot's prior widths
+    priors : whether departures from nominal are held back by the robot's prior widths; or name -> (mean, one sigma)
+        [SI] of parameters with another prior, the others' being the robot's own
     screen : whether a robust loss leaves far poses out of further solves, or only gives them less weight
     progress : called with iteration number and cost
 

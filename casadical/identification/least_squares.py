@@ -7,7 +7,7 @@ loss), of known separations between points, and of priors where they are asked f
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -53,6 +53,7 @@ class LeastSquares:
     """One identification problem; see the module's text.
 
     names : parameters that are variables; sigmas : of one coordinate [m] and angle [rad], for each set
+    priors : whether the robot's own priors hold the variables back, or name -> (mean, one sigma) [SI] of other priors
     fixed_loads : whether gravity torques are those of the nominal geometry (see `Model`)
     """
 
@@ -60,7 +61,7 @@ class LeastSquares:
     sets: tuple[Measurements, ...]
     names: tuple[str, ...]
     loss: Loss
-    priors: bool
+    priors: bool | Mapping[str, tuple[float, float]]
     sigmas: tuple[tuple[float, float], ...]
     fixed_loads: bool = False
 
@@ -126,8 +127,22 @@ class LeastSquares:
         """One over the prior's variance, of each variable; zero without priors."""
         weights = np.zeros(self.size)
         if self.priors:
-            weights[: len(self.names)] = (self.scale / self._parameter("prior")) ** 2
+            weights[: len(self.names)] = (self.scale / self._prior[1]) ** 2
         return weights
+
+    @cached_property
+    def prior_mean(self) -> Array:
+        """Of each variable; zero, which is nominal, with the robot's own priors."""
+        mean = np.zeros(self.size)
+        mean[: len(self.names)] = (self._prior[0] - self._parameter("value")) / self.scale
+        return mean
+
+    @cached_property
+    def _prior(self) -> Array:
+        """Mean and one sigma of each chosen parameter's prior, shape (2, p) [SI]."""
+        other = self.priors if isinstance(self.priors, Mapping) else {}
+        own = (self.robot.parameters[n] for n in self.names)
+        return np.array([other.get(p.name, (p.value, p.prior)) for p in own]).reshape(-1, 2).T
 
     def separate(self, v: Array) -> tuple[Array, Array]:
         """x, shape (p,), and u, shape (K, 3)."""
@@ -155,8 +170,9 @@ class LeastSquares:
             gradient, hessian = gradient + J.T @ r, hessian + ca.triu(J.T @ J)
         if self.priors:
             weights = ca.DM(self.prior_weights)
-            prior = ca.dot(weights, v**2) / 2
-            cost, again, gradient = cost + prior, again + prior, gradient + weights * v
+            departure = v - ca.DM(self.prior_mean)
+            prior = ca.dot(weights, departure**2) / 2
+            cost, again, gradient = cost + prior, again + prior, gradient + weights * departure
             hessian += ca.diag(weights)
         lower, upper = self.bounds
         return minimise(
@@ -209,7 +225,8 @@ class LeastSquares:
     def gradient(self, v: Array) -> tuple[Array, Array]:
         """Gradient and Gauss-Newton Hessian of the cost at v, from residuals: a way apart from the solver's."""
         r, J, slope = self._weighted(v)
-        return J.T @ (slope * r) + self.prior_weights * v, J.T @ (slope[:, None] * J) + np.diag(self.prior_weights)
+        gradient = J.T @ (slope * r) + self.prior_weights * (v - self.prior_mean)
+        return gradient, J.T @ (slope[:, None] * J) + np.diag(self.prior_weights)
 
     def _weighted(self, v: Array) -> tuple[Array, Array, Array]:
         """All residuals, shape (residuals,), the whole Jacobian, and the weight that the loss gives each row."""
@@ -394,7 +411,7 @@ def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float
     if problem.loss != "linear" and not trimmed:
         typical = float(np.median([spread(r) ** 2 for r in residuals]))
         return typical * problem.residual_count / max(1, freedom)
-    chi2 = sum(float((r**2).sum()) for r in residuals) + float(problem.prior_weights @ v**2)
+    chi2 = sum(float((r**2).sum()) for r in residuals) + float(problem.prior_weights @ (v - problem.prior_mean) ** 2)
     return chi2 / max(1, freedom)
 
 

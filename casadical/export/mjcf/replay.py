@@ -16,10 +16,10 @@ import pandas as pd
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
+from casadical.diagnosis.refit import refit
 from casadical.export.mjcf.drives import counterparts
 from casadical.export.mjcf.equilibrium import positions
 from casadical.export.mjcf.mjcf import MjcfExport, mjcf
-from casadical.export.mjcf.sources import with_causes
 from casadical.identification.accuracy import Accuracy, predicted, summarise
 from casadical.identification.identification import Identification, identify
 from casadical.measurements.derived_columns import derive
@@ -113,7 +113,7 @@ def replay_campaign(
     parts = m.split({"identify": share, "report": round(0.999 - share, 3)}, seed)
     fitted, held_out = parts["identify"], parts["report"]
     found = diagnose(robot, fitted, effects, seed=seed, show=show)
-    return Replay(m.source, robot.name, _stages(robot, fitted, held_out, found, show), found)
+    return Replay(m.source, robot.name, _stages(robot, fitted, held_out, found, found.apply, show), found)
 
 
 def replay_diagnosis(
@@ -128,14 +128,28 @@ def replay_diagnosis(
     case, robot = found.case, found.case.given
     m, _ = derive(case.m, ["progress", *(f"approach{i}" for i in range(1, robot.n + 1))])
     m = replace(m, kind="position", orientation=None)[case.kept]
-    parts = m.split({"identify": share, "report": round(0.999 - share, 3)}, seed)
-    return Replay(m.source, robot.name, _stages(robot, parts["identify"], parts["report"], found, show), found)
+    numbered = replace(m, row=np.arange(len(m)))
+    parts = numbered.split({"identify": share, "report": round(0.999 - share, 3)}, seed)
+    fitted = np.isin(numbered.row, parts["identify"].row)
+
+    def with_causes() -> Robot:
+        return refit(case, found.effects(), found.noise, fitted).robot
+
+    return Replay(m.source, robot.name, _stages(robot, m[fitted], parts["report"], found, with_causes, show), found)
 
 
 def _stages(
-    robot: Robot, fitted: Measurements, held_out: Measurements, found: Diagnosis, show: Show
+    robot: Robot,
+    fitted: Measurements,
+    held_out: Measurements,
+    found: Diagnosis,
+    with_causes: Callable[[], Robot],
+    show: Show,
 ) -> tuple[Stage, ...]:
-    """Nominal robot, calibrated one, and that with the causes: identified from some poses, replayed at others."""
+    """Nominal robot, calibrated one, and that with the causes: identified from some poses, replayed at others.
+
+    with_causes : gives the robot with its causes, identified from `fitted`
+    """
     show("calibrating")
     rigid = robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0))
     placed = _fit(rigid, fitted, ("placement",))
@@ -144,7 +158,7 @@ def _stages(
     show("replaying")
     named = [c.label for c in found.causes if c.effects]
     if named:
-        stages.append(replay(with_causes(robot, fitted, found), held_out, " and ".join(named)))
+        stages.append(replay(with_causes(), held_out, " and ".join(named)))
     return tuple(stages)
 
 

@@ -9,9 +9,6 @@ from casadical.core.errors import InputError
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.export.mjcf.into_mjcf import into_mjcf
 from casadical.export.mjcf.mjcf import MjcfExport
-from casadical.identification.identification import identify
-from casadical.measurements.derived_columns import derive
-from casadical.measurements.measurements import Measurements
 from casadical.project.calibration import Calibration, calibrate
 from casadical.project.problem import read_campaign, read_campaign_robot, read_problem, read_problem_robot
 from casadical.robot.robot import Robot
@@ -46,15 +43,7 @@ def robot_to_write(
     robot = read_campaign_robot(source)
     m = read_campaign(source, campaign, robot)
     found = diagnose(robot, m, effects.split(",") if effects else "standard", show=show)
-    return with_causes(robot, m, found), found
-
-
-def with_causes(robot: Robot, m: Measurements, found: Diagnosis) -> Robot:
-    """The robot calibrated together with the effects that a diagnosis found. Raises InputError, ConvergenceError."""
-    causes = [e for c in found.causes for e in c.effects]
-    m, _ = derive(m, [c for e in causes for c in e.conditions])
-    free = ("kinematic", "compliance", *(e.label for e in causes))
-    return identify(robot.with_effect(*causes), m, free, loss="huber", priors=True, screen=False).robot
+    return found.apply(), found
 
 
 def into_users(
