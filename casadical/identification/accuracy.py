@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from casadical.core.errors import InputError
 from casadical.core.transforms import Array
+from casadical.measurements.kinds.base import PositionsAt
+from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
@@ -59,42 +61,14 @@ def residual_mm(robot: Robot, m: Measurements) -> Array:
 
 
 def errors(robot: Robot, m: Measurements) -> Array:
-    """What is left between model and measurement, shape (n,) [m].
+    """What is left between model and measurement, shape (n,) [m], as its kind says (`MeasurementKind.errors`).
 
     Position and pose: the distance between the points. Distances: the absolute difference. Contact: the distance from
     the mean of all poses at the same point, which is all that can be known of it.
     """
-    p, _ = predicted(robot, m)
-    if m.kind in ("position", "pose"):
-        assert m.position is not None
-        return np.asarray(np.linalg.norm(p - m.position, axis=1))
-    if m.kind == "contact":
-        return np.asarray(np.linalg.norm(p - contact_means(p, m), axis=1))
-    assert m.distance is not None
-    if m.kind == "pair_distance":
-        assert m.other is not None
-        from dataclasses import replace
-
-        far, _ = predicted(robot, replace(m, q=m.other, other=None, kind="distance"))
-    else:
-        far = trilaterated(p, m) if m.target is None else m.target
-    return np.asarray(np.abs(np.linalg.norm(p - far, axis=1) - m.distance))
+    return find_kind(m.kind).errors(m.arrays, predicted(robot, m)[0], positions_at(robot, m))
 
 
-def contact_means(p: Array, m: Measurements) -> Array:
-    """Mean position of all poses with the same label, for each pose, shape (n, 3) [m]."""
-    assert m.label is not None
-    _, group = np.unique(m.label.astype(str), return_inverse=True)
-    sums = np.zeros((group.max() + 1, 3))
-    np.add.at(sums, group, p)
-    return np.asarray((sums / np.bincount(group)[:, None])[group])
-
-
-def trilaterated(p: Array, m: Measurements) -> Array:
-    """The unknown far end of distances from p, shape (3,) [m]: |p|^2 - L^2 = 2 p.P - |P|^2 by least squares."""
-    assert m.distance is not None
-    centre = p.mean(axis=0)
-    local = p - centre
-    A = np.column_stack([2 * local, -np.ones(len(p))])
-    P = np.linalg.lstsq(A, (local**2).sum(axis=1) - m.distance**2, rcond=None)[0][:3]
-    return np.asarray(P + centre)
+def positions_at(robot: Robot, m: Measurements) -> PositionsAt:
+    """Positions of the robot, shape (n, 3) [m], as a function of other readings under the conditions of these poses."""
+    return lambda q: predicted(robot, replace(m, q=q))[0]

@@ -28,6 +28,7 @@ from casadical.identification.placement import place
 from casadical.identification.plausibility import check_against
 from casadical.identification.residuals import LOSSES, Loss, make_block
 from casadical.identification.solver import Progress, Solution
+from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot, modified_dh
 from casadical.robot.robot_file import to_toml
@@ -37,7 +38,7 @@ Method = Literal["KM", "SKCM"]
 METHODS: dict[str, tuple[str, ...]] = {"KM": ("kinematic",), "SKCM": ("kinematic", "compliance")}
 
 # Quantiles of chi-squared at 1 - 1e-5, by degrees of freedom.
-OUTLIER_CHI2 = {1: 19.51, 3: 25.90, 6: 33.11}
+OUTLIER_CHI2 = {1: 19.51, 2: 23.03, 3: 25.90, 4: 28.47, 5: 30.86, 6: 33.11}
 LEAST_REDUNDANCY = 0.1
 SCREENINGS = 8
 SIGMA_ROUNDS = 6
@@ -277,7 +278,7 @@ def _by_method(robot: Robot, method: str) -> tuple[Robot, tuple[str, ...]]:
 def _with_sigmas(problem: LeastSquares, progress: Progress | None) -> Settled:
     """Solve; where a sigma matters and was not given, estimate it from the residuals and solve again."""
     first = problem.sets[0]
-    several = len(problem.sets) > 1 or first.kind == "pose" or bool(first.separations)
+    several = len(problem.sets) > 1 or find_kind(first.kind).angles > 0 or bool(first.separations)
     matters = problem.loss != "linear" or problem.priors or several
     for _ in range(SIGMA_ROUNDS):
         settled = settle(problem, progress)
@@ -300,9 +301,11 @@ def _estimated_sigmas(problem: LeastSquares, solution: Solution) -> tuple[tuple[
     for k, (m, (sigma, angle)) in enumerate(zip(problem.sets, problem.sigmas, strict=True)):
         freedom = share[edges[k] : edges[k + 1]].reshape(residuals[k].shape)[m.weight > 0]
         r = residuals[k][m.weight > 0]
-        sigma = m.sigma or sigma * _deviation(problem, r[:, :3], freedom[:, :3])
-        if m.kind == "pose":
-            angle = m.sigma_angle or angle * _deviation(problem, r[:, 3:], freedom[:, 3:])
+        lengths = find_kind(m.kind).lengths
+        if lengths:
+            sigma = m.sigma or sigma * _deviation(problem, r[:, :lengths], freedom[:, :lengths])
+        if lengths < r.shape[1]:
+            angle = m.sigma_angle or angle * _deviation(problem, r[:, lengths:], freedom[:, lengths:])
         found.append((max(sigma, LEAST_SIGMA), max(angle, LEAST_SIGMA)))
     return tuple(found)
 

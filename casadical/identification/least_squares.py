@@ -18,7 +18,7 @@ import numpy as np
 from casadical.core.errors import InputError
 from casadical.core.parameters import Parameter
 from casadical.core.transforms import Array
-from casadical.identification.accuracy import contact_means, predicted, trilaterated
+from casadical.identification.accuracy import predicted
 from casadical.identification.identifiability import (
     Identifiability,
     Unidentifiable,
@@ -26,8 +26,9 @@ from casadical.identification.identifiability import (
     correlated,
     poorly_determined,
 )
-from casadical.identification.residuals import POINT_SCALE, Block, Loss, has_point, loss_slope, make_block
+from casadical.identification.residuals import POINT_SCALE, Block, Loss, loss_slope, make_block
 from casadical.identification.solver import Progress, Solution, minimise
+from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
@@ -72,19 +73,16 @@ class LeastSquares:
 
     def _pose_labels(self, k: int) -> list[str]:
         m = self.sets[k]
-        if not has_point(m):
-            return []
-        return [f"{k}/far end"] * len(m) if m.label is None else [f"{k}/{name}" for name in m.label]
+        return [f"{k}/{name}" for name in find_kind(m.kind).point_names(m.arrays)]
 
     @cached_property
     def points(self) -> Array:
         """Start of every unknown point, shape (K, 3) [m]."""
         start: dict[str, Array] = {}
         for k, m in enumerate(self.sets):
-            if has_point(m):
+            if labels := self._pose_labels(k):
                 p, _ = predicted(self.robot, m)
-                where = contact_means(p, m) if m.kind == "contact" else np.tile(trilaterated(p, m), (len(m), 1))
-                start |= dict(zip(self._pose_labels(k), where, strict=True))
+                start |= dict(zip(labels, find_kind(m.kind).point_starts(m.arrays, p), strict=True))
         return np.array([start[name] for name in self.labels]).reshape(-1, 3)
 
     @cached_property
@@ -259,13 +257,13 @@ class LeastSquares:
         _, J = replace(self, fixed_loads=loaded).evaluate(v)
         p = len(self.names)
         held = {n: self.robot.parameters[n].held for n in self.names if self.robot.parameters[n].held}
-        if all(m.position is None and m.target is None for m in self.sets):
+        if not any(find_kind(m.kind).at_rest(m.arrays) for m in self.sets):
             held |= dict.fromkeys(_WHOLE_ROBOT, "nothing at rest was measured: moving the whole robot changes nothing")
         if self.priors and self.residual_count <= self.size:
             J = np.concatenate([J, np.diag(np.sqrt(self.prior_weights))])  # too few numbers to say what is confounded
         J_ordered = np.concatenate([J[:, p:], J[:, :p]], axis=1)
         found = analyse(J_ordered, self.names, 3 * len(self.labels), held)
-        if any(m.kind != "contact" or m.separations for m in self.sets) or not self._scale_is_free():
+        if any(find_kind(m.kind).tells_scale or m.separations for m in self.sets) or not self._scale_is_free():
             return found
         longest = max(found.independent, key=lambda n: abs(self._length(n)))
         held[longest] = "contact without known separations tells no scale; this length is taken as the measure"

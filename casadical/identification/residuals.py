@@ -10,15 +10,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, Literal
+from typing import Literal
 
 import casadi as ca
 import numpy as np
 
 from casadical.core.casadi_buffers import call
 from casadical.core.compile_cache import compiled
+from casadical.core.errors import InputError
 from casadical.core.transforms import Array
-from casadical.measurements.kinds import Kind
+from casadical.measurements.kinds.base import MeasurementKind, PoseExpression
+from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.model import Expressions, expressions, frame_numbers
 from casadical.robot.robot import Robot
@@ -33,64 +35,7 @@ COMPILE_FROM = 2000
 
 # Square of the normalised residual at which a robust loss leaves the parabola: the 95 % quantile of a chi-squared
 # distribution with as many degrees of freedom as the kind observes.
-_KNEE = {1: 3.84, 3: 7.81, 6: 12.59}
-
-
-class _Pose:
-    """What a residual may use: the model at this pose, its unknown point, and its column of data, taken in order."""
-
-    def __init__(self, model: Expressions, n: int, phi: ca.SX, frames: ca.SX, loaded: ca.SX, u: ca.SX) -> None:
-        self._model = model.function("p", "R")
-        self._shared = (phi, frames, loaded)
-        self.columns: list[ca.SX] = []
-        self.n, self.u = n, u
-        q, self._w = self.take(n), self.take(model.w.numel())
-        self.p, self.R = self._model(q, self._w, *self._shared)
-
-    def take(self, count: int) -> ca.SX:
-        self.columns.append(ca.SX.sym(f"d{len(self.columns)}", count))
-        return self.columns[-1]
-
-    def position_at(self, q: ca.SX) -> ca.SX:
-        return self._model(q, self._w, *self._shared)[0]
-
-
-def _position(pose: _Pose) -> ca.SX:
-    return (pose.p - pose.take(3)) * pose.take(1)
-
-
-def _full_pose(pose: _Pose) -> ca.SX:
-    y, Y = pose.take(3), ca.reshape(pose.take(9), 3, 3)
-    # sin(angle) times the axis of Y' R: smooth, and the rotation vector itself to third order.
-    E = Y.T @ pose.R
-    turn = 0.5 * ca.vertcat(E[2, 1] - E[1, 2], E[0, 2] - E[2, 0], E[1, 0] - E[0, 1])
-    return ca.vertcat((pose.p - y) * pose.take(1), turn * pose.take(1))
-
-
-def _distance(pose: _Pose) -> ca.SX:
-    return (ca.norm_2(pose.p - pose.take(3) - POINT_SCALE * pose.u) - pose.take(1)) * pose.take(1)
-
-
-def _pair_distance(pose: _Pose) -> ca.SX:
-    return (ca.norm_2(pose.p - pose.position_at(pose.take(pose.n))) - pose.take(1)) * pose.take(1)
-
-
-def _contact(pose: _Pose) -> ca.SX:
-    return (pose.p - pose.take(3) - POINT_SCALE * pose.u) * pose.take(1)
-
-
-_RESIDUAL: dict[Kind, Callable[[_Pose], ca.SX]] = {
-    "position": _position,
-    "pose": _full_pose,
-    "distance": _distance,
-    "pair_distance": _pair_distance,
-    "contact": _contact,
-}
-
-
-def has_point(m: Measurements) -> bool:
-    """Whether its poses refer to points that are identified too."""
-    return m.kind == "contact" or (m.kind == "distance" and m.target is None)
+_KNEE = {1: 3.84, 2: 5.99, 3: 7.81, 4: 9.49, 5: 11.07, 6: 12.59}
 
 
 def _linear(s: ca.SX, _knee: float) -> tuple[ca.SX, ca.SX]:
@@ -121,25 +66,39 @@ class PoseFunctions:
     robot : the numbers that differ between them: nominal parameters, nominal frames, scales (see `robot_numbers`)
     residual : (z, data, robot)->(r[m], J[m, z]), in units of sigma, without the loss
     cost, gradient, hessian : (z, data, robot)->f, (f, g[z]), h, with the loss; h is the upper triangle by columns
-    point : whether z ends with an unknown point
+    point : whether z ends with an unknown point; observed : names of the observed arrays in data, in their order
     """
 
     def __init__(
-        self, model: Expressions, kind: Kind, point: bool, chosen: tuple[int, ...], loss: Loss, fixed_loads: bool
+        self,
+        model: Expressions,
+        kind: MeasurementKind,
+        point: bool,
+        chosen: tuple[int, ...],
+        loss: Loss,
+        fixed_loads: bool,
     ) -> None:
         self.point = point
         x = ca.SX.sym("x", len(chosen))
-        u = ca.SX.sym("u", 3) if point else ca.SX.zeros(3)
+        u = ca.SX.sym("u", 3 if point else 0)
         nominal, frames = ca.SX.sym("nominal", model.phi.numel()), ca.SX.sym("frames", 24)
         scale = ca.SX.sym("scale", len(chosen))
         phi = ca.SX(nominal)
         for k, index in enumerate(chosen):
             phi[index] += scale[k] * x[k]
-        pose = _Pose(model, model.q.numel(), phi, frames, nominal if fixed_loads else phi, u)
-        r = _RESIDUAL[kind](pose)
-        self._r = r * pose.take(1)
-        self._z = ca.vertcat(x, u) if point else x
-        self._inputs = [self._z, ca.vertcat(*pose.columns), ca.vertcat(nominal, frames, scale)]
+        q, w = ca.SX.sym("q", model.q.numel()), ca.SX.sym("w", model.w.numel())
+        function, loaded = model.function("p", "R"), nominal if fixed_loads else phi
+        pose = PoseExpression(lambda at: function(at, w, phi, frames, loaded), q, POINT_SCALE * u if point else None)
+        r = kind.residual(pose)
+        if r.numel() != kind.numbers:
+            raise InputError(f"kind {kind.name!r}: its residual has {r.numel()} numbers; it observes {kind.numbers}")
+        inverse, root = ca.SX.sym("inverse", 2 if kind.angles else 1), ca.SX.sym("root")
+        sigmas = [inverse[0]] * kind.lengths + [inverse[-1]] * kind.angles
+        self._r = r * ca.vertcat(*sigmas) * root
+        self.observed = tuple(pose.observed)
+        self._z = ca.vertcat(x, u)
+        columns = [q, w, *pose.observed.values(), inverse, root]
+        self._inputs = [self._z, ca.vertcat(*columns), ca.vertcat(nominal, frames, scale)]
         cost, self._slope = _LOSS[loss](ca.dot(self._r, self._r), _KNEE[r.numel()])
         self._cost = 0.5 * cost
         self._mapped: dict[tuple[str, int, bool, bool], ca.Function] = {}
@@ -186,7 +145,7 @@ _kernel = lru_cache(maxsize=64)(PoseFunctions)
 
 
 def kernel(
-    robot: Robot, kind: Kind, point: bool, names: tuple[str, ...], loss: Loss, fixed_loads: bool = False
+    robot: Robot, kind: MeasurementKind, point: bool, names: tuple[str, ...], loss: Loss, fixed_loads: bool = False
 ) -> PoseFunctions:
     """The kernel of one kind of measurement for the chosen parameters of a robot.
 
@@ -202,22 +161,18 @@ def robot_numbers(robot: Robot, names: Sequence[str]) -> Array:
     return np.concatenate([robot.parameters.values, frame_numbers(robot), scale])
 
 
-def data_columns(robot: Robot, m: Measurements, points: Array, sigma: float, sigma_angle: float) -> Array:
-    """A kernel's data, shape (numbers, n): readings, conditions, observation, 1/sigma, root of the weight.
+def data_columns(
+    robot: Robot, m: Measurements, observed: Sequence[str], points: Array, sigma: float, sigma_angle: float
+) -> Array:
+    """A kernel's data, shape (numbers, n): readings, conditions, observed arrays, 1/sigma, root of the weight.
 
-    points : start of each pose's unknown point, shape (n, 3) [m]; not used by kinds without one
+    observed : as of the kernel; points : start of each pose's unknown point, shape (n, 3) [m]
     """
-    inverse = np.full(len(m), 1 / sigma)
-    observed: dict[Kind, list[Any]] = {
-        "position": [m.position, inverse],
-        "pose": [m.position, None if m.orientation is None else m.orientation.transpose(0, 2, 1), inverse,
-                 np.full(len(m), 1 / sigma_angle)],
-        "distance": [points if m.target is None else m.target, m.distance, inverse],
-        "pair_distance": [m.other, m.distance, inverse],
-        "contact": [points, inverse],
-    }  # fmt: skip
+    arrays = {**m.arrays, "point": points}
+    sigmas = [sigma, sigma_angle] if find_kind(m.kind).angles else [sigma]
+    inverse = np.tile(1 / np.array(sigmas), (len(m), 1))
     conditions = m.condition_matrix(robot.conditions, robot.declared)
-    parts = [m.q, conditions, *observed[m.kind], np.sqrt(m.weight)]
+    parts = [m.q, conditions, *(arrays[name] for name in observed), inverse, np.sqrt(m.weight)]
     return np.concatenate([np.asarray(p, dtype=float).reshape(len(m), -1) for p in parts], axis=1).T
 
 
@@ -316,11 +271,13 @@ def make_block(
 ) -> Block:
     """Measurements as a block; points : shape (K, 3) [m], all points' starts; group, fixed_loads : see above."""
     start = points[group] if len(points) else np.zeros((len(m), 3))
-    found = kernel(robot, m.kind, has_point(m), tuple(names), loss, fixed_loads)
-    return Block(found, data_columns(robot, m, start, sigma, sigma_angle), group, robot_numbers(robot, names))
+    kind = find_kind(m.kind)
+    found = kernel(robot, kind, bool(kind.point_names(m.arrays)), tuple(names), loss, fixed_loads)
+    data = data_columns(robot, m, found.observed, start, sigma, sigma_angle)
+    return Block(found, data, group, robot_numbers(robot, names))
 
 
 def loss_slope(loss: Loss, r: Array) -> Array:
     """Weight that the loss gives each pose, shape (n,), for residuals r, shape (n, m), in units of sigma."""
-    _, slope = _LOSS[loss](ca.SX((r**2).sum(axis=1)), _KNEE.get(r.shape[1], 1.0))
+    _, slope = _LOSS[loss](ca.SX((r**2).sum(axis=1)), _KNEE[r.shape[1]])
     return np.broadcast_to(ca.DM(slope).full().ravel(), (len(r),))

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
 from casadical.core.errors import InputError
-from casadical.core.transforms import Array, from_rpy
+from casadical.core.transforms import Array
 from casadical.measurements.raw_table import RawTable, refuse_repeated_names
 
 _TO_SI = {"_mm": 1e-3, "_m": 1.0, "_deg": np.pi / 180, "_rad": 1.0}
-# Columns that are readings or observations; every other one is a condition.
-_OWN = re.compile(
-    r"q\d+_(deg|rad|mm|m)|q[wxyz]|(to_)?[xyz]_mm?|r[xyz]_(deg|rad)|R[012]{2}|distance_mm?|weight|point|set"
-)
+# A joint that turns farther [turns] is not believed; joints that all move less [deg] may be meant in radians.
+MOST_TURNS, RADIANS = 4, 6.3
+# Readings, weights and sets.
+_NO_CONDITIONS = r"q\d+_(deg|rad|mm|m)|weight|set"
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class Columns:
         return f"{self.source}: row {self.row[k]}"
 
     def column(self, name: str) -> Array:
-        """A column's numbers, shape (k,). Raises InputError where it is missing or not finite."""
+        """A column of numbers as it stands, shape (n,) [its own unit]. Raises InputError: missing, or not finite."""
         if name not in self.table:
             raise InputError(f"{self.source}: column {name!r} is missing; there are {self.names}")
         values = pd.to_numeric(self.table[name], errors="coerce").to_numpy(dtype=float)
@@ -83,7 +83,7 @@ class Columns:
         return values
 
     def si(self, stem: str, units: Sequence[str]) -> Array:
-        """Column `stem` in one of the allowed units, shape (k,) [SI]. Raises InputError for none or several."""
+        """Column `stem` with one of the suffixes _mm, _m, _deg, _rad, shape (n,) [m or rad]. Raises InputError."""
         present = [u for u in units if f"{stem}{u}" in self.table]
         if len(present) > 1:
             both = " and ".join(f"{stem}{u}" for u in present)
@@ -94,7 +94,10 @@ class Columns:
         return self.column(stem + present[0]) * _TO_SI[present[0]]
 
     def joints(self, kinds: Sequence[str]) -> Array:
-        """Joint readings, shape (k, n) [rad or m]. Raises InputError for missing columns, others or wrong units."""
+        """Readings q1_deg (q1_rad, q1_mm, q1_m) and so on, shape (n, joints) [rad or m]; kinds : of each joint.
+
+        Raises InputError: one is missing or too many, or angles are in another unit than the column says.
+        """
         columns = []
         for i, kind in enumerate(kinds, 1):
             units = ("_deg", "_rad") if kind == "revolute" else ("_mm", "_m")
@@ -103,66 +106,46 @@ class Columns:
         if extra:
             raise InputError(f"{self.source}: column {extra[0]!r}: this robot has only {len(kinds)} joints")
         q = np.stack(columns, axis=1)
-        self._angle_units(q, kinds)
+        self._refuse_other_angle_unit(q, kinds)
         return q
 
-    def _angle_units(self, q: Array, kinds: Sequence[str]) -> None:
-        turning = [i for i, k in enumerate(kinds) if k == "revolute"]
-        if not turning or not len(q):
+    def _refuse_other_angle_unit(self, q: Array, kinds: Sequence[str]) -> None:
+        turning = [i for i, kind in enumerate(kinds) if kind == "revolute"]
+        if not turning:
             return
-        largest = float(np.abs(q[:, turning]).max())
-        names = [f"q{i + 1}" for i in turning]
-        if largest > 8 * np.pi:
-            i = turning[int(np.argmax(np.abs(q[:, turning]).max(axis=0)))]
-            row = int(np.argmax(np.abs(q[:, i])))
-            turns = f"{self.at(row)}, column "
-            if f"q{i + 1}_rad" in self.table:
-                turns += f"'q{i + 1}_rad': {q[row, i]:.6g} rad is {largest / (2 * np.pi):.1f} turns; "
-                raise InputError(turns + f"are the columns in degrees? name them q{i + 1}_deg")
-            turns += f"'q{i + 1}_deg': {np.rad2deg(q[row, i]):.6g} deg is {largest / (2 * np.pi):.1f} turns; "
-            raise InputError(turns + "at most 4 are allowed: correct the reading")
-        degrees = all(f"{n}_deg" in self.table for n in names)
-        if degrees and len(q) >= 10 and np.ptp(q[:, turning], axis=0).max() < np.deg2rad(6.3):
+        row, i = np.unravel_index(np.argmax(np.abs(q[:, turning])), (len(q), len(turning)))
+        name, largest = f"q{turning[i] + 1}", q[row, turning[i]]
+        if abs(largest) > MOST_TURNS * 2 * np.pi:
+            unit, said = ("rad", largest) if f"{name}_rad" in self.table else ("deg", np.rad2deg(largest))
+            remedy = (
+                f"are the columns in degrees? name them {name}_deg"
+                if unit == "rad"
+                else f"at most {MOST_TURNS} are allowed: correct the reading"
+            )
+            turns = f"{said:.6g} {unit} is {abs(largest) / (2 * np.pi):.1f} turns"
+            raise InputError(f"{self.at(int(row))}, column '{name}_{unit}': {turns}; {remedy}")
+        widest = float(np.rad2deg(np.ptp(q[:, turning], axis=0).max()))
+        in_degrees = all(f"q{i + 1}_deg" in self.table for i in turning)
+        if in_degrees and len(q) >= 10 and widest < RADIANS:
             raise InputError(
-                f"{self.source}: no joint moves by more than {np.rad2deg(np.ptp(q[:, turning], axis=0).max()):.2f} deg "
-                f"over {len(q)} poses; are the columns in radians? name them q1_rad, ..."
+                f"{self.source}: no joint moves by more than {widest:.2f} deg over {len(q)} poses; "
+                "are the columns in radians? name them q1_rad, ..."
             )
 
     def vector(self, prefix: str, units: Sequence[str] = ("_mm", "_m")) -> Array:
+        """Columns PREFIXx_mm, PREFIXy_mm and PREFIXz_mm, shape (n, 3) [m or rad]. Raises InputError."""
         return np.stack([self.si(f"{prefix}{c}", units) for c in "xyz"], axis=1)
 
-    def orientation(self) -> Array:
-        """Rotation matrices, shape (k, 3, 3), from whichever columns there are. Raises InputError for no rotation."""
-        has = set(self.table)
-        if "R00" in has:
-            R = np.stack([self.column(f"R{i}{j}") for i in range(3) for j in range(3)], axis=1).reshape(-1, 3, 3)
-        elif "qw" in has:
-            quaternion = np.stack([self.column(c) for c in ("qw", "qx", "qy", "qz")], axis=1)
-            length = np.linalg.norm(quaternion, axis=1)
-            if np.abs(length - 1).max() > 1e-2:
-                row = int(np.abs(length - 1).argmax())
-                raise InputError(
-                    f"{self.at(row)}, columns 'qw' to 'qz': length {length[row]:.4g}; "
-                    "allowed: unit quaternions (w first), within 1 %"
-                )
-            R = _from_quaternion(quaternion)
-        else:
-            angles = self.vector("r", ("_deg", "_rad"))
-            R = np.stack([from_rpy(np.array([a, 0, 0])) @ _from_yz(b, c) for a, b, c in angles])
-        off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0)
-        if off.max() > 1e-3:
-            row = int(off.argmax())
-            raise InputError(
-                f"{self.at(row)}, columns 'R00' to 'R22': no rotation (R R' differs from one by "
-                f"{off[row]:.3g}, mirrored ones by more than one); allowed: orthonormal matrices, right-handed"
-            )
-        return R
+    def conditions(self, observations: Iterable[str]) -> dict[str, Array]:
+        """Numeric columns that hold neither readings nor observations, by name, each of shape (n,) [its own unit].
 
-    def conditions(self) -> dict[str, Array]:
-        """Every other numeric column, by its own name; a column of words (remarks, operators) is left out."""
+        observations : patterns of the columns that the kinds of measurement read
+        Columns of words (remarks, operators) are left out. Raises InputError for words among numbers.
+        """
+        others = re.compile("|".join([_NO_CONDITIONS, *observations]))
         found = {}
         for name in map(str, self.table):
-            if _OWN.fullmatch(name):
+            if others.fullmatch(name):
                 continue
             numeric = pd.to_numeric(self.table[name], errors="coerce").notna()
             if numeric.mean() >= 0.5:  # some words among numbers are mistakes: `column` says where
@@ -176,18 +159,3 @@ def _columns(table: pd.DataFrame, source: str, row: Array) -> Columns:
     if not len(table):
         raise InputError(f"{source}: a header but no rows; at least one row is needed")
     return Columns(table.dropna(axis="columns", how="all"), source, row)
-
-
-def _from_yz(b: float, c: float) -> Array:
-    """Ry(b) Rz(c)."""
-    return from_rpy(np.array([0, b, 0])) @ from_rpy(np.array([0, 0, c]))
-
-
-def _from_quaternion(q: Array) -> Array:
-    w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)

@@ -1,17 +1,4 @@
-"""Measured poses: a table with units in its column names goes in, one immutable, checked object in SI comes out.
-
-Joint readings `q1_deg` (or `q1_rad`; `q1_mm`, `q1_m` of a prismatic joint) and one kind of observation:
-
-| kind | columns |
-|---|---|
-| position | `x_mm, y_mm, z_mm` (or `_m`) |
-| pose | those and `rx_deg, ry_deg, rz_deg` (intrinsic x-y-z; or `_rad`), `R00..R22`, or `qw, qx, qy, qz` |
-| distance | `distance_mm` to a point: known `to_x_mm, to_y_mm, to_z_mm`, or unknown (identified too) |
-| pair_distance | `distance_mm` to the tool's position at another pose, `other_pose` |
-| contact | `point`: poses with the same label hold the tool at the same, unknown point |
-
-Everything else that the model needs (`payload_kg`, `temperature_degC`, `approach1`, ...) is kept by its name.
-"""
+"""One immutable, checked object in SI that holds measured poses of one kind (see `casadical.measurements.kinds`)."""
 
 from __future__ import annotations
 
@@ -22,13 +9,15 @@ import numpy as np
 
 from casadical.core.errors import InputError
 from casadical.core.transforms import Array
-from casadical.measurements.kinds import Kind
-from casadical.measurements.validation import refuse_malformed
+from casadical.measurements.kinds.registry import find_kind
 
 SETS = ("identify", "train", "choose", "report")
 
 # Readings closer than this [rad or m] in every joint count as the same pose.
 SAME_READING = 1e-6
+
+# Fields of `Measurements` that hold what was observed.
+FIELDS = ("position", "orientation", "distance", "target", "other", "label")
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,13 +25,14 @@ class Measurements:
     """Poses of one robot and what was observed at them, all of one kind; SI units.
 
     q : joint readings, shape (n, joints) [rad or m]
-    kind : what was observed (see the module's table)
+    kind : what was observed: position, pose, distance, pair_distance, contact, or that of a plug-in
     position : shape (n, 3) [m], of kinds position and pose
     orientation : shape (n, 3, 3), of kind pose
     distance : shape (n,) [m], of kinds distance and pair_distance
     target : shape (n, 3) [m], the known far end of a distance; None where it is to be identified
     other : shape (n, joints), readings at the other end of a pair distance
     label : shape (n,), which unknown point is touched, of kind contact
+    extra : further observed arrays by name, each of shape (n, ...), of kinds that need others than these
     separations : for kind contact, (label, label, distance [m]) between touched points that are known
     separation_sigma : how well they are known [m]
     conditions : logged columns by name, each of shape (n,)
@@ -53,13 +43,14 @@ class Measurements:
     """
 
     q: Array
-    kind: Kind
+    kind: str
     position: Array | None = None
     orientation: Array | None = None
     distance: Array | None = None
     target: Array | None = None
     other: Array | None = None
     label: Array | None = None
+    extra: Mapping[str, Array] = field(default_factory=dict)
     separations: tuple[tuple[str, str, float], ...] = ()
     separation_sigma: float = 2e-5
     conditions: Mapping[str, Array] = field(default_factory=dict)
@@ -77,31 +68,41 @@ class Measurements:
             object.__setattr__(self, "weight", np.ones(n))
         if not len(self.row):
             object.__setattr__(self, "row", np.arange(n))
-        refuse_malformed(self)
+        _refuse_malformed(self)
 
     def __len__(self) -> int:
         return len(self.q)
 
     @property
+    def arrays(self) -> dict[str, Array]:
+        """What was observed, by name, fields and extras alike; see `kinds.base.MeasurementKind`."""
+        return {name: getattr(self, name) for name in FIELDS if getattr(self, name) is not None} | dict(self.extra)
+
+    @property
     def residuals(self) -> int:
         """How many numbers were observed, poses of weight zero left aside."""
-        return int(np.count_nonzero(self.weight)) * {"position": 3, "pose": 6, "contact": 3}.get(self.kind, 1) + len(
-            self.separations
-        )
+        return int(np.count_nonzero(self.weight)) * find_kind(self.kind).numbers + len(self.separations)
+
+    def positions_alone(self) -> Measurements:
+        """The same poses as kind position, whatever else was observed left out. Raises InputError: no positions."""
+        none = dict.fromkeys(("orientation", "distance", "target", "other", "label"))
+        return replace(self, kind="position", extra={}, separations=(), **none)  # type: ignore[arg-type]
 
     def __getitem__(self, which: Array | slice | Sequence[int]) -> Measurements:
         """The poses chosen by mask, slice or indices."""
         index = np.atleast_1d(np.arange(len(self))[which])
-        arrays = {
-            name: None if getattr(self, name) is None else getattr(self, name)[index]
-            for name in ("q", "position", "orientation", "distance", "target", "other", "label", "weight", "row")
-        }
         kept = self.separations
-        if arrays["label"] is not None:
-            present = set(arrays["label"])
+        if self.label is not None:
+            present = set(self.label[index])
             kept = tuple(s for s in kept if s[0] in present and s[1] in present)
-        conditions = {name: values[index] for name, values in self.conditions.items()}
-        return replace(self, **arrays, conditions=conditions, separations=kept)  # type: ignore[arg-type]
+        given = [name for name in ("q", *FIELDS, "weight", "row") if getattr(self, name) is not None]
+        return replace(
+            self,
+            **{name: getattr(self, name)[index] for name in given},
+            conditions={name: values[index] for name, values in self.conditions.items()},
+            extra={name: values[index] for name, values in self.extra.items()},
+            separations=kept,
+        )
 
     def condition_matrix(self, names: Sequence[str], declared: Array) -> Array:
         """Logged columns, shape (n, len(names)), SI; a column that was not logged takes its declared value."""
@@ -145,3 +146,60 @@ def same_readings(q: Array) -> Array:
         order = np.argsort(column)
         cells[order, j] = np.cumsum(np.diff(column[order], prepend=column[order[0]]) > SAME_READING)
     return np.asarray(np.unique(cells, axis=0, return_inverse=True)[1].ravel())
+
+
+def _refuse_malformed(m: Measurements) -> None:
+    """Raises InputError that names source, entry, row and value."""
+    if m.q.ndim != 2:
+        raise InputError(f"{m.source}: q has shape {m.q.shape}; it must be (poses, joints)")
+    arrays = m.arrays
+    for name in find_kind(m.kind, m.source).arrays:
+        if name not in arrays:
+            raise InputError(f"{m.source}: kind {m.kind!r} needs {name}")
+    entries = {"position": (3,), "orientation": (3, 3), "target": (3,), "other": m.q.shape[1:]}
+    entries |= {name: value.shape[1:] for name, value in m.extra.items()}
+    shaped = [(name, value, entries.get(name, ())) for name, value in arrays.items()]
+    shaped += [(name, value, ()) for name, value in (*m.conditions.items(), ("weight", m.weight), ("row", m.row))]
+    for name, value, entry in shaped:
+        if value.shape != (len(m), *entry):
+            wanted = (len(m), *entry)
+            raise InputError(f"{m.source}: {name} has shape {value.shape}; for {len(m)} poses it is {wanted}")
+    for name, value in [("q", m.q), *arrays.items(), *m.conditions.items()]:
+        if not np.issubdtype(value.dtype, np.number):
+            continue  # names of points
+        bad = ~np.isfinite(value.reshape(len(m), -1)).all(axis=1)
+        if bad.any():
+            k = int(np.argmax(bad))
+            raise InputError(f"{m.source}: row {m.row[k]}: {name} is {value[k]}; only finite numbers are allowed")
+    _refuse_weights(m)
+    _refuse_separations(m)
+
+
+def _refuse_weights(m: Measurements) -> None:
+    for name, sigma in (("sigma", m.sigma), ("sigma_angle", m.sigma_angle), ("separation_sigma", m.separation_sigma)):
+        if sigma is not None and not 0 < sigma < np.inf:
+            raise InputError(f"{m.source}: {name} is {sigma:.6g}; a standard deviation must be positive and finite")
+    bad = ~(np.isfinite(m.weight) & (m.weight >= 0))
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise InputError(
+            f"{m.source}: row {m.row[k]}, column 'weight': {m.weight[k]:.6g}; a weight must be zero or more and finite"
+        )
+    if not m.weight.any():
+        raise InputError(f"{m.source}: column 'weight' is zero in every row; at least one pose must count")
+
+
+def _refuse_separations(m: Measurements) -> None:
+    present = set() if m.label is None else {str(name) for name in m.label}
+    for first, second, length in m.separations:
+        unknown = sorted({first, second} - present)
+        if unknown:
+            raise InputError(
+                f"{m.source}: separation {first!r} - {second!r}: no pose touches {unknown[0]!r}; "
+                f"there are {', '.join(sorted(present)) or 'no touched points (kind contact only)'}"
+            )
+        if first == second or not 0 < length < np.inf:
+            raise InputError(
+                f"{m.source}: separation {first!r} - {second!r}: {1e3 * length:.6g} mm; "
+                "it must be a positive distance between two different points"
+            )

@@ -11,8 +11,8 @@ import pandas as pd
 
 from casadical.core.errors import InputError
 from casadical.measurements.columns import Columns
-from casadical.measurements.kinds import KINDS, OBSERVED, Kind, guess_kind
-from casadical.measurements.measurements import Measurements
+from casadical.measurements.kinds.registry import find_kind, kind_of, kinds
+from casadical.measurements.measurements import FIELDS, Measurements
 from casadical.measurements.raw_table import read_table
 
 _POSITIONS = {f"{c}{u}" for c in "xyz" for u in ("_mm", "_m")}
@@ -21,7 +21,7 @@ _POSITIONS = {f"{c}{u}" for c in "xyz" for u in ("_mm", "_m")}
 def read_measurements(
     path: str | Path,
     joints: int | Sequence[str],
-    kind: Kind | None = None,
+    kind: str | None = None,
     *,
     columns: Mapping[str, str] | None = None,
     point_from: Sequence[str] = (),
@@ -45,7 +45,7 @@ def read_measurements(
 def from_table(
     table: pd.DataFrame,
     joints: int | Sequence[str],
-    kind: Kind | None = None,
+    kind: str | None = None,
     *,
     columns: Mapping[str, str] | None = None,
     sigma_mm: float | None = None,
@@ -60,32 +60,29 @@ def from_table(
 def from_columns(
     columns: Columns,
     joints: int | Sequence[str],
-    kind: Kind | None = None,
+    kind: str | None = None,
     *,
     sigma_mm: float | None = None,
     sigma_deg: float | None = None,
 ) -> Measurements:
     """Measurements from columns under our names; arguments and errors (Raises InputError) as of `read_measurements`."""
-    kinds = ["revolute"] * joints if isinstance(joints, int) else list(joints)
-    if not kinds or set(kinds) - {"revolute", "prismatic"}:
-        raise InputError(
-            f"{columns.source}: joints {joints!r}; allowed: their number, or 'revolute' or 'prismatic' for each"
-        )
-    kind = kind or guess_kind(columns)
-    if kind not in KINDS:
-        raise InputError(f"{columns.source}: kind {kind!r} is not known; allowed: {', '.join(KINDS)}")
-    q = columns.joints(kinds)
-    observed = OBSERVED[kind](columns, q)
+    source, each = columns.source, ["revolute"] * joints if isinstance(joints, int) else list(joints)
+    if not each or set(each) - {"revolute", "prismatic"}:
+        raise InputError(f"{source}: joints {joints!r}; allowed: their number, or 'revolute' or 'prismatic' for each")
+    observed = find_kind(kind, source) if kind else kind_of(columns)
+    q = columns.joints(each)
+    arrays = observed.read(columns, q)
     found = Measurements(
         q=q,
-        kind=kind,
-        conditions=columns.conditions(),
+        kind=observed.name,
+        conditions=columns.conditions(k.pattern for k in kinds().values()),
         sigma=None if sigma_mm is None else sigma_mm * 1e-3,
         sigma_angle=None if sigma_deg is None else float(np.deg2rad(sigma_deg)),
         weight=columns.column("weight") if "weight" in columns.table else np.ones(len(q)),
         row=columns.row,
-        source=columns.source,
-        **observed,  # type: ignore[arg-type]
+        source=source,
+        extra={name: values for name, values in arrays.items() if name not in FIELDS},
+        **{name: values for name, values in arrays.items() if name in FIELDS},  # type: ignore[arg-type]
     )
     _refuse_repeats(found)
     return found
@@ -100,11 +97,9 @@ def readings_alone(columns: Columns, joints: int | Sequence[str]) -> Measurement
 def _refuse_repeats(found: Measurements) -> None:
     """A row copied whole is no second measurement."""
     seen = [found.q]
-    for part in (found.position, found.distance, found.other):
-        if part is not None:
-            seen.append(part.reshape(len(found), -1))
-    if found.label is not None:
-        seen.append(np.unique(found.label.astype(str), return_inverse=True)[1].reshape(-1, 1).astype(float))
+    for name, values in found.arrays.items():
+        numbers = np.unique(values.astype(str), return_inverse=True)[1] if name == "label" else values
+        seen.append(numbers.reshape(len(found), -1).astype(float))
     stacked = np.concatenate(seen, axis=1)
     _, first, inverse = np.unique(stacked, axis=0, return_index=True, return_inverse=True)
     origin = first[inverse.ravel()]

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from casadical.core.errors import InputError
 from casadical.core.schema import FaultError, check, load_toml
 from casadical.identification.residuals import Loss
 from casadical.measurements.columns import Columns
-from casadical.measurements.kinds import Kind
+from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.measurements import SETS, Measurements
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.reading import from_columns, readings_alone
@@ -41,12 +41,19 @@ class _Separation(_Strict):
 
 class _Data(_Strict):
     file: str
-    kind: Kind | None = None
+    kind: str | None = None
     columns: dict[str, str] = {}
     point_from: list[str] = []
     separation: list[_Separation] = []
     sigma_mm: float | None = Field(default=None, gt=0)
     sigma_deg: float | None = Field(default=None, gt=0)
+
+    @field_validator("kind")
+    @classmethod
+    def _known(cls, kind: str | None) -> str | None:
+        if kind is not None and kind not in kinds():
+            raise ValueError(f"must be {', '.join(map(repr, kinds()))}")
+        return kind
 
     def named_in(self, header: Sequence[str]) -> _Data:
         """With only those of its own names for columns that a header has."""

@@ -108,7 +108,7 @@ TABLES = [
     Bad("a coordinate missing", lambda _: read(table(y_mm=None)), ("y_mm or y_m is missing", "x_mm")),
     Bad("a coordinate, two units", lambda _: read(table(x_m=np.zeros(N))), ("x_mm and x_m", "keep one")),
     Bad("renamed from nothing", lambda _: read(table(), columns={"x_mm": "X"}), ("'X'", "'x_mm'", "is missing")),
-    Bad("unknown kind", lambda _: read(table(), kind="velocity"), ("'velocity'", "allowed: position, pose, distance")),
+    Bad("unknown kind", lambda _: read(table(), kind="velocity"), ("'velocity'", "allowed: pose, position, pair")),
     Bad("unknown joint kind", lambda _: read(table(), ["rotary"] * 3), ("'rotary'", "'revolute' or 'prismatic'")),
     Bad("no joints", lambda _: read(table(), 0), ("joints 0", "allowed")),
     # cells
@@ -133,12 +133,12 @@ TABLES = [
     Bad("far too many turns", lambda _: read(changed("q1_deg", 4, 4000.0)),
         ("row 4", "'q1_deg'", "4000 deg", "11.1 turns")),
     Bad("millimetres as metres", lambda _: check(table().rename(columns=lambda c: c.replace("_mm", "_m"))),
-        ("bad.csv", "spread over", "arm reaches", "millimetres?", "x_mm")),
+        ("bad.csv", "spread over", "the robot reaches", "millimetres?", "x_mm")),
     Bad("metres as millimetres", lambda _: check(table(**{f"{c}_mm": table()[f"{c}_mm"] / 1e3 for c in "xyz"})),
         ("bad.csv", "mm only", "metres?", "x_m")),
     Bad("pair distances in metres as mm",
         lambda _: check(without_positions(**PAIRS | {"distance_mm": PAIRS["distance_mm"] / 1e3})),
-        ("bad.csv", "distances up to", "arm", "distance_m?")),
+        ("bad.csv", "distances up to", "the robot, which reaches", "distance_m?")),
     Bad("distances in mm as metres", lambda _: check(without_positions(distance_m=np.linspace(200, 700, N))),
         ("bad.csv", "distances up to 700 m", "distance_mm?")),
     # orientations

@@ -1,5 +1,7 @@
 """Measurements: units by name, kinds by their columns, named and disjoint splits."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -8,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from casadical import InputError, Measurements, from_table, read_measurements
+from casadical.measurements.kinds.registry import kinds
 
 
 def readings(n, joints=2, seed=0):
@@ -151,3 +154,26 @@ def test_pairs_across_two_sets_are_left_out():
     ends = [keys(s) | {row.tobytes() for row in s.other} for s in sets.values()]
     assert not ends[0] & ends[1]
     assert 20 < sum(len(s) for s in sets.values()) < 60
+
+
+def test_the_docs_list_every_kind_as_it_describes_itself():
+    page = (Path(__file__).parents[2] / "docs" / "measurements.md").read_text()
+    table = page[page.index("| kind | columns") :].partition("\n\n")[0].splitlines()[2:]
+    assert table == [f"| `{kind.name}` | {kind.columns} | {kind.unknown} |" for kind in kinds().values()]
+
+
+def test_columns_of_another_kind_are_no_conditions():
+    t = pd.DataFrame(
+        {"q1_deg": [1.0, 2], "x_mm": [1.0, 2], "y_mm": [3.0, 4], "z_mm": [5.0, 6], "distance_mm": [1.0, 2]}
+    )
+    t = t.assign(qw=[1.0, 0], point=[1.0, 2], position=[7.0, 8])
+    m = from_table(t, 1, "position")
+    assert list(m.conditions) == ["position"]
+    assert m.conditions["position"].tolist() == [7, 8]
+
+
+def test_poses_of_one_position_that_differ_in_orientation_are_no_copies():
+    t = pd.DataFrame({"q1_deg": [1.0, 1], "x_mm": [1.0, 1], "y_mm": [3.0, 3], "z_mm": [5.0, 5], "rx_deg": [0.0, 1.0]})
+    assert len(from_table(t.assign(ry_deg=0.0, rz_deg=0.0), 1)) == 2
+    with pytest.raises(InputError, match="row 3 repeats row 2"):
+        from_table(t.assign(rx_deg=0.0, ry_deg=0.0, rz_deg=0.0), 1)

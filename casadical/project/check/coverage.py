@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from casadical.measurements.columns import RADIANS
 from casadical.measurements.measurements import Measurements, same_readings
 from casadical.project.check.findings import Finding
 from casadical.robot.kinematics import LEAST_MARGIN
@@ -15,8 +16,6 @@ LITTLE = 0.25
 STILL = np.deg2rad(1.0)
 NARROW_MARGIN = 5 * LEAST_MARGIN
 FEWEST_REPEATS = 3
-# Readings of joints that go no farther than a turn in radians.
-RADIANS = 6.3
 ASSUMED = {"revolute": (-2 * np.pi, 2 * np.pi), "prismatic": (-10.0, 10.0)}
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from casadical.core.transforms import Array
 from casadical.identification.identifiability import Unidentifiable, correlated, poorly_determined
 from casadical.identification.least_squares import SIGMA_ANGLE_GUESS, SIGMA_GUESS, LeastSquares
+from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection import Workspace, observability
 from casadical.pose_selection.candidates import draw_uniform, expected
@@ -92,7 +93,7 @@ def outlook(
     scale = np.array([robot.parameters[n].scale for n in kept])
     return Outlook(
         method, kept, (*found.held, *poor), problem.residual_count, problem.size, found.condition, index,
-        scatter * sigmas[0][0], unit * sigmas[0][0], all(m.distance is None for m in sets),
+        scatter * sigmas[0][0], unit * sigmas[0][0], all(find_kind(m.kind).lengths == 3 for m in sets),
         np.sqrt(np.diag(C)) * scale, _accuracy(robot, kept, C, seed),
     )  # fmt: skip
 

@@ -1,0 +1,48 @@
+"""Classes that other installed packages add to one of our families, by entry points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from importlib.metadata import EntryPoint, entry_points
+from typing import TypeVar
+
+from casadical.core.errors import InputError
+
+T = TypeVar("T")
+
+
+def members(group: str, base: type[T], own: Iterable[str]) -> dict[str, type[T]]:
+    """Classes of a family by name: our own ones first, in their order, then those of installed packages, by name.
+
+    group : of the entry points of other packages, each `name = "module:Class"`
+    base : what each class must be derived from; its attribute `name` must be the entry point's
+    own : "module:Class" of the classes of this package
+
+    Raises InputError that names the entry point where one cannot be loaded, is no such class, or has a name that is
+    taken.
+    """
+    found: dict[str, type[T]] = {}
+    plugged_in = sorted(entry_points(group=group), key=lambda point: point.name)
+    for point in [*(EntryPoint("", value, group) for value in own), *plugged_in]:
+        member = _loaded(point, base)
+        name = member.__dict__.get("name")
+        if point.name and name != point.name:
+            raise InputError(f"{_origin(point)}: its class has the name {name!r}; both need the same name")
+        if name in found:
+            raise InputError(f"{_origin(point)}: there is a {name!r} already; rename it, or uninstall one of both")
+        found[str(name)] = member
+    return found
+
+
+def _loaded(point: EntryPoint, base: type[T]) -> type[T]:
+    try:
+        member = point.load()
+    except Exception as error:  # whatever another package's module raises
+        raise InputError(f"{_origin(point)}: cannot be loaded ({error!r}); repair or uninstall it") from error
+    if not (isinstance(member, type) and issubclass(member, base)):
+        raise InputError(f"{_origin(point)}: is {member!r}; it must be a subclass of {base.__module__}.{base.__name__}")
+    return member
+
+
+def _origin(point: EntryPoint) -> str:
+    return f"plug-in {point.name} = {point.value!r}" + (f" of {point.dist.name}" if point.dist else "")

@@ -1,0 +1,1 @@
+"""Kinds of measurement, one a file: columns, checks, residual and error; `registry` lists them."""

@@ -1,0 +1,98 @@
+"""Measured distances from the tool to a point at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence, Set
+
+import casadi as ca
+import numpy as np
+
+from casadical.core.errors import InputError
+from casadical.core.transforms import Array, Symbolic
+from casadical.measurements.columns import Columns
+from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpression, PositionsAt
+
+
+class Distance(MeasurementKind):
+    """Distance to a point, which is known or identified too."""
+
+    name = "distance"
+    columns = "`distance_mm` (or `_m`) to a point: known `to_x_mm, to_y_mm, to_z_mm` (or `_m`), or none of these"
+    unknown = "the point"
+    pattern = "distance_mm?|to_[xyz]_mm?"
+    arrays = ("distance",)
+    lengths = 1
+
+    def matches(self, names: Set[str]) -> bool:
+        return bool(names & {"distance_mm", "distance_m"})
+
+    def read(self, columns: Columns, q: Array) -> dict[str, Array]:
+        known = any(str(name).startswith("to_x") for name in columns.table)
+        return {"distance": positive_distances(columns)} | ({"target": columns.vector("to_")} if known else {})
+
+    def residual(self, pose: PoseExpression) -> Symbolic:
+        line = pose.p - pose.take("target", 3) if pose.point is None else pose.from_point()
+        return ca.norm_2(line) - pose.take("distance", 1)
+
+    def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
+        return distance_errors(arrays, p, arrays["target"] if "target" in arrays else _far_end(arrays, p))
+
+    def at_rest(self, arrays: Arrays) -> bool:
+        return "target" in arrays
+
+    def point_names(self, arrays: Arrays) -> Sequence[str]:
+        return () if "target" in arrays else ["far end"] * len(arrays["distance"])
+
+    def point_starts(self, arrays: Arrays, p: Array) -> Array:
+        return np.tile(_far_end(arrays, p), (len(p), 1))
+
+    def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
+        if "target" in arrays:
+            return distance_fault(arrays, p, arrays["target"], reach)
+        # To an unknown point: by how far apart two ends of distances to it can be.
+        moved = float(np.linalg.norm(np.ptp(p, axis=0)))
+        distance = arrays["distance"]
+        return _fault(distance, reach, np.ptp(distance) > 20 * reach, distance.max() < 0.02 * moved)
+
+
+def _far_end(arrays: Arrays, p: Array) -> Array:
+    """The unknown far end of distances from p, shape (3,) [m]: |p|^2 - L^2 = 2 p.P - |P|^2 by least squares."""
+    centre = p.mean(axis=0)
+    local = p - centre
+    A = np.column_stack([2 * local, -np.ones(len(p))])
+    P = np.linalg.lstsq(A, (local**2).sum(axis=1) - arrays["distance"] ** 2, rcond=None)[0][:3]
+    return np.asarray(P + centre)
+
+
+def positive_distances(columns: Columns) -> Array:
+    """Column distance_mm or distance_m, shape (n,) [m]. Raises InputError."""
+    distance = columns.si("distance", ("_mm", "_m"))
+    if (distance <= 0).any():
+        row = int(np.argmax(distance <= 0))
+        raise InputError(
+            f"{columns.at(row)}, column 'distance': {1e3 * distance[row]:.4g} mm; a distance must be "
+            "positive (poses at one point are kind 'contact')"
+        )
+    return distance
+
+
+def distance_errors(arrays: Arrays, p: Array, far: Array) -> Array:
+    """Absolute differences, shape (n,) [m], of distances from p to far, both of shape (n, 3) [m], to measured ones."""
+    return np.asarray(np.abs(np.linalg.norm(p - far, axis=1) - arrays["distance"]))
+
+
+def distance_fault(arrays: Arrays, p: Array, far: Array, reach: float) -> str:
+    """As of `MeasurementKind.unit_fault`, by the distances from p to far, both of shape (n, 3) [m]."""
+    distance = arrays["distance"]
+    ratio = np.median(distance) / max(float(np.median(np.linalg.norm(p - far, axis=1))), 1e-3)
+    return _fault(distance, reach, ratio > 100, ratio < 0.01)
+
+
+def _fault(distance: Array, reach: float, too_long: bool, too_short: bool) -> str:
+    if not (too_long or too_short):
+        return ""
+    used, other = ("metres", "mm") if too_long else ("millimetres", "m")
+    return (
+        f"distances up to {distance.max():.4g} m do not fit the robot, which reaches {reach:.3g} m; "
+        f"they are taken as {used}: should the column be named distance_{other}?"
+    )

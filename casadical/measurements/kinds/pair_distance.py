@@ -1,0 +1,59 @@
+"""Measured distances between the tool's positions at two poses."""
+
+from __future__ import annotations
+
+from collections.abc import Set
+
+import casadi as ca
+import numpy as np
+
+from casadical.core.errors import InputError
+from casadical.core.transforms import Array, Symbolic
+from casadical.measurements.columns import Columns
+from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpression, PositionsAt
+from casadical.measurements.kinds.distance import distance_errors, distance_fault, positive_distances
+
+
+class PairDistance(MeasurementKind):
+    """Distance to where the measured point is at another pose of the table, under the same conditions."""
+
+    name = "pair_distance"
+    columns = "`distance_mm` (or `_m`) to where the tool is at another pose: `pose` and `other_pose`"
+    pattern = "distance_mm?"
+    arrays = ("distance", "other")
+    lengths = 1
+
+    def matches(self, names: Set[str]) -> bool:
+        return bool(names & {"distance_mm", "distance_m"}) and "other_pose" in names
+
+    def read(self, columns: Columns, q: Array) -> dict[str, Array]:
+        pose, other = columns.column("pose"), columns.column("other_pose")
+        where = {float(p): k for k, p in enumerate(pose)}
+        if len(where) < len(pose):
+            row = next(k for k, p in enumerate(pose) if where[float(p)] != k)
+            raise InputError(
+                f"{columns.at(row)}, column 'pose': {pose[row]:g} occurs again in row "
+                f"{columns.row[where[float(pose[row])]]}; allowed: each pose's own number"
+            )
+        if (pose == other).any():
+            row = int(np.argmax(pose == other))
+            raise InputError(f"{columns.at(row)}, column 'other_pose': {other[row]:g} is that pose itself")
+        missing = [k for k, o in enumerate(other) if float(o) not in where]
+        if missing:
+            raise InputError(
+                f"{columns.at(missing[0])}, column 'other_pose': {other[missing[0]]:g} is no pose of this "
+                "table; allowed: the numbers in column 'pose'"
+            )
+        return {"distance": positive_distances(columns), "other": q[[where[float(o)] for o in other]]}
+
+    def residual(self, pose: PoseExpression) -> Symbolic:
+        return ca.norm_2(pose.p - pose.position_at(pose.take("other", pose.joints))) - pose.take("distance", 1)
+
+    def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
+        return distance_errors(arrays, p, positions_at(arrays["other"]))
+
+    def at_rest(self, arrays: Arrays) -> bool:
+        return False
+
+    def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
+        return distance_fault(arrays, p, positions_at(arrays["other"]), reach)

@@ -1,0 +1,78 @@
+"""Measured positions and orientations of the tool."""
+
+from __future__ import annotations
+
+from collections.abc import Set
+
+import casadi as ca
+import numpy as np
+
+from casadical.core.errors import InputError
+from casadical.core.transforms import Array, Symbolic, from_rpy
+from casadical.measurements.columns import Columns
+from casadical.measurements.kinds.base import PoseExpression
+from casadical.measurements.kinds.position import Position
+
+
+class Pose(Position):
+    """Position and orientation; the reported error is that of the position."""
+
+    name = "pose"
+    columns = (
+        "those of `position` and one of `rx_deg, ry_deg, rz_deg` (rotations about x, then the new y, then the new z; "
+        "or `_rad`), `R00` .. `R22`, or `qw, qx, qy, qz`"
+    )
+    pattern = f"{Position.pattern}|r[xyz]_(deg|rad)|R[012]{{2}}|q[wxyz]"
+    arrays = ("position", "orientation")
+    angles = 3
+
+    def matches(self, names: Set[str]) -> bool:
+        return super().matches(names) and bool(names & {"rx_deg", "rx_rad", "R00", "qw"})
+
+    def read(self, columns: Columns, q: Array) -> dict[str, Array]:
+        return {**super().read(columns, q), "orientation": _orientation(columns)}
+
+    def residual(self, pose: PoseExpression) -> Symbolic:
+        shift = super().residual(pose)
+        # CasADi fills by columns, so this is the transpose of the measured orientation.
+        E = ca.reshape(pose.take("orientation", 9), 3, 3) @ pose.R
+        # sin(angle) times the axis: smooth, and the rotation vector itself to third order.
+        return ca.vertcat(shift, 0.5 * ca.vertcat(E[2, 1] - E[1, 2], E[0, 2] - E[2, 0], E[1, 0] - E[0, 1]))
+
+
+def _orientation(columns: Columns) -> Array:
+    """Rotation matrices, shape (n, 3, 3). Raises InputError."""
+    if "R00" in columns.table:
+        R = np.stack([columns.column(f"R{i}{j}") for i in range(3) for j in range(3)], axis=1).reshape(-1, 3, 3)
+    elif "qw" in columns.table:
+        quaternion = np.stack([columns.column(c) for c in ("qw", "qx", "qy", "qz")], axis=1)
+        length = np.linalg.norm(quaternion, axis=1)
+        if np.abs(length - 1).max() > 1e-2:
+            row = int(np.abs(length - 1).argmax())
+            raise InputError(
+                f"{columns.at(row)}, columns 'qw' to 'qz': length {length[row]:.4g}; "
+                "allowed: unit quaternions (w first), within 1 %"
+            )
+        R = _from_quaternion(quaternion)
+    else:
+        angles = columns.vector("r", ("_deg", "_rad"))
+        # Rx(a) Ry(b) Rz(c) is the transpose of Rz(-c) Ry(-b) Rx(-a).
+        R = np.stack([from_rpy(-xyz).T for xyz in angles])
+    off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0)
+    if off.max() > 1e-3:
+        row = int(off.argmax())
+        raise InputError(
+            f"{columns.at(row)}, columns 'R00' to 'R22': no rotation (R R' differs from one by "
+            f"{off[row]:.3g}, mirrored ones by more than one); allowed: orthonormal matrices, right-handed"
+        )
+    return R
+
+
+def _from_quaternion(q: Array) -> Array:
+    w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
