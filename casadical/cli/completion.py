@@ -7,6 +7,12 @@ def _begun(words: tuple[str, ...], incomplete: str) -> list[str]:
     return [word for word in words if word.lower().startswith(incomplete.lower())]
 
 
+def _listed(words: tuple[str, ...], incomplete: str) -> list[str]:
+    """Words that go on a list by commas."""
+    before, comma, last = incomplete.rpartition(",")
+    return [f"{before}{comma}{word}" for word in _begun(words, last)]
+
+
 def methods(incomplete: str) -> list[str]:
     """Words for `--method`."""
     from casadical.project.problem import ALL_METHODS
@@ -28,10 +34,16 @@ def criteria(incomplete: str) -> list[str]:
     return _begun(CRITERIA, incomplete)
 
 
+def languages(incomplete: str) -> list[str]:
+    """Words for `export c --language`; after a comma, of the next one."""
+    from casadical.export.c.language import known_languages
+
+    return _listed(tuple(known_languages()), incomplete)
+
+
 def effects(incomplete: str) -> list[str]:
     """Names of effects; after a comma, of the next one."""
     from casadical.effects.plugins import known_effects
 
-    names = tuple(sorted(kind.name for kind in known_effects().values() if kind.on_list != "unknown"))
-    before, comma, last = incomplete.rpartition(",")
-    return [f"{before}{comma}{word}" for word in _begun(names, last)]
+    names = sorted(kind.name for kind in known_effects().values() if kind.on_list != "unknown")
+    return _listed(tuple(names), incomplete)

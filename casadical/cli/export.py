@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from casadical.cli import completion as words
 from casadical.cli.export_model import export_mjcf, export_urdf
 from casadical.cli.options import Compensator, Nominal, Payload, Tool
 from casadical.cli.terminal import Json, Quiet, keep_json, plain
@@ -47,6 +48,14 @@ def export_c(
     name: Annotated[
         str | None, typer.Option(metavar="PREFIX", help="Of C functions and files; default: from the robot's name.")
     ] = None,
+    language: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES",
+            autocompletion=words.languages,
+            help="Languages to write besides the C, by commas; default: an FMU and structured text.",
+        ),
+    ] = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace files that casadical did not write or that were changed.")
     ] = False,
@@ -79,6 +88,7 @@ def export_c(
             real=real,  # type: ignore[arg-type]
             model_sha256=_sha256(robot),
             data_sha256=_sha256(compensator) if compensator else "not given",
+            languages=language.split(",") if language else None,
             overwrite=overwrite,
         )
     except OSError as error:

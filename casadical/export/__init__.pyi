@@ -1,9 +1,13 @@
 from casadical.export.c.kernel import Kernel as Kernel
 from casadical.export.c.kernel import load as load
+from casadical.export.c.language import Label as Label
+from casadical.export.c.language import Language as Language
 from casadical.export.c.products import Command as Command
 from casadical.export.c.products import Limits as Limits
 from casadical.export.c.products import NetworkFunction as NetworkFunction
 from casadical.export.c.reference import Status as Status
+from casadical.export.c.tape import Tape as Tape
+from casadical.export.c.tape_program import TapeProgram as TapeProgram
 from casadical.export.c.write import Export as Export
 from casadical.export.c.write import write_c as write_c
 from casadical.export.controller.correct import Corrected as Corrected

@@ -7,6 +7,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, Real, literal
 from casadical.export.c.emit import elementary_functions, filled, kernel, template
+from casadical.export.c.language import Label
 from casadical.export.c.products import Command
 from casadical.export.c.tape_program import TapeProgram, prepared_size
 
@@ -15,15 +16,6 @@ _METHODS = {
     "float": (0, 16, 32),
     "double": (0, 1, 16, 32, 64),
 }  # FLT_EVAL_METHOD where the type keeps its own precision
-
-
-@dataclass(frozen=True)
-class Label:
-    """What the files say about themselves: a C identifier, and hashes of the model and the data it came from."""
-
-    name: str
-    model_sha256: str = "not given"
-    data_sha256: str = "not given"
 
 
 def header(program: TapeProgram, label: Label) -> str:

@@ -5,10 +5,13 @@ import io
 import zipfile
 from xml.sax.saxutils import quoteattr
 
-from casadical.export.c.build_files import box_middle
-from casadical.export.c.c_files import Label, common_values
+import numpy as np
+
+from casadical.export.c.c_files import common_values, header, source
 from casadical.export.c.emit import filled, template
+from casadical.export.c.language import Label, Language
 from casadical.export.c.tape_program import TapeProgram
+from casadical.export.c.vectors import self_test_source
 
 _DATE = (1980, 1, 1, 0, 0, 0)  # the same bytes each time
 
@@ -35,10 +38,24 @@ _CYCLES = """\
 """
 
 
-def fmu(program: TapeProgram, label: Label, texts: dict[str, str]) -> bytes:
-    """The archive: modelDescription.xml and sources; ``texts`` holds the exported C by file name."""
+class Fmu(Language):
+    """The archive: modelDescription.xml and the C sources."""
+
+    name = "fmu"
+
+    def files(self, program: TapeProgram, label: Label) -> dict[str, bytes]:
+        """NAME.fmu."""
+        return {f"{label.name}.fmu": fmu(program, label)}
+
+
+def fmu(program: TapeProgram, label: Label) -> bytes:
+    """The bytes of the archive, the same ones each time."""
     name = label.name
-    files = {f"sources/{file}": texts[file] for file in (f"{name}.h", f"{name}.c", f"{name}_self_test.c")}
+    files = {
+        f"sources/{name}.h": header(program, label),
+        f"sources/{name}.c": source(program, label),
+        f"sources/{name}_self_test.c": self_test_source(program, label),
+    }
     files[f"sources/{name}_fmu.c"] = _source(program, label)
     digest = hashlib.sha256("".join(files[key] for key in sorted(files)).encode()).hexdigest()
     files["modelDescription.xml"] = _description(program, label, digest)
@@ -59,7 +76,7 @@ def _output_count(program: TapeProgram) -> int:
 def _source(program: TapeProgram, label: Label) -> str:
     name, command = label.name, program.command
     values = common_values(program, label) | {"n_out": str(_output_count(program))}
-    values["middle"] = ", ".join(repr(v) for v in box_middle(program))
+    values["middle"] = ", ".join(repr(v) for v in _box_middle(program))
     values["state"] = filled(_STATE, values) if command else ""
     values["reset"] = filled(_RESET, values) if command else ""
     values["call"] = (
@@ -76,7 +93,7 @@ def _description(program: TapeProgram, label: Label, digest: str) -> str:
     variables = [
         f'    <ScalarVariable name="q[{i + 1}]" valueReference="{i}" causality="input" variability="continuous" '
         f'description="commanded joint angle"><Real unit="rad" start="{v!r}"/></ScalarVariable>'
-        for i, v in enumerate(box_middle(program))
+        for i, v in enumerate(_box_middle(program))
     ]
     out, unit, what = ("dq", "rad", "joint correction") if command else ("dp_mm", "mm", "tool correction")
     variables += [
@@ -109,3 +126,8 @@ def _description(program: TapeProgram, label: Label, digest: str) -> str:
             "unknowns": unknowns,
         },
     )
+
+
+def _box_middle(program: TapeProgram) -> list[float]:
+    """The middle of the box of joints, where the FMU starts."""
+    return [float(v) for v in np.mean([program.product.lower, program.product.upper], axis=0)]

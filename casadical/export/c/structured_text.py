@@ -4,14 +4,25 @@ It uses the PLC's own SIN, COS, SQRT, EXP and ATAN, so its results agree with th
 """
 
 from casadical.core.arrays import Array
-from casadical.export.c.c_files import Label, boxes, command_numbers
+from casadical.export.c.c_files import boxes, command_numbers
 from casadical.export.c.coefficients import DTYPE, Real
 from casadical.export.c.emit import filled, template
+from casadical.export.c.language import Label, Language
 from casadical.export.c.products import Command
 from casadical.export.c.tape import Node, Tape
 from casadical.export.c.tape_program import TapeProgram, prepared_size
 
 _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
+
+
+class StructuredText(Language):
+    """Function blocks in one file."""
+
+    name = "structured_text"
+
+    def files(self, program: TapeProgram, label: Label) -> dict[str, str]:
+        """NAME.st."""
+        return {f"{label.name}.st": structured_text(program, label)}
 
 
 def structured_text(program: TapeProgram, label: Label) -> str:

@@ -5,9 +5,10 @@ from typing import Any
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.export.c.c_files import Label, common_values
+from casadical.export.c.c_files import common_values
 from casadical.export.c.coefficients import DTYPE, Real, literal
 from casadical.export.c.emit import filled, template
+from casadical.export.c.language import Label
 from casadical.export.c.reference import correct, forward, network, started, step
 from casadical.export.c.tape_program import TapeProgram
 

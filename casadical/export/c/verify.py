@@ -41,9 +41,9 @@ def shape_of(program: TapeProgram, name: str) -> Shape:
 
 
 def compared(
-    program: TapeProgram, name: str, texts: dict[str, str], found: list[Compiler], count: int
+    program: TapeProgram, name: str, files: dict[str, bytes], found: list[Compiler], count: int
 ) -> list[Comparison]:
-    """Compile the texts with each compiler and compare every function on ``count`` vectors.
+    """Compile the C with each compiler and compare every function on ``count`` vectors.
 
     The self-test counts as a comparison of one vector.
     """
@@ -54,7 +54,7 @@ def compared(
     results: list[Comparison] = []
     with tempfile.TemporaryDirectory() as folder:
         for compiler in found:
-            kernel = _built(program, name, texts, Path(folder), compiler)
+            kernel = _built(program, name, files, Path(folder), compiler)
             results.append(Comparison("self_test", compiler.version, 1, 1, int(kernel.self_test() != Status.OK)))
             for key, (out, status) in expected.items():
                 mine, my_status = kernel.rows(key, q)
@@ -63,9 +63,9 @@ def compared(
     return results
 
 
-def _built(program: TapeProgram, name: str, texts: dict[str, str], folder: Path, compiler: Compiler) -> Kernel:
+def _built(program: TapeProgram, name: str, files: dict[str, bytes], folder: Path, compiler: Compiler) -> Kernel:
     for file in (f"{name}.h", f"{name}.c", f"{name}_self_test.c"):
-        (folder / file).write_text(texts[file], encoding="utf-8")
+        (folder / file).write_bytes(files[file])
     sources = [folder / f"{name}.c", folder / f"{name}_self_test.c"]
     return build(shape_of(program, name), sources, folder, compiler, WARNINGS)
 

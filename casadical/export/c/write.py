@@ -3,21 +3,19 @@
 import hashlib
 import json
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from casadical.core.errors import CasadicalError, InputError
 from casadical.core.files import write_together
-from casadical.export.c.build_files import cmake, cross_check, pkg_config
-from casadical.export.c.c_files import SCHEMA, Label, header, source
+from casadical.export.c.c_files import SCHEMA
 from casadical.export.c.coefficients import Real
-from casadical.export.c.fmu import fmu
+from casadical.export.c.language import Label, written_in
 from casadical.export.c.products import Product
-from casadical.export.c.structured_text import structured_text
 from casadical.export.c.tape_program import TapeProgram, tape_program
 from casadical.export.c.toolchain import Compiler, compilers
-from casadical.export.c.vectors import example_source, self_test_source
 from casadical.export.c.verify import Comparison, accuracy, compared, shape_of
 
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,23}")
@@ -56,6 +54,7 @@ def write_c(
     real: Real = "double",
     model_sha256: str = "not given",
     data_sha256: str = "not given",
+    languages: Iterable[str] | None = None,
     vectors: int = 100_000,
     overwrite: bool = False,
 ) -> Export:
@@ -64,6 +63,7 @@ def write_c(
     product : :class:`NetworkFunction` or :class:`Command`
     folder : made when missing; what is in it already stays
     name : prefix of the C functions and files: a lower-case C identifier of at most 24 characters
+    languages : which to write besides the C, by name; default: all of this package (`fmu`, `structured_text`)
     vectors : joint vectors on which the compiled C is compared with the reference
     overwrite : replace files that this function did not write, or that were changed since
 
@@ -73,11 +73,10 @@ def write_c(
     label = _checked_label(name, real, model_sha256, data_sha256)
     folder = Path(folder)
     program = tape_program(product, real)
-    texts = _texts(program, label)
-    blobs = {key: text.encode() for key, text in texts.items()} | {f"{name}.fmu": fmu(program, label, texts)}
+    blobs = written_in(program, label, languages)
     _check_nothing_in_the_way(folder, [*blobs, "manifest.json"], overwrite)
     found = compilers()
-    comparisons = compared(program, name, texts, found, vectors)
+    comparisons = compared(program, name, blobs, found, vectors)
     wrong = [str(c) for c in comparisons if c.different]
     if wrong:
         raise CasadicalError("the compiled C differs from its reference; nothing was written:\n" + "\n".join(wrong))
@@ -96,20 +95,6 @@ def _checked_label(name: str, real: str, model_sha256: str, data_sha256: str) ->
         if not re.fullmatch(r"[0-9a-f]{64}|not given", value):
             raise InputError(f"{value!r} is no sha256; give 64 hexadecimal digits in lower case, or leave it out")
     return Label(name, model_sha256, data_sha256)
-
-
-def _texts(program: TapeProgram, label: Label) -> dict[str, str]:
-    name = label.name
-    return {
-        f"{name}.h": header(program, label),
-        f"{name}.c": source(program, label),
-        f"{name}_self_test.c": self_test_source(program, label),
-        f"{name}_example.c": example_source(program, label),
-        "CMakeLists.txt": cmake(label),
-        f"{name}.pc.in": pkg_config(label),
-        f"{name}.st": structured_text(program, label),
-        f"cross_check/{name}_casadi.c": cross_check(program, label),
-    }
 
 
 def _check_nothing_in_the_way(folder: Path, names: list[str], overwrite: bool) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from casadical.export import Command, Limits, Status, load, write_c
-from casadical.export.c.c_files import Label
+from casadical.export.c.language import Label
 from casadical.export.c.reference import correct, started, step
 from casadical.export.c.tape_program import tape_program
 from casadical.export.c.toolchain import compilers

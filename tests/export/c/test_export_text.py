@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from casadical.export import Command, Status
-from casadical.export.c.c_files import Label
+from casadical.export.c.language import Label
 from casadical.export.c.structured_text import structured_text
 from casadical.export.c.tape_program import tape_program
 

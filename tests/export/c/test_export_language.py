@@ -1,0 +1,142 @@
+"""A language from another package: a module and its metadata in a folder, used by the command in a fresh process."""
+
+import csv
+import hashlib
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from casadical.core.errors import InputError
+from casadical.export import Sources, command_of, write_c
+from casadical.export.c.language import known_languages
+
+ROOT = Path(__file__).parents[3]
+
+# A row an operation: what it does, the rows that it takes, its constant; the last row names the outputs.
+MODULE = """
+import csv, io
+from casadical.export import Language
+
+class Rows(Language):
+    name = "rows"
+
+    def files(self, program, label):
+        found = {}
+        for key, tape in program.tapes.items():
+            text = io.StringIO()
+            writer = csv.writer(text, lineterminator="\\n")
+            writer.writerows([node.op, " ".join(map(str, node.args)), node.value.hex()] for node in tape.nodes)
+            writer.writerow(["outputs", " ".join(map(str, tape.outputs)), ""])
+            found[f"{label.name}_{key}.csv"] = text.getvalue()
+        return found
+"""
+
+
+def installed(folder: Path, module: str = MODULE, point: str = "rows = tape_rows:Rows") -> Path:
+    """A folder as an installer leaves it."""
+    (folder / "tape_rows.py").write_text(module)
+    about = folder / "tape_rows-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: tape-rows\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(f"[casadical.controller_languages]\n{point}\n")
+    return folder
+
+
+def run(site: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """The command in a fresh process that finds packages in `site`."""
+    path = os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
+    command = [Path(sys.executable).parent / "casadical", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, "PYTHONPATH": path})
+
+
+OPERATIONS = {
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul": lambda a, b: a * b,
+    "div": lambda a, b: a / b,
+    "neg": lambda a: -a,
+    "sqrt": math.sqrt,
+    "atan2": math.atan2,
+    "sincos": lambda a: a,
+    "sin": math.sin,
+    "cos": math.cos,
+}
+
+
+def interpreted(path: Path, q: np.ndarray) -> list[float]:
+    """The table's outputs, by Python's own floating point."""
+    values: list[float] = []
+    *nodes, last = csv.reader(path.read_text().splitlines())
+    for op, places, constant in nodes:
+        arguments = [values[int(k)] for k in places.split()]
+        if op == "input":
+            values.append(float(q[int(float.fromhex(constant))]))
+        elif op == "const":
+            values.append(float.fromhex(constant))
+        elif op.startswith("guard"):
+            values.append((max if op == "guard_min" else min)(arguments[0], float.fromhex(constant)))
+        else:
+            values.append(OPERATIONS[op](*arguments))
+    return [values[int(k)] for k in last[1].split()]
+
+
+def test_a_plug_in_writes_what_the_model_computes(tmp_path):
+    site, out = installed(tmp_path), tmp_path / "c"
+    nominal = ROOT / "problems" / "hh800" / "robot.toml"
+    done = run(site, "export", "c", nominal, "--nominal", nominal, "--name", "arm", "--out", out, "--language", "rows")
+    assert (done.returncode, done.stderr) == (0, "")
+    manifest = json.loads((out / "manifest.json").read_text())
+    tables = {"arm_forward.csv", "arm_prepare.csv", "arm_advance.csv"}
+    assert tables < set(manifest["files"])
+    assert "arm.c" in manifest["files"]
+    assert not {"arm.fmu", "arm.st"} & set(manifest["files"])
+    assert manifest["files"]["arm_forward.csv"] == hashlib.sha256((out / "arm_forward.csv").read_bytes()).hexdigest()
+    command = command_of(Sources(nominal, nominal))
+    for q in np.random.default_rng(0).uniform(command.lower, command.upper, (20, 6)):
+        expected = command.calibrated(q).full().ravel()
+        if np.isfinite(expected).all():
+            assert interpreted(out / "arm_forward.csv", q) == pytest.approx(expected, abs=1e-12)
+
+
+def test_without_the_plug_in_its_name_is_refused_with_those_that_exist(tmp_path):
+    nominal = ROOT / "problems" / "ur10" / "robot.toml"
+    done = run(tmp_path, "export", "c", nominal, "--nominal", nominal, "--out", tmp_path / "c", "--language", "rows")
+    assert done.returncode == 2
+    assert "language 'rows' is not known; allowed: c, fmu, structured_text" in done.stderr
+    assert not (tmp_path / "c").exists()
+
+
+def test_the_c_alone(tmp_path, network):
+    written = write_c(network, tmp_path, name="arm", languages=(), vectors=100)
+    assert "arm.c" in written.files
+    assert not {"arm.fmu", "arm.st"} & set(written.files)
+
+
+FAULTY = {
+    "not there": (MODULE, "rows = tape_rows:Row", "cannot be loaded"),
+    "no language": ("Rows = 3", "rows = tape_rows:Rows", "must be a subclass of casadical.export.c.language.Language"),
+    "of another name": (MODULE, "tape = tape_rows:Rows", "both need the same name"),
+    "taken": (MODULE.replace('"rows"', '"c"'), "c = tape_rows:Rows", "there is a 'c' already"),
+    "files of the C": (MODULE.replace('_{key}.csv"]', '.c"]'), "rows = tape_rows:Rows", "writes arm.c, which is"),
+}
+
+
+@pytest.mark.parametrize("case", FAULTY)
+def test_a_faulty_plug_in_is_named(case, tmp_path, monkeypatch, network):
+    module, point, message = FAULTY[case]
+    monkeypatch.syspath_prepend(installed(tmp_path, module, point))
+    monkeypatch.delitem(sys.modules, "tape_rows", raising=False)
+    with pytest.raises(InputError, match=message):
+        write_c(network, tmp_path / "c", name="arm", languages=("rows",), vectors=100)
+    sys.modules.pop("tape_rows", None)
+    assert not (tmp_path / "c").exists()
+
+
+def test_the_languages_of_this_package():
+    assert [*known_languages()][:3] == ["c", "fmu", "structured_text"]
