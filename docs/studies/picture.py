@@ -25,6 +25,8 @@ ROWS = {
     "ur10_grid": "UR10, grid\nlaser tracker",
     "ur10_joints": "UR10, joint configurations\nlaser tracker",
     "ur10": "UR10, random poses\nlaser tracker",
+    "ur5": "UR5, random poses\nlaser tracker",
+    "wam": "Barrett WAM, random poses\nlaser tracker",
     "panda_1": "Panda 1\nball in sockets",
     "panda_3": "Panda 3\nball in sockets",
     "fr3_camera": "Franka Research 3\nhand camera",
@@ -61,8 +63,8 @@ def cloud(axes: Axes, values: np.ndarray, height: float, colour: str, rng: np.ra
 def main() -> None:
     rng = np.random.default_rng(0)
     plt.rcParams["font.family"] = "DejaVu Sans"
-    figure, axes = plt.subplots(figsize=(9.6, 7.4), dpi=160)
-    figure.subplots_adjust(left=0.235, right=0.97, top=0.86, bottom=0.085)
+    figure, axes = plt.subplots(figsize=(9.6, 9.4), dpi=160)
+    figure.subplots_adjust(left=0.235, right=0.97, top=0.89, bottom=0.067)
     step = 1.12
     heights = {name: -step * k - (0.35 if name == "hh800" else 0) for k, name in enumerate(ROWS)}
     for name, height in heights.items():
@@ -86,7 +88,7 @@ def main() -> None:
     axes.set_yticks([])
     for side in axes.spines.values():
         side.set_visible(False)
-    figure.text(0.03, 0.95, "Position error on poses that were held out", fontsize=15, fontweight="bold", color=INK)
+    figure.text(0.03, 0.96, "Position error on poses that were held out", fontsize=15, fontweight="bold", color=INK)
     parts = [
         TextArea(text, textprops={"fontsize": 10.5, "color": colour, "fontweight": weight})
         for text, colour, weight in (
@@ -98,7 +100,7 @@ def main() -> None:
     ]
     packed = HPacker(children=parts, align="baseline", pad=0, sep=0)
     figure.add_artist(
-        AnnotationBbox(packed, (0.03, 0.912), xycoords="figure fraction", frameon=False, box_alignment=(0, 0.5), pad=0)
+        AnnotationBbox(packed, (0.03, 0.93), xycoords="figure fraction", frameon=False, box_alignment=(0, 0.5), pad=0)
     )
     figure.savefig(ROOT / "docs" / "images" / "held_out.png", facecolor="white")
 
