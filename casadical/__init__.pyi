@@ -25,7 +25,7 @@ from casadical.robot.robot import Placement as Placement
 from casadical.robot.robot import Robot as Robot
 from casadical.robot.robot_file import read_robot as read_robot
 from casadical.robot.robot_file import write_robot as write_robot
+from casadical.robot.urdf import calibrated_urdf as calibrated_urdf
 from casadical.robot.urdf import read_urdf as read_urdf
-from casadical.robot.urdf_export import calibrated_urdf as calibrated_urdf
 
 __version__: str

@@ -101,7 +101,7 @@ def export_urdf(
     """
     from casadical.core.files import write_whole
     from casadical.export.mjcf.sources import calibrated, robot_to_write
-    from casadical.export.mjcf.urdf import urdf
+    from casadical.robot.urdf import new_urdf
 
     _refuse_taken(out, overwrite)
     into = None
@@ -112,7 +112,7 @@ def export_urdf(
             robot, into = calibration.robot, calibration.problem.urdf
         else:
             robot, _ = robot_to_write(source)
-    text = calibration.problem.calibrated_urdf(robot) if into else urdf(robot)
+    text = calibration.problem.calibrated_urdf(robot) if into else new_urdf(robot)
     write_whole(out, text)
     console = plain(quiet)
     console.print(f"wrote {out}: {robot.name}, {robot.n} joints" + (f", after {into[0].name}" if into else ""))

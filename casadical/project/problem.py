@@ -171,7 +171,7 @@ class Problem:
 
         Raises InputError where the problem's robot is not from a URDF.
         """
-        from casadical.robot.urdf_export import calibrated_urdf_text
+        from casadical.robot.urdf import calibrated_urdf_text
 
         if self.urdf is None:
             raise InputError(f"{self.folder}: its robot is not from a URDF; write its robot file, or a new URDF")

@@ -11,8 +11,7 @@ from urdf_arms import UR10, Oracle, joint, link, pose_of, random_arm, readings, 
 from casadical.core.errors import InputError
 from casadical.identification.identification import identify
 from casadical.measurements.reading import from_table
-from casadical.robot.urdf import read_urdf
-from casadical.robot.urdf_export import calibrated_urdf
+from casadical.robot.urdf import calibrated_urdf, read_urdf
 
 
 def perturbed(arm, seed, groups=("base", "geometry", "tool")):

@@ -12,13 +12,12 @@ import numpy as np
 import pytest
 
 from casadical.export import Command, Limits, Status, load, write_c
-from casadical.export.c.language import Label
+from casadical.export.c.language import Label, written_in
 from casadical.export.c.reference import correct, started, step
 from casadical.export.c.tape_program import tape_program
 from casadical.export.c.toolchain import compilers
 from casadical.export.c.vectors import inside
 from casadical.export.c.verify import accuracy, compared
-from casadical.export.c.write import _texts
 
 REALS = ("float", "double")
 TYPE = {"float": np.float32, "double": np.float64}
@@ -26,7 +25,7 @@ TYPE = {"float": np.float32, "double": np.float64}
 
 def compared_all(product, real, count):
     program = tape_program(product, real)
-    results = compared(program, "arm", _texts(program, Label("arm")), compilers()[:1], count)
+    results = compared(program, "arm", written_in(program, Label("arm"), ()), compilers()[:1], count)
     assert results
     return [str(r) for r in results if r.different], program
 

@@ -28,7 +28,6 @@ from casadical.effects import (
 )
 from casadical.export.mjcf import mjcf, positions, replay_campaign
 from casadical.export.mjcf.replay import replay
-from casadical.export.mjcf.urdf import urdf
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import read_measurements
@@ -36,6 +35,7 @@ from casadical.pose_selection import Workspace
 from casadical.pose_selection.candidates import draw_uniform
 from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot import Robot
+from casadical.robot.urdf import new_urdf
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra withheld)")
 ROOT = Path(__file__).parents[3]
@@ -214,7 +214,7 @@ def test_a_new_urdf_reads_back_as_the_same_arm(tmp_path: Path) -> None:
     robot = as_built(robot_of("kr210"))
     rigid = replace(robot, base=replace(robot.base, T=np.eye(4)))
     rigid = rigid.with_values(dict.fromkeys(rigid.parameters.select(["compliance"]), 0.0))
-    (tmp_path / "arm.urdf").write_text(urdf(rigid))
+    (tmp_path / "arm.urdf").write_text(new_urdf(rigid))
     back = read_urdf(tmp_path / "arm.urdf", tip_link="measured")
     m = poses(rigid)
     assert np.abs(predicted(back, m)[0] - predicted(rigid, m)[0]).max() < 1e-9
@@ -223,4 +223,4 @@ def test_a_new_urdf_reads_back_as_the_same_arm(tmp_path: Path) -> None:
 
 def test_a_urdf_takes_no_closed_loop() -> None:
     with pytest.raises(InputError, match="export mjcf"):
-        urdf(robot_of("hh800"))
+        new_urdf(robot_of("hh800"))

@@ -13,7 +13,7 @@ from casadical.core.errors import InputError
 from casadical.core.transforms import Array
 from casadical.robot.axes import Axis, Chain, rows_from_axes
 from casadical.robot.robot import STANDARD_GRAVITY, Body, Joint, Placement, Robot
-from casadical.robot.urdf_tree import Tree, parse_urdf
+from casadical.robot.urdf.tree import Tree, parse_urdf
 
 _FULL_TURN = 2 * np.pi
 

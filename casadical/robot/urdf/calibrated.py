@@ -13,8 +13,8 @@ from casadical.core.files import write_whole
 from casadical.core.transforms import Array, from_rpy, to_rpy
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
-from casadical.robot.urdf import UrdfChain, read_chain
-from casadical.robot.urdf_tree import parse_xml
+from casadical.robot.urdf.reading import UrdfChain, read_chain
+from casadical.robot.urdf.tree import parse_xml
 
 UNCHANGED = 1e-13  # m or rad: an origin nearer than this to its old value keeps its text
 SAME_ROBOT = 1e-9  # m or rad

@@ -17,7 +17,7 @@ TIP = "measured"
 EFFORT, VELOCITY = "1e4", "10"
 
 
-def urdf(robot: Robot) -> str:
+def new_urdf(robot: Robot) -> str:
     """The text of a URDF: base_link is the robot's base frame, the joints are joint1 .. jointN.
 
     Where the base stands in the measuring frame, compliances and effects have no place in a URDF: a comment says so.
