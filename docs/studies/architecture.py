@@ -219,6 +219,8 @@ def words(module: Source) -> set[str]:
             found |= {node.value, *node.value.split(":")[-1:]}
         elif isinstance(node, ast.Name):
             found.add(node.id)
+        elif isinstance(node, ast.ClassDef):
+            found.add(node.name)
         elif isinstance(node, ast.Attribute):
             found.add(node.attr)
         elif isinstance(node, ast.alias):
@@ -226,23 +228,21 @@ def words(module: Source) -> set[str]:
     return found
 
 
-def classes(house: House, folder: str) -> dict[str, set[str]]:
-    """Classes in the files of a folder, each with its registered name, if it has one."""
+def classes(house: House, folder: str, base: str) -> dict[str, set[str]]:
+    """Classes on this base in the files of a folder, each with its registered name."""
     found = {}
     for name, module in house.modules.items():
-        if name.startswith(f"{folder}.") and not name.endswith((".base", ".protocol")):
-            for node in module.tree.body:
-                if isinstance(node, ast.ClassDef) and not node.name.startswith("_") and node.bases:
-                    own = {
-                        n.value.value
-                        for n in node.body
-                        if isinstance(n, ast.AnnAssign)
-                        and isinstance(n.target, ast.Name)
-                        and n.target.id == "name"
-                        and isinstance(n.value, ast.Constant)
-                    }
-                    found[node.name] = {node.name, *own}
+        for node in module.tree.body if name.startswith(f"{folder}.") else ():
+            if isinstance(node, ast.ClassDef) and base in {getattr(b, "id", "") for b in node.bases}:
+                found[node.name] = {node.name, *_named(node)}
     return found
+
+
+def _named(node: ast.ClassDef) -> Iterator[str]:
+    for n in node.body:
+        target = n.target if isinstance(n, ast.AnnAssign) else n.targets[0] if isinstance(n, ast.Assign) else None
+        if getattr(target, "id", "") == "name" and isinstance(n.value, ast.Constant):
+            yield n.value.value
 
 
 def files_naming(house: House, members: dict[str, set[str]]) -> list[int]:
@@ -295,11 +295,10 @@ def figures(house: House) -> dict[str, str]:
         for p in house.folder.rglob("*")
         if p.is_file() and p.suffix not in (".py", ".pyi", ".pyc") and p.name != "py.typed"
     ]
-    trainers = "compensator.trainers"
     families = {
-        "effect": classes(house, "effects"),
+        "effect": classes(house, "effects", "Effect"),
         "kind of measurement": KINDS,
-        "trainer": classes(house, trainers),
+        "trainer": classes(house, "compensator.trainers", "Trainer"),
         "controller language": LANGUAGES,
     }
     typed, names = house.typed_names()
