@@ -53,7 +53,7 @@ class Named(_Loose):
 
 
 class Unseen(_Loose):
-    """Positions foretold at the unseen poses: by the base model, and with the named causes added."""
+    """Positions predicted at the unseen poses: by the base model, and with the named causes added."""
 
     base_mm: Rows
     with_causes_mm: Rows
@@ -108,7 +108,7 @@ def read_answers(path: Path) -> tuple[Head, dict[str, Answer]]:
     head = _read(Head, lines[0], f"{path}: line 1", "predict into another file (--out)")
     # Quotes inside of a text are escaped, so that this can only be the entry.
     answered = [(k, text) for k, text in enumerate(lines[1:], 2) if b'"failed":' not in text]
-    remedy = "delete this line, and predict again to have the campaign answered anew"
+    remedy = "delete this line, and run predict again to answer the campaign again"
     answers = [_read(Answer, text, f"{path}: line {k}", remedy) for k, text in answered]
     return head, {a.campaign: a for a in answers}
 

@@ -3,7 +3,7 @@
 All look at the same candidates as the diagnosis, in the residual that the base model leaves, as textbooks have it:
 white noise, ordinary least squares, no priors, no word for what is on no list, every choice a claim. How far the gap
 shrinks they tell from the residuals of the fit. (Montgomery, Peck and Vining 2012, chapter 10; Schwarz 1978; Chen and
-Chen 2008, whose extended criterion is for more candidates than data can tell apart.)
+Chen 2008, whose extended criterion is for more candidates than data can distinguish.)
 """
 
 from __future__ import annotations
@@ -118,12 +118,12 @@ def _by_f(left: Regression, case: Case, _taken: int) -> _Choice:
     return _Choice({candidate.label if sure else "none": 1.0}, (candidate, case.variants[best][1]) if sure else None)
 
 
-def _by_bic(left: Regression, case: Case, dearer: float) -> _Choice:
-    """The setting that lowers the criterion most; dearer : what any of them costs beyond its parameters."""
+def _by_bic(left: Regression, case: Case, extra: float) -> _Choice:
+    """The setting that lowers the criterion most; extra : penalty of any of them beyond its parameters."""
     total, widths, rows = float(left.y @ left.y), np.array([len(g) for g in case.groups]), len(left.y)
     gain = np.minimum(left.gains(case.groups), total * (1 - 1e-12))
     # Less the criterion of the model as it is.
-    score = rows * np.log1p(-gain / total) + widths * np.log(rows) + dearer
+    score = rows * np.log1p(-gain / total) + widths * np.log(rows) + extra
     best = int(np.argmin(score))
     low: dict[str, float] = {"none": 0.0}
     for (c, _), value in zip(case.variants, score, strict=True):

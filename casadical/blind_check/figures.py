@@ -103,8 +103,8 @@ def _seen_pairs(several: Sequence[Trial]) -> list[Trial]:
 
 
 def _shrink(trials: Sequence[Trial]) -> list[Row]:
-    """How far the gap shrinks at poses that no fit saw, and how well that was foretold; where a cause was named."""
-    # How many outliers fall among fifty poses is chance, and no robot's error; they are told apart.
+    """How far the gap shrinks at poses that no fit saw, and how well that was predicted; where a cause was named."""
+    # The number of outliers among fifty poses is random, and no robot's error; they are counted separately.
     wrong, every = shrink_errors([t for t in trials if "outliers" not in t.named]), shrink_errors(trials)
     return [
         Row("shrink foretold less realised, median", quantile(wrong, 0.5), "at most .04"),
@@ -118,7 +118,7 @@ def _shrink(trials: Sequence[Trial]) -> list[Row]:
 
 
 def shrink_errors(trials: Sequence[Trial]) -> list[float]:
-    """By how much the gap shrinks less or more than foretold, where a cause is named."""
+    """By how much the gap shrinks less or more than predicted, where a cause is named."""
     return [abs(t.predicted - t.realised) for t in trials if t.named]
 
 

@@ -125,7 +125,7 @@ def campaign_of(physics: str, table: Mapping[str, Any], model: str, plan: Plan) 
     """One campaign of a plan; runs in a worker. model : text of the base model's robot file."""
     plan, record = _recorded(physics, table, plan)
     rng = np.random.default_rng([plan.seed, 2])
-    # Among the others, so that nothing has to be foretold beyond the campaign's time and temperature.
+    # Among the others, so that nothing has to be extrapolated in time or temperature.
     kept = np.ones(plan.poses + UNSEEN, dtype=bool)
     kept[1 + rng.choice(len(kept) - 2, UNSEEN, replace=False)] = False
     struck = _STRUCK[plan.missing] if plan.missing else []
@@ -140,7 +140,7 @@ def campaign_of(physics: str, table: Mapping[str, Any], model: str, plan: Plan) 
 
 
 def _recorded(physics: str, table: Mapping[str, Any], plan: Plan, left: int = REDRAWN) -> tuple[Plan, Record]:
-    """The session of a plan. Where the robot finds no rest, everything but the plan is drawn anew, a few times."""
+    """The session of a plan. If it finds no equilibrium, all except the plan is drawn again, a few times."""
     try:
         return plan, physics_named(physics).record(table, plan, plan.poses + UNSEEN)
     except ConvergenceError:

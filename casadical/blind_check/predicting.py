@@ -1,4 +1,4 @@
-"""Answer a blind check: each campaign is diagnosed from what lies in the folder, and its unseen poses are foretold."""
+"""Answer a blind check: diagnose each campaign from the folder's files, and predict its unseen poses."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def predict(
 def _begun(path: Path, manifest: Manifest, by: str) -> set[str]:
     """Campaigns that are answered already; of a last line that was cut short the beginning is removed.
 
-    The file is cut in its place, never written anew: whenever this run ends, whole answers that were there are there.
+    The file is truncated in place, never rewritten: complete answers are kept whenever this run ends.
     """
     if not path.exists() or not path.stat().st_size:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -127,7 +127,7 @@ def diagnosed(s: Session) -> dict[str, Any]:
 def unseen_positions(s: Session, base: Robot, with_causes: Robot, leave_out: Array) -> dict[str, Any]:
     """Positions at the unseen poses by the base model and by the robot with causes, in mm.
 
-    base : as calibrated on all poses; leave_out : rows of outliers, without which it is calibrated anew
+    base : as calibrated on all poses; leave_out : rows of outliers, without which it is calibrated again
     """
     before = s.at_unseen(s.fitted(s.robot, leave_out) if len(leave_out) else base)
     after = s.at_unseen(with_causes) if with_causes.effects else before

@@ -1,6 +1,6 @@
 """Many independent tasks on all cores, or on whatever executor is handed in; results come as they are done.
 
-This module loads nothing heavy, so that a fresh worker can be told to use one thread before numpy is there.
+This module loads nothing heavy, so that a new worker can be limited to one thread before numpy is loaded.
 """
 
 from __future__ import annotations

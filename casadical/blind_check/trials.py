@@ -23,7 +23,7 @@ class Trial:
     signal, signals : visible rms over the instrument's noise, of all effects together and of each alone
     verdict, named : the answer, its causes by label; alike : the set of the first cause, itself included
     probability : given to the truth (the mean, where there are several)
-    predicted, realised : share by which the gap shrinks on poses held out, as foretold and at the unseen poses
+    predicted, realised : share by which the gap shrinks on poses held out, as predicted and at the unseen poses
     before, after : mean error at the unseen poses [m], by the base model and with the named causes
     """
 

@@ -1,6 +1,6 @@
 """The command line: casadical COMMAND PROBLEM_DIR.
 
-Exit codes: 0 done; 2 bad input; 3 the solver found no optimum; 70 a bug of ours.
+Exit codes: 0 done; 2 bad input; 3 the solver found no optimum; 70 a bug in casadical.
 """
 
 from __future__ import annotations
@@ -28,5 +28,5 @@ def main() -> None:
         sys.exit(130)
     except Exception:
         traceback.print_exc()
-        print("casadical: this is a bug of ours; please report it with the lines above", file=sys.stderr)  # noqa: T201
+        print("casadical: this is a bug in casadical; please report it with the lines above", file=sys.stderr)  # noqa: T201
         sys.exit(OUR_BUG)

@@ -58,7 +58,7 @@ def calibrate(
     Prints, for each problem, the position errors before and after, every parameter with its standard error, and what
     could not be identified and why. Results are written when all problems are done: all of them or none.
 
-    Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug of ours.
+    Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
     from casadical.core.files import write_together
     from casadical.project import calibration as work

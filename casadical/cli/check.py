@@ -27,9 +27,9 @@ def check(
     """Say what is wrong with a problem and its data before a solve, and what accuracy to expect.
 
     Looks for faults of the files, units, signs and zeros that the nominal model contradicts, joints that hardly move,
-    too few poses, a four-bar near its end; tells which parameters the poses can tell apart and how well.
+    too few poses, a four-bar near its end; shows which parameters the poses determine and how well.
 
-    Exit codes: 0 ready, 2 something is wrong, 70 a bug of ours.
+    Exit codes: 0 ready, 2 something is wrong, 70 a bug in casadical.
     """
     from casadical.project.check import precheck
     from casadical.project.check.report import as_json, report

@@ -39,7 +39,7 @@ def correct(
     Every row gets a status; a row whose status is not OK keeps its targets and is listed. With a folder, the options
     of the model are those of its export; with a robot file, give --nominal and what else `casadical export c` takes.
 
-    Exit codes: 0 written, with or without refused rows; 2 bad input; 70 a bug of ours.
+    Exit codes: 0 written, with or without refused rows; 2 bad input; 70 a bug in casadical.
     """
     from casadical.core.files import write_whole
     from casadical.export.controller.correct import corrected, kernel_corrector, model_corrector

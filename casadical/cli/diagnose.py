@@ -36,7 +36,7 @@ def diagnose(
     ] = None,
     measure_next: Annotated[
         Path | None,
-        typer.Option("--next", metavar="FILE", help="Poses that would tell apart what one campaign cannot, as CSV."),
+        typer.Option("--next", metavar="FILE", help="Write poses that distinguish the leading causes, as CSV."),
     ] = None,
     next_n: Annotated[int, typer.Option("--next-n", min=1, help="How many of these poses.")] = 15,
     room: Annotated[
@@ -64,7 +64,7 @@ def diagnose(
 ) -> None:
     """Say why there is still a gap: where it lies, which effect causes it, how far it shrinks without it.
 
-    Exit codes: 0 done, 2 bad input, 70 a bug of ours.
+    Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
     from casadical.core.files import write_together, write_whole
     from casadical.diagnosis.diagnose import diagnose as run

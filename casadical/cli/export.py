@@ -66,7 +66,7 @@ def export_c(
 
     Precondition: the controller's own absolute-accuracy option is off.
 
-    Exit codes: 0 done, 2 bad input, 70 a bug of ours.
+    Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
     from casadical.export import write_c
     from casadical.export.controller.models import Sources, command_of, network_of

@@ -62,7 +62,7 @@ def export_mjcf(
 ) -> None:
     """Write a calibrated robot as a MuJoCo model: geometry, masses, joint springs, closed loops, diagnosed effects.
 
-    Exit codes: 0 written, 2 bad input, 3 no optimum found, 70 a bug of ours.
+    Exit codes: 0 written, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
     from casadical.core.files import write_whole
     from casadical.export.mjcf.mjcf import mjcf
@@ -97,7 +97,7 @@ def export_urdf(
 
     A URDF holds geometry and masses; springs and effects have no place in it. Closed loops: see `export mjcf`.
 
-    Exit codes: 0 written, 2 bad input, 3 no optimum found, 70 a bug of ours.
+    Exit codes: 0 written, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
     from casadical.core.files import write_whole
     from casadical.export.mjcf.sources import calibrated, robot_to_write

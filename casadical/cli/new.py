@@ -40,7 +40,7 @@ def new(
 ) -> None:
     """Write a commented problem folder that runs: from a URDF, a DH table, or as an example.
 
-    Exit codes: 0 written, 2 bad input (then nothing was written), 70 a bug of ours.
+    Exit codes: 0 written, 2 bad input (then nothing was written), 70 a bug in casadical.
     """
     from casadical.project.new import new_problem
 

@@ -32,7 +32,7 @@ def plan(
             "--for",
             metavar="NAMES",
             autocompletion=words.effects,
-            help="Effects to be told: names or labels (backlash@5), by commas.",
+            help="Effects to identify as well: names or labels (backlash@5), by commas.",
         ),
     ] = None,
     criterion: Annotated[
@@ -71,7 +71,7 @@ def plan(
     Without -n it is the stopping rule alone: the accuracy to expect against the number of poses, with what was
     measured so far.
 
-    Exit codes: 0 done, 2 bad input, 70 a bug of ours.
+    Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
     from casadical.core.files import write_together
     from casadical.diagnosis.candidates import named

@@ -34,7 +34,7 @@ def replay(
 
     Needs MuJoCo: pip install 'casadical[mujoco]'.
 
-    Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug of ours.
+    Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
     from casadical.core.files import write_together
     from casadical.export.mjcf.equilibrium import load_mujoco

@@ -14,15 +14,13 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 BAD_INPUT, NO_CONVERGENCE, OUR_BUG = 2, 3, 70
 
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 Json = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", help="Keep all figures as JSON; of several inputs, of each.")
 ]
 Report = Annotated[
     Path | None,
-    typer.Option(
-        "--report", metavar="FILE.html", help="Write a report to look at, in one file (needs plotly and jinja2)."
-    ),
+    typer.Option("--report", metavar="FILE.html", help="Write an HTML report in one file (needs plotly and jinja2)."),
 ]
 Problems = Annotated[list[Path], typer.Argument(metavar="PROBLEM_DIR...", help="One or more problem folders.")]
 

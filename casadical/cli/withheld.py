@@ -60,7 +60,7 @@ def make_command(
     A quarter hides nothing, 45 % one effect, 15 % two or three, 15 % one that is on no list; 40, 100 or 200 poses of
     three robots; a third lacks a column. With a seed that is known, anyone can make the key again.
 
-    Exit codes: 0 done, 2 bad input, 70 a bug of ours.
+    Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
     from casadical.blind_check.making import make
     from casadical.blind_check.running import workers as pool
@@ -99,11 +99,11 @@ def predict_command(
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """Diagnose every campaign from what lies in DIR alone, and foretell positions at its unseen poses.
+    """Diagnose every campaign from the files in DIR only, and predict positions at its unseen poses.
 
     Answers that are in the file already are kept: a run that was cut goes on where it ended.
 
-    Exit codes: 0 done, 2 bad input, 70 a bug of ours.
+    Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
     from casadical.blind_check.predicting import predict
     from casadical.blind_check.running import workers as pool
@@ -135,7 +135,7 @@ def score_command(
 
     Several files of answers stand side by side, on the campaigns that all of them answer.
 
-    Exit codes: 0 done, 2 bad input, 70 a bug of ours.
+    Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
     from casadical.blind_check.report import draw, report
     from casadical.blind_check.scoring import in_common, score

@@ -1,4 +1,4 @@
-"""What further poses are worth: how sure the causes in question will be told apart, and what kind of poses they are."""
+"""The value of further poses: the probability to distinguish the causes, and what kind of poses they are."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ IDLE = 0.15
 
 
 def told_apart(d: Diagnosis, poses: pd.DataFrame) -> tuple[float, float]:
-    """Probability that the likelier of the two causes least apart is the true one: now, and with the poses measured.
+    """Probability that the more probable of the two most similar causes is true: now, and after these poses.
 
     After them the log odds are normal about their expected gain D with variance 2 D, whichever cause is true.
     """

@@ -1,7 +1,7 @@
 """In which part of the robot the gap arises: a variance component for every joint, link, the base and the tool.
 
 Each part may be wrong by any smooth function of joint readings, load, approach, time and temperature; its errors act
-through the base model's own Jacobian, whose constant part is estimated anew. The size of each part's errors is found
+through the base model's own Jacobian, whose constant part is re-estimated. The size of each part's errors is found
 by maximum likelihood (y ~ N(0, sigma^2 I + sum v_k E_k E_k'), monotone updates as in Zhou et al. 2019), so that parts
 which the data do not need fall to nothing; shares and their spread are those of draws from the posterior.
 """

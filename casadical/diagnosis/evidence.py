@@ -2,8 +2,8 @@
 
 The residual is r = J delta + E theta + noise, with noise covariance sigma^2 (I + rho^2 Jq Jq') of instrument and joint
 repeatability, delta ~ N(delta0, prior) and theta ~ N(0, (kappa size)^2). delta and theta are integrated in closed
-form; sigma, rho and kappa on grids. Base parameters that the data tell well are thereby projected out; one that they
-tell badly keeps its prior. (MacKay 1992; Kass and Raftery 1995.)
+form; sigma, rho and kappa on grids. This projects out base parameters that the data determine well; one that they
+determine badly keeps its prior. (MacKay 1992; Kass and Raftery 1995.)
 
 Only sums over poses of products of columns are needed. They are added up some poses at a time, so that memory does not
 grow with poses times columns.
@@ -308,7 +308,7 @@ class Sums:
         return out
 
     def _wide(self, group: Array, beside: Beside, also: Array | None, out: Array) -> None:
-        """A group of many columns, from the rho that is likeliest so far to both sides while it is within reach."""
+        """A group of many columns, from the most probable rho so far to both sides while it is within reach."""
         best = int(np.argmax(beside.log_base.max(axis=1)))
         top = -np.inf
         for step in (1, -1):

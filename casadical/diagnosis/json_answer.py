@@ -62,7 +62,7 @@ def settings(effect: Effect) -> dict[str, float]:
 
 
 def _next(poses: pd.DataFrame) -> list[dict[str, Any]]:
-    """Poses that would tell apart what this data cannot."""
+    """Poses that distinguish what these data cannot."""
     rows = poses.to_dict("records")
     return [{str(k): v for k, v in row.items() if v == v and v is not None} for row in rows]
 

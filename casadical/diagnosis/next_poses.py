@@ -59,8 +59,8 @@ def next_poses(
 ) -> pd.DataFrame:
     """The next n poses to measure, the most telling first.
 
-    labels : causes to tell apart, as the case's candidates name them; "none" for no cause at all
-    beside : others from which each of them is to be told as well, but not from each other
+    labels : causes to distinguish, as the case's candidates name them; "none" for no cause at all
+    beside : others from which each of them is to be distinguished as well, but not from each other
     workspace : where poses may lie; by default the robot's own ranges, loops as open as they were in the campaign
     payloads : states [kg] that can be mounted; by default none, the declared one and the campaign's
     pool : how many poses are drawn to choose from; the campaign's own are added
@@ -97,7 +97,7 @@ class _Cause:
 def _causes(case: Case, labels: Sequence[str], beside: Sequence[str] = ()) -> list[_Cause]:
     """Each label with its most likely settings and another that the data allow as well; of those beside, one each."""
     if len(set(labels)) < 2:
-        raise InputError(f"causes {list(labels)}; give two or more that are to be told apart")
+        raise InputError(f"causes {list(labels)}; give two or more to distinguish")
     known = {c.label: c for c in case.candidates}
     found: list[_Cause] = []
     for label in dict.fromkeys((*labels, *beside)):
@@ -199,7 +199,7 @@ _Pairs = Sequence[tuple[_Model, _Model]]
 def _pick(asked: _Pairs, also: _Pairs, n: int) -> tuple[list[int], list[float]]:
     """Greedy choice of n poses and what they separate, summed as they are added: of the truth told least.
 
-    asked, also : pairs to be told apart; only the former count as what is separated
+    asked, also : pairs to distinguish; only the former count as what is separated
     """
     pairs = [*asked, *also]
     duels = [d for a, b in pairs for d in (_Duel(a, b), _Duel(b, a))]

@@ -126,7 +126,7 @@ class Diagnosis:
 
     @property
     def in_question(self) -> tuple[str, ...]:
-        """Labels that further poses should tell apart: a set that looks alike, or the leading cause and its rival."""
+        """Labels that further poses should distinguish: a set of similar causes, or the two leading ones."""
         for cause in self.causes:
             if cause.indistinguishable and cause.label in self.rankings[0].probability:
                 return (cause.label, *cause.indistinguishable)
@@ -138,7 +138,7 @@ class Diagnosis:
     def next_poses(
         self, n: int, seed: int = 0, *, workspace: Workspace | None = None, payloads: Sequence[float] = ()
     ) -> pd.DataFrame:
-        """The n poses that best tell apart what this data cannot (see `next_poses.next_poses`); empty if nothing is.
+        """The n poses that best distinguish what these data cannot (see `next_poses.next_poses`); may be empty.
 
         workspace : where poses may lie; payloads : states [kg] that can be mounted
         """

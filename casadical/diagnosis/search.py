@@ -85,7 +85,7 @@ class Investigation:
         return _Step(ranking, tuple(labels), effects)
 
     def _screen(self, noise: Noise) -> None:
-        """Decide anew which poses are outliers, now that the model holds more."""
+        """Decide again which poses are outliers, now that the model has more causes."""
         case = self.case
         _, distance = remainders(case.whole, self.columns(self.steps), noise, case.kept)
         self.case = case.with_kept(np.where(case.kept, distance < OUT, distance < IN))
@@ -153,7 +153,7 @@ class Investigation:
         return tuple(listed[: int(np.searchsorted(total, SET_SHARE * there)) + 1])
 
     def _revisit(self) -> None:
-        """Judge each cause anew beside the others, which it was found without; a rival that is likelier replaces it."""
+        """Compare each cause again, with the others in the model; a more probable one replaces it."""
         for k in range(len(self.steps) if len(self.steps) > 1 else 0):
             others = self.steps[:k] + self.steps[k + 1 :]
             ranking = self.ranking(others)
@@ -277,7 +277,7 @@ class Investigation:
         return whole, [*causes, Cause("outliers", None, 0.99, shrink, interval, ())]
 
     def _remainder(self) -> float:
-        """Evidence of what is there beside the causes as a share of theirs."""
+        """Evidence of the remainder, as a share of that of the causes."""
         claimed = sum(s.ranking.log_factor[s.labels[0]] for s in self.steps)
         last = self.rankings[-1]
         return last.log_factor[last.order[0]] / claimed if claimed > 0 else 0.0

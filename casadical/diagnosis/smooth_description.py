@@ -1,4 +1,4 @@
-"""What the unknown is worth: its likeliest forms taken into the model, and how far the gap shrinks with them.
+"""The unknown described: its most probable forms in the model, and how far the gap shrinks with them.
 
 A form on no list (any function of a joint's own angle, smooth in time, ...) names no cause, nor does a listed effect
 beside it. Together they are a description all the same, and where it predicts poses held out it can be corrected.
@@ -40,7 +40,7 @@ class Unlisted:
 def unlisted_forms(
     case: Case, ranking: Ranking, named: tuple[Array, frozenset[str]], noise: Noise, seed: int
 ) -> Unlisted | None:
-    """Forms taken up one by one, the first of them on no list, each judged anew beside the others; None without one.
+    """Forms added one by one, the first of them on no list, each compared again with the others; None without one.
 
     ranking : the last one; named : columns and labels of the named causes; noise : that these leave
     """
@@ -64,8 +64,8 @@ def unlisted_forms(
     for label in list(forms) if len(forms) > 1 else ():
         again = beside(label)
         del forms[label]
-        likelier, found = best(again)
-        forms[likelier] = found
+        better, found = best(again)
+        forms[better] = found
     columns = np.unique(np.concatenate([named[0], *(case.group(e) for e in forms.values())]))
     before = partitioned_errors(case.evidence, named[0], noise, seed)
     after = partitioned_errors(case.evidence, columns, beside().noise[""], seed)

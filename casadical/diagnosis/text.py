@@ -261,5 +261,5 @@ def _next(d: Diagnosis, e: Extras) -> Iterator[str]:
     yield from _block(
         "NEXT",
         f"measure {len(e.poses)} poses{where} ({kinds(d.case, e.poses)}) to tell {' from '.join(d.in_question)}: "
-        f"P(told rightly) {before:.2f} -> {after:.2f}",
+        f"P(correct) {before:.2f} -> {after:.2f}",
     )

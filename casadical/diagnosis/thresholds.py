@@ -1,4 +1,4 @@
-"""Thresholds by which a diagnosis speaks or holds its tongue."""
+"""Decision thresholds of the diagnosis."""
 
 # Something is there if "nothing" is less probable than this at 100 poses; with this power of the number of poses and
 # at most the third, so that noise alone passes for something in about 1 % of bootstrap draws at 40, 100 and 200 poses

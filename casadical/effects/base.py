@@ -70,7 +70,7 @@ class Context:
         return float(self.torque_scale.max())
 
 
-# One sigma, in realistic sizes, of an effect once it is in a model: wide, for somebody had a reason to put it there,
+# One sigma, in realistic sizes, of an effect once it is in a model: wide, because a user had a reason to put it there,
 # and a robot's own may be many times the usual.
 CHOSEN = 8.0
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False)

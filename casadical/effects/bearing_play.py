@@ -1,4 +1,4 @@
-"""A bearing that gives way across its axis: it rocks under the moment of the weight beyond it and drops with it."""
+"""Play of a bearing across its axis: it tilts under the moment of the weight beyond it and moves along the load."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.parts import Body
 
-# Of a joint that does not give way [N m/rad or N/m]: 10 kN m turn it by 1e-8 rad.
+# Of a rigid joint [N m/rad or N/m]: 10 kN m turn it by 1e-8 rad.
 RIGID = 1e12
 
 

@@ -33,7 +33,7 @@ class GravityCompensator(Effect):
         "A spring between base and arm pulls joint 2 by k a b sin(g) (1 - l0/l(g)): without preload a sine, with "
         "preload the sine over the spring's length (Klimchik et al. 2013)."
     )
-    confused_with = "gear_eccentricity of joint 2, wholly, unless payload or spring pressure change"
+    confused_with = "gear_eccentricity of joint 2, completely, unless payload or spring pressure change"
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:

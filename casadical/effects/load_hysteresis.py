@@ -25,7 +25,7 @@ class LoadHysteresis(Effect):
         "Loading and unloading a gear follow two branches; their distance grows with the torque (dry friction), or "
         "with its square (inner friction, as in Rayleigh's law). Nothing of it is left at an idle joint."
     )
-    confused_with = "friction_windup, whose load part it is; tell by both approaches at no load"
+    confused_with = "friction_windup, its load-dependent part; both approaches without load distinguish them"
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:

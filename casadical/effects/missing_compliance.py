@@ -1,4 +1,4 @@
-"""A joint that the model takes as rigid gives way under its torque."""
+"""Compliance of a joint that the model takes as rigid."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class MissingCompliance(Effect):
     on_list = "extended"
     signature = "deflection of a joint that the model takes as rigid"
     physics = "Every drive train is a spring: its deflection is its torque over its stiffness (paper, 4)."
-    confused_with = "payload_error; wholly absorbed where the model has this joint's compliance already"
+    confused_with = "payload_error; completely absorbed if the model has this joint's compliance already"
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:

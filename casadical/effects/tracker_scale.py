@@ -18,7 +18,7 @@ class TrackerScale(Effect):
     physics = (
         "Distances are counted in wavelengths: 1 K or 3 hPa not accounted for make 1e-6 of every length (Edlen 1966)."
     )
-    confused_with = "the lengths of all links, wholly: only a known length (a scale bar) tells"
+    confused_with = "the lengths of all links, completely: only a known length (a scale bar) distinguishes them"
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {"k": (5e-6, "m/m")}

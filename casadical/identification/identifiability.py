@@ -1,4 +1,4 @@
-"""Which parameters the data can tell apart: independent columns of the scaled Jacobian, and who looks like whom.
+"""Which parameters the data determine: independent columns of the scaled Jacobian, and which are confounded.
 
 Columns are taken in order of preference and scaled to unit length. One that the columns before it reproduce is not
 identifiable; the columns that reproduce it are named. Exact dependences come out at round-off (1e-10) and true
@@ -104,7 +104,7 @@ def _in_words(alike: tuple[str, ...]) -> str:
 
 
 def poorly_determined(standard_errors: Array, priors: Array) -> int | None:
-    """The parameter of which the data say less than was known before (largest error over prior above one), if any."""
+    """The parameter that the data determine worst against its prior (largest error over prior above one), if any."""
     ratio = standard_errors / priors
     worst = int(np.argmax(ratio)) if ratio.size else 0
     return worst if ratio.size and ratio[worst] > 1 else None

@@ -337,7 +337,7 @@ def _screened(
 
 
 def _far(problem: LeastSquares, solution: Solution) -> list[Array]:
-    """Masks of the poses that noise of the spread which the residuals show brings forth once in 100 000."""
+    """Masks of the poses whose residuals noise of their spread would exceed once in 100 000."""
     residuals, _ = problem.evaluate(solution.v)
     edges = np.cumsum([0, *(r.size for r in residuals)])
     share = problem.redundancies(solution.v)

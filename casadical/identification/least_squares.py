@@ -252,7 +252,7 @@ class LeastSquares:
         return float(0.5 * g[free] @ np.linalg.solve(H[np.ix_(free, free)], g[free]))
 
     def identifiability(self, v: Array) -> Identifiability:
-        """Which of the names the data can tell apart, on the Jacobian at v, loads fixed where joints give way."""
+        """Which of the names the data determine, by the Jacobian at v, with fixed loads if joints are compliant."""
         loaded = any(j.compliance is not None for j in self.robot.joints) or bool(self.robot.effects)
         _, J = replace(self, fixed_loads=loaded).evaluate(v)
         p = len(self.names)
@@ -389,8 +389,8 @@ def _told(p: Parameter, error: float, partners: tuple[str, ...]) -> Unidentifiab
     """In words; error : standard error in units of the parameter's scale."""
     unit = p.readable_unit
     reason = (
-        f"these poses tell it to {p.readable(error * p.scale):.3g} {unit} only, less than is known before "
-        f"(prior {p.readable(p.prior):.3g} {unit})"
+        f"these poses determine it only to +/- {p.readable(error * p.scale):.3g} {unit}, worse than its prior, "
+        f"{p.readable(p.prior):.3g} {unit}"
     )
     if partners:
         reason += (
@@ -414,6 +414,6 @@ def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float
 
 
 def spread(r: Array) -> float:
-    """Standard deviation of residuals from their median absolute value, deaf to outliers; zeros are of weight zero."""
+    """Standard deviation of residuals from their median absolute value, robust to outliers; zeros have weight zero."""
     counted = np.abs(r[r != 0])
     return float(1.4826 * np.median(counted)) if counted.size else 0.0

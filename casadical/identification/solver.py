@@ -39,7 +39,7 @@ _SENTENCES = {
 class Solution:
     """Where the solver stopped.
 
-    v : shape (size,), scaled variables; status : Ipopt's word; message : the same in a sentence, with its remedy
+    v : shape (size,), scaled variables; status : that of Ipopt; message : the same in a sentence, with a remedy
     history : cost at each iteration
     """
 

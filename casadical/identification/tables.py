@@ -12,7 +12,7 @@ from casadical.identification.identification import Identification
 NEARLY_CONFOUNDED = (
     f" A condition number above {CONFOUNDED} means that some parameters are nearly confounded: trust the robot as a "
     "whole, by its held-out errors, more than each value. Standard errors and correlations tell which; poses spread "
-    "wider (casadical plan) would part them."
+    "wider (casadical plan) would separate them."
 )
 PLACED = Words(
     "nominal of base and tool: as first placed on the data (base_* are what is added to that), not as in the robot "

@@ -24,7 +24,7 @@ _NO_CONDITIONS = r"q\d+_(deg|rad|mm|m)|weight|set"
 class Columns:
     """Columns of one table, converted to SI; every error (InputError) says where.
 
-    table : headers without blanks around them, wholly empty columns left out
+    table : headers without blanks around them, empty columns left out
     source : file name or description; row : shape (n,), line of the file at which each row stands
     """
 

@@ -16,7 +16,7 @@ _APPROACH = re.compile(r"approach(\d+)")
 
 
 def derive(m: Measurements, names: Iterable[str]) -> tuple[Measurements, tuple[str, ...]]:
-    """The measurements with the named columns added, and the names that cannot be had from what was logged.
+    """The measurements with the named columns added, and the names that do not follow from what was logged.
 
     progress : place in the order of measuring, 0 to 1 (column pose or time_s; else the order of the rows)
     warmth_600s : temperature_degC behind a first-order lag of 600 s, less its mean [K]

@@ -114,7 +114,7 @@ class Measurements:
 
         Poses at the same joint readings (replicates) stay together, so that no pose is ever in two sets; a set may hold
         some more or less than its size for that. A pair distance whose ends fall in two sets is left out; poses of one
-        contact point may fall in two. Raises InputError for sizes that cannot be had.
+        contact point may fall in two. Raises InputError for impossible sizes.
         """
         ends = np.concatenate([self.q] if self.other is None else [self.q, self.other])
         reading = same_readings(ends)

@@ -17,7 +17,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.pose_selection.criteria import SPECTRAL
 
-# After so many updates, C and the blocks are computed anew.
+# After so many updates, C and the blocks are computed again.
 REFRESH = 50
 # Changes of the determinant by which C and the blocks may be updated.
 TRUSTED = 1e4
@@ -206,7 +206,7 @@ class Spectral(Design):
         self.w, self.V = np.linalg.eigh(self.M)
         self.w = np.maximum(self.w, 1e-300)
 
-    def _update(self, A: Array, sign: int) -> None:  # noqa: ARG002 - eigenvalues are computed anew
+    def _update(self, A: Array, sign: int) -> None:  # noqa: ARG002 - eigenvalues are computed again
         self._refresh()
 
     def _gains(self, which: Array, sign: int) -> Array:

@@ -95,8 +95,8 @@ def independent(
         if worst is None:
             break
         alike = correlated(C, worst, [kept[k] for k in left])
-        poor.append(Unidentifiable(kept[left[worst]], "these poses would tell less of it than is known before", alike))
+        poor.append(Unidentifiable(kept[left[worst]], "these poses would determine it worse than its prior", alike))
         del left[worst]
     if not left:
-        raise InputError(f"{robot.name}: poses like these tell nothing of {', '.join(names)}; free other parameters")
+        raise InputError(f"{robot.name}: poses like these determine none of {', '.join(names)}; free other parameters")
     return tuple(kept[k] for k in left), (*found.held, *poor)

@@ -64,7 +64,7 @@ def _networkx() -> Any:
 
 
 def arranged(robot: Robot, chosen: Candidates, circumstances: Circumstances, *, travel: bool) -> Measurements:
-    """The measurements that the chosen poses mean, in order; columns that follow from the order are made anew.
+    """The measurements that the chosen poses mean, in order; columns that follow from the order are made again.
 
     travel : whether poses of one pass, part of the time and payload are ordered for little travel
     """

@@ -36,7 +36,7 @@ class Forecast:
         return int(self.poses[good[0]]) if len(good) else None
 
     def stop(self, gain: float = 0.1, ahead: int = 10) -> int | None:
-        """The number of poses from which on `ahead` more would lessen the error by less than the share `gain`."""
+        """The number of poses from which on `ahead` more would reduce the error by less than the share `gain`."""
         shares = 1 - self.error[ahead:] / self.error[:-ahead]
         small = np.flatnonzero(shares < gain)
         return int(self.poses[small[0]]) if len(small) else None

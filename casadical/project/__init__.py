@@ -1,1 +1,1 @@
-"""A problem folder: read, checked, made anew, calibrated."""
+"""A problem folder: read, checked, created, calibrated."""

@@ -76,7 +76,7 @@ def _start(robot: Robot, effects: Sequence[Effect], measured: Measurements | Non
 
 
 def _mounted(given: Circumstances | None, effects: Sequence[Effect], measured: Measurements | None) -> Circumstances:
-    """Where effects are to be told, payloads that were mounted before can be mounted again."""
+    """If effects are to be identified, payloads that were mounted before can be mounted again."""
     known = given or Circumstances()
     states = np.unique(measured.conditions["payload_kg"]) if measured and "payload_kg" in measured.conditions else ()
     return known if known.payloads or not effects or len(states) < 2 else replace(known, payloads=tuple(states))
@@ -123,7 +123,7 @@ def plan(
 ) -> tuple[Selection, Forecast]:
     """Poses in order and the forecast beyond them.
 
-    effects : to be told, besides the accuracy over the task; measured : poses measured already; order : for
+    effects : to identify, besides the accuracy over the task; measured : poses measured already; order : for
     little travel; other arguments as of `select_poses`. Raises InputError.
     """
     start = _start(robot, effects, measured, noise)

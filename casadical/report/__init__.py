@@ -1,4 +1,4 @@
-"""What a calibration or a diagnosis found, to look at: figures for Python, and one HTML file that needs no other."""
+"""Figures and HTML reports of a calibration or a diagnosis; a report is one file that needs no other."""
 
 from casadical.core.lazy import attach
 

@@ -113,7 +113,7 @@ def _space_blocks(figures: Mapping[str, go.Figure], problem: Problem) -> Iterato
 def _where_blocks(figures: Mapping[str, go.Figure], result: Identification) -> Iterator[Block]:
     found = {k.partition("/")[2]: f for k, f in figures.items() if k.startswith("where/")}
     if not found:
-        yield Words("Where the gap lies can be told from one set of measured positions only.", "note")
+        yield Words("Localising the gap needs exactly one set of measured positions.", "note")
         return
     yield Words(f"Of what {result.method} leaves at the poses it was identified from. Bars are 95 % intervals.", "note")
     yield from where_drawings(found)
@@ -144,7 +144,7 @@ def _network_blocks(figures: Mapping[str, go.Figure], networks: Networks | None)
     yield from network_tables(networks)
     if "training" in figures:
         caption = (
-            "A low loss on the training poses alone is worth nothing: the poses that each network was judged on "
+            "A low loss on the training poses alone is no proof: the poses that each network was judged on "
             "decide. Trainers that choose a penalty on the weights may end at a greater loss on purpose."
         )
         yield Drawing("training", figures["training"], caption)

@@ -220,13 +220,13 @@ def _parameter_blocks(d: Diagnosis, figures: Mapping[str, go.Figure]) -> Iterato
 def _next_blocks(d: Diagnosis, e: Extras) -> Iterator[Block]:
     poses = d.next_poses(NEXT) if e.poses is None else e.poses
     if not len(poses):
-        yield Words("Nothing is in question: no further poses are needed to tell causes apart.")
+        yield Words("Nothing is in question: no further poses are needed to distinguish causes.")
         return
     before, after = told_apart(d, poses)
     yield Words(
-        f"Measure these {len(poses)} poses to tell {' from '.join(d.in_question)}: the probability to tell them "
-        f"rightly rises from {before:.2f} to {after:.2f}. {kinds(d.case, poses)}. The option --next FILE.csv writes "
-        "them. "
+        f"Measure these {len(poses)} poses to distinguish {' from '.join(d.in_question)}: the probability of the "
+        f"correct cause rises from {before:.2f} to {after:.2f}. {kinds(d.case, poses)}. The option "
+        "--next FILE.csv writes them. "
         "Separation is the expected log Bayes factor in favour of the truth, of a pose and those before it."
     )
     yield _pose_table(poses)

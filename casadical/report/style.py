@@ -33,7 +33,7 @@ PAPER, INK, MUTED, LINE, GRID = (COLOURS[k][0] for k in ("paper", "ink", "muted"
 BLUE, ORANGE, GREEN, RED, GREY = (COLOURS[k][0] for k in ("blue", "orange", "green", "red", "grey"))
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
 
-# Model: colour, marker, dash. No two of them are told apart by colour alone.
+# Model: colour, marker, dash. No two of them differ by colour alone.
 STYLES: dict[str, tuple[str, str, str]] = {
     "before": (COLOURS["grey"][0], "x-thin-open", "dot"),
     "KM": (COLOURS["orange"][0], "square", "dash"),

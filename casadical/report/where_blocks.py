@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 def where_drawings(figures: Mapping[str, go.Figure]) -> Iterator[Drawing]:
     """Figures of where the gap lies, each with how to read it."""
     captions = {
-        "joints": "Share of the gap that smooth errors of each joint would bring forth; all sum to 100 %.",
+        "joints": "Share of the gap that smooth errors of each joint would account for; all sum to 100 %.",
         "links": "The same for links, loop, base and tool frame.",
         "directions": "Each frame's three directions sum to 100 %, noise included; evenly spread would be 33 % each.",
         "regions": "Poses in thirds of each joint's readings, of the distance from joint 1 and of the height.",

@@ -1,8 +1,8 @@
 """The symbolic model: chain, loops, gravity torques, compliance and effects composed into CasADi functions.
 
 The deflection is added to the joint variables inside the kinematics, not through the linearised J dtheta of the
-paper's eq. 5. Torques are those of the robot that has sunk once under its own: what is left to equilibrium falls with
-the cube of the compliance.
+paper's eq. 5. Torques are those at the pose after one deflection step: the remaining distance to equilibrium is of
+third order in the compliance.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Expressions:
     """Symbols and expressions that all robots of one structure share; see `Model`.
 
     frames : nominal T_M0 and T_nE, their upper three rows column by column, shape (24,)
-    loaded : the parameters at which gravity torques are taken, shape (P,); phi itself but for fixed loads
+    loaded : the parameters at which gravity torques are taken, shape (P,); phi itself except for fixed loads
     """
 
     q: ca.SX

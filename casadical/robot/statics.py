@@ -30,7 +30,7 @@ def gravity_energy(arm: Arm, frames: Sequence[Symbolic], gravity: Symbolic, payl
 def gravity_torques(context: Context, added: Symbolic = 0.0) -> Symbolic:
     """tau = -dV/dq, shape (n,) [N m or N]: on the actuated joints, right for closed loops too.
 
-    Taken where the joints have sunk once under their own torque. added : potential energy of effects [J]
+    Evaluated at the pose after one deflection step. added : potential energy of effects [J]
     """
     arm, q = context.arm, context.q
     energy = gravity_energy(arm, context.frames, context.gravity, context.conditions.get("payload_kg", 0.0))

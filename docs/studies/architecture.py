@@ -438,7 +438,7 @@ def figures_table(house: House) -> str:
 
 
 def filled(text: str, house: House) -> str:
-    """The page with its tables made anew between their markers."""
+    """The page with new tables between their markers."""
     for name, table in (("imports", imports_table(house)), ("figures", figures_table(house))):
         text = re.sub(
             rf"(<!-- {name} -->\n).*?(<!-- end of {name} -->)",

@@ -120,7 +120,7 @@ def made(found: dict[str, list[Score]]) -> str:
 
 
 def filled(page: str, tables: dict[str, str]) -> str:
-    """The page with every marked place written anew."""
+    """The page with every marked place written again."""
     for name, table in tables.items():
         mark = re.compile(f"(?s)(<!-- {name} -->\n).*?(\n<!-- end -->)")
         assert mark.search(page), name

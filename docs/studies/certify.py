@@ -1,7 +1,7 @@
 """Write problems/*/certified.toml: `python docs/studies/certify.py [NAME...]`; tests/project holds these figures.
 
 A certified figure is what casadical finds with the problem's own seed and methods, so a changed one means that the
-program or the data changed: look why before you certify anew. `git diff problems` shows what moved.
+program or the data changed: look why before you certify again. `git diff problems` shows what moved.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """OMP_NUM_THREADS=1 python docs/studies/confusable_pairs.py [CAMPAIGNS [PAIR]] > docs/studies/confusable_pairs.txt
 
-Pairs of effects that a campaign of 40 poses cannot tell apart, and what 40 more poses say: those that `next_poses`
+Pairs of effects that a campaign of 40 poses cannot distinguish, and what 40 more poses say: those that `next_poses`
 proposes for the pair, and others drawn at random over everything that the robot can do. Measured in MuJoCo
 (`casadical.blind_check.mujoco_physics`), the truth being the one and the other effect of the pair in turn, each
-robot built anew. The first campaign is poor in one way each: joint ranges, payload, temperature.
+robot built again. The first campaign is poor in one way each: joint ranges, payload, temperature.
 
 Isolated: of all causes on the standard list, and of the smooth unknown ones, the most probable is the true one, joint
 included. Claimed: with a probability of .9; wrong claims: of another cause. The pair: of the two alone, the truth is

@@ -1,6 +1,6 @@
 """python docs/studies/diagnosis_tables.py
 
-Writes the tables of docs/diagnosis.md anew from the effect classes and the thresholds in the code; a test compares.
+Writes the tables of docs/diagnosis.md again from the effect classes and the thresholds in the code; a test compares.
 """
 
 import re
@@ -112,7 +112,7 @@ def _shares(prior: dict[str, float]) -> str:
 
 
 def filled(page: str) -> str:
-    """The page with every marked place written anew."""
+    """The page with every marked place written again."""
     for name, text in tables().items():
         mark = re.compile(rf"(<!-- {name} -->\n).*?(<!-- end -->)", re.DOTALL)
         assert mark.search(page), name

@@ -107,7 +107,7 @@ def compare_500(task: Task) -> None:
 def compare_equal_loss() -> None:
     """Print the time to mealpy's median loss after 500 iterations, on several data sets.
 
-    A run of ours that ends without that loss is followed by one with another seed, so the expected time is the time of
+    A run that ends without that loss is followed by one with another seed, so the expected time is the time of
     all runs over the number of successes; it is compared with mealpy's median time for its 500 iterations.
     """
     tasks = [synthetic_task(data_set) for data_set in range(DATA_SETS)]

@@ -1,6 +1,6 @@
 """python docs/studies/next_poses.py 150 > docs/studies/next_poses.txt
 
-What fifteen more poses are worth where a campaign of fifty could not tell two causes apart: chosen by next_poses, or
+What fifteen more poses are worth where a campaign of fifty could not distinguish two causes: chosen by next_poses, or
 drawn at random. Truth comes from the simulator, whose physics is not the candidates'; campaigns are of two
 robots in turn. Only campaigns count in which something was detected and no cause had a probability of .9.
 """

@@ -227,7 +227,7 @@ def standard_errors(name, robot, plant):
     results = [identify(robot, measured(real, chosen.q, k, robot.payload.mass)[0]) for k in range(REPETITIONS)]
     # A base that leans a little lets gravity load joint 1, which the drawing does not know.
     assert all(set(r.names) ^ set(chosen.names) <= {"c1"} for r in results)
-    # The base frame is placed anew each time; its parameters count from there.
+    # The base frame is placed again each time; its parameters count from there.
     kept = [k for k, n in enumerate(chosen.names) if not n.startswith("base_")]
     values = np.array([[r.robot.parameters[chosen.names[k]].value for k in kept] for r in results])
     ratio = values.std(axis=0, ddof=1) / chosen.standard_errors[kept]

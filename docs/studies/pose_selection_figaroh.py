@@ -2,7 +2,7 @@
 export OMP_NUM_THREADS=1
 python docs/studies/pose_selection_figaroh.py FIGAROH/bin/python > docs/studies/pose_selection_figaroh.txt
 
-D-optimal choices of ours beside figaroh's, for three robots and 30, 50, 100 poses out of the same 300 candidates: the
+Our D-optimal choices beside figaroh's, for three robots and 30, 50, 100 poses out of the same 300 candidates: the
 index O1, the processor's seconds, and what no choice from these candidates could better.
 """
 

@@ -118,7 +118,7 @@ def carried(found: dict[str, Diagnosis], poses: int) -> None:
     print(
         "== carried over: causes and values of one series held fixed in another, whose base model alone is identified"
     )
-    print(f"   anew from {poses} poses and tried on up to 2000 others; mean error [mm]")
+    print(f"   again from {poses} poses and tried on up to 2000 others; mean error [mm]")
     for source, d in found.items():
         refit = d.refit(unlisted=True)
         values = {n: v for n, v in zip(refit.names, refit.estimate, strict=True) if "@" in n}

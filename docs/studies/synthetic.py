@@ -41,7 +41,7 @@ def correct_set(robot: Robot) -> set[str]:
     """What positions can tell of a six-axis arm with base pose and tool point unknown, from its structure alone.
 
     The base takes up alpha0, a0, d1, theta1, the tool d6 and theta6. Between parallel axes beta comes in, and of all
-    the d along them only the last can be told - not even that where the base or the tool slides along them too.
+    the d along them only the last can be identified - not even that where the base or the tool slides along them too.
     """
     chosen = {n for n in robot.parameters.names if n.startswith(("base", "tool"))}
     n = robot.n

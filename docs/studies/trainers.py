@@ -4,7 +4,7 @@ Every trainer of the compensator on 50 training poses over 50 seeds: held-out me
 median and quartiles, and a box plot (trainers.png, needs matplotlib). Answers the paper's two claims with numbers: does
 invasive weed optimisation avoid local minima that single back-propagation runs fall into, and does it beat
 Levenberg-Marquardt with ridge? With --data FILE.csv (columns q1_rad ... and dx_mm, dy_mm, dz_mm: residual = measured
-minus computed) it takes a data set of yours and draws its training poses anew for every seed; without it, a synthetic
+minus computed) it takes a data set of yours and draws its training poses again for every seed; without it, a synthetic
 smooth residual, declared as such in its output.
 """
 

@@ -2,7 +2,7 @@
 
 Networks on what SKCM leaves of the HH800 twin (synthetic), 50 training poses and the set report as held-out poses:
 every trainer over 50 seeds on the experiment of problems/hh800; local minima; the methods over 30 other experiments of
-the simulator, each identified anew, and how often the refusal let a network through; and the ceiling: how much of the
+the simulator, each identified again, and how often the refusal let a network through; and the ceiling: how much of the
 rest is a function of the joints, by a Gaussian process and by larger networks on up to 2000 poses; and what the
 training poses are worth to the identification instead. Writes twin_networks.png.
 """
@@ -74,9 +74,9 @@ def same_experiment() -> dict[str, np.ndarray]:
 
 
 def other_experiments() -> None:
-    """The methods of `casadical calibrate` on experiments simulated anew, with the refusal by the set choose."""
+    """The methods of `casadical calibrate` on experiments simulated again, with the refusal by the set choose."""
     print(
-        f"\nB. {EXPERIMENTS} other experiments of the simulator, each identified anew; errors on the set report if no"
+        f"\nB. {EXPERIMENTS} other experiments of the simulator, each identified again; errors on the set report if no"
     )
     print("network were refused [mm], median (quartiles); gain in the mean; and what the set choose decided")
     rows: dict[str, list[tuple[float, ...]]] = {}

@@ -197,7 +197,7 @@ def test_a_bug_of_ours_ends_in_70_with_its_traceback(
     assert main(monkeypatch, "calibrate", PLANAR) == 70
     message = capfd.readouterr().err
     assert "ZeroDivisionError: planted" in message
-    assert "bug of ours" in message
+    assert "bug in casadical" in message
 
 
 def test_help_teaches() -> None:

@@ -69,7 +69,7 @@ def test_poorly_told_is_told_in_words_with_partners():
     built = arms.planted(ARM, 4, arms.TRACKER)
     near = 0.02 * arms.readings(built, 60, 5) + np.array([0.1, 0.4, -0.6, 0.3, 0.8, 0.2])
     result = identify(ARM, arms.positions(built, near, 6), ["kinematic"])
-    poor = [u for u in result.identifiability.held if "less than is known before" in u.reason]
+    poor = [u for u in result.identifiability.held if "worse than its prior" in u.reason]
     assert poor
     assert any(u.confounded_with for u in poor)
     widths = np.array([result.start.parameters[n].prior for n in result.names])

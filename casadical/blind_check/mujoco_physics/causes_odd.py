@@ -75,7 +75,7 @@ class LostBits(Cause):
 
 @dataclass(frozen=True)
 class RubberCoupling(Cause):
-    """A rubber coupling gives way slowly, and remembers the loads of the poses before; on no list.
+    """A rubber coupling creeps, depending on the loads of the previous poses; on no list.
 
     ``size`` [rad] is what it gives under the rated torque in the end, beyond the joint's own spring; it gets there with
     the time constant ``lag_minutes``. The robot starts unloaded, and waits at each pose until it is measured.

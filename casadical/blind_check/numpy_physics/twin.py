@@ -100,7 +100,7 @@ def hh800_twin(
 
     The poses to identify from are spread over the joint ranges, all others drawn at random. The arm is warm when it
     starts (2 K are left to rise), the payload of 300 kg stays. Another ``seed`` is another experiment on the same
-    robot, another ``robot_seed`` another robot; ``disturbances=()`` is a twin that the model describes exactly, but for
+    robot, another ``robot_seed`` another robot; ``disturbances=()`` is a twin that the model describes exactly, except
     the compliance of joints 1 and 6. ``truth`` as in ``campaign``.
     """
     plant = hh800_true(robot_seed)

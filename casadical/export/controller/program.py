@@ -1,4 +1,4 @@
-"""An offline program as a CSV table: joint targets are read in SI, every other column is kept to the letter."""
+"""An offline program as a CSV table: joint targets are read in SI, every other column is kept unchanged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a model of ours comes to rest in MuJoCo, at many commands: its equilibrium, found by Newton steps.
+"""Equilibrium of an exported model in MuJoCo at many commands, found by Newton steps.
 
 Weights, springs, actuators, loops and play are MuJoCo's own: it evaluates every force and constraint; the steps only
 divide them by the stiffness of the coordinate, which converges fast because weights change little over a deflection.

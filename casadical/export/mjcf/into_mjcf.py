@@ -155,7 +155,7 @@ def _foot(N: Sequence[Array], axes: Array, points: Array, joints: Sequence[str],
     z = np.array([T[:3, 2] for T in N])
     p = np.array([T[:3, 3] for T in N])
     if np.linalg.svd(z, compute_uv=False)[1] < 1e-3:
-        raise InputError(f"{source}: all axes are parallel; where the base is cannot be told from them")
+        raise InputError(f"{source}: all axes are parallel; they do not determine the position of the base")
     R = nearest_rotation(axes.T @ z)
     across = [np.eye(3) - np.outer(a, a) for a in axes]
     A = np.concatenate(across)

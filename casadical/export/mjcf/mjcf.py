@@ -125,7 +125,7 @@ def _links(world: ET.Element) -> dict[str, ET.Element]:
 
 
 def _drive_joints(body: ET.Element, name: str, row: Joint, drive: Drive) -> None:
-    """The joint, and beside it what gives way in another manner than a linear spring."""
+    """The joint, and beside it the elements that are not linear springs."""
     margin = 0.02 * (row.upper - row.lower)
     kind = "hinge" if row.kind == "revolute" else "slide"
     joint = ET.SubElement(body, "joint", {"name": name, "type": kind, "axis": "0 0 1", **inert(drive.stiffness)})

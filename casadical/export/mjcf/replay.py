@@ -119,7 +119,7 @@ def replay_campaign(
 def replay_diagnosis(
     found: Diagnosis, *, share: float = 2 / 3, seed: int = 0, show: Show = lambda _text: None
 ) -> Replay:
-    """Replay a campaign with the causes that were found in it, all values identified anew from a part of its poses.
+    """Replay a campaign with the causes that were found in it, all values identified again from a part of its poses.
 
     The outliers are left out, and the other poses replayed: no value has seen them, though they had a part in which
     causes are named; `replay_campaign` keeps them from that, too. share : of the poses that are fitted

@@ -54,7 +54,7 @@ class MeasurementKind(ABC):
     pattern : of the columns that it reads, which are no conditions
     arrays : names of the arrays that it needs: fields of `Measurements`, else entries of its `extra`
     lengths, angles : numbers that are observed at a pose [m] and [rad], at least one and at most six together
-    tells_scale : whether the sizes of robots of one shape are told apart
+    tells_scale : whether it distinguishes robots of one shape and different size
     """
 
     name: ClassVar[str]
@@ -88,7 +88,7 @@ class MeasurementKind(ABC):
         """Error that is reported of each pose, shape (n,) [m]; p : positions of the model, shape (n, 3) [m]."""
 
     def at_rest(self, arrays: Arrays) -> bool:
-        """Whether something that does not move with the robot was measured; else where it stands cannot be told."""
+        """Whether something at rest was measured; without it the pose of the base is not identifiable."""
         return True
 
     def point_names(self, arrays: Arrays) -> Sequence[str]:

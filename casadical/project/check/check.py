@@ -157,13 +157,13 @@ def _outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[
         text = f"{view.method}: {view.numbers} numbers for {p} unknowns; {COMFORTABLE} a piece tell how good the fit is"
         found.append(Finding("warning", "too few poses", text))
     if view.condition > CONFOUNDED:
-        text = f"{view.method}: condition number {view.condition:.0f}: some parameters can hardly be told apart"
+        text = f"{view.method}: condition number {view.condition:.0f}: some parameters are nearly confounded"
         found.append(Finding("warning", "identifiability", f"{text}; spread the poses wider (casadical plan)"))
     if noise and view.scatter > LACKS * noise:
         text = f"{view.method}: a linear step leaves {1e3 * view.scatter:.3g} mm a coordinate, the noise is "
         text += f"{1e3 * noise:.3g}: the model lacks something, or base and tool are far off"
         found.append(Finding("warning", "misfit", text))
     if view.method == "SKCM" and not any(n in view.names for n in robot.parameters.select(["compliance"])):
-        text = "SKCM: no compliance can be told (no joint is compliant, there are no masses, or gravity does not vary)"
+        text = "SKCM: no compliance is identifiable (no compliant joint, no masses, or constant gravity torques)"
         found.append(Finding("warning", "identifiability", text))
     return found

@@ -50,7 +50,7 @@ def coverage_findings(robot: Robot, m: Measurements) -> list[Finding]:
     found = []
     for c, moved in zip(coverage(robot, m), np.ptp(m.q, axis=0), strict=True):
         if moved < STILL:
-            text = f"joint {c.joint} does not move: what it does cannot be told from what comes before and after it"
+            text = f"joint {c.joint} does not move: its parameters cannot be distinguished from those of its neighbours"
             found.append(Finding("warning", "coverage", f"{m.source}: {text}"))
         elif c.share < LITTLE:
             text = f"joint {c.joint} covers {c.low:.0f} .. {c.high:.0f} {c.unit}, {100 * c.share:.0f} % of its range"

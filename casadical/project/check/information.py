@@ -119,7 +119,7 @@ def _worth_it(problem: LeastSquares, variance: float) -> tuple[tuple[str, ...], 
         worst = poorly_determined(np.sqrt(np.diag(C)), prior[named])
         if worst is None:
             return tuple(names), tuple(poor), C
-        reason = "these poses would tell less of it than is known before"
+        reason = "these poses would determine it worse than its prior"
         poor.append(Unidentifiable(names[worst], reason, correlated(C, worst, names)))
         left.remove(named[worst])
 

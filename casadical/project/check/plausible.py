@@ -58,7 +58,7 @@ def plausible(robot: Robot, m: Measurements, others: Mapping[str, Robot] | None 
 def other_conventions(folder: Path) -> dict[str, Robot]:
     """The robot of a problem folder with its DH rows read by the other convention; none for a URDF."""
     found: dict[str, Robot] = {}
-    # Whoever reads the problem says what is wrong with its files.
+    # The reader of the problem reports faults of its files.
     with suppress(InputError):
         path = folder / str(load_toml(folder / "problem.toml").get("robot", "robot.toml"))
         if path.suffix == ".toml":

@@ -16,7 +16,7 @@ _MARK = {"error": ("ERROR", "bold red"), "warning": ("WARNING", "yellow"), "note
 
 
 def report(found: Precheck) -> RenderableType:
-    """What `casadical check` prints of one problem: verdict, findings, ranges, what can be told and how well."""
+    """What `casadical check` prints of one problem: verdict, findings, ranges, expected accuracy."""
     head = Text(f"{found.folder.name}: {_verdict(found)}", style="bold")
     parts: list[RenderableType] = [head]
     if found.title:
@@ -58,7 +58,7 @@ def _ranges(found: Precheck) -> Table:
 
 def _outlook(view: Outlook, found: Precheck) -> list[RenderableType]:
     lines = [
-        f"{view.method}: {len(view.names)} parameters can be told from {view.numbers} numbers, {len(view.held)} not; "
+        f"{view.method}: {len(view.names)} parameters identifiable from {view.numbers} numbers, {len(view.held)} not; "
         f"condition number {view.condition:.0f}, observability O1 {view.O1:.3g}."
     ]
     if view.enough:

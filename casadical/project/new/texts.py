@@ -123,7 +123,7 @@ def problem_text(
     share = "identify = 0.7                     # used in the fit\nreport = 0.3                       # held out\n"
     return _PROBLEM.format(
         title=title if given else f"{title}: SYNTHETIC poses, for a first run",
-        data='# data = "real"                    # or "synthetic": whoever measured knows; printed above every result'
+        data='# data = "real"                    # or "synthetic"; printed above every result'
         if given
         else 'data = "synthetic"',
         mark="" if given else mark,

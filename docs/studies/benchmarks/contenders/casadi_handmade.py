@@ -1,4 +1,4 @@
-"""Hand-made CasADi + Ipopt, from what somebody writes in an afternoon to what one writes after reading the profile.
+"""Hand-made CasADi + Ipopt, from what one writes in an afternoon to what one writes after reading the profile.
 
 All four free the 27 parameters written down by hand for this arm. "sx": one SX graph that grows with the poses, exact
 Hessian. "map-exact": one position function, `map` over the poses, what `nlpsol` does by default. "map-naive": the
