@@ -30,6 +30,7 @@ from casadical.identification.residuals import LOSSES, Loss, make_block
 from casadical.identification.solver import Progress, Solution
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
+from casadical.robot.knowledge import Knowledge, blocks
 from casadical.robot.robot import Robot, modified_dh
 from casadical.robot.robot_file import to_toml
 
@@ -225,6 +226,7 @@ def identify(
     Source: paper, section 3; Hollerbach, Khalil and Gautier, Springer Handbook of Robotics (2016), chapter 8.
     """
     sets = _as_sets(measurements)
+    known = robot.knowledge or Knowledge()
     if method is not None:
         robot, free = _by_method(robot, method)
     if loss not in LOSSES:
@@ -240,7 +242,7 @@ def identify(
     sigmas = tuple((m.sigma or SIGMA_GUESS, m.sigma_angle or SIGMA_ANGLE_GUESS) for m in sets)
     problem = LeastSquares(start, sets, names, loss, priors, sigmas)
     (reduced, solution, found), outliers = _screened(problem, SCREENINGS if screen else 0, progress)
-    return Identification(
+    result = Identification(
         given=robot,
         start=start,
         robot=start.with_values(reduced.values(solution.v)),
@@ -254,6 +256,28 @@ def identify(
         degrees_of_freedom=reduced.residual_count - reduced.size,
         outliers=outliers,
     )
+    return replace(result, robot=replace(result.robot, knowledge=_learnt(result, known))) if robot.effects else result
+
+
+def _learnt(found: Identification, before: Knowledge) -> Knowledge:
+    """What is known of a robot with effects: of values that were held, what was known before.
+
+    The ranges are those on which the effects were learnt: of these measurements, where one of their parameters is free.
+    """
+    labels = {e.label for e in found.robot.effects}
+    groups = [found.robot.parameters[name].group for name in found.names]
+    owners = [group if group in labels else "" for group in groups]
+    kept = before.without(found.names)
+    own = blocks(found.names, owners, found.covariance)
+    if not any(owners):
+        return replace(kept, covariance=(*own, *kept.covariance))
+    sets = found.problem.sets
+    q = np.concatenate([m.q for m in sets])
+    columns = (*found.robot.conditions, *(c for e in found.robot.effects for c in e.needs))
+    logged = {c: [m.conditions[c] for m in sets if c in m.conditions] for c in columns}
+    ranges = {c: (float(min(map(min, v))), float(max(map(max, v)))) for c, v in logged.items() if v}
+    readings = np.column_stack([q.min(axis=0), q.max(axis=0)])
+    return Knowledge((*own, *kept.covariance), ", ".join(m.source for m in sets), len(q), readings, ranges)
 
 
 def _as_sets(measurements: Measurements | Sequence[Measurements]) -> tuple[Measurements, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import casadi as ca
@@ -140,7 +140,7 @@ def _places_function(robot: Robot) -> ca.Function:
 
     Frame 1 stands still: nothing that moves can hit anything there.
     """
-    rigid = replace(robot, effects=(), effect_values={})
+    rigid = robot.with_only(())
     model = rigid.model
     values = dict(zip(rigid.parameters.names, ca.vertsplit(model.phi), strict=True))
     T_M0 = base_frame(rigid, values, ca.DM(rigid.base.T))
@@ -157,7 +157,7 @@ def _places_function(robot: Robot) -> ca.Function:
 
 def _places(robot: Robot, q: Array) -> tuple[Array, Array, Array]:
     """Points, shape (n, joints, 3) [m], tool orientations, shape (n, 3, 3), least margins of loops, shape (n,)."""
-    count, rigid = len(q), replace(robot, effects=(), effect_values={})
+    count, rigid = len(q), robot.with_only(())
     f = _places_function(robot)
     points, R, margin = f.map(count)(q.T, np.tile(rigid.declared[:, None], count), rigid.parameters.values)
     least = margin.full().min(axis=0) if robot.loops else np.ones(count)

@@ -7,7 +7,7 @@ the six numbers together place the robot in the measuring frame (paper, Table 1)
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -28,6 +28,7 @@ from casadical.core.parts import (
 )
 from casadical.core.transforms import frame, small_frame, to_rpy
 from casadical.effects import Effect
+from casadical.robot.knowledge import Knowledge
 from casadical.robot.model import Model, Structure, expressions
 from casadical.robot.parameter_list import SIX, bar_names, parameters_of
 
@@ -55,16 +56,21 @@ class Robot(Arm):
 
     effects, effect_values : what was added to the base model (see `with_effect`)
     notes : what a reader of results must know (assumed masses, sources)
+    knowledge : how well the values are known, and on what range they were learnt
     """
 
     effects: tuple[Effect, ...] = ()
     effect_values: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    knowledge: Knowledge | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         for effect in self.effects:
             effect.refuse_joints(self)
+        if self.knowledge:
+            for name in self.knowledge.std_errors:
+                self.parameters.index_of(name)
 
     @cached_property
     def conditions(self) -> tuple[str, ...]:
@@ -88,7 +94,7 @@ class Robot(Arm):
 
         At least a twentieth of the greatest: a gear whose axis is upright is made for the forces of motion.
         """
-        bare = replace(self, effects=(), effect_values={})
+        bare = self.with_only(())
         lower, upper = np.array([(j.lower, j.upper) for j in self.joints]).T
         q = np.random.default_rng(0).uniform(lower, upper, (512, self.n))
         tau = np.abs(bare.torque.map(512)(q.T, bare.parameters.values).full())
@@ -125,8 +131,16 @@ class Robot(Arm):
         """A robot whose model holds these effects too."""
         return replace(self, effects=(*self.effects, *effects))
 
+    def with_only(self, effects: Iterable[Effect]) -> Robot:
+        """A robot whose model holds only these of its effects."""
+        kept = tuple(effects)
+        gone = {p.name for e in self.effects if e not in kept for p in e.parameters()}
+        values = {name: value for name, value in self.effect_values.items() if name not in gone}
+        known = self.knowledge and self.knowledge.without(gone)
+        return replace(self, effects=kept, effect_values=values, knowledge=known)
+
     def with_values(self, values: Mapping[str, float]) -> Robot:
-        """A robot whose nominal values are these, by parameter name [SI]."""
+        """A robot whose nominal values are these, by parameter name [SI]; `knowledge` of the former ones is dropped."""
         for name in values:
             self.parameters.index_of(name)
         v = {p.name: float(values.get(p.name, p.value)) for p in self.parameters}
@@ -138,6 +152,7 @@ class Robot(Arm):
             base=replace(self.base, T=self.base.T @ np.array(small_frame(*(v.get(n, 0.0) for n in SIX["base"])))),
             tool=replace(self.tool, T=_tool_with(self.tool.T, v)),
             effect_values={n: v[n] for n in effect_names},
+            knowledge=None,
         )
 
     def values_of(self, other: Robot) -> Array:

@@ -6,7 +6,7 @@ or radians are taken by name. See docs/robot-file.md for every key.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,6 +15,7 @@ import numpy as np
 import tomlkit
 from pydantic import Field, model_validator
 
+from casadical import __version__
 from casadical.core.errors import InputError
 from casadical.core.files import write_whole
 from casadical.core.schema import (
@@ -31,9 +32,14 @@ from casadical.core.schema import (
     load_toml,
 )
 from casadical.core.transforms import Array, frame, from_rpy, to_rpy
+from casadical.effects import Effect, find_effect
+from casadical.robot.effect_tables import CovarianceTable, EffectTable, LearntTable, knowledge_of, text_of
 from casadical.robot.robot import STANDARD_GRAVITY, WIDTHS, Body, FourBar, Joint, Placement, Robot, Width
 
 Bar = Annotated[float, LENGTH, Field(gt=0)]
+# Of the newest files that are read; from 2 on with effects and what is known of their values.
+VERSION = 2
+
 HalfLength = Annotated[float | None, LENGTH, Field(gt=0)]
 HalfAngle = Annotated[float | None, ANGLE, Field(gt=0)]
 
@@ -140,7 +146,8 @@ class _Widths(TomlTable):
 
 
 class _RobotFile(TomlTable):
-    casadical: Literal[1]
+    casadical: Literal[1, 2]
+    written_by: str = ""
     name: str = Field(min_length=1)
     convention: Literal["modified", "standard"] = "modified"
     notes: list[str] = Field(default=[])
@@ -151,9 +158,15 @@ class _RobotFile(TomlTable):
     joint: list[_Joint] = Field(min_length=1)
     four_bar: list[_FourBar] = Field(default=[])
     width: _Widths = _Widths()
+    effect: list[EffectTable] = Field(default=[])
+    learnt: LearntTable = LearntTable()
+    covariance: list[CovarianceTable] = Field(default=[])
 
     @model_validator(mode="after")
     def _rows(self) -> _RobotFile:
+        for key in ("effect", "learnt", "covariance"):
+            if self.casadical == 1 and key in self.model_fields_set:
+                raise FaultError(key, "belongs to files of version 2; write casadical = 2")
         for i, row in enumerate(self.joint):
             if row.beta is not None and self.convention == "standard":
                 raise FaultError(
@@ -163,7 +176,7 @@ class _RobotFile(TomlTable):
                 raise FaultError(("joint", i, "b"), "stands in row 1 only, where six numbers are the base frame")
         return self
 
-    def robot(self) -> Robot:
+    def robot(self, own: Sequence[type[Effect]]) -> Robot:
         joints = [row.joint() for row in self.joint]
         tool = self.tool.placement()
         payload = self.payload.body() if self.payload else None
@@ -171,7 +184,8 @@ class _RobotFile(TomlTable):
             joints, flange = _from_standard(joints)
             tool = replace(tool, T=flange @ tool.T)
             payload = payload and _moved(payload, flange)
-        return Robot(
+        effects, values, errors = self._effects(own)
+        robot = Robot(
             name=self.name,
             joints=tuple(joints),
             base=self.base.placement(),
@@ -181,8 +195,26 @@ class _RobotFile(TomlTable):
             gravity_frame=self.gravity.frame,
             payload=payload,
             widths=self.width.widths(),
+            effects=effects,
+            effect_values=values,
             notes=tuple(self.notes),
         )
+        return replace(robot, knowledge=knowledge_of(robot, self.learnt, self.covariance, errors))
+
+    def _effects(self, own: Sequence[type[Effect]]) -> tuple[tuple[Effect, ...], dict[str, float], dict[str, float]]:
+        """Effects, values and standard errors of their parameters. Raises InputError by key."""
+        effects, values, errors = [], {}, {}
+        for k, table in enumerate(self.effect, 1):
+            try:
+                effect = table.effect(own)
+            except InputError as error:
+                raise InputError(f"effect[{k}].{error}") from None
+            effects.append(effect)
+            for name, given in table.values.items():
+                values[f"{effect.label}.{name}"] = given.value
+                if given.std_error is not None:
+                    errors[f"{effect.label}.{name}"] = given.std_error
+        return tuple(effects), values, errors
 
 
 def _from_standard(rows: list[Joint]) -> tuple[list[Joint], Array]:
@@ -204,40 +236,57 @@ def _moved(body: Body, T: Array) -> Body:
     return Body(body.mass, T[:3, :3] @ body.com + T[:3, 3])
 
 
-def read_robot(path: str | Path) -> Robot:
-    """A robot from its TOML file.
+def read_robot(path: str | Path, effects: Sequence[type[Effect]] = ()) -> Robot:
+    """A robot from its TOML file, with its effects and what is known of their values.
 
+    effects : classes of your own, besides those that are installed (see `casadical.effects.find_effect`); a file runs
+    no other code
     Raises InputError that names the file, the key, the value and what is allowed.
     """
     path = Path(path)
-    return robot_from(load_toml(path), path.name)
+    return robot_from(load_toml(path), path.name, effects)
 
 
-def robot_from(data: Mapping[str, Any], source: str) -> Robot:
-    """A robot from the tables of a TOML file; `source` names it in messages. Raises InputError for every fault."""
+def robot_from(data: Mapping[str, Any], source: str, effects: Sequence[type[Effect]] = ()) -> Robot:
+    """A robot from the tables of a TOML file; `source` names it in messages. Raises InputError."""
+    version = data.get("casadical")
+    if isinstance(version, int) and version > VERSION:
+        raise InputError(
+            f"{source}: casadical = {version}: a file of version {version}, written by "
+            f"{data.get('written_by', 'a newer casadical')}; this is casadical {__version__}, which reads files up to "
+            f"version {VERSION}: install the newer one"
+        )
     file = check(_RobotFile, data, source)
     try:
-        return file.robot()
+        return file.robot(effects)
     except InputError as error:
         raise InputError(f"{source}: {error}") from None
 
 
-def write_robot(robot: Robot, path: str | Path, comment: str = "") -> None:
-    """Write a robot as TOML that `read_robot` reads again; the file appears whole or not at all."""
-    write_whole(Path(path), to_toml(robot, comment))
+def write_robot(robot: Robot, path: str | Path, comment: str = "", effects: Sequence[type[Effect]] = ()) -> None:
+    """Write a robot as TOML that `read_robot` reads again; the file appears whole or not at all.
 
-
-def to_toml(robot: Robot, comment: str = "") -> str:
-    """The robot as the text of a TOML file, in millimetres and degrees at full precision.
-
-    Raises InputError if it holds effects, for which a robot file has no place.
+    effects : classes of your own, as of `read_robot`
+    Raises InputError for an effect that is not installed, and so could not be read again.
     """
-    if robot.effects:
-        raise InputError("a robot with effects cannot be written as a robot file; write the base robot")
+    write_whole(Path(path), to_toml(robot, comment, effects))
+
+
+def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = ()) -> str:
+    """The robot as the text of a TOML file, in millimetres and degrees at full precision; effects in SI.
+
+    effects and errors as of `write_robot` (Raises InputError). A robot without effects is written as version 1.
+    """
+    for effect in robot.effects:
+        if find_effect(effect.name, effects) is not type(effect):
+            raise InputError(f"{effect.label}: another effect of this name is installed; rename yours")
+    more = bool(robot.effects or robot.knowledge)
     document = tomlkit.document()
     for line in comment.splitlines():
         document.add(tomlkit.comment(line))
-    document.add("casadical", tomlkit.item(1))
+    document.add("casadical", tomlkit.item(2 if more else 1))
+    if more:
+        document.add("written_by", tomlkit.item(f"casadical {__version__}"))
     document.add("name", tomlkit.item(robot.name))
     if robot.notes:
         document.add("notes", tomlkit.item(list(robot.notes)))
@@ -258,7 +307,11 @@ def to_toml(robot: Robot, comment: str = "") -> str:
         for loop in robot.loops:
             loops.append(tomlkit.item(_loop_table(loop)))
         document.add("four_bar", loops)
-    return tomlkit.dumps(document)
+    text = tomlkit.dumps(document)
+    if not more:
+        return text
+    tables = text_of(robot, robot.effects, robot.effect_values, robot.knowledge)
+    return "\n".join([text.rstrip("\n"), *tables, ""])
 
 
 def _mm(value: float) -> float:

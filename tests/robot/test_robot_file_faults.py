@@ -44,7 +44,7 @@ FAULTS = {
     "no name": (('name = "two joints"', ""), ["name: is missing"]),
     "an empty name": (('"two joints"', '""'), ["name = ''", "at least 1"]),
     "no version": (("casadical = 1", ""), ["casadical: is missing"]),
-    "a version to come": (("casadical = 1", "casadical = 2"), ["casadical = 2", "must be 1"]),
+    "a version to come": (("casadical = 1", "casadical = 3"), ["casadical = 3", "up to version 2"]),
     "no such convention": (
         ("casadical = 1", 'casadical = 1\nconvention = "DH"'),
         ["convention = 'DH'", "'modified' or 'standard'"],

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from casadical.core.arrays import Array
@@ -25,7 +23,7 @@ def counterparts(robot: Robot) -> Counterparts:
 
 def _mean_torque(robot: Robot) -> Array:
     """Mean size of each joint's gravity torque over its range, shape (n,) [N m or N]."""
-    bare = replace(robot, effects=(), effect_values={})
+    bare = robot.with_only(())
     lower, upper = np.array([(j.lower, j.upper) for j in robot.joints]).T
     q = np.random.default_rng(0).uniform(lower, upper, (256, robot.n))
     tau: Array = bare.torque.map(256)(q.T, bare.parameters.values).full()

@@ -88,9 +88,7 @@ def replay(robot: Robot, m: Measurements, name: str = "model") -> Stage:
 
 def _of_the_measurement(robot: Robot, m: Measurements) -> Array:
     """What effects of the measurement add to each point, shape (n, 3) [m]."""
-    own = tuple(e for e in robot.effects if not e.of_measurement)
-    names = {p.name for e in own for p in e.parameters()}
-    without = replace(robot, effects=own, effect_values={n: v for n, v in robot.effect_values.items() if n in names})
+    without = robot.with_only(e for e in robot.effects if not e.of_measurement)
     return np.asarray(predicted(robot, m)[0] - predicted(without, m)[0])
 
 

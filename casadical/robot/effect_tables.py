@@ -1,0 +1,187 @@
+"""Tables of a robot file that a robot with effects has: [[effect]], [learnt] and [[covariance]]; all in SI."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import tomlkit
+from pydantic import Field
+
+from casadical.core.arm import Arm
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.core.schema import Pair, TomlTable
+from casadical.effects import Effect, find_effect
+from casadical.robot.knowledge import Covariance, Knowledge
+
+# A standard error and the variance of its parameter may differ by so much, relative.
+SAME = 1e-6
+# Of a covariance: enough for correlations of 1 - 1e-9, and a quarter less text than all.
+DIGITS = 12
+
+
+class Value(TomlTable):
+    """A parameter of an effect."""
+
+    value: float
+    unit: str
+    std_error: float | None = Field(default=None, ge=0)
+
+
+class EffectTable(TomlTable):
+    """One effect with its settings and values."""
+
+    name: str = Field(min_length=1)
+    joint: int | None = Field(default=None, ge=1)
+    settings: dict[str, Any] = Field(default={})
+    values: dict[str, Value] = Field(default={})
+
+    def effect(self, own: Sequence[type[Effect]]) -> Effect:
+        """Raises InputError: no such effect or setting, a value that it does not have, or in another unit."""
+        effect = find_effect(self.name, own).from_dict({"joint": self.joint, "settings": self.settings})
+        sizes = effect.sizes()
+        for name, given in self.values.items():
+            if name not in sizes:
+                raise InputError(f"values.{name}: no parameter of {effect.label}; there are {', '.join(sizes)}")
+            if given.unit != sizes[name][1]:
+                raise InputError(f"values.{name}.unit = {given.unit!r}; allowed: {sizes[name][1]!r}")
+        return effect
+
+
+class CovarianceTable(TomlTable):
+    """Lower triangle, row by row."""
+
+    names: list[str] = Field(min_length=1)
+    lower: list[list[float]] = Field(min_length=1)
+
+    def covariance(self) -> Covariance:
+        """Raises InputError for rows that make no triangle, and what `Covariance` raises."""
+        k = len(self.names)
+        if [len(row) for row in self.lower] != list(range(1, k + 1)):
+            raise InputError(f"lower: rows of {[len(row) for row in self.lower]} numbers; of {k} names: 1 to {k}")
+        matrix = np.zeros((k, k))
+        for i, row in enumerate(self.lower):
+            matrix[i, : i + 1] = matrix[: i + 1, i] = row
+        return Covariance(tuple(self.names), matrix)
+
+
+class LearntTable(TomlTable):
+    """Where the values come from."""
+
+    campaign: str = ""
+    poses: int = Field(default=0, ge=0)
+    readings: dict[str, Pair] = Field(default={})
+    conditions: dict[str, Pair] = Field(default={})
+
+    def ranges(self, arm: Arm) -> Array:
+        """Of the joints' readings, shape (n, 2) [rad or m], or (0, 2). Raises InputError for other joints or units."""
+        factors = reading_keys(arm)
+        for key in self.readings:
+            if key not in factors:
+                raise InputError(f"learnt.readings.{key}: not a known key; allowed: {', '.join(factors)}")
+        missing = [key for key in factors if key not in self.readings]
+        if self.readings and missing:
+            raise InputError(f"learnt.readings.{missing[0]}: is missing")
+        if not self.readings:
+            return np.zeros((0, 2))
+        return np.array([np.multiply(self.readings[key], factor) for key, factor in factors.items()])
+
+
+def reading_keys(arm: Arm) -> dict[str, float]:
+    """Key of each joint's range, as columns of measurements are named, and its factor to SI."""
+    units = {"revolute": ("deg", np.pi / 180), "prismatic": ("mm", 1e-3)}
+    return {f"q{i}_{units[j.kind][0]}": units[j.kind][1] for i, j in enumerate(arm.joints, 1)}
+
+
+def knowledge_of(
+    arm: Arm, learnt: LearntTable, covariance: Sequence[CovarianceTable], errors: Mapping[str, float]
+) -> Knowledge | None:
+    """What the tables say, None if they say nothing.
+
+    errors : standard errors beside values, by parameter; one that is in no covariance makes a block of its own
+    Raises InputError by key.
+    """
+    found = []
+    for k, table in enumerate(covariance, 1):
+        try:
+            found.append(table.covariance())
+        except InputError as error:
+            raise InputError(f"covariance[{k}].{error}") from None
+    known = {name: float(np.sqrt(v)) for c in found for name, v in zip(c.names, np.diag(c.matrix), strict=True)}
+    for name, given in errors.items():
+        if abs(known.setdefault(name, given) - given) > SAME * given:
+            raise InputError(
+                f"{name}: std_error = {given:.6g}, but its [[covariance]] says {known[name]:.6g}; leave one out"
+            )
+        if all(name not in c.names for c in found):
+            found.append(Covariance((name,), np.array([[given**2]])))
+    ranges = learnt.ranges(arm)
+    if not (found or learnt.model_fields_set):
+        return None
+    conditions = {name: (pair[0], pair[1]) for name, pair in learnt.conditions.items()}
+    return Knowledge(tuple(found), learnt.campaign, learnt.poses, ranges, conditions)
+
+
+def text_of(
+    arm: Arm, effects: Sequence[Effect], values: Mapping[str, float], knowledge: Knowledge | None
+) -> Iterator[str]:
+    """The tables as lines of TOML. values : of all effects' parameters [SI]"""
+    known = knowledge or Knowledge()
+    for effect in effects:
+        yield from _effect_lines(effect, values, known.std_errors)
+    if knowledge:
+        yield from _learnt_lines(arm, knowledge)
+    own = {p.name for e in effects for p in e.parameters()}
+    for block in known.covariance:
+        # A standard error beside its value says the same.
+        if len(block.names) > 1 or block.names[0] not in own:
+            yield from ("", "[[covariance]]", f"names = {_text(list(block.names))}", "lower = [")
+            for i, row in enumerate(block.matrix):
+                yield f"    {_text([float(f'{v:.{DIGITS}g}') for v in row[: i + 1]])},"
+            yield "]"
+
+
+def _effect_lines(effect: Effect, values: Mapping[str, float], errors: Mapping[str, float]) -> Iterator[str]:
+    whole = effect.to_dict()
+    settings = whole.pop("settings", {})
+    yield from ("", "[[effect]]", *(f"{key} = {_text(value)}" for key, value in whole.items()))
+    if settings:
+        yield f"settings = {_text(settings)}"
+    yield "[effect.values]"
+    for name, (_, unit) in effect.sizes().items():
+        parameter = f"{effect.label}.{name}"
+        entry: dict[str, Any] = {"value": float(values.get(parameter, 0.0)), "unit": unit}
+        if parameter in errors:
+            entry["std_error"] = errors[parameter]
+        yield f"{_key(name)} = {_text(entry)}"
+
+
+def _learnt_lines(arm: Arm, knowledge: Knowledge) -> Iterator[str]:
+    yield from ("", "[learnt]", f"campaign = {_text(knowledge.campaign)}", f"poses = {knowledge.poses}")
+    if len(knowledge.readings):
+        yield "[learnt.readings]"
+        for (key, factor), pair in zip(reading_keys(arm).items(), knowledge.readings, strict=True):
+            yield f"{key} = {_text([float(v / factor) for v in pair])}"
+    if knowledge.conditions:
+        yield "[learnt.conditions]"
+        yield from (f"{_key(name)} = {_text([float(v) for v in pair])}" for name, pair in knowledge.conditions.items())
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[\w-]+", name, re.ASCII) else _text(name)
+
+
+def _text(value: Any) -> str:
+    """A value as TOML; numbers shortest so that they read back to the last bit."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_key(k)} = {_text(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_text, value)) + "]"
+    return str(tomlkit.item(value).as_string())

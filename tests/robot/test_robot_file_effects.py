@@ -1,0 +1,288 @@
+"""Robots with effects as files: the same positions, the same knowledge, and every fault by its key."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from casadical import (
+    InputError,
+    Measurements,
+    Robot,
+    identify,
+    read_campaign_robot,
+    read_measurements,
+    read_robot,
+    write_robot,
+)
+from casadical.diagnosis.candidates import extended_candidates
+from casadical.effects import Backlash, Effect, ThermalGrowth
+from casadical.identification.accuracy import predicted
+from casadical.measurements import derive
+from casadical.robot.effect_tables import text_of
+from casadical.robot.knowledge import ONE_BLOCK, Covariance, Knowledge, blocks
+from casadical.robot.robot_file import to_toml
+
+ROOT = Path(__file__).parents[2]
+CAMPAIGNS = {"hh800": "hh800-P01", "kr210": "kr210-P02", "ur10e": "ur10e-P03"}
+
+
+@cache
+def robot(name: str) -> Robot:
+    return read_campaign_robot(ROOT / "problems" / name)
+
+
+def with_columns(name: str, effects: tuple[Effect, ...]) -> Measurements:
+    m = read_measurements(ROOT / "data" / "campaigns" / "practice" / f"{CAMPAIGNS[name]}.csv", 6)
+    found, missing = derive(m, [c for e in effects for c in e.conditions])
+    assert missing == ()
+    return found
+
+
+def every_effect(name: str, rng: np.random.Generator, listed: bool) -> tuple[Effect, ...]:
+    """One effect of every label, its settings drawn from the grid and moved off it."""
+    by_label: dict[str, list[Effect]] = {}
+    for c in extended_candidates(robot(name)):
+        for effect in (e for v in c.variants for e in v if c.listed is listed):
+            by_label.setdefault(effect.label, []).append(effect)
+    chosen = [found[rng.integers(len(found))] for found in by_label.values()]
+    drawn = []
+    for effect in chosen:
+        settings = {f.name: getattr(effect, f.name) for f in fields(effect)}
+        moved = {k: v * rng.uniform(0.9, 1.1) for k, v in settings.items() if isinstance(v, float) and k != "lag"}
+        drawn.append(replace(effect, **moved))
+    return tuple(drawn)
+
+
+@pytest.mark.parametrize("name", CAMPAIGNS)
+@pytest.mark.parametrize("listed", [True, False])
+def test_every_effect_gives_the_same_positions_after_its_file(name: str, listed: bool, tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    effects = every_effect(name, rng, listed)
+    whole = robot(name).with_effect(*effects)
+    values = {p.name: rng.normal(0, p.scale) for e in effects for p in e.parameters()}
+    values |= {
+        p.name: p.value + 1e-3 * rng.normal() * p.prior for p in robot(name).parameters if p.group != "compliance"
+    }
+    whole = whole.with_values(values)
+    write_robot(whole, tmp_path / "robot.toml")
+    again = read_robot(tmp_path / "robot.toml")
+    assert again.effects == effects
+    assert again.effect_values == whole.effect_values
+    m = with_columns(name, effects)[::5]
+    bare = whole.with_only(())
+    there = predicted(whole, m)[0]
+    assert np.linalg.norm(there - predicted(bare, m)[0], axis=1).min() > 1e-6
+    np.testing.assert_allclose(predicted(again, m)[0], there, rtol=0, atol=1e-12)
+
+
+EFFECTS = (Backlash(5), ThermalGrowth())
+FREE = ("kinematic", "compliance", *(e.label for e in EFFECTS))
+
+
+@cache
+def learnt() -> Robot:
+    return identify(robot("hh800").with_effect(*EFFECTS), with_columns("hh800", EFFECTS), FREE, priors=True).robot
+
+
+def test_what_an_identification_knows_is_kept(tmp_path: Path) -> None:
+    m = with_columns("hh800", EFFECTS)
+    found = identify(robot("hh800").with_effect(*EFFECTS), m, FREE, priors=True)
+    write_robot(found.robot, tmp_path / "robot.toml")
+    known = read_robot(tmp_path / "robot.toml").knowledge
+    assert known is not None
+    (block,) = known.covariance
+    assert block.names == found.names
+    np.testing.assert_allclose(block.matrix, found.covariance, rtol=1e-11, atol=0)
+    assert (known.campaign, known.poses) == ("hh800-P01.csv", len(m))
+    np.testing.assert_allclose(known.readings, np.column_stack([m.q.min(axis=0), m.q.max(axis=0)]), atol=1e-15)
+    assert known.conditions["payload_kg"] == (0.0, 300.0)
+    assert known.conditions["approach5"] == (-1.0, 1.0)
+    low, high = known.conditions["temperature_degC"]
+    assert (low, high) == (m.conditions["temperature_degC"].min(), m.conditions["temperature_degC"].max())
+
+
+def test_what_is_held_stays_known_and_what_is_free_is_known_anew() -> None:
+    m = with_columns("hh800", EFFECTS)[:60]
+    again = identify(learnt(), m, ("kinematic",))
+    before, after = learnt().knowledge, again.robot.knowledge
+    assert again.robot.effect_values == learnt().effect_values
+    assert after.std_errors["backlash@5.half"] == before.std_errors["backlash@5.half"]
+    assert after.std_errors["tool_x"] != before.std_errors["tool_x"]
+    assert after.poses == before.poses  # the effects' own
+    freed = identify(learnt(), m, ("placement", "backlash@5")).robot.knowledge
+    assert freed.poses == 60
+    assert freed.std_errors["backlash@5.half"] > before.std_errors["backlash@5.half"]
+    assert freed.std_errors["thermal_growth.alpha"] == before.std_errors["thermal_growth.alpha"]
+
+
+def test_new_values_have_no_old_covariance() -> None:
+    assert learnt().with_values({"backlash@5.half": 1e-5}).knowledge is None
+
+
+def test_a_robot_without_effects_is_written_as_ever() -> None:
+    m = with_columns("hh800", ())
+    text = to_toml(identify(robot("hh800"), m, ("placement",)).robot)
+    assert text.startswith("casadical = 1\nname")
+    assert "covariance" not in text
+    assert to_toml(learnt()).startswith('casadical = 2\nwritten_by = "casadical ')
+
+
+def test_large_covariances_are_kept_effect_by_effect() -> None:
+    rng = np.random.default_rng(0)
+    names = [f"a.{k}" for k in range(70)] + [f"b.{k}" for k in range(60)]
+    A = rng.normal(size=(130, 130))
+    C = A @ A.T
+    C[5] = C[:, 5] = np.nan  # a parameter at its bound
+    first, second = blocks(names, [n[0] for n in names], C)
+    assert len(names) > ONE_BLOCK
+    assert first.names == tuple(n for n in names[:70] if n != "a.5")
+    assert second.names == tuple(names[70:])
+    small = blocks(names[:9], [n[0] for n in names[:9]], np.eye(9))
+    assert [len(block.names) for block in small] == [9]
+
+
+@dataclass(frozen=True)
+class Own(Effect):
+    name: ClassVar[str] = "own_effect"
+
+    def sizes(self):
+        return {"k": (1e-5, "rad")}
+
+    def angle(self, context, q):
+        return self.value(context, "k")
+
+
+def test_an_effect_that_is_not_installed_is_written_and_read_only_where_its_class_is_given(tmp_path: Path) -> None:
+    file, r = tmp_path / "robot.toml", robot("ur10e").with_effect(Own(3))
+    with pytest.raises(InputError, match=r"no effect 'own_effect' is installed.*backlash.*casadical.effects"):
+        write_robot(r, file)
+    assert not file.exists()
+    write_robot(r, file, effects=[Own])
+    with pytest.raises(InputError, match=r"robot.toml: effect\[1\].no effect 'own_effect'"):
+        read_robot(file)
+    assert read_robot(file, effects=[Own]).effects == (Own(3),)
+
+
+def test_ranges_of_a_prismatic_joint_are_in_millimetres(tmp_path: Path) -> None:
+    base = 'casadical = 2\nname = "x"\n[[joint]]\ntype = "prismatic"\n[[joint]]\na_mm = 300\n'
+    (tmp_path / "r.toml").write_text(base + "[learnt.readings]\nq1_mm = [-5, 20]\nq2_deg = [0, 90]\n")
+    found = read_robot(tmp_path / "r.toml")
+    np.testing.assert_allclose(found.knowledge.readings, [[-5e-3, 20e-3], [0, np.pi / 2]])
+    assert "q1_mm = [-5.0, 20.0]" in to_toml(found)
+
+
+GOOD = """
+casadical = 2
+name = "two joints"
+
+[[joint]]
+d_mm = 100
+
+[[joint]]
+a_mm = 300
+
+[[effect]]
+name = "backlash"
+joint = 2
+settings = {friction = 0.1, width = 0.05}
+[effect.values]
+half = {value = 5e-5, unit = "rad", std_error = 2e-6}
+
+[[effect]]
+name = "joint_scale"
+joint = 1
+[effect.values]
+k = {value = 1e-5, unit = "rad/rad"}
+
+[learnt]
+poses = 40
+[learnt.readings]
+q1_deg = [-90, 90]
+q2_deg = [0, 80]
+
+[[covariance]]
+names = ["backlash@2.half", "joint_scale@1.k"]
+lower = [[4e-12], [1e-12, 9e-12]]
+"""
+
+FAULTS = {
+    "an effect that is not there": (('"backlash"', '"backlsh"'), ["effect[1].no effect 'backlsh'", "backlash"]),
+    "no name": (('name = "backlash"', ""), ["effect[1].name: is missing"]),
+    "a joint that is not there": (("joint = 2", "joint = 3"), ["backlash: joint = 3", "joints 1 to 2"]),
+    "a setting that is not there": (("friction = 0.1", "frict = 0.1"), ["effect[1].settings.frict", "friction, width"]),
+    "a setting of words": (("friction = 0.1", 'friction = "a"'), ["effect[1].settings.friction = 'a'", "valid number"]),
+    "a value that is not there": (("half = {", "haf = {"), ["effect[1].values.haf", "half"]),
+    "another unit": (('"rad", std', '"mrad", std'), ["effect[1].values.half.unit = 'mrad'", "'rad'"]),
+    "no unit": ((', unit = "rad/rad"', ""), ["effect[2].values.k.unit: is missing"]),
+    "not finite": (("5e-5", "inf"), ["effect[1].values.half.value = inf", "finite"]),
+    "a negative error": (("2e-6", "-2e-6"), ["effect[1].values.half.std_error = -2e-06", "greater than or equal to 0"]),
+    "two errors": (("2e-6", "3e-6"), ["backlash@2.half: std_error = 3e-06", "says 2e-06"]),
+    "one effect twice": (
+        ("joint = 1\n", 'joint = 1\n[[effect]]\nname = "joint_scale"\njoint = 1\n'),
+        ["joint_scale@1.k", "twice"],
+    ),
+    "covariance of nothing": (('"joint_scale@1.k"', '"a9"'), ["no parameter 'a9'", "joint_scale@1.k"]),
+    "covariance in a square": (("[4e-12]", "[4e-12, 1e-12]"), ["covariance[1].lower", "[2, 2]", "1 to 2"]),
+    "no covariance": (("[1e-12, 9e-12]", "[9e-12, 9e-12]"), ["covariance[1].", "least eigenvalue", "below zero"]),
+    "a negative variance": (("9e-12", "-9e-12"), ["covariance[1].", "variance of joint_scale@1.k is -9e-12"]),
+    "a name twice": (('"joint_scale@1.k"', '"backlash@2.half"'), ["covariance[1].", "named twice"]),
+    "in two blocks": (
+        ("[[covariance]]", '[[covariance]]\nnames = ["joint_scale@1.k"]\nlower = [[9e-12]]\n[[covariance]]'),
+        ["joint_scale@1.k is in two blocks"],
+    ),
+    "a range the wrong way round": (("[0, 80]", "[80, 0]"), ["range of q2", "lower one must come first"]),
+    "a range of another joint": (("q2_deg", "q3_deg"), ["learnt.readings.q3_deg", "q1_deg, q2_deg"]),
+    "a range in another unit": (("q2_deg", "q2_mm"), ["learnt.readings.q2_mm", "q1_deg, q2_deg"]),
+    "a range left out": (("q2_deg = [0, 80]", ""), ["learnt.readings.q2_deg: is missing"]),
+    "an old version": (("casadical = 2", "casadical = 1"), ["effect", "version 2"]),
+    "a version to come": (
+        ("casadical = 2", 'casadical = 3\nwritten_by = "casadical 0.7.0"\nnovelty = 1'),
+        ["casadical = 3", "written by casadical 0.7.0", "reads files up to version 2", "install"],
+    ),
+}
+
+
+def test_the_file_without_a_fault_is_read(tmp_path: Path) -> None:
+    (tmp_path / "arm.toml").write_text(GOOD)
+    found = read_robot(tmp_path / "arm.toml")
+    assert found.effect_values["backlash@2.half"] == 5e-5
+    assert found.knowledge.std_errors == {"backlash@2.half": 2e-6, "joint_scale@1.k": 3e-6}
+    assert found.knowledge.poses == 40
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_fault_is_named(fault: str, tmp_path: Path) -> None:
+    (old, new), words = FAULTS[fault]
+    assert old in GOOD
+    (tmp_path / "arm.toml").write_text(GOOD.replace(old, new, 1))
+    with pytest.raises(InputError) as error:
+        read_robot(tmp_path / "arm.toml")
+    for word in ("arm.toml", *words):
+        assert word in str(error.value)
+
+
+def test_an_error_beside_its_value_is_enough(tmp_path: Path) -> None:
+    head, _, _ = GOOD.partition("[[covariance]]")
+    (tmp_path / "arm.toml").write_text(head)
+    found = read_robot(tmp_path / "arm.toml")
+    assert found.knowledge.std_errors == {"backlash@2.half": 2e-6}
+    text = "\n".join(text_of(found, found.effects, found.effect_values, found.knowledge))
+    assert "std_error = 2e-06" in text
+    assert "[[covariance]]" not in text
+
+
+def test_a_covariance_is_refused_where_it_is_made() -> None:
+    with pytest.raises(InputError, match="not symmetric"):
+        Covariance(("a", "b"), np.array([[1.0, 0.5], [0.0, 1.0]]))
+    with pytest.raises(InputError, match=r"shape \(2, 2\) for 1 names"):
+        Covariance(("a",), np.eye(2))
+    with pytest.raises(InputError, match="payload_kg"):
+        Knowledge(conditions={"payload_kg": (3.0, 1.0)})
+    with pytest.raises(InputError, match="no parameter 'nothing'"):
+        replace(robot("ur10e"), knowledge=Knowledge((Covariance(("nothing",), np.eye(1)),)))
