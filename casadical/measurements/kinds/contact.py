@@ -30,6 +30,7 @@ class Contact(MeasurementKind):
         return "point" in names
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
+        """Labels of the points. Raises InputError: an empty label, or no point that is touched twice."""
         if "point" not in columns.table:
             raise InputError(f"{columns.source}: column 'point' is missing; it says which point each pose touches")
         empty = columns.table["point"].isna().to_numpy()

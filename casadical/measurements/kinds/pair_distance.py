@@ -27,6 +27,7 @@ class PairDistance(MeasurementKind):
         return bool(names & {"distance_mm", "distance_m"}) and "other_pose" in names
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
+        """Distances [m], and readings at their other ends. Raises InputError: a pose that is not in the table."""
         pose, other = columns.column("pose"), columns.column("other_pose")
         where = {float(p): k for k, p in enumerate(pose)}
         if len(where) < len(pose):
