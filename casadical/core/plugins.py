@@ -25,12 +25,12 @@ def members(group: str, base: type[T], own: Iterable[str]) -> dict[str, type[T]]
     plugged_in = sorted(entry_points(group=group), key=lambda point: point.name)
     for point in [*(EntryPoint("", value, group) for value in own), *plugged_in]:
         member = _loaded(point, base)
-        name = member.__dict__.get("name")
+        name = str(getattr(member, "name", member))
         if point.name and name != point.name:
-            raise InputError(f"{_origin(point)}: its class has the name {name!r}; both need the same name")
+            raise InputError(f"{_origin(point)}: its class is named {name!r}; both need the same name")
         if name in found:
-            raise InputError(f"{_origin(point)}: there is a {name!r} already; rename it, or uninstall one of both")
-        found[str(name)] = member
+            raise InputError(f"{_origin(point)}: there is a {name!r} already; rename it, or uninstall one")
+        found[name] = member
     return found
 
 

@@ -9,7 +9,7 @@ import pandas as pd
 
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.result import Diagnosis
-from casadical.measurements.measurements import Measurements
+from casadical.measurements.measurements import unmeasured
 
 # Torque of this share of a great one counts as none.
 IDLE = 0.15
@@ -62,7 +62,7 @@ def _idle(case: Case, poses: pd.DataFrame) -> list[str]:
     units = [("deg", np.pi / 180) if j.kind == "revolute" else ("mm", 1e-3) for j in robot.joints]
     q = np.stack([poses[f"q{k}_{u}"].to_numpy() * f for k, (u, f) in enumerate(units, 1)], axis=1)
     conditions = {"payload_kg": poses["payload_kg"].to_numpy()} if "payload_kg" in poses else {}
-    new = Measurements(q=q, kind="position", position=np.zeros((len(q), 3)), conditions=conditions)
+    new = unmeasured(q, conditions)
     idle = []
     for m in (new, case.m):
         w = m.condition_matrix(robot.conditions, robot.declared)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Literal
 
 from casadical.core.errors import InputError
@@ -57,8 +56,8 @@ def diagnose(
 def _of(robot: Robot, m: Measurements, show: Show) -> Identification:
     """The base model calibrated; gross errors have little weight, and are screened with the causes, not before."""
     show("calibrating the base model")
-    if m.kind == "pose":  # by their positions: an orientation that is off by a convention would spoil the base model
-        m = replace(m, kind="position", orientation=None)
+    if m.position is not None:  # an orientation that is off by a convention would spoil the base model
+        m = m.positions_alone()
     return identify(robot, m, ("kinematic", "compliance"), loss="huber", priors=True, screen=False)
 
 

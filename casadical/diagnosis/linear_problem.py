@@ -93,7 +93,7 @@ def make_case(identification: Identification, candidates: Sequence[Candidate]) -
 
     Raises InputError for other kinds of measurement.
     """
-    measured = [m for m in identification.measurements if m.kind in ("position", "pose")]
+    measured = [m for m in identification.measurements if m.position is not None]
     if len(measured) != 1 or len(identification.measurements) != 1:
         raise InputError(
             "a diagnosis needs one set of measured positions; distances and contacts do not say where it lies"

@@ -10,7 +10,7 @@ import numpy as np
 from casadical.core.transforms import Array
 from casadical.diagnosis.linear_problem import Case
 from casadical.effects import Effect
-from casadical.measurements.measurements import Measurements
+from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.pose_selection.workspace import Workspace
 
 # An arm is warmed up by at least so much [K] where a cause follows the temperature.
@@ -60,8 +60,7 @@ def draw_pool(
     warm = rng.random(len(q)) < 0.5
     columns = {name: _circumstance(case, name, len(q), warm, states, rng) for name in names}
     timed = any(name.startswith("warmth_") for name in columns)
-    m = Measurements(q=q, kind="position", position=np.zeros((len(q), 3)), conditions=columns)
-    return Pool(m, repeated, warm if timed else None)
+    return Pool(unmeasured(q, columns), repeated, warm if timed else None)
 
 
 def campaign_payloads(case: Case, *, with_usual: bool = False) -> Array:

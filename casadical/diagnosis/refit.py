@@ -43,7 +43,7 @@ def _priors(case: Case) -> dict[str, tuple[float, float]]:
 def measurements_of(case: Case, effects: Sequence[Effect], noise: Noise) -> Measurements:
     """Kept poses as positions, with every column that the effects need, and the noise that was found."""
     m, _ = derive(case.m, [c for e in effects for c in e.conditions])
-    return replace(m, kind="position", orientation=None, sigma=noise.sigma)[case.kept]
+    return replace(m.positions_alone(), sigma=noise.sigma)[case.kept]
 
 
 @dataclass(frozen=True, eq=False)

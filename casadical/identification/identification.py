@@ -29,7 +29,7 @@ from casadical.identification.plausibility import check_against
 from casadical.identification.residuals import LOSSES, Loss, make_block
 from casadical.identification.solver import Progress, Solution
 from casadical.measurements.kinds.registry import find_kind
-from casadical.measurements.measurements import Measurements
+from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.robot.knowledge import Knowledge, blocks
 from casadical.robot.robot import Robot, modified_dh
 from casadical.robot.robot_file import to_toml
@@ -141,7 +141,7 @@ class Identification:
         The covariance is that of the model's position; a new measurement adds its own noise.
         """
         q = np.atleast_2d(q)
-        m = Measurements(q=q, kind="position", position=np.zeros((len(q), 3)), conditions=dict(conditions or {}))
+        m = unmeasured(q, conditions)
         p, _ = predicted(self.robot, m)
         x, _ = self.problem.separate(self.solution.v)
         block = make_block(self.start, m, self.names, "linear", 1.0, 1.0, np.zeros((0, 3)), np.zeros(len(q), int))

@@ -139,6 +139,15 @@ class Measurements:
         return replace(self, separations=tuple(known), separation_sigma=sigma)
 
 
+def unmeasured(q: Array, conditions: Mapping[str, Array] | None = None, source: str = "table") -> Measurements:
+    """Poses to predict at, every position zero.
+
+    q : readings, shape (n, joints) [rad or m]; conditions : logged columns by name, each of shape (n,)
+    """
+    zero = np.zeros((len(q), 3))
+    return Measurements(q=q, kind="position", position=zero, conditions=dict(conditions or {}), source=source)
+
+
 def same_readings(q: Array) -> Array:
     """A number for each distinct reading, shape (n,): joint by joint, a new cell begins behind each gap."""
     cells = np.empty(q.shape, dtype=int)

@@ -12,7 +12,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
-from casadical.measurements.measurements import Measurements
+from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
 
@@ -88,7 +88,7 @@ class Candidates:
 
 def expected(robot: Robot, q: Array, conditions: Mapping[str, Array], source: str) -> Measurements:
     """What the model says would be measured at readings q, shape (n, joints) [rad or m]."""
-    m = Measurements(q=q, kind="position", position=np.zeros((len(q), 3)), conditions=dict(conditions), source=source)
+    m = unmeasured(q, conditions, source)
     return replace(m, position=predicted(robot, m)[0])
 
 
@@ -162,10 +162,7 @@ def timeline(names: list[str], progress: Array, n: int, circumstances: Circumsta
     course = np.linspace(0, 1, _STEPS)
     time = circumstances.seconds * rows * course
     warmth = circumstances.warmup_K * -np.expm1(-time / (60 * circumstances.warmup_minutes))
-    clock = Measurements(
-        q=np.zeros((_STEPS, 1)), kind="position", position=np.zeros((_STEPS, 3)),
-        conditions={"time_s": time, "temperature_degC": 20 + warmth},
-    )  # fmt: skip
+    clock = unmeasured(np.zeros((_STEPS, 1)), {"time_s": time, "temperature_degC": 20 + warmth})
     clock, missing = derive(clock, names)
     assert not missing
     return {name: np.interp(progress, course, clock.conditions[name]) for name in names}

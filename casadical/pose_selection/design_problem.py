@@ -158,10 +158,10 @@ def _allowed(robot: Robot, q: Array, workspace: Workspace) -> Array:
 
 
 def _with_columns(robot: Robot, measured: Measurements) -> Measurements:
-    if measured.kind not in ("position", "pose") or measured.q.shape[1] != robot.n:
+    if measured.position is None or measured.q.shape[1] != robot.n:
         raise InputError(f"{measured.source}: measured poses must be positions of {robot.name}'s {robot.n} joints")
     derived, missing = derive(measured, robot.conditions)
     lost = [name for name in missing if name != "payload_kg"]
     if lost:
         raise InputError(f"{measured.source}: column {lost[0]!r} is missing, which {robot.name}'s effects need")
-    return replace(derived, kind="position", orientation=None)
+    return derived.positions_alone()

@@ -125,7 +125,7 @@ def replay_diagnosis(
     """
     case, robot = found.case, found.case.given
     m, _ = derive(case.m, ["progress", *(f"approach{i}" for i in range(1, robot.n + 1))])
-    m = replace(m, kind="position", orientation=None)[case.kept]
+    m = m.positions_alone()[case.kept]
     numbered = replace(m, row=np.arange(len(m)))
     parts = numbered.split({"identify": share, "report": round(0.999 - share, 3)}, seed)
     fitted = np.isin(numbered.row, parts["identify"].row)
