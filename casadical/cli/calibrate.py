@@ -31,9 +31,8 @@ def calibrate(
         typer.Option(
             metavar="METHOD",
             autocompletion=methods,
-            help="KM (kinematics only), SKCM (with joint compliance), or a network on what SKCM leaves: NN-SKCM "
-            "(back-propagation), IWO-NN-SKCM (the paper's), LM-NN-SKCM, IWO-LM-NN-SKCM or "
-            "GP-NN-SKCM; default: the problem's.",
+            help="KM (kinematics only), SKCM (with joint compliance), or a network on what SKCM leaves, such as "
+            "IWO-NN-SKCM (the paper's) or GP-NN-SKCM; docs/compensator.md has them all. Default: the problem's.",
         ),
     ] = None,
     loss: Annotated[

@@ -15,9 +15,9 @@ def _listed(words: tuple[str, ...], incomplete: str) -> list[str]:
 
 def methods(incomplete: str) -> list[str]:
     """Words for `--method`."""
-    from casadical.project.problem import ALL_METHODS
+    from casadical.project.problem import all_methods
 
-    return _begun(ALL_METHODS, incomplete)
+    return _begun(all_methods(), incomplete)
 
 
 def losses(incomplete: str) -> list[str]:

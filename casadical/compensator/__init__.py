@@ -7,35 +7,33 @@ from casadical.compensator.network import Network
 from casadical.compensator.report import BeforeAfter, Errors
 from casadical.compensator.saving import compensator_text, load_compensator, save_compensator
 from casadical.compensator.task import Loss, Task, make_task
-from casadical.compensator.trainers import TRAINERS, Backprop, Iwo, IwoThenLm, LevenbergMarquardt, Taught, Trainer
+from casadical.compensator.trainers.base import Trainer
+from casadical.compensator.trainers.known import known_trainers, network_methods
+from casadical.compensator.trainers.registry import *  # noqa: F403 - every trainer, by its line there
 from casadical.compensator.training import Progress, Training, train, train_all
 
 __all__ = [
-    "TRAINERS",
-    "Backprop",
     "BeforeAfter",
     "Compensator",
     "Errors",
     "InvasiveWeeds",
-    "Iwo",
     "IwoHistory",
     "IwoResult",
     "IwoSettings",
-    "IwoThenLm",
     "JointBox",
     "Layout",
-    "LevenbergMarquardt",
     "Loss",
     "Network",
     "Progress",
     "Task",
-    "Taught",
     "Trainer",
     "Training",
     "compensator_text",
     "iwo_minimise",
+    "known_trainers",
     "load_compensator",
     "make_task",
+    "network_methods",
     "save_compensator",
     "train",
     "train_all",

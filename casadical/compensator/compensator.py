@@ -18,7 +18,8 @@ from casadical.compensator.layout import JointBox, Layout, box_around
 from casadical.compensator.network import Network
 from casadical.compensator.report import BeforeAfter, table
 from casadical.compensator.task import Loss, make_task
-from casadical.compensator.trainers import Trainer, trainer_named
+from casadical.compensator.trainers.base import Trainer
+from casadical.compensator.trainers.known import trainer_named
 from casadical.compensator.training import Progress, Training, train_all
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
@@ -81,7 +82,7 @@ class Compensator:
         q, residual_mm : arrays, shapes (n, joints) [rad] and (n, outputs) [mm]: training poses.
         validate : (q, residual_mm) of further poses, for the report only.
         choose : (q, residual_mm) of poses that decide whether the network helps, instead of a cross-validation with
-        ``folds`` trainings. trainer : "iwo", "backprop", "lm", "iwo-lm" or a trainer with its settings.
+        ``folds`` trainings. trainer : one of `known_trainers` by its name, or one with its settings.
         layout : default one hidden layer of 5. joint_range : scales the inputs; default the box of the training poses.
         output_scale_mm : millimetres of one output unit, 1 in the paper; default the root mean square residual.
         margin : the gain must exceed so many of its standard errors. checkpoint, progress : see `train_all`.

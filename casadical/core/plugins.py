@@ -11,19 +11,20 @@ from casadical.core.errors import InputError
 T = TypeVar("T")
 
 
-def members(group: str, base: type[T], own: Iterable[str]) -> dict[str, type[T]]:
+def members(group: str, base: type[T], own: Iterable[str | type[T]]) -> dict[str, type[T]]:
     """Classes of a family by name: our own ones first, in their order, then those of installed packages, by name.
 
     group : of the entry points of other packages, each `name = "module:Class"`
     base : what each class must be derived from; its attribute `name` must be the entry point's
-    own : "module:Class" of the classes of this package
+    own : the classes of this package, or "module:Class" of each
 
     Raises InputError that names the entry point where one cannot be loaded, is no such class, or has a name that is
     taken.
     """
     found: dict[str, type[T]] = {}
     plugged_in = sorted(entry_points(group=group), key=lambda point: point.name)
-    for point in [*(EntryPoint("", value, group) for value in own), *plugged_in]:
+    ours = (k if isinstance(k, str) else f"{k.__module__}:{k.__qualname__}" for k in own)
+    for point in [*(EntryPoint("", value, group) for value in ours), *plugged_in]:
         member = _loaded(point, base)
         name = str(getattr(member, "name", member))
         if point.name and name != point.name:

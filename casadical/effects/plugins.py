@@ -22,8 +22,7 @@ GROUP = "casadical.effects"
 @cache
 def known_effects() -> Mapping[str, type[Effect]]:
     """Every effect of the package and of installed plug-ins, by name. Raises InputError for a faulty plug-in."""
-    ours = [kind for kind in vars(registry).values() if isinstance(kind, type) and issubclass(kind, Effect)]
-    return members(GROUP, Effect, [f"{kind.__module__}:{kind.__name__}" for kind in ours])
+    return members(GROUP, Effect, (kind for kind in vars(registry).values() if isinstance(kind, type)))
 
 
 def find_effect(name: str, own: Iterable[type[Effect]] = ()) -> type[Effect]:

@@ -18,7 +18,7 @@ from casadical.identification.identification import Identification, identify
 from casadical.identification.residuals import LOSSES
 from casadical.identification.tables import correlated, held_table, how_sure, parameter_tables
 from casadical.project.networks import NetworkResult, Networks, train_networks
-from casadical.project.problem import ALL_METHODS, NETWORK_METHODS, Problem, base_methods, read_problem
+from casadical.project.problem import BASE_METHODS, Problem, all_methods, base_methods, read_problem
 from casadical.project.tables import Accuracies, error_tables, network_tables, paper_tables, verdict
 from casadical.robot.robot import Robot, modified_dh
 from casadical.robot.robot_file import to_toml
@@ -152,8 +152,8 @@ def calibrate(
     needs SKCM, which is then identified too. seed : of the split into sets and of the networks; of a folder only
     show : called with a line of progress. Raises InputError, ConvergenceError.
     """
-    if method is not None and method not in ALL_METHODS:
-        raise InputError(f"--method {method}: not known; allowed: {', '.join(ALL_METHODS)}")
+    if method is not None and method not in all_methods():
+        raise InputError(f"--method {method}: not known; allowed: {', '.join(all_methods())}")
     if loss is not None and loss not in LOSSES:
         raise InputError(f"--loss {loss}: not known; allowed: {', '.join(LOSSES)}")
     if not isinstance(problem, Problem):
@@ -163,8 +163,8 @@ def calibrate(
     if loss is not None:
         problem = replace(problem, loss=loss)
     if method is not None:
-        chosen = tuple(m for m in NETWORK_METHODS if m == method)
-        problem = replace(problem, methods=base_methods([method]), networks=chosen)
+        networks = () if method in BASE_METHODS else (method,)
+        problem = replace(problem, methods=base_methods([method]), networks=networks)
     results: dict[str, Identification] = {}
     for name in problem.methods:
 
@@ -174,11 +174,11 @@ def calibrate(
         results[name] = identify(
             problem.robot, problem.sets["identify"], method=name, loss=problem.loss, progress=progress
         )
-    networks = None
+    trained = None
     if problem.networks:
-        networks = train_networks(problem, results["SKCM"], problem.networks, seed=problem.seed, show=show)
+        trained = train_networks(problem, results["SKCM"], problem.networks, seed=problem.seed, show=show)
     accuracies = {k: {name: result.accuracy(m) for name, m in problem.parts()} for k, result in results.items()}
-    return Calibration(problem, results, accuracies, networks)
+    return Calibration(problem, results, accuracies, trained)
 
 
 def _network(result: NetworkResult) -> dict[str, Any]:

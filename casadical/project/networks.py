@@ -7,23 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.compensator import Backprop, Compensator, Iwo, IwoThenLm, LevenbergMarquardt, Taught, Trainer
+from casadical.compensator import Compensator, Trainer, network_methods
 from casadical.compensator.training import Progress
 from casadical.core.transforms import Array
 from casadical.identification.accuracy import Accuracy, residual_mm, summarise
 from casadical.identification.identification import Identification
 from casadical.measurements.measurements import Measurements
-from casadical.project.problem import NETWORK_METHODS, NetworkMethod, Problem
+from casadical.project.problem import Problem
 from casadical.robot.robot import Robot
-
-# Trainer and millimetres of one output unit (None: root mean square residual); the first two as in the paper.
-TRAINERS: Mapping[NetworkMethod, tuple[Trainer, float | None]] = {
-    "NN-SKCM": (Backprop(), 1.0),
-    "IWO-NN-SKCM": (Iwo(), 1.0),
-    "LM-NN-SKCM": (LevenbergMarquardt(restarts=20), None),
-    "IWO-LM-NN-SKCM": (IwoThenLm(), None),
-    "GP-NN-SKCM": (Taught(), None),
-}
 
 # A problem without a set to train on lends the poses that identified the robot, where they are so many that the
 # identification could not follow their errors: so many readings for each parameter.
@@ -77,16 +68,18 @@ class Material:
 def train_networks(
     problem: Problem,
     result: Identification,
-    methods: Sequence[NetworkMethod] = NETWORK_METHODS,
+    methods: Sequence[str] | None = None,
     *,
     seed: int = 0,
     show: Callable[[str], None] = lambda _text: None,
 ) -> Networks:
-    """Train the networks of `methods` on what an identification left.
+    """Train the networks of `methods`, by default of all, on what an identification left.
 
     The set train is learnt from, the set choose decides, all others have no part in either. show : called with a line
     of progress that holds the loss. Raises InputError.
     """
+    trainers = network_methods()
+    methods = tuple(trainers) if methods is None else methods
     material = training_material(problem, result, seed)
     if isinstance(material, str):
         return Networks({m: NetworkResult(m, None, material, {}) for m in methods}, material)
@@ -97,8 +90,8 @@ def train_networks(
         def progress(p: Progress, method: str = method) -> None:
             show(f"{method} step {p.step}, loss {p.loss_mm2:.4g} mm2")
 
-        trainer, scale = TRAINERS[method]
-        compensator = fit(material, trainer, scale, seed, progress)
+        kind = trainers[method]
+        compensator = fit(material, kind.for_method(), kind.output_scale_mm, seed, progress)
         found[method] = NetworkResult(method, compensator, "", _errors(problem, result.robot, compensator))
     return Networks(found, material.lent or f"Networks: trained on the set train{chosen}; report was kept from both.")
 

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from casadical.compensator import network_methods
 from casadical.core.errors import InputError
 from casadical.core.schema import FaultError, check, load_toml
 from casadical.identification.residuals import Loss
@@ -22,10 +23,7 @@ from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
 BaseMethod = Literal["KM", "SKCM"]
-NetworkMethod = Literal["NN-SKCM", "IWO-NN-SKCM", "LM-NN-SKCM", "IWO-LM-NN-SKCM", "GP-NN-SKCM"]
-NETWORK_METHODS: tuple[NetworkMethod, ...] = get_args(NetworkMethod)
-AnyMethod = Literal[BaseMethod, NetworkMethod]
-ALL_METHODS: tuple[AnyMethod, ...] = get_args(AnyMethod)
+BASE_METHODS: tuple[BaseMethod, ...] = get_args(BaseMethod)
 
 Three = Annotated[list[float], Field(min_length=3, max_length=3)]
 
@@ -93,6 +91,17 @@ class _Urdf(_Strict):
     compliant: list[int] = []
 
 
+def all_methods() -> tuple[str, ...]:
+    """Every method of a calibration: identifications, then the networks of all trainers."""
+    return (*BASE_METHODS, *network_methods())
+
+
+def _known_method(name: str) -> str:
+    if name not in all_methods():
+        raise ValueError(f"allowed: {', '.join(all_methods())}")
+    return name
+
+
 class _Paper(_Strict):
     """Published figures to stand beside ours: mean, max and std [mm] by method, `before` among them."""
 
@@ -104,8 +113,8 @@ class _Paper(_Strict):
     def _known(self) -> _Paper:
         for table in ("calibration", "validation"):
             for name in getattr(self, table):
-                if name not in ("before", *ALL_METHODS):
-                    raise FaultError((table, name), f"allowed: before, {', '.join(ALL_METHODS)}")
+                if name not in ("before", *all_methods()):
+                    raise FaultError((table, name), f"allowed: before, {', '.join(all_methods())}")
         return self
 
 
@@ -116,7 +125,7 @@ class _ProblemFile(_Strict):
     robot: str = "robot.toml"
     campaign_robot: str | None = None
     urdf: _Urdf | None = None
-    methods: list[AnyMethod] = ["KM", "SKCM"]
+    methods: list[Annotated[str, AfterValidator(_known_method)]] = ["KM", "SKCM"]
     loss: Loss = "linear"
     paper: _Paper | None = None
     measurements: list[_Data] = []
@@ -152,7 +161,7 @@ class Problem:
     methods: tuple[BaseMethod, ...]
     loss: Loss
     urdf: tuple[Path, str | None, str | None] | None = None
-    networks: tuple[NetworkMethod, ...] = ()
+    networks: tuple[str, ...] = ()
     seed: int = 0
     paper: Paper | None = None
 
@@ -204,7 +213,7 @@ def read_problem(folder: str | Path, seed: int | None = None) -> Problem:
         methods=base_methods(file.methods),
         loss=file.loss,
         urdf=_urdf_source(folder / file.robot, file.urdf or _Urdf()),
-        networks=tuple(m for m in NETWORK_METHODS if m in file.methods),
+        networks=tuple(m for m in network_methods() if m in file.methods),
         seed=sets.seed,
         paper=_paper(file.paper),
     )
@@ -212,8 +221,8 @@ def read_problem(folder: str | Path, seed: int | None = None) -> Problem:
 
 def base_methods(methods: Sequence[str]) -> tuple[BaseMethod, ...]:
     """The identifications that these methods need: networks learn what SKCM leaves."""
-    needed = {*methods, "SKCM"} if set(methods) & {*NETWORK_METHODS} else {*methods}
-    return tuple(m for m in get_args(BaseMethod) if m in needed)
+    needed = {*methods, "SKCM"} if set(methods) - {*BASE_METHODS} else {*methods}
+    return tuple(m for m in BASE_METHODS if m in needed)
 
 
 def _paper(table: _Paper | None) -> Paper | None:

@@ -14,7 +14,6 @@ from casadical.diagnosis.localisation import Where, where
 from casadical.identification.accuracy import errors, residual_mm
 from casadical.measurements.measurements import Measurements
 from casadical.project.calibration import Calibration
-from casadical.project.networks import NetworkResult
 from casadical.robot.robot import Robot
 
 BEFORE = "before"
@@ -107,19 +106,17 @@ def _models(m: Measurements, calibration: Calibration) -> Iterator[Left]:
     yield _left_by(BEFORE, calibration.identification.placed, m, shown=False)
     for method, result in calibration.identifications.items():
         yield _left_by(method, result.robot, m)
+    paper = calibration.problem.paper
+    published = {*paper.calibration, *paper.validation} if paper else set()
     for trained in calibration.networks.results.values() if calibration.networks else ():
         network = trained.compensator.trained if trained.compensator else None
         if network and m.position is not None:
             rest = 1e-3 * (residual_mm(calibration.identifications["SKCM"].robot, m) - network.output_mm(m.q))
-            yield _with_network(trained, rest)
+            note = "" if trained.helps else "refused"
+            length = np.linalg.norm(rest, axis=1)
+            yield Left(trained.method, length, rest, note, trained.helps or trained.method in published)
 
 
 def _left_by(model: str, robot: Robot, m: Measurements, shown: bool = True) -> Left:
     vector = None if m.position is None else 1e-3 * residual_mm(robot, m)
     return Left(model, errors(robot, m), vector, shown=shown)
-
-
-def _with_network(trained: NetworkResult, rest: Array) -> Left:
-    in_paper = trained.method in ("NN-SKCM", "IWO-NN-SKCM")
-    note = "" if trained.helps else "refused"
-    return Left(trained.method, np.linalg.norm(rest, axis=1), rest, note, trained.helps or in_paper)

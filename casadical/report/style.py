@@ -8,6 +8,7 @@ from __future__ import annotations
 import html
 from typing import TYPE_CHECKING, Any
 
+from casadical.compensator import network_methods
 from casadical.report.optional_imports import plotly
 
 if TYPE_CHECKING:
@@ -38,17 +39,25 @@ STYLES: dict[str, tuple[str, str, str]] = {
     "before": (COLOURS["grey"][0], "x-thin-open", "dot"),
     "KM": (COLOURS["orange"][0], "square", "dash"),
     "SKCM": (COLOURS["blue"][0], "circle", "solid"),
-    "NN-SKCM": (COLOURS["pink"][0], "triangle-up", "dot"),
-    "IWO-NN-SKCM": (COLOURS["green"][0], "diamond", "solid"),
-    "LM-NN-SKCM": (COLOURS["sky"][0], "triangle-down", "dashdot"),
-    "IWO-LM-NN-SKCM": (COLOURS["muted"][0], "cross", "longdash"),
-    "GP-NN-SKCM": (COLOURS["red"][0], "star", "dash"),
     "with causes": (COLOURS["blue"][0], "circle", "solid"),
 }
+# Of networks, in the order of their trainers; those of many plug-ins share some.
+NETWORK_STYLES = (
+    (COLOURS["pink"][0], "triangle-up", "dot"),
+    (COLOURS["green"][0], "diamond", "solid"),
+    (COLOURS["sky"][0], "triangle-down", "dashdot"),
+    (COLOURS["muted"][0], "cross", "longdash"),
+    (COLOURS["red"][0], "star", "dash"),
+    (COLOURS["pink"][0], "hexagon", "longdashdot"),
+    (COLOURS["green"][0], "triangle-left", "dashdot"),
+)
 
 
 def style(model: str) -> tuple[str, str, str]:
-    """Colour, marker and dash of a model; of one without its own, those of SKCM."""
+    """Colour, marker and dash of a model; of one that is neither listed nor a network, those of SKCM."""
+    networks = list(network_methods())
+    if model in networks:
+        return NETWORK_STYLES[networks.index(model) % len(NETWORK_STYLES)]
     return STYLES.get(model, STYLES["SKCM"])
 
 

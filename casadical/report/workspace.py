@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.transforms import Array
-from casadical.project.remaining_errors import BEFORE, Left, PoseErrors
+from casadical.project.remaining_errors import Left, PoseErrors
 from casadical.report.style import COLOURS, GRID, INK, LINE, MUTED, STYLES, new_figure, plain, style
 from casadical.robot.kinematics import link_frames
 from casadical.robot.model import base_frame
@@ -47,7 +47,7 @@ def workspace(poses: PoseErrors, robot: Robot | None = None) -> go.Figure:
 
 def _main(poses: PoseErrors) -> str:
     """The model that is drawn at first: the last that is no network."""
-    names = [x.model for x in poses.models if x.model == BEFORE or (x.model in STYLES and "NN" not in x.model)]
+    names = [x.model for x in poses.models if x.model in STYLES]
     return names[-1] if names else poses.models[-1].model
 
 

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from casadical import Identification, identify, read_problem
-from casadical.compensator import Compensator, Layout, LevenbergMarquardt, Trainer
-from casadical.project.networks import TRAINERS, Material, training_material
+from casadical.compensator import Compensator, Layout, LevenbergMarquardt, Trainer, network_methods
+from casadical.project.networks import Material, training_material
 from casadical.project.problem import Problem
 
 ROOT = Path(__file__).parents[2]
@@ -77,8 +77,8 @@ def study(name: str) -> None:
         "6-5-3, 60 starts": f"others {small:.3f}",
         "6-20-3": f"others {large:.3f}",
     }
-    for method, (trainer, scale) in TRAINERS.items():
-        row(method, material, trainer, scale, None, notes.get(method, ""))
+    for method, kind in network_methods().items():
+        row(method, material, kind.for_method(), kind.output_scale_mm, None, notes.get(method, ""))
     for label, (trainer, layout) in LARGER.items():
         row(f"LM-NN-SKCM, {label}", material, trainer, None, layout, notes.get(label, ""))
     apart = four_sets(problem)
@@ -88,7 +88,7 @@ def study(name: str) -> None:
     q, residual = strict.sets["train"]
     drawn = np.random.default_rng(apart.seed).permutation(len(q))[:1500]
     used = Material({**strict.sets, "train": (q[drawn], residual[drawn])})
-    row("LM-NN-SKCM, four sets apart", used, *TRAINERS["LM-NN-SKCM"], None)
+    row("LM-NN-SKCM, four sets apart", used, LevenbergMarquardt.for_method(), None, None)
 
 
 if __name__ == "__main__":

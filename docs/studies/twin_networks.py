@@ -23,9 +23,8 @@ from scipy.optimize import minimize
 from casadical import from_table, identify, read_problem
 from casadical.blind_check.numpy_physics import campaign, hh800_true, hh800_twin
 from casadical.blind_check.numpy_physics.twin import UNMODELLED, WARMUP
-from casadical.compensator import Compensator, Layout, LevenbergMarquardt, Trainer
+from casadical.compensator import Compensator, Layout, LevenbergMarquardt, Trainer, network_methods
 from casadical.identification import residual_mm
-from casadical.project.networks import TRAINERS
 
 HH800 = Path(__file__).parents[2] / "problems" / "hh800"
 SEEDS, EXPERIMENTS, STARTS = 50, 30, 20
@@ -83,13 +82,13 @@ def other_experiments() -> None:
     for seed in range(EXPERIMENTS):
         sets = residuals(seed)
         rows.setdefault("no network", []).append((*trainers.lengths(sets["report"][1]), 0.0, 0.0))
-        for name, (trainer, scale) in TRAINERS.items():
+        for name, kind in network_methods().items():
             fit = Compensator.fit(
                 *sets["train"],
                 choose=sets["choose"],
                 validate=sets["report"],
-                trainer=trainer,
-                output_scale_mm=scale,
+                trainer=kind.for_method(),
+                output_scale_mm=kind.output_scale_mm,
                 seed=seed,
             )
             a = fit.validation.after

@@ -5,8 +5,7 @@ import pytest
 from scipy.optimize import approx_fprime
 from scipy.stats import multivariate_normal
 
-from casadical.compensator import Compensator, Layout, Taught, train
-from casadical.compensator.trainers import LevenbergMarquardt
+from casadical.compensator import Compensator, Layout, LevenbergMarquardt, Taught, train
 from casadical.compensator.trainers.gaussian_process import GaussianProcess, cost_and_slope
 from casadical.core.errors import InputError
 

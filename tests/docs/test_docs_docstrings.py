@@ -11,6 +11,9 @@ from collections.abc import Iterator
 import pytest
 from walk import ROOT
 
+from casadical.compensator.trainers import registry as trainers
+from casadical.effects import registry as effects
+
 PACKAGES = (
     "casadical",
     *(
@@ -21,6 +24,9 @@ PACKAGES = (
         )
     ),
 )
+# Members of families, public by their line in a registry.
+REGISTRIES = {"casadical.effects": vars(effects), "casadical.compensator": vars(trainers)}
+REGISTRIES = {package: [k for k, v in names.items() if inspect.isclass(v)] for package, names in REGISTRIES.items()}
 ARRAY = re.compile(r"\b(?:Array|NDArray|ArrayLike|Vector|ndarray|Buffer)\b")
 SHAPE = re.compile(r"shapes? \(|\((?:\w+, ?)*\w*\d?,?\)|see `|see :func|as of `|inverse of `")
 UNIT = re.compile(r"\[[^\]]+\]|_mm\b|\bSI\b|boolean|bool|degrees|radians|see `|see :func|as of `")
@@ -34,7 +40,7 @@ def public() -> Iterator[tuple[str, object]]:
     """Every public function and class of the packages, and the classes' own public methods and properties."""
     for package in PACKAGES:
         module = importlib.import_module(package)
-        for name in module.__all__:
+        for name in [*module.__all__, *REGISTRIES.get(package, ())]:
             thing = getattr(module, name)
             if not (inspect.isfunction(thing) or inspect.isclass(thing)):
                 continue

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from casadical import calibrate, read_problem
-from casadical.compensator import Backprop, load_compensator
+from casadical.compensator import Backprop, load_compensator, network_methods
 from casadical.core.errors import InputError
 from casadical.identification import residual_mm
-from casadical.project.networks import TRAINERS, Material, train_networks, training_material
-from casadical.project.problem import NETWORK_METHODS
+from casadical.project.networks import Material, train_networks, training_material
 
 ROOT = Path(__file__).parents[2]
 
@@ -39,7 +38,7 @@ def planted(problem, result, mm: float = 1.0):
 def test_all_four_methods_of_the_paper_and_the_best_trainer_run(hh800) -> None:
     networks, errors = hh800.networks, hh800.accuracies
     assert hh800.problem.methods == ("KM", "SKCM")
-    assert tuple(networks.results) == NETWORK_METHODS == tuple(TRAINERS)
+    assert tuple(networks.results) == tuple(network_methods())
     assert [r.compensator.trainer for r in networks.results.values()] == ["backprop", "iwo", "lm", "iwo-lm", "taught"]
     for r in networks.results.values():
         c = r.compensator
@@ -150,7 +149,7 @@ def test_json_holds_refusals_settings_and_the_papers_figures(hh800) -> None:
     networks = hh800.networks
     found = json.loads(json.dumps(hh800.to_json(), allow_nan=False))
     assert found["methods"].keys() == {"KM", "SKCM"}
-    assert found["networks"].keys() == set(NETWORK_METHODS)
+    assert found["networks"].keys() == set(network_methods())
     for name, entry in found["networks"].items():
         r = networks.results[name]
         assert entry["helps"] == r.helps
@@ -188,9 +187,7 @@ def test_a_wrong_method_in_the_file_is_refused(tmp_path: Path, line: str, expect
 
 
 def test_a_network_method_brings_the_identification_that_it_needs(tmp_path: Path, monkeypatch) -> None:
-    from casadical.project import networks
-
-    monkeypatch.setitem(networks.TRAINERS, "NN-SKCM", (Backprop(steps=20), 1.0))
+    monkeypatch.setattr(Backprop, "for_method", lambda: Backprop(steps=20))
     found = calibrate(ROOT / "problems" / "hh800", method="NN-SKCM")
     assert (tuple(found.identifications), tuple(found.networks.results)) == (("SKCM",), ("NN-SKCM",))
     assert calibrate(ROOT / "problems" / "planar", method="KM").networks is None

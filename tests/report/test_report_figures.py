@@ -12,7 +12,7 @@ from casadical.project.remaining_errors import Left, PoseErrors
 from casadical.report import calibration_figures, dark, diagnosis_figures
 from casadical.report import optional_imports as libraries
 from casadical.report.page import safe_json
-from casadical.report.style import COLOURS, STYLES
+from casadical.report.style import COLOURS, NETWORK_STYLES, STYLES
 from casadical.report.workspace import round_factor, skeleton, workspace
 
 
@@ -125,7 +125,8 @@ def test_words_and_lines_stand_out_from_their_ground(mode) -> None:
     for name in ("blue", "orange", "green", "red", "pink", "sky", "grey"):
         assert contrast(COLOURS[name][mode], ground) > 2.7, name
     # Not by colour alone.
-    assert len({(marker, dash) for _, marker, dash in list(STYLES.values())[:-1]}) == len(STYLES) - 1
+    styles = [*list(STYLES.values())[:-1], *NETWORK_STYLES]
+    assert len({(marker, dash) for _, marker, dash in styles}) == len(styles)
 
 
 def test_no_tag_gets_out_of_a_figure_and_no_nan_into_it() -> None:

@@ -1,7 +1,7 @@
 """Back-propagation, the paper's rival: one gradient run from one random start."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -20,16 +20,16 @@ class Backprop(Trainer):
     shrinks by ``slower`` after one that raises it by more than ``tolerance``, which is then taken back.
     """
 
+    name: ClassVar[str] = "backprop"
+    method: ClassVar[str] = "NN-SKCM"
+    output_scale_mm: ClassVar[float | None] = 1.0  # the paper's
+
     steps: int = 3000
     rate: float = 0.01
     momentum: float = 0.9
     faster: float = 1.05
     slower: float = 0.7
     tolerance: float = 0.04
-
-    @property
-    def name(self) -> str:
-        return "backprop"
 
     def begin(self, task: Task, seed: int) -> "BackpropRun":
         weights = random_weights(task.layout, np.random.default_rng(seed), 1)

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol, Self
 
 from casadical.compensator.task import Task
 from casadical.core.arrays import Array
@@ -33,12 +33,21 @@ class Run(Protocol):
 
 @dataclass(frozen=True)
 class Trainer(ABC):
-    """Settings of one way to train. Every trainer is one small frozen dataclass."""
+    """Settings of one way to train. Every trainer is one small frozen dataclass in a file of its own.
 
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """Short name, as in tables and saved files."""
+    name : short name, as in tables and saved files
+    method : how problem.toml and `calibrate --method` call a network that it trains on what SKCM leaves; "" for none
+    output_scale_mm : of networks of that method, millimetres of one output unit; None: root mean square residual
+    """
+
+    name: ClassVar[str]
+    method: ClassVar[str] = ""
+    output_scale_mm: ClassVar[float | None] = None
+
+    @classmethod
+    def for_method(cls) -> Self:
+        """The trainer with the settings that its method has; by default those it has anyway."""
+        return cls()
 
     @abstractmethod
     def begin(self, task: Task, seed: int) -> Run:

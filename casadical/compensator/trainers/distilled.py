@@ -6,7 +6,7 @@ the box of the measured ones is then what Levenberg-Marquardt fits.
 """
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -25,16 +25,15 @@ class Taught(Trainer):
     Not for periodic inputs, whose box is no box of joint angles.
     """
 
+    name: ClassVar[str] = "taught"
+    method: ClassVar[str] = "GP-NN-SKCM"
+
     lessons: int = 600
     lm: LevenbergMarquardt = field(default_factory=lambda: LevenbergMarquardt(restarts=4, ridges=(1e-5,)))
 
     def __post_init__(self) -> None:
         if self.lessons < 10:
             raise InputError(f"lessons must be at least 10 poses; got {self.lessons}")
-
-    @property
-    def name(self) -> str:
-        return "taught"
 
     def begin(self, task: Task, seed: int) -> "TaughtRun":
         lessons, note = self._lessons(task, seed)

@@ -1,7 +1,7 @@
 """Training by invasive weed optimisation: the paper's method (section 4)."""
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -20,16 +20,16 @@ class Iwo(Trainer):
     "single" precision; weights and all reported losses are double in both.
     """
 
+    name: ClassVar[str] = "iwo"
+    method: ClassVar[str] = "IWO-NN-SKCM"
+    output_scale_mm: ClassVar[float | None] = 1.0  # the paper's
+
     settings: IwoSettings = field(default_factory=IwoSettings)
     precision: Literal["double", "single"] = "double"
 
     def __post_init__(self) -> None:
         if self.precision not in ("double", "single"):
             raise InputError(f"precision is 'double' or 'single'; got {self.precision!r}")
-
-    @property
-    def name(self) -> str:
-        return "iwo"
 
     def begin(self, task: Task, seed: int) -> "IwoRun":
         return IwoRun(self, task, InvasiveWeeds(task.layout.count, self.settings, seed=seed))

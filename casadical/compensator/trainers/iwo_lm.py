@@ -1,7 +1,7 @@
 """Invasive weed optimisation first, Levenberg-Marquardt from its best member then."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 from casadical.compensator.task import Task
 from casadical.compensator.trainers.base import Trainer
@@ -14,12 +14,11 @@ from casadical.core.arrays import Array
 class IwoThenLm(Trainer):
     """Settings of both parts; of ``lm.restarts`` nothing is used. The ridge is chosen as in `LevenbergMarquardt`."""
 
+    name: ClassVar[str] = "iwo-lm"
+    method: ClassVar[str] = "IWO-LM-NN-SKCM"
+
     iwo: Iwo = field(default_factory=Iwo)
     lm: LevenbergMarquardt = field(default_factory=LevenbergMarquardt)
-
-    @property
-    def name(self) -> str:
-        return "iwo-lm"
 
     def begin(self, task: Task, seed: int) -> "IwoThenLmRun":
         return IwoThenLmRun(self, task, seed, self.iwo.begin(task, seed))

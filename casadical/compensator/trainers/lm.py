@@ -8,7 +8,7 @@ square error; the paper's maximum term has no part in it.
 """
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -33,6 +33,9 @@ class LevenbergMarquardt(Trainer):
     a single one skips the cross-validation, 0 is no ridge. folds, fold_starts : of the cross-validation.
     """
 
+    name: ClassVar[str] = "lm"
+    method: ClassVar[str] = "LM-NN-SKCM"
+
     restarts: int = 10
     iterations: int = 200
     ridges: tuple[float, ...] = field(default=(0.1, 0.03, 0.01, 0.003, 0.001, 3e-4, 1e-4, 3e-5, 1e-5, 1e-6))
@@ -46,9 +49,9 @@ class LevenbergMarquardt(Trainer):
         if min(self.restarts, self.iterations, self.fold_starts) < 1 or self.folds < 2:
             raise InputError(f"needs restarts, iterations, fold_starts >= 1 and folds >= 2; got {self}")
 
-    @property
-    def name(self) -> str:
-        return "lm"
+    @classmethod
+    def for_method(cls) -> Self:
+        return cls(restarts=20)
 
     def begin(self, task: Task, seed: int, starts: Array | None = None) -> "LmRun":
         """Start a training; ``starts``, shape (k, count) [scaled], replaces the random starts of the final training."""
