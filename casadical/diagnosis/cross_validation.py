@@ -11,13 +11,15 @@ from functools import cached_property
 
 import numpy as np
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence
 from casadical.diagnosis.thresholds import PARTITIONS
 
 FOLDS = 5
 # Parts in which the poses are gone through one by one.
 BLOCKS = 20
+# Up to so many numbers, leaving some out is worked out among the observations instead of the parameters.
+MOST_ROWS = 1500
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,16 @@ class Fit:
         self.y = (self.W @ e.r[:, :, None]).ravel()
         self.prior = np.concatenate([e.prior, e.width_in_model(columns)])
         self.mean = np.concatenate([e.delta0, np.zeros(len(columns))])
-        self.H, self.g = self.A.T @ self.A, self.A.T @ self.y
+
+    @cached_property
+    def H(self) -> Array:
+        """Products of the columns, shape (p, p)."""
+        return np.asarray(self.A.T @ self.A)
+
+    @cached_property
+    def g(self) -> Array:
+        """Products of the columns with the residual, shape (p,)."""
+        return np.asarray(self.A.T @ self.y)
 
     def _rows(self, poses: Array) -> Array:
         return (3 * poses[:, None] + np.arange(3)).ravel()
@@ -87,18 +98,34 @@ class Fit:
         white = (self.y - self.A @ x).reshape(-1, 3, 1)
         return np.asarray(np.linalg.solve(self.W, white)[:, :, 0])
 
+    @cached_property
+    def _left_of(self) -> Array | None:
+        """What takes observations to what a fit to all leaves of them, shape (3 n, 3 n); None for too many poses."""
+        rows, p = self.A.shape
+        if rows > MOST_ROWS:
+            return None
+        if rows > p:
+            root, scale = self._normal(self.H)
+            B = self.A / scale @ root.T
+            return np.asarray(np.eye(rows) - B @ B.T)
+        wide = self.A * self.prior
+        return np.linalg.inv(np.eye(rows) + wide @ wide.T)
+
     def without(self, poses: Array) -> Array:
         """What is left at some poses by a fit to all others, shape (len(poses), 3) [m]."""
         rows = self._rows(poses)
-        A, y = self.A[rows], self.y[rows]
-        if len(rows) < len(self.x):  # what all poses leave, freed of these poses' own pull on the fit
-            left = np.linalg.solve(np.eye(len(rows)) - A @ self.covariance @ A.T, y - A @ self.x)
+        whole = self._left_of
+        if whole is not None:  # what all poses leave, freed of these poses' own pull on the fit
+            left = np.linalg.solve(whole[np.ix_(rows, rows)], whole[rows] @ (self.y - self.A @ self.mean))
         else:
+            A, y = self.A[rows], self.y[rows]
             left = y - A @ self._solution(self.H - A.T @ A, self.g - A.T @ y)
         return np.asarray(np.linalg.solve(self.W[poses], left.reshape(-1, 3, 1))[:, :, 0])
 
     def alone(self) -> Array:
         """What is left at each pose by a fit to all others, shape (n, 3) [m]."""
+        if self._left_of is not None:
+            return np.concatenate([self.without(np.array([k])) for k in range(len(self.W))])
         root, scale = self._normal(self.H)
         pull = np.concatenate(
             [_blocks(part / scale @ root.T) for part in np.array_split(self.A.reshape(-1, 3, len(scale)), BLOCKS)]

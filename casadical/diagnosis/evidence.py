@@ -17,8 +17,8 @@ from functools import cached_property
 
 import numpy as np
 
-from casadical.core.transforms import Array
-from casadical.diagnosis.linearisation import Columns
+from casadical.core.arrays import Array
+from casadical.diagnosis.linearisation import KEPT, Columns
 from casadical.effects.base import CHOSEN
 
 SIGMAS = np.geomspace(3e-6, 300e-6, 33)
@@ -32,6 +32,8 @@ BLOCK = 256
 WIDE = 64
 # A wide group is judged at the likely rhos alone: where log evidence is within so much of the best found.
 REACH = 25.0
+# Models that are kept ready for judging further groups.
+MOST_BESIDE = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +60,7 @@ class Evidence:
     E : columns of all candidates, in m per unit of size: an array, shape (n, 3, columns), or made when asked for
     reference : sigma at which the priors of what is in the model are as given [m]; they grow with the noise
     held : one sigma of each column's parameter once it is in the model, in sizes, shape (columns,); CHOSEN by default
+    near : numbers of the rhos that are looked at; all of them until an effect of many parameters is in the model
     """
 
     r: Array
@@ -68,6 +71,7 @@ class Evidence:
     E: Array | Columns
     reference: float = 20e-6
     held: Array | None = None
+    near: tuple[int, ...] = tuple(range(len(RHOS)))
 
     @property
     def width(self) -> int:
@@ -141,13 +145,18 @@ class Beside:
     """The base model with some causes in it, at every rho: what is needed to judge further groups of columns.
 
     log_base : log likelihood without a further cause, shape (rhos, sigmas)
-    b : products of all columns with what is left, shape (rhos, columns)
-    V : all columns by the base model's own in which its normal matrix is one, shape (rhos, base, columns)
+    chosen : columns of the causes in it; root : of the inverse of its normal matrix, at each rho, shape (base, base)
+    z : fit of the base model in the axes of the root, at each rho, shape (base,)
+    V : all columns in these axes, at each rho, shape (base, columns)
+    b : products of all columns with what is left, at each rho, shape (columns,)
     """
 
     log_base: Array
-    b: Array
-    V: Array
+    chosen: Array
+    root: dict[int, Array]
+    z: dict[int, Array]
+    V: dict[int, Array]
+    b: dict[int, Array]
 
 
 class Sums:
@@ -164,7 +173,7 @@ class Sums:
         self._beside: dict[bytes, Beside] = {}
         self._own: dict[bytes, Array] = dict(known._own) if known else {}
         if known:
-            self._extend(known)
+            self._take_over(known)
             return
         square, self._turn = np.linalg.eigh(e.Jq @ e.Jq.transpose(0, 2, 1))
         square = np.maximum(square, 0.0).reshape(-1)
@@ -172,21 +181,28 @@ class Sums:
         self.log_det = np.log1p(np.outer(RHOS**2, square)).sum(axis=1)
         r, J = (self._turned(part, slice(None)) for part in (e.r[:, :, None], e.J))
         self._base = np.concatenate([J, r], axis=1)
-        weighted = self._weight[:, :, None] * self._base
-        self.base = self._base.T @ weighted
-        self.columns = self._products(e.E, np.concatenate([*weighted], axis=1)).reshape(e.width, len(RHOS), -1)
+        self.base = self._base.T @ (self._weight[:, :, None] * self._base)
+        self.columns = self._by_base(e.E)
 
-    def _extend(self, known: Sums) -> None:
+    def _by_base(self, E: Array | Columns) -> Array:
+        """Products of columns with the base model's and the residual, shape (columns, rhos, P + 1)."""
+        weighted = np.concatenate([*(self._weight[:, :, None] * self._base)], axis=1)
+        return self._products(E, weighted).reshape(E.shape[2], len(RHOS), -1)
+
+    def _take_over(self, known: Sums) -> None:
         """Take over what is known and add up what is new."""
-        new = self.e.E.after(known.e.width) if isinstance(self.e.E, Columns) else self.e.E[:, :, known.e.width :]
         self._turn, self._weight, self.log_det = known._turn, known._weight, known.log_det
         self._base, self.base = known._base, known.base
-        weighted = np.concatenate([*(self._weight[:, :, None] * self._base)], axis=1)
-        more = self._products(new, weighted).reshape(new.shape[2], len(RHOS), -1)
-        self.columns = np.concatenate([known.columns, more])
+        self.columns = known.columns
+        if self.e.width == known.e.width:
+            return
+        new = self.e.E.after(known.e.width) if isinstance(self.e.E, Columns) else self.e.E[:, :, known.e.width :]
+        self.columns = np.concatenate([known.columns, self._by_base(new)])
         for (first, last), cross in known._cross.items():
             more = self._crossed(new, np.arange(first, last + 1))
             self._cross[first, last] = np.concatenate([cross, more])
+        for key, beside in known._beside.items():
+            self._beside[key] = self._judging(beside, known.e.width)
 
     def _turned(self, part: Array, poses: slice) -> Array:
         """Columns in the axes of each pose's repeatability, shape (rows, columns)."""
@@ -208,12 +224,12 @@ class Sums:
         return total
 
     def _crossed(self, E: Array | Columns, run: Array) -> Array:
-        """Products of columns with some of all the columns at every rho, shape (columns, rhos, run)."""
+        """Products of columns with some of all the columns, shape (columns, rhos that are looked at, run)."""
         other = self._turned(self.e.take(run), slice(None))
-        return np.stack([self._products(E, w[:, None] * other) for w in self._weight], axis=1)
+        return np.stack([self._products(E, self._weight[k][:, None] * other) for k in self.e.near], axis=1)
 
     def _with(self, columns: Array) -> Array:
-        """Products of all columns with these, shape (columns, rhos, these); kept by runs of neighbours."""
+        """Products of all columns with these, shape (columns, rhos that are looked at, these); kept by runs."""
         runs = np.split(columns, np.flatnonzero(np.diff(columns) != 1) + 1)
         for run in runs:
             key = int(run[0]), int(run[-1])
@@ -232,10 +248,12 @@ class Sums:
         totals = {w: np.zeros((len(RHOS), len(s), w, w)) for w, s in stacks.items()}
         if not stacks:
             return
-        for E, rows in self._blocks(self.e.E):
+        used = np.unique(np.concatenate([which.ravel() for which in stacks.values()]))
+        few = 8 * self.e.r.size * len(used) < KEPT
+        for E, rows in self._blocks(self.e.take(used) if few else self.e.E):
             by_column = np.ascontiguousarray(E.T)
             for w, which in stacks.items():
-                part = by_column[which]
+                part = by_column[np.searchsorted(used, which) if few else which]
                 for k, weight in enumerate(self._weight[:, rows]):
                     scaled = part * np.sqrt(weight)
                     if w > WIDE:  # one group at a time: half the work for a product with itself
@@ -256,35 +274,51 @@ class Sums:
         chosen = np.zeros(0, dtype=np.int64) if also is None else also
         key = chosen.tobytes()
         if key not in self._beside:
-            self._beside[key] = self._made(chosen)
+            if len(self._beside) > MOST_BESIDE:
+                self._beside.pop(next(iter(self._beside)))
+            self._beside[key] = self._judging(self._fitted(chosen))
         return self._beside[key]
 
-    def _made(self, chosen: Array) -> Beside:
+    def _fitted(self, chosen: Array) -> Beside:
+        """The base model with these columns in it, fitted at every rho."""
         e, P = self.e, self.e.J.shape[2]
         prior = np.concatenate([e.prior, e.width_in_model(chosen)])
         mean = np.concatenate([e.delta0, np.zeros(len(chosen))])
-        cross = self._with(chosen) if len(chosen) else np.zeros((e.width, len(RHOS), 0))
         weights = e.reference / prior
-        log_base, b, V = [], [], []
-        for k in range(len(RHOS)):
-            EJ = np.concatenate([self.columns[:, k, :P], cross[:, k]], axis=1)
-            JJ = np.zeros((len(prior), len(prior)))
-            JJ[:P, :P] = self.base[k, :P, :P]
-            JJ[:P, P:] = self.columns[chosen, k, :P].T
-            JJ[P:] = EJ[chosen]
+        log_base = np.full((len(RHOS), len(SIGMAS)), -np.inf)
+        root, fitted = {}, {}
+        for i, k in enumerate(e.near):
+            normal = np.diag(weights**2)
+            normal[:P, :P] += self.base[k, :P, :P]
+            if len(chosen):
+                normal[:P, P:] += self.columns[chosen, k, :P].T
+                normal[P:, :P] += self.columns[chosen, k, :P]
+                normal[P:, P:] += self._with(chosen)[chosen, i]
             right = np.concatenate([self.base[k, :P, P], self.columns[chosen, k, P]]) + weights**2 * mean
-            normal = JJ + np.diag(weights**2)
             # A parameter whose column is long is scaled first, so that rank is judged fairly.
             scale = 1 / np.sqrt(np.diag(normal))
             L = np.linalg.cholesky(normal * np.outer(scale, scale))
-            inverse = np.linalg.inv(L) * scale
-            z = inverse @ right
-            square = float(self.base[k, P, P] + (weights * mean) @ (weights * mean) - z @ z)
+            root[k] = np.linalg.inv(L) * scale
+            fitted[k] = root[k] @ right
+            square = float(self.base[k, P, P] + (weights * mean) @ (weights * mean) - fitted[k] @ fitted[k])
             log_norm = -0.5 * self.log_det[k] - float((np.log(np.diag(L)) - np.log(scale)).sum())
-            log_base.append(log_norm - e.r.size * np.log(SIGMAS) - 0.5 * square / SIGMAS**2)
-            V.append(inverse @ EJ.T)
-            b.append(self.columns[:, k, P] - z @ V[-1])
-        return Beside(np.array(log_base), np.array(b), np.array(V))
+            log_base[k] = log_norm - e.r.size * np.log(SIGMAS) - 0.5 * square / SIGMAS**2
+        return Beside(log_base, chosen, root, fitted, {}, {})
+
+    def _judging(self, beside: Beside, known: int = 0) -> Beside:
+        """The same with what is needed to judge all columns, the first of which may be known."""
+        P, V, b = self.e.J.shape[2], {}, {}
+        cross = self._with(beside.chosen) if len(beside.chosen) else None
+        for i, k in enumerate(self.e.near):
+            EJ = self.columns[known:, k, :P]
+            if cross is not None:
+                EJ = np.concatenate([EJ, cross[known:, i]], axis=1)
+            V[k] = beside.root[k] @ EJ.T
+            b[k] = self.columns[known:, k, P] - beside.z[k] @ V[k]
+            if known:
+                V[k] = np.concatenate([beside.V[k], V[k]], axis=1)
+                b[k] = np.concatenate([beside.b[k], b[k]])
+        return replace(beside, V=V, b=b)
 
     def log_grids(self, groups: Sequence[Array], also: Array | None = None) -> Array:
         """See `Evidence.log_grids`."""
@@ -300,7 +334,7 @@ class Sums:
                 continue
             columns = np.stack([groups[int(g)] for g in which])
             own = np.stack([self._own[groups[int(g)].tobytes()] for g in which])
-            for k in range(len(RHOS)):
+            for k in self.e.near:
                 V = beside.V[k].T[columns]
                 value, vector = np.linalg.eigh(own[:, k] - V @ V.transpose(0, 2, 1))
                 turned = np.einsum("gij,gi->gj", vector, beside.b[k][columns])
@@ -308,18 +342,20 @@ class Sums:
         return out
 
     def _wide(self, group: Array, beside: Beside, also: Array | None, out: Array) -> None:
-        """A group of many columns, from the most probable rho so far to both sides while it is within reach."""
-        best = int(np.argmax(beside.log_base.max(axis=1)))
+        """A group of many columns, from the rho that is likeliest so far to both sides while it is within reach."""
+        near = self.e.near
+        best = int(np.argmax(beside.log_base[list(near)].max(axis=1)))
         top = -np.inf
         for step in (1, -1):
-            k = best if step > 0 else best - 1
-            while 0 <= k < len(RHOS):
+            i = best if step > 0 else best - 1
+            while 0 <= i < len(near):
+                k = near[i]
                 value, turned = self._spectrum(group, beside, also, k)
                 out[k] = _log_gain(beside.log_base[k], value[None], turned[None])[0]
                 if out[k].max() < top - REACH:
                     break
                 top = max(top, float(out[k].max()))
-                k += step
+                i += step
 
     def _spectrum(self, group: Array, beside: Beside, also: Array | None, k: int) -> tuple[Array, Array]:
         """Eigenvalues of a group's visible products and the products with what is left, in their directions."""

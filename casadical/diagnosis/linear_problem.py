@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Array
 from casadical.diagnosis.candidates import Candidate, choose
-from casadical.diagnosis.evidence import Evidence, Sums
+from casadical.diagnosis.cross_validation import Noise
+from casadical.diagnosis.evidence import RHOS, Evidence, Sums
 from casadical.diagnosis.linearisation import Columns, linearise
 from casadical.effects import Effect
 from casadical.identification.accuracy import predicted
@@ -69,6 +70,32 @@ class Case:
     def group(self, effects: Sequence[Effect]) -> Array:
         """Columns of effects that act together."""
         return np.concatenate([self.columns[e] for e in effects])
+
+    def with_sizes(self, effect: Effect, factors: Mapping[int, float], noise: Noise) -> tuple[Case, Effect]:
+        """The case with the prior size of an effect's parts learnt, and the effect with these sizes.
+
+        factors : on the size of each part; noise : that is left, at which the priors hold from now on
+        """
+        learnt, columns = effect.with_sizes(factors), self.columns[effect]
+        held = self.whole.width_in_model(np.arange(self.whole.width)).copy()
+        for part, places in effect.parts.items():
+            held[columns[places]] *= factors[part]
+        candidates = tuple(
+            replace(c, variants=tuple(tuple(learnt if e == effect else e for e in v) for v in c.variants))
+            for c in self.candidates
+        )
+        rho = int(np.argmin(np.abs(RHOS - noise.repeatability / noise.sigma)))
+        near = tuple(range(max(rho - 1, 0), min(rho + 2, len(RHOS))))
+        whole = replace(self.whole, held=held, reference=noise.sigma, near=near)
+        more = replace(self, candidates=candidates, columns={**self.columns, learnt: columns}, whole=whole)
+        if "sums" in self.evidence.__dict__:
+            more.evidence.__dict__["sums"] = Sums(more.evidence, self.evidence.sums)
+        return more, learnt
+
+    def sizes(self, columns: Array) -> Array:
+        """One unit of these columns' parameters [SI]."""
+        assert isinstance(self.whole.E, Columns)
+        return self.whole.E.sizes[columns]
 
     def with_variants(self, label: str, variants: Sequence[tuple[Effect, ...]]) -> Case:
         """The case with further settings of one candidate."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 from casadical.diagnosis.cross_validation import Noise, likely_noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
 from casadical.diagnosis.linear_problem import Case
@@ -49,11 +49,12 @@ def rank(case: Case, chosen: Array, skip: frozenset[str] = frozenset()) -> Ranki
 
     chosen : columns of causes that are in the model already; skip : their labels, no longer candidates
     """
-    grids = case.evidence.log_grids(case.groups, chosen) + np.log(KAPPA_WEIGHTS)
+    judged = [k for k, (c, _) in enumerate(case.variants) if case.candidates[c].label not in skip]
+    grids = case.evidence.log_grids([case.groups[k] for k in judged], chosen) + np.log(KAPPA_WEIGHTS)
     base_grid = case.evidence.log_base(chosen)
     base = float(log_sum(base_grid))
     log_variant = log_sum(grids.reshape(len(grids), -1), axis=1) - base
-    owner = np.array([c for c, _ in case.variants])
+    owner = np.array([case.variants[k][0] for k in judged])
     prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
     weights = prior_weights(case, prior, skip)
     factor, variant, noise = {}, {}, {"": likely_noise(base_grid)}
@@ -62,7 +63,7 @@ def rank(case: Case, chosen: Array, skip: frozenset[str] = frozenset()) -> Ranki
             own = np.flatnonzero(owner == c)
             factor[candidate.label] = float(log_sum(log_variant[own])) - float(np.log(len(own)))
             best = int(own[np.argmax(log_variant[own])])
-            variant[candidate.label] = case.variants[best][1]
+            variant[candidate.label] = case.variants[judged[best]][1]
             noise[candidate.label] = likely_noise(grids[best])
     logs = np.array([np.log(prior["none"]), *(np.log(weights[k]) + f for k, f in factor.items())])
     share = np.exp(logs - log_sum(logs))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 from casadical.diagnosis.bootstrap import p_value
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import (
@@ -81,7 +81,9 @@ class Investigation:
     def accepted(self, ranking: Ranking, labels: Sequence[str], beside: Sequence[_Step]) -> _Step:
         """A cause (the first of the labels) with its settings refined beside others."""
         label = labels[0]
-        self.case, effects = refined(self.case, label, self.variant(ranking, label), self.columns(beside))
+        self.case, effects = refined(
+            self.case, label, self.variant(ranking, label), self.columns(beside), ranking.noise[label]
+        )
         return _Step(ranking, tuple(labels), effects)
 
     def _screen(self, noise: Noise) -> None:
@@ -259,7 +261,8 @@ class Investigation:
         found = {}
         for effect in step.effects:
             places = np.searchsorted(everything, self.case.columns[effect])
-            for place, (name, (size, unit)) in zip(places, effect.sizes().items(), strict=True):
+            sizes = self.case.sizes(self.case.columns[effect])
+            for place, size, (name, (_, unit)) in zip(places, sizes, effect.sizes().items(), strict=True):
                 found[name] = (float(value[place] * size), float(error[place] * size), unit)
         return found
 

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
+from casadical.diagnosis.learnt_sizes import learnt_sizes
 from casadical.diagnosis.linear_problem import Case
 from casadical.effects import Effect
 
@@ -32,13 +34,19 @@ def neighbours(effect: Effect, fineness: float) -> list[Effect]:
     return found
 
 
-def refined(case: Case, label: str, variant: tuple[Effect, ...], chosen: Array) -> tuple[Case, tuple[Effect, ...]]:
+def refined(
+    case: Case, label: str, variant: tuple[Effect, ...], chosen: Array, noise: Noise
+) -> tuple[Case, tuple[Effect, ...]]:
     """The case with the best settings found near a variant, and these settings.
 
-    chosen : columns of causes that are in the model already
+    chosen : columns of causes that are in the model already; noise : that is left with the variant
     """
     if len(variant) != 1:
         return case, variant
+    if variant[0].parts:
+        found = learnt_sizes(case.evidence, case.group(variant), variant[0].parts, chosen, noise)
+        case, effect = case.with_sizes(variant[0], *found)
+        return case, (effect,)
     halved = 0
     for _ in range(MOST_ROUNDS):
         near = [(e,) for e in neighbours(variant[0], 0.5**halved)]
@@ -57,9 +65,6 @@ def refined(case: Case, label: str, variant: tuple[Effect, ...], chosen: Array) 
 
 
 def _log_evidence(case: Case, groups: list[Array], chosen: Array) -> Array:
-    """Of each group of columns, up to what they share, shape (groups,); no other column is looked at."""
-    used = np.unique(np.concatenate([*groups, chosen.astype(np.int64)]))
-    e = case.evidence
-    few = replace(e, E=e.take(used), held=e.width_in_model(used))
-    grids = few.log_grids([np.searchsorted(used, g) for g in groups], also=np.searchsorted(used, chosen))
+    """Of each group of columns, shape (groups,)."""
+    grids = case.evidence.log_grids(groups, chosen)
     return log_sum((grids + np.log(KAPPA_WEIGHTS)).reshape(len(groups), -1), axis=1)

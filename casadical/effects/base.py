@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, get_type_hints
+from typing import Any, ClassVar, Self, get_type_hints
 
 import casadi as ca
 from pydantic import ConfigDict, TypeAdapter, ValidationError
@@ -163,13 +163,24 @@ class Effect:
     def parameters(self) -> tuple[Parameter, ...]:
         """Its parameters, named label.name, without bounds that matter and with a prior that hardly holds them back."""
         return tuple(
-            Parameter(f"{self.label}.{name}", self.label, unit, 0.0, size, -1e3 * size, 1e3 * size, CHOSEN * size)
+            Parameter(f"{self.label}.{name}", self.label, unit, 0.0, size, -1e3 * size, 1e3 * size, self.held * size)
             for name, (size, unit) in self.sizes().items()
         )
 
     def own_values(self, values: Mapping[str, float]) -> dict[str, float]:
         """Values of its parameters [SI] by their short names, out of those of a model; zero where there is none."""
         return {name: values.get(f"{self.label}.{name}", 0.0) for name in self.sizes()}
+
+    @property
+    def parts(self) -> Mapping[int, Array]:
+        """Places of the parameters of each part whose prior size is learnt from the data, by part; none by default."""
+        return {}
+
+    def with_sizes(self, factors: Mapping[int, float]) -> Self:
+        """The effect with the prior size of each part times a factor; factors : by part."""
+        if factors:
+            raise NotImplementedError(f"{self.label} has no parts whose size is learnt")
+        return self
 
     def value(self, context: Context, name: str) -> Symbolic:
         """The symbol of one of its parameters."""

@@ -1,0 +1,56 @@
+"""The prior size of an effect's parts, learnt from the data: marginal likelihood, by MacKay's fixed point.
+
+A part's variance is set to the mean square of its parameters over the share of them that the data determine; the noise
+likewise. A part about which the data say nothing keeps its size. (MacKay 1992, Bayesian interpolation, sec. 4.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.diagnosis.cross_validation import Fit, Noise
+from casadical.diagnosis.evidence import Evidence
+
+ROUNDS, SETTLED = 12, 0.02
+# A part of which the data determine less than this many parameters is left as it is.
+LEAST = 1.0
+LEAST_FACTOR, MOST_FACTOR = 0.05, 8.0
+
+
+def learnt_sizes(
+    e: Evidence, group: Array, parts: Mapping[int, Array], beside: Array, noise: Noise
+) -> tuple[dict[int, float], Noise]:
+    """Factor on the size of each part, and the noise that is left.
+
+    e : the problem; group : columns of the effect, shape (k,); parts : places in the group, by part
+    beside : columns of other causes in the model; noise : as far as known
+    """
+    columns = np.concatenate([beside, group])
+    fit = Fit(e, columns, noise)
+    first = len(fit.prior) - len(group)
+    prior, mean = fit.prior.copy(), fit.mean
+    factors, scale, rows = dict.fromkeys(parts, 1.0), 1.0, len(fit.y)
+    square = float(fit.y @ fit.y)
+    for _ in range(ROUNDS):
+        normal = fit.H / scale + np.diag(prior**-2)
+        root = np.sqrt(np.diag(normal))
+        inverse = np.linalg.inv(normal / np.outer(root, root)) / np.outer(root, root)
+        x = inverse @ (fit.g / scale + mean / prior**2)
+        determined = 1 - np.diag(inverse) / prior**2
+        left = square - 2 * fit.g @ x + x @ fit.H @ x
+        before = (scale, *factors.values())
+        scale = float(left / (rows - determined.sum()))
+        for part, places in parts.items():
+            at = first + places
+            count = float(determined[at].sum())
+            if count > LEAST:
+                unit = prior[at] / factors[part]
+                factor = float(np.sqrt(((x[at] / unit) ** 2).sum() / count))
+                factors[part] = float(np.clip(factor, LEAST_FACTOR, MOST_FACTOR))
+                prior[at] = unit * factors[part]
+        if np.abs(np.log(np.array((scale, *factors.values())) / np.array(before))).max() < SETTLED:
+            break
+    return factors, Noise(noise.sigma * float(np.sqrt(scale)), noise.repeatability * float(np.sqrt(scale)))
