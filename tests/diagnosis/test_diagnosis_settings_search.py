@@ -6,6 +6,7 @@ from cases import case, robot, simulated
 
 from casadical.blind_check.numpy_physics import disturbances
 from casadical.diagnosis.candidates import candidates_of
+from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.posterior import rank
@@ -25,13 +26,13 @@ def test_refining_never_lowers_the_evidence(label: str) -> None:
     start = case("hh800-P01", "backlash", "transmission_ripple", "thermal_growth", "gravity_compensator")
     ranking = rank(start, NOTHING)
     variant = {c.label: c for c in start.candidates}[label].variants[ranking.variant[label]]
-    found, better = refined(start, label, variant, NOTHING)
+    found, better = refined(start, label, variant, NOTHING, ranking.noise[label])
     assert evidence(found, better) >= evidence(found, variant) - 1e-9
     assert evidence(found, variant) == pytest.approx(evidence(start, variant))
     if label == "backlash@5":  # the campaign's own cause, whose flanks lie between the grid's
         assert evidence(found, better) > evidence(start, variant) + 1
     chosen = start.group(start.candidates[0].variants[0])
-    found, better = refined(start, label, variant, chosen)
+    found, better = refined(start, label, variant, chosen, ranking.noise[label])
     assert evidence(found, better, chosen) >= evidence(found, variant, chosen) - 1e-9
 
 
@@ -39,7 +40,7 @@ def test_a_frequency_between_the_grids_is_found() -> None:
     m = simulated("ur10e", 3, disturbances.TransmissionRipple(2, size=80e-6, cycles=7))
     r = robot("ur10e")
     start = make_case(identify(r, m, priors=True), candidates_of(r, ["transmission_ripple@2"]))
-    _, (found,) = refined(start, "transmission_ripple@2", (TransmissionRipple(2, 7.5),), NOTHING)
+    _, (found,) = refined(start, "transmission_ripple@2", (TransmissionRipple(2, 7.5),), NOTHING, Noise(2e-5, 0.0))
     assert found.cycles == pytest.approx(7, abs=0.1)
 
 
