@@ -15,7 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadical.core.errors import InputError
+from casadical.core.errors import ConvergenceError, InputError
 from casadical.core.parameters import Parameter
 from casadical.core.transforms import Array
 from casadical.identification.accuracy import predicted
@@ -26,7 +26,7 @@ from casadical.identification.identifiability import (
     correlated,
     poorly_determined,
 )
-from casadical.identification.residuals import POINT_SCALE, Block, Loss, loss_slope, make_block
+from casadical.identification.residuals import POINT_SCALE, Block, Loss, loss_slope, loss_value, make_block
 from casadical.identification.solver import Progress, Solution, minimise
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
@@ -36,6 +36,9 @@ from casadical.robot.robot import Robot
 SIGMA_GUESS, SIGMA_ANGLE_GUESS = 1e-4, 1e-4
 # Residuals of this share of the reach are no measuring error.
 POOR_FIT = 0.005
+# More parameters than this are solved for step by step (see `LeastSquares.solve`).
+WIDE = 200
+MOST_STEPS, LEAST_STEP, NO_GAIN = 20, 1e-3, 1e-7
 
 # They move the robot as a whole.
 _WHOLE_ROBOT = (
@@ -54,6 +57,7 @@ class LeastSquares:
     """One identification problem; see the module's text.
 
     names : parameters that are variables; sigmas : of one coordinate [m] and angle [rad], for each set
+    known : priors that hang together: names and their covariance [SI]; their means are those of `priors`
     priors : whether the robot's own priors hold the variables back, or name -> (mean, one sigma) [SI] of other priors
     fixed_loads : whether gravity torques are those of the nominal geometry (see `Model`)
     """
@@ -65,6 +69,7 @@ class LeastSquares:
     priors: bool | Mapping[str, tuple[float, float]]
     sigmas: tuple[tuple[float, float], ...]
     fixed_loads: bool = False
+    known: tuple[tuple[tuple[str, ...], Array], ...] = ()
 
     @cached_property
     def labels(self) -> tuple[str, ...]:
@@ -121,12 +126,24 @@ class LeastSquares:
         return np.concatenate([lower, -free]), np.concatenate([upper, free])
 
     @cached_property
-    def prior_weights(self) -> Array:
-        """One over the prior's variance, of each variable; zero without priors."""
+    def prior_matrix(self) -> Array:
+        """Inverse of the priors' covariance, shape (size, size) in solver units; zero without priors."""
         weights = np.zeros(self.size)
         if self.priors:
             weights[: len(self.names)] = (self.scale / self._prior[1]) ** 2
-        return weights
+        matrix = np.diag(weights)
+        for names, covariance in self.known:
+            places = [k for k, name in enumerate(self.names) if name in names]
+            at = [names.index(self.names[k]) for k in places]
+            scale = self.scale[places]
+            inverse = np.linalg.inv(covariance[np.ix_(at, at)] / np.outer(scale, scale))
+            matrix[np.ix_(places, places)] = inverse
+        return matrix
+
+    def prior_square(self, v: Array) -> float:
+        """Squared distance of v from the priors' mean in units of their covariance."""
+        departure = v - self.prior_mean
+        return float(departure @ self.prior_matrix @ departure)
 
     @cached_property
     def prior_mean(self) -> Array:
@@ -154,6 +171,8 @@ class LeastSquares:
 
     def solve(self, progress: Progress | None = None) -> Solution:
         """The bounded optimum. Raises ConvergenceError."""
+        if self.size > WIDE:
+            return self._solve_in_steps(progress)
         v = ca.MX.sym("v", self.size)
         x, u = v[: len(self.names)], ca.reshape(v[len(self.names) :], 3, len(self.labels))
         cost, again, gradient, hessian = ca.MX(0), ca.MX(0), ca.MX.zeros(self.size), ca.MX(self.size, self.size)
@@ -167,15 +186,52 @@ class LeastSquares:
             cost, again = cost + ca.sumsqr(r) / 2, again + ca.sumsqr(r) / 2
             gradient, hessian = gradient + J.T @ r, hessian + ca.triu(J.T @ J)
         if self.priors:
-            weights = ca.DM(self.prior_weights)
-            departure = v - ca.DM(self.prior_mean)
-            prior = ca.dot(weights, departure**2) / 2
-            cost, again, gradient = cost + prior, again + prior, gradient + weights * departure
-            hessian += ca.diag(weights)
+            weights = ca.sparsify(ca.DM(self.prior_matrix))
+            pull = weights @ (v - ca.DM(self.prior_mean))
+            prior = ca.dot(v - ca.DM(self.prior_mean), pull) / 2
+            cost, again, gradient = cost + prior, again + prior, gradient + pull
+            hessian += ca.triu(weights)
         lower, upper = self.bounds
         return minimise(
             v, cost, (again, gradient), hessian, lower, upper, scale=0.5 * self.residual_count, progress=progress
         )
+
+    def _solve_in_steps(self, progress: Progress | None) -> Solution:
+        """The bounded optimum of many parameters: Ipopt on the Gauss-Newton quadratic, linearised anew at each step.
+
+        A symbolic Hessian would grow with the square of the parameters at every pose; products of the Jacobian do not.
+        """
+        v, history = np.zeros(self.size), [self.cost(np.zeros(self.size))]
+        for _ in range(MOST_STEPS):
+            g, H = self.gradient(v)
+            lower, upper = (bound - v for bound in self.bounds)
+            step = ca.MX.sym("step", self.size)
+            slope = ca.DM(H) @ step + ca.DM(g)
+            quadratic = ca.dot(step, slope + ca.DM(g)) / 2
+            size = max(float(abs(g @ np.linalg.solve(H, g))), 1e-12)
+            upper_half = ca.MX(ca.triu(ca.DM(H)))
+            found = minimise(step, quadratic, (quadratic, slope), upper_half, lower, upper, scale=size)
+            share = 1.0
+            while (cost := self.cost(v + share * found.v)) > history[-1] and share > LEAST_STEP:
+                share *= 0.5
+            gain = history[-1] - cost
+            if gain > 0:
+                v = v + share * found.v
+                history.append(cost)
+            if progress:
+                progress(len(history) - 1, history[-1])
+            if gain < NO_GAIN * history[-1]:
+                return replace(found, v=v, history=tuple(history))
+        raise ConvergenceError(
+            f"no optimum in {MOST_STEPS} Gauss-Newton steps; check the data, or free fewer parameters"
+        )
+
+    def cost(self, v: Array) -> float:
+        """Half the sum of squares at v, through the robust loss, with the priors."""
+        residuals, _ = self.evaluate(v)
+        squares = [loss_value(self.loss, r) for r in residuals[: len(self.sets)]]
+        squares += [r**2 for r in residuals[len(self.sets) :]]
+        return 0.5 * (sum(float(s.sum()) for s in squares) + self.prior_square(v))
 
     def _separations(self, u: ca.MX) -> ca.MX:
         """Residuals of known distances between touched points."""
@@ -223,8 +279,8 @@ class LeastSquares:
     def gradient(self, v: Array) -> tuple[Array, Array]:
         """Gradient and Gauss-Newton Hessian of the cost at v, from residuals: a way apart from the solver's."""
         r, J, slope = self._weighted(v)
-        gradient = J.T @ (slope * r) + self.prior_weights * (v - self.prior_mean)
-        return gradient, J.T @ (slope[:, None] * J) + np.diag(self.prior_weights)
+        gradient = J.T @ (slope * r) + self.prior_matrix @ (v - self.prior_mean)
+        return gradient, J.T @ (slope[:, None] * J) + self.prior_matrix
 
     def _weighted(self, v: Array) -> tuple[Array, Array, Array]:
         """All residuals, shape (residuals,), the whole Jacobian, and the weight that the loss gives each row."""
@@ -260,7 +316,15 @@ class LeastSquares:
         if not any(find_kind(m.kind).at_rest(m.arrays) for m in self.sets):
             held |= dict.fromkeys(_WHOLE_ROBOT, "nothing at rest was measured: moving the whole robot changes nothing")
         if self.priors and self.residual_count <= self.size:
-            J = np.concatenate([J, np.diag(np.sqrt(self.prior_weights))])  # too few numbers to say what is confounded
+            # Too few numbers to say what is confounded.
+            J = np.concatenate([J, np.diag(np.sqrt(np.diag(self.prior_matrix)))])
+        of_effects = {e.label for e in self.robot.effects}
+        if self.priors and p > WIDE:  # what a prior of an effect holds back needs no test of independence
+            own = [k for k, n in enumerate(self.names) if self.robot.parameters[n].group not in of_effects]
+            base = tuple(self.names[k] for k in own)
+            found = analyse(J[:, [*range(p, self.size), *own]], base, 3 * len(self.labels), held)
+            dropped = {u.name for u in found.held}
+            return replace(found, independent=tuple(n for n in self.names if n not in dropped))
         J_ordered = np.concatenate([J[:, p:], J[:, :p]], axis=1)
         found = analyse(J_ordered, self.names, 3 * len(self.labels), held)
         if any(find_kind(m.kind).tells_scale or m.separations for m in self.sets) or not self._scale_is_free():
@@ -296,9 +360,7 @@ class LeastSquares:
         """
         _, J, slope = self._weighted(v)
         free = np.flatnonzero(~self.at_bounds(v))
-        H, middle = (
-            (J.T @ ((slope**power)[:, None] * J) + np.diag(self.prior_weights))[np.ix_(free, free)] for power in (1, 2)
-        )
+        H, middle = ((J.T @ ((slope**power)[:, None] * J) + self.prior_matrix)[np.ix_(free, free)] for power in (1, 2))
         inverse = _inverse(H)
         whole = np.full((self.size, self.size), np.nan)
         whole[np.ix_(free, free)] = variance * (inverse @ middle @ inverse if self.loss != "linear" else inverse)
@@ -308,7 +370,7 @@ class LeastSquares:
     def redundancies(self, v: Array) -> Array:
         """Degrees of freedom of each observed number, one less its leverage; they sum to those of the fit."""
         _, J, slope = self._weighted(v)
-        H = J.T @ (slope[:, None] * J) + np.diag(self.prior_weights)
+        H = J.T @ (slope[:, None] * J) + self.prior_matrix
         return np.asarray(1 - slope * np.einsum("ij,ij->i", J @ _inverse(H), J))
 
     def with_names(self, names: Sequence[str]) -> LeastSquares:
@@ -405,11 +467,11 @@ def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float
     With a robust loss, and unless outliers were trimmed, from the median absolute residuals instead.
     """
     residuals, _ = problem.evaluate(v)
-    freedom = problem.residual_count - problem.size + int(np.count_nonzero(problem.prior_weights))
+    freedom = problem.residual_count - problem.size + int(np.count_nonzero(np.diag(problem.prior_matrix)))
     if problem.loss != "linear" and not trimmed:
         typical = float(np.median([spread(r) ** 2 for r in residuals]))
         return typical * problem.residual_count / max(1, freedom)
-    chi2 = sum(float((r**2).sum()) for r in residuals) + float(problem.prior_weights @ (v - problem.prior_mean) ** 2)
+    chi2 = sum(float((r**2).sum()) for r in residuals) + problem.prior_square(v)
     return chi2 / max(1, freedom)
 
 

@@ -277,6 +277,12 @@ def make_block(
     return Block(found, data, group, robot_numbers(robot, names))
 
 
+def loss_value(loss: Loss, r: Array) -> Array:
+    """Square of each pose's residual through the loss, shape (n,), for residuals r, shape (n, m), in units of sigma."""
+    value, _ = _LOSS[loss](ca.SX((r**2).sum(axis=1)), _KNEE[r.shape[1]])
+    return np.broadcast_to(ca.DM(value).full().ravel(), (len(r),))
+
+
 def loss_slope(loss: Loss, r: Array) -> Array:
     """Weight that the loss gives each pose, shape (n,), for residuals r, shape (n, m), in units of sigma."""
     _, slope = _LOSS[loss](ca.SX((r**2).sum(axis=1)), _KNEE[r.shape[1]])

@@ -15,6 +15,7 @@ from casadical.project.problem import read_campaign_robot
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "diagnosis.md"
 POSES = (40, 100, 200)
+MOST = 40  # names in a row of a table
 READABLE = {"rad": (1e6, "urad"), "m": (1e6, "um"), "m/m": (1e6, "um/m"), "rad/rad": (1e6, "urad/rad")}
 READABLE |= {"rad/K": (1e6, "urad/K"), "1/K": (1e6, "1e-6/K"), "1/m": (1e6, "um/m^2"), "": (1e2, "% of great torque")}
 READABLE |= {"kg/kg": (1e2, "%")}
@@ -60,7 +61,14 @@ def _sizes(c: Candidate) -> str:
         for name, (size, unit) in effect.sizes().items():
             factor, word = (1e3, "mm") if unit == "m" and size >= 1e-3 else READABLE[unit]
             by_size.setdefault(f"{size * factor:.3g} {word}", []).append(re.sub(r"(?<=[kxyz])\d$", "", name))
-    return "; ".join(f"{', '.join(dict.fromkeys(names))}: {size}" for size, names in by_size.items())
+    groups = [(list(dict.fromkeys(names)), size) for size, names in by_size.items()]
+    few = [f"{_short(names)}: {size}" for names, size in groups]
+    return "; ".join(few if len(few) <= MOST else [few[0], f"falling to {groups[-1][1]} with {groups[-1][0][-1]}"])
+
+
+def _short(names: list[str]) -> str:
+    """Names in a row; of many, the first and the last."""
+    return ", ".join(names) if len(names) <= MOST else f"{names[0]}, {names[1]} ... {names[-1]}"
 
 
 def _columns(c: Candidate) -> str:
