@@ -141,7 +141,7 @@ def test_gradient_is_that_of_the_cost(kind, loss):
         total = sum(float(ca.evalf(b.cost(ca.MX(ca.DM(x)), ca.MX(ca.DM(u.T))))) for b in problem.blocks)
         r = problem._separations(ca.MX(ca.DM(u.T)))
         total += float(ca.evalf(ca.sumsqr(r))) / 2 if r.numel() else 0.0
-        return total + problem.prior_weights @ v**2 / 2
+        return total + v @ problem.prior_matrix @ v / 2
 
     steps = np.eye(problem.size) * 1e-5
     numeric = np.array([(cost(v + h) - cost(v - h)) / 2e-5 for h in steps])

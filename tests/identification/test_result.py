@@ -87,7 +87,7 @@ def test_priors_hold_what_the_data_do_not_tell(built):
         identify(ARM, m, ["kinematic"])
     held = identify(ARM, m, ["kinematic"], priors=True)
     assert held.is_optimal()
-    departures = held.problem.separate(held.solution.v)[0] * np.sqrt(held.problem.prior_weights)
+    departures = held.problem.separate(held.solution.v)[0] * np.sqrt(np.diag(held.problem.prior_matrix))
     assert np.abs(departures).max() < 3
     widths = np.array([held.start.parameters[n].prior for n in held.names])
     assert (held.standard_errors < 1.3 * widths).all()
