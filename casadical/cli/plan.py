@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console, RenderableType
+from rich.console import Console
 
 from casadical.cli import completion as words
 from casadical.cli.terminal import Json, Quiet, progress
@@ -73,15 +73,14 @@ def plan(
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
-    from casadical.core.files import write_together
+    from casadical.core.files import json_text, write_together
     from casadical.diagnosis.candidates import named
     from casadical.pose_selection.candidates import Circumstances
     from casadical.pose_selection.criteria import checked
     from casadical.pose_selection.information import Noise
-    from casadical.pose_selection.report import ahead_files, how_many, plan_files, report
     from casadical.pose_selection.workspace_file import read_workspace
-    from casadical.project.planning import look_ahead, planned_with, robot_of
     from casadical.project.planning import plan as run
+    from casadical.project.planning import planned_with, robot_of
     from casadical.project.problem import read_campaign
 
     robot = robot_of(problem)
@@ -97,23 +96,17 @@ def plan(
     word = checked(criterion)
     with progress(quiet) as bar:
         bar.add_task("choosing poses", total=None)
-        if n is None:
-            ahead = look_ahead(
-                robot, added, workspace=workspace, circumstances=circumstances, measured=before, noise=noise,
-                seed=seed,
-            )  # fmt: skip
-            said: RenderableType = how_many(ahead, target)
-            texts = ahead_files(out, json_file, ahead)
-        else:
-            found, ahead = run(
-                robot, n, added, criterion=word, workspace=workspace, circumstances=circumstances, measured=before,
-                noise=noise, min_distance=min_distance, order=order, seed=seed,
-            )  # fmt: skip
-            said = report(found, ahead, target, workspace is not None)
-            texts = plan_files(out or Path("plan.csv"), json_file, found, ahead)
+        found = run(
+            robot, n, added, criterion=word, workspace=workspace, circumstances=circumstances, measured=before,
+            noise=noise, min_distance=min_distance, order=order, target=target, seed=seed,
+        )  # fmt: skip
+    place = out if n is None else out or Path("plan.csv")
+    texts = found.files(place) if place else {}
+    if json_file:
+        texts[json_file] = json_text(found.to_json())
     write_together(texts)
     console = Console(quiet=quiet)
-    console.print(said)
+    console.print(found.report())
     console.print(planned_with(problem, measured))
     for path in texts:
         console.print(f"wrote {path}", soft_wrap=True)

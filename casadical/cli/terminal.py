@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,6 +10,8 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from casadical.core.files import json_text, write_whole
 
 BAD_INPUT, NO_CONVERGENCE, OUR_BUG = 2, 3, 70
 
@@ -28,7 +29,7 @@ Problems = Annotated[list[Path], typer.Argument(metavar="PROBLEM_DIR...", help="
 def as_text(figures: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> str:
     """Figures as JSON; of one that was listed alone, itself."""
     whole = figures[0] if isinstance(figures, Sequence) and len(figures) == 1 else figures
-    return json.dumps(whole, indent=1, allow_nan=False) + "\n"
+    return json_text(whole)
 
 
 def plain(quiet: bool) -> Console:
@@ -38,8 +39,6 @@ def plain(quiet: bool) -> Console:
 
 def keep_json(path: Path | None, figures: Mapping[str, Any] | Sequence[Mapping[str, Any]], console: Console) -> None:
     """Write figures where `--json` says, if it does, and say so. Raises InputError."""
-    from casadical.core.files import write_whole
-
     if path is None:
         return
     write_whole(path, as_text(figures))

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from casadical.core.errors import InputError
-from casadical.core.files import write_whole
+from casadical.core.files import json_text, write_whole
 
 
 def digest(body: dict[str, Any]) -> str:
@@ -18,15 +18,10 @@ def digest(body: dict[str, Any]) -> str:
     return hashlib.sha256(_canonical(body).encode("utf-8")).hexdigest()
 
 
-def checksummed_text(document: dict[str, Any]) -> str:
-    """Return the text of a file: the one way in which a document is written."""
-    return json.dumps(document, indent=1, allow_nan=False) + "\n"
-
-
 def checksummed(kind: str, version: int, body: dict[str, Any]) -> str:
     """Return the text of a body as a file with its checksum."""
     document = {"format": kind, "version": version, **body}
-    return checksummed_text(document | {"sha256": digest(document)})
+    return json_text(document | {"sha256": digest(document)})
 
 
 def write_checksummed(path: str | os.PathLike[str], kind: str, version: int, body: dict[str, Any]) -> None:
@@ -65,6 +60,6 @@ def _intact(document: dict[str, Any], text: str) -> bool:
     """Tell whether the checksum fits and the text is the one its values are written as: no digit may differ."""
     try:
         body = {name: value for name, value in document.items() if name != "sha256"}
-        return document.get("sha256") == digest(body) and checksummed_text(document) == text
+        return document.get("sha256") == digest(body) and json_text(document) == text
     except ValueError:  # NaN or Infinity, which such a file never holds
         return False

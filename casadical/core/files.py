@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from casadical.core.errors import InputError
+
+
+def json_text(data: Any) -> str:
+    """Plain data as the text of a JSON file. Raises ValueError for NaN and infinity, which JSON does not have."""
+    return json.dumps(data, indent=1, allow_nan=False) + "\n"
 
 
 def write_whole(path: Path, text: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from casadical.compensator import compensator_text
 from casadical.core.blocks import Table, Words, plain_text, terminal
 from casadical.core.errors import InputError
-from casadical.core.files import write_together
+from casadical.core.files import json_text, write_together
 from casadical.identification.accuracy import Accuracy
 from casadical.identification.identification import Identification, identify
 from casadical.identification.residuals import LOSSES
@@ -121,7 +120,7 @@ class Calibration:
     def files(self, folder: str | Path) -> dict[Path, str]:
         """What is kept, by file: all figures, of each method the robot and its parameters, or the compensator."""
         folder, problem = Path(folder), self.problem
-        texts = {folder / "result.json": json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n"}
+        texts = {folder / "result.json": json_text(self.to_json())}
         for name, trained in (self.networks.results if self.networks else {}).items():
             if trained.compensator is not None:
                 texts[folder / f"{name}.compensator.json"] = compensator_text(trained.compensator)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +16,9 @@ from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.candidates import Circumstances
 from casadical.pose_selection.criteria import Criterion
 from casadical.pose_selection.information import Noise
+from casadical.pose_selection.plan import Plan
 from casadical.pose_selection.pose_search import select_poses
-from casadical.pose_selection.selection import Selection
-from casadical.pose_selection.stopping_rule import Forecast, forecast
+from casadical.pose_selection.stopping_rule import forecast
 from casadical.pose_selection.workspace import Workspace
 from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot import Robot
@@ -60,21 +60,6 @@ def continued(robot: Robot, m: Measurements, noise: Noise | None) -> tuple[Robot
     return result.robot, m, noise or Noise(result.sigmas[0][0])
 
 
-@dataclass(frozen=True, eq=False)
-class _Start:
-    """Where planning begins: the robot with its effects, calibrated by what was measured, and the noise."""
-
-    robot: Robot
-    measured: Measurements | None
-    noise: Noise | None
-
-
-def _start(robot: Robot, effects: Sequence[Effect], measured: Measurements | None, noise: Noise | None) -> _Start:
-    known = {e.label for e in robot.effects}
-    robot = robot.with_effect(*(e for e in effects if e.label not in known)) if effects else robot
-    return _Start(robot, None, noise) if measured is None else _Start(*continued(robot, measured, noise))
-
-
 def _mounted(given: Circumstances | None, effects: Sequence[Effect], measured: Measurements | None) -> Circumstances:
     """If effects are to be identified, payloads that were mounted before can be mounted again."""
     known = given or Circumstances()
@@ -82,34 +67,9 @@ def _mounted(given: Circumstances | None, effects: Sequence[Effect], measured: M
     return known if known.payloads or not effects or len(states) < 2 else replace(known, payloads=tuple(states))
 
 
-def look_ahead(
-    robot: Robot,
-    effects: Sequence[Effect] = (),
-    *,
-    most: int = 100,
-    workspace: Workspace | None = None,
-    circumstances: Circumstances | None = None,
-    measured: Measurements | None = None,
-    noise: Noise | None = None,
-    seed: int = 0,
-) -> Forecast:
-    """The stopping rule: the accuracy to expect against the number of poses, with what was measured so far.
-
-    effects : in the model as well; measured : poses measured already; most : as of `forecast`, on top of these
-    Raises InputError.
-    """
-    start = _start(robot, effects, measured, noise)
-    circumstances = _mounted(circumstances, effects, start.measured)
-    before = 0 if start.measured is None else len(start.measured)
-    return forecast(
-        start.robot, before + most, workspace=workspace, circumstances=circumstances, measured=start.measured,
-        noise=start.noise, seed=seed,
-    )  # fmt: skip
-
-
 def plan(
     robot: Robot,
-    n: int,
+    n: int | None,
     effects: Sequence[Effect] = (),
     *,
     criterion: Criterion = "V",
@@ -119,23 +79,31 @@ def plan(
     noise: Noise | None = None,
     min_distance: float = 0.0,
     order: bool = True,
+    target: float | None = None,
     seed: int = 0,
-) -> tuple[Selection, Forecast]:
+) -> Plan:
     """Poses in order and the forecast beyond them.
 
+    n : how many; None: the stopping rule alone, the accuracy to expect of up to 100 poses more
     effects : to identify, besides the accuracy over the task; measured : poses measured already; order : for
-    little travel; other arguments as of `select_poses`. Raises InputError.
+    little travel; target : accuracy that is wanted [m]; other arguments as of `select_poses`. Raises InputError.
     """
-    start = _start(robot, effects, measured, noise)
-    before, noise = start.measured, start.noise
-    circumstances = _mounted(circumstances, effects, before)
-    found = select_poses(
-        start.robot, workspace, n, criterion, circumstances=circumstances, measured=before,
-        interest=tuple(e.label for e in effects), noise=noise, min_distance=min_distance, seed=seed,
-    )  # fmt: skip
-    total = len(found) + (0 if before is None else len(before))
+    known = {e.label for e in robot.effects}
+    if effects:
+        robot = robot.with_effect(*(e for e in effects if e.label not in known))
+    if measured is not None:
+        robot, measured, noise = continued(robot, measured, noise)
+    circumstances = _mounted(circumstances, effects, measured)
+    total = 0 if measured is None else len(measured)
+    found = None
+    if n is not None:
+        found = select_poses(
+            robot, workspace, n, criterion, circumstances=circumstances, measured=measured,
+            interest=tuple(e.label for e in effects), noise=noise, min_distance=min_distance, seed=seed,
+        )  # fmt: skip
+        total += len(found)
+    most = total + (100 if n is None else max(20, total // 2))
     ahead = forecast(
-        start.robot, total + max(20, total // 2), workspace=workspace, circumstances=circumstances, measured=before,
-        noise=noise, seed=seed,
-    )  # fmt: skip
-    return (found.ordered() if order else found), ahead
+        robot, most, workspace=workspace, circumstances=circumstances, measured=measured, noise=noise, seed=seed
+    )
+    return Plan(ahead, found.ordered() if found and order else found, target, workspace is not None)

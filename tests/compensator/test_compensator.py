@@ -22,8 +22,9 @@ from casadical.compensator import (
     load_compensator,
     save_compensator,
 )
-from casadical.compensator.checksummed_json import checksummed_text, digest
+from casadical.compensator.checksummed_json import digest
 from casadical.core.errors import InputError
+from casadical.core.files import json_text
 from problems import smooth
 
 QUICK = LevenbergMarquardt(restarts=2, iterations=30, ridges=(0.1, 0.01, 0.001), folds=3, fold_starts=2)
@@ -222,7 +223,7 @@ def test_every_truncation_and_every_changed_number_is_refused(helping, tmp_path)
 def reseal(document):
     """Seal a changed document again, as a determined editor could."""
     document.pop("sha256")
-    return checksummed_text(document | {"sha256": digest(document)})
+    return json_text(document | {"sha256": digest(document)})
 
 
 @pytest.mark.parametrize(

@@ -1,15 +1,17 @@
-"""A plan as tables to read and as files to keep."""
+"""A plan: poses to measure with the accuracy to expect, as text, as data and as files."""
 
 from __future__ import annotations
 
-import json
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import RenderableType
 
 from casadical.core.arrays import Array
 from casadical.core.blocks import Table, Words, terminal
+from casadical.core.files import json_text
 from casadical.pose_selection.pose_order import travel
 from casadical.pose_selection.selection import Selection
 from casadical.pose_selection.stopping_rule import Forecast
@@ -17,59 +19,75 @@ from casadical.pose_selection.stopping_rule import Forecast
 _HEIGHTS, _DISTANCES = ("low", "middle", "high"), ("near", "middle", "far")
 
 
-def plan_files(path: Path, json_file: Path | None, plan: Selection, forecast: Forecast) -> dict[Path, str]:
-    """The poses; beside them expected standard errors (.expected.csv), error map (.map.csv) and figures (.json).
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Poses to measure, and the accuracy to expect of them and of further ones.
 
-    json_file : where the figures go as well
+    forecast : expected error against the number of poses; selection : the poses in order, None for the forecast alone
+    target : accuracy that is wanted [m]; checked_for_obstacles : whether a workspace said where poses may lie
     """
-    figures = {
-        "poses": len(plan),
-        "criterion": plan.criterion,
-        "expected_error_mm": 1e3 * plan.accuracy,
-        "observability": plan.observability,
-        "forecast": forecast.table.to_dict("list"),
-    }
-    text = json.dumps(figures, indent=1, allow_nan=False) + "\n"
-    return {
-        path: plan.table.to_csv(index=False, float_format="%.10g"),
-        path.with_suffix(".expected.csv"): plan.parameters.to_csv(index=False, float_format="%.6g"),
-        path.with_suffix(".map.csv"): plan.error_map.to_csv(index=False, float_format="%.6g"),
-        path.with_suffix(".json"): text,
-    } | ({json_file: text} if json_file else {})
+
+    forecast: Forecast
+    selection: Selection | None = None
+    target: float | None = None
+    checked_for_obstacles: bool = False
+
+    def report(self) -> RenderableType:
+        """What `casadical plan` prints."""
+        plan = self.selection
+        if plan is None:
+            return _how_many(self)
+        indices = ", ".join(f"{name} {value:.3g}" for name, value in plan.observability.items())
+        turned = np.rad2deg(travel(plan.robot, plan.q))
+        return terminal(
+            [
+                Words(_verdict(plan), "verdict"),
+                Words(f"Criterion {plan.criterion}; observability {indices}; travel {turned:.0f} deg."),
+                Words(_how_many(self)),
+                *([] if self.checked_for_obstacles else _below_the_base(plan)),
+                _map(plan),
+                _errors(plan),
+            ]
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """The figures as plain data: poses, expected error [mm], observability indices, the forecast's two columns."""
+        forecast = {"forecast": self.forecast.table.to_dict("list")}
+        plan = self.selection
+        if plan is None:
+            return forecast
+        of_poses = {"poses": len(plan), "criterion": plan.criterion, "expected_error_mm": 1e3 * plan.accuracy}
+        return of_poses | {"observability": plan.observability} | forecast
+
+    def files(self, path: Path) -> dict[Path, str]:
+        """Texts by path: the poses, and beside them expected standard errors, error map and figures.
+
+        Beside FILE.csv these are FILE.expected.csv, FILE.map.csv and FILE.json. Of a forecast alone: its table.
+        """
+        plan = self.selection
+        if plan is None:
+            return {path: self.forecast.table.to_csv(index=False, float_format="%.6g")}
+        return {
+            path: plan.table.to_csv(index=False, float_format="%.10g"),
+            path.with_suffix(".expected.csv"): plan.parameters.to_csv(index=False, float_format="%.6g"),
+            path.with_suffix(".map.csv"): plan.error_map.to_csv(index=False, float_format="%.6g"),
+            path.with_suffix(".json"): json_text(self.to_json()),
+        }
 
 
-def ahead_files(path: Path | None, json_file: Path | None, forecast: Forecast) -> dict[Path, str]:
-    """The expected error against the number of poses, as a table and as data, where they are wanted."""
-    text = json.dumps({"forecast": forecast.table.to_dict("list")}, indent=1, allow_nan=False) + "\n"
-    table = forecast.table.to_csv(index=False, float_format="%.6g")
-    return ({path: table} if path else {}) | ({json_file: text} if json_file else {})
-
-
-def report(plan: Selection, forecast: Forecast, target: float | None = None, room: bool = False) -> RenderableType:
-    """What `casadical plan` prints; target : accuracy that is wanted [m]; room : whether it is known what is free."""
+def _verdict(plan: Selection) -> str:
     before = 0 if plan.measured is None else len(plan.measured)
     noise = f"{1e3 * plan.noise.sigma:.3g} mm a coordinate"
     if plan.noise.joint_sigma:
         noise += f", {1e6 * plan.noise.joint_sigma:.3g} urad a joint"
-    head = (
+    return (
         f"{len(plan)} measurements for {plan.robot.name}" + (f", after {before} measured ones" if before else "") + ": "
         f"{1e3 * plan.accuracy:.4f} mm rms position error to expect of the calibrated model over the task, "
         f"from noise of {noise}; {len(plan.names)} parameters."
     )
-    indices = ", ".join(f"{name} {value:.3g}" for name, value in plan.observability.items())
-    return terminal(
-        [
-            Words(head, "verdict"),
-            Words(f"Criterion {plan.criterion}; observability {indices}; travel {_degrees(plan)} deg."),
-            Words(how_many(forecast, target)),
-            *([] if room else _under_the_base(plan)),
-            _map(plan),
-            _errors(plan),
-        ]
-    )
 
 
-def _under_the_base(plan: Selection) -> list[Words]:
+def _below_the_base(plan: Selection) -> list[Words]:
     """A warning of poses below the base frame's plane, where a floor may be."""
     assert plan.m.position is not None
     height = ((plan.m.position - plan.robot.base.T[:3, 3]) @ plan.robot.base.T[:3, :3])[:, 2]
@@ -80,12 +98,9 @@ def _under_the_base(plan: Selection) -> list[Words]:
     return [Words(f"{words}; no room was given, so nothing was checked for floor or obstacles: --room FILE.toml")]
 
 
-def _degrees(plan: Selection) -> str:
-    return f"{np.rad2deg(travel(plan.robot, plan.q)):.0f}"
-
-
-def how_many(forecast: Forecast, target: float | None) -> str:
-    """How many poses are enough, in sentences; target : accuracy that is wanted [m]."""
+def _how_many(plan: Plan) -> str:
+    """How many poses are enough, in sentences."""
+    forecast, target = plan.forecast, plan.target
     at = np.unique(np.linspace(0, len(forecast.poses) - 1, 6).astype(int))
     course = ", ".join(f"{forecast.poses[k]}: {1e3 * forecast.error[k]:.4f}" for k in at)
     text = f"Expected error [mm] against poses: {course}. "
