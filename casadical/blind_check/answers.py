@@ -1,4 +1,4 @@
-"""Answers on disk: a line of JSON for each campaign, added as it is found, so that a run that is cut loses nothing."""
+"""Answers on disk: a line of JSON for each campaign, added when it is answered, so that a killed run loses nothing."""
 
 from __future__ import annotations
 
@@ -9,20 +9,19 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from casadical.blind_check.packed import content, stored
-from casadical.blind_check.protocol import label
+from casadical.blind_check.protocol import content, label, stored
 from casadical.core.errors import InputError
 
 Rows = tuple[tuple[float, float, float], ...]
 
 
 class _Loose(BaseModel):
-    """Of an answer, what is scored; the rest is for people to read."""
+    """What is scored of an answer; its other entries are for people to read."""
 
     model_config = ConfigDict(extra="allow", allow_inf_nan=False, frozen=True)
 
 
-class Head(_Loose):
+class Header(_Loose):
     """The first line: which check was answered (by the hash of its key), by what, and with which versions."""
 
     key_sha256: str
@@ -35,7 +34,7 @@ class GapMm(_Loose):
     after: float
 
 
-class Named(_Loose):
+class NamedCause(_Loose):
     """A cause that an answer names."""
 
     effect: str
@@ -48,11 +47,11 @@ class Named(_Loose):
 
     @property
     def alike(self) -> tuple[str, ...]:
-        """The others of its set, by the labels in which truth is told."""
+        """The others of its set, by the labels of the key."""
         return tuple(relabelled(text) for text in self.indistinguishable)
 
 
-class Unseen(_Loose):
+class UnseenPositions(_Loose):
     """Positions predicted at the unseen poses: by the base model, and with the named causes added."""
 
     base_mm: Rows
@@ -68,13 +67,13 @@ class Answer(_Loose):
     campaign: str
     verdict: Literal["none", "explained", "ambiguous", "unknown"]
     gap_mm: GapMm
-    causes: tuple[Named, ...] = ()
+    causes: tuple[NamedCause, ...] = ()
     posterior: dict[str, float] = {}
-    unseen: Unseen
+    unseen: UnseenPositions
 
     @property
     def probabilities(self) -> dict[str, float]:
-        """The posterior by the labels in which truth is told."""
+        """The posterior by the labels of the key."""
         found: dict[str, float] = {}
         for text, p in self.posterior.items():
             found[relabelled(text)] = found.get(relabelled(text), 0.0) + p
@@ -82,16 +81,16 @@ class Answer(_Loose):
 
 
 def relabelled(text: str) -> str:
-    """name or name@joint as truth is told: without a joint where the effect belongs to none."""
+    """name or name@joint as the key has it: without a joint where the effect belongs to none."""
     name, _, joint = text.partition("@")
     return label(name, int(joint) if joint.isdigit() else None)
 
 
-def line(data: Mapping[str, Any]) -> str:
+def json_line(data: Mapping[str, Any]) -> str:
     return json.dumps(data, allow_nan=False, separators=(",", ":")) + "\n"
 
 
-def read_answers(path: Path) -> tuple[Head, dict[str, Answer]]:
+def read_answers(path: Path) -> tuple[Header, dict[str, Answer]]:
     """A file of answers by campaign, without what failed and a last line that was cut short. Raises InputError.
 
     Where a file is missing, the one packed by xz beside it is read.
@@ -105,7 +104,7 @@ def read_answers(path: Path) -> tuple[Head, dict[str, Answer]]:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     if not lines:
         raise InputError(f"{path}: holds no answers; its first line must say which check they answer")
-    head = _read(Head, lines[0], f"{path}: line 1", "predict into another file (--out)")
+    head = _read(Header, lines[0], f"{path}: line 1", "predict into another file (--out)")
     # Quotes inside of a text are escaped, so that this can only be the entry.
     answered = [(k, text) for k, text in enumerate(lines[1:], 2) if b'"failed":' not in text]
     remedy = "delete this line, and run predict again to answer the campaign again"

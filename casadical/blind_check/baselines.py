@@ -1,9 +1,9 @@
-"""What is done without a diagnosis: forward choice by F-test, or by a Bayesian information criterion.
+"""Textbook methods to compare with: forward choice by F-test, or by a Bayesian information criterion.
 
-All look at the same candidates as the diagnosis, in the residual that the base model leaves, as textbooks have it:
-white noise, ordinary least squares, no priors, no word for what is on no list, every choice a claim. How far the gap
-shrinks they tell from the residuals of the fit. (Montgomery, Peck and Vining 2012, chapter 10; Schwarz 1978; Chen and
-Chen 2008, whose extended criterion is for more candidates than data can distinguish.)
+They have the candidates of the diagnosis and the residual that the base model leaves, and assume white noise: ordinary
+least squares, no priors, no unknown cause, every choice a claim. The shrink of the gap is that of the fit's residuals.
+(Montgomery, Peck and Vining 2012, chapter 10; Schwarz 1978; Chen and Chen 2008, whose extended criterion is for more
+candidates than the data can distinguish.)
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from casadical.blind_check.predictor import Session, rounded, unseen_positions
+from casadical.blind_check.signal_size import RANK, column_space
 from casadical.core.errors import ConvergenceError, InputError
 from casadical.core.transforms import Array
 from casadical.diagnosis.candidates import Candidate, standard_candidates
@@ -25,7 +26,6 @@ from casadical.robot.robot import Robot
 
 SIGNIFICANT = 0.01
 MOST = 4
-_RANK = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class Regression:
             G = np.einsum("rgi,rgj->gij", self.E[:, columns], self.E[:, columns])
             value, vector = np.linalg.eigh(G)
             turned = np.einsum("gij,gi->gj", vector, b[columns])
-            kept = value > _RANK * value.max(axis=1, keepdims=True)
+            kept = value > RANK * value.max(axis=1, keepdims=True)
             found[which] = np.sum(np.where(kept, turned**2 / np.where(kept, value, 1.0), 0.0), axis=1)
         return found
 
@@ -68,8 +68,7 @@ def regression(case: Case) -> Regression:
 
 def _left(A: Array, y: Array, E: Array) -> tuple[Array, Array, int]:
     """What columns A leave of y and E, and their rank."""
-    U, s, _ = np.linalg.svd(A / np.maximum(np.linalg.norm(A, axis=0), 1e-300), full_matrices=False)
-    Q = U[:, s > _RANK * s[0]]
+    Q = column_space(A)
     return y - Q @ (Q.T @ y), E - Q @ (Q.T @ E), Q.shape[1]
 
 
@@ -85,17 +84,17 @@ class _Choice:
 Step = Callable[[Regression, Case, int], _Choice]
 
 
-def tested(s: Session) -> dict[str, Any]:
+def f_test(s: Session) -> dict[str, Any]:
     """Forward choice by F-test, the level shared among all candidates and settings (Bonferroni)."""
     return _forward(s, _by_f)
 
 
-def scored(s: Session) -> dict[str, Any]:
+def bic(s: Session) -> dict[str, Any]:
     """Forward choice by the Bayesian information criterion."""
     return _forward(s, lambda left, case, _taken: _by_bic(left, case, 0.0))
 
 
-def scored_among_many(s: Session) -> dict[str, Any]:
+def extended_bic(s: Session) -> dict[str, Any]:
     """The same by the extended criterion (gamma = 1): all models with as many causes are together as likely as those
     with one fewer."""
     return _forward(s, lambda left, case, n: _by_bic(left, case, 2 * np.log((len(case.variants) - n) / (n + 1))))

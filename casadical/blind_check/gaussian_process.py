@@ -1,7 +1,7 @@
-"""A Gaussian process on what the base model leaves: no cause, only how far the gap shrinks without one.
+"""A Gaussian process on the residual of the base model: it names no cause and only shrinks the gap.
 
-Its inputs are sines and cosines of all joints and whatever else was logged; one length scale for each, found by the
-marginal likelihood (Rasmussen and Williams 2006, chapter 5; by scikit-learn).
+Its inputs are sines and cosines of all joints and everything else that was logged, with a length scale for each, found
+by the marginal likelihood (Rasmussen and Williams 2006, chapter 5; by scikit-learn).
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from casadical.blind_check.likelihood import optimizer
+from casadical.blind_check.marginal_likelihood import optimizer
+from casadical.blind_check.outcomes import outlying
 from casadical.blind_check.predictor import Session, in_mm
-from casadical.blind_check.trials import far
 from casadical.core.errors import InputError
 from casadical.core.transforms import Array
 from casadical.diagnosis.cross_validation import random_folds, shrink_interval
@@ -26,8 +26,8 @@ STARTS = (3.0, 1.0)
 _LOGGED = ("progress", "temperature_degC", "payload_kg", *(f"approach{j}" for j in range(1, 7)))
 
 
-def smoothed(s: Session) -> dict[str, Any]:
-    """Learn the residuals; something is there if held-out ones become smaller, and nothing is ever named."""
+def gaussian_process(s: Session) -> dict[str, Any]:
+    """Learn the residuals: something is there if held-out ones become smaller; no cause is ever named."""
     base = s.fitted(s.robot, np.zeros(0, dtype=int))
     m, _ = derive(s.everything, base.conditions)
     p = predicted(base, m)[0]
@@ -35,7 +35,7 @@ def smoothed(s: Session) -> dict[str, Any]:
     assert m.position is not None
     # Points that are wrong by much would be learnt by all of their neighbours.
     whole = (m.position - p)[s.seen]
-    r, Xr = whole[~far(whole)], X[s.seen][~far(whole)]
+    r, Xr = whole[~outlying(whole)], X[s.seen][~outlying(whole)]
     unit = float(np.sqrt(np.mean(r**2)))
     folds = random_folds(len(r), 0)
     learnt = np.empty_like(r)

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.blind_check import mujoco_physics, numpy_physics
-from casadical.blind_check.drawing import Plan
+from casadical.blind_check.campaign_plans import Plan
 from casadical.blind_check.numpy_physics import Plant, disturbances, draw_disturbance, perturb
 from casadical.core.errors import InputError
 

@@ -23,13 +23,13 @@ from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
 
 METHODS = {
-    "diagnosis": ("predictor", "diagnosed"),
-    "f-test": ("baselines", "tested"),
-    "bic": ("baselines", "scored"),
-    "ebic": ("baselines", "scored_among_many"),
-    "gp": ("gaussian_process", "smoothed"),
+    "diagnosis": ("predictor", "diagnosis"),
+    "f-test": ("baselines", "f_test"),
+    "bic": ("baselines", "bic"),
+    "ebic": ("baselines", "extended_bic"),
+    "gp": ("gaussian_process", "gaussian_process"),
 }
-# What the order of the poses tells, unseen ones among them.
+# Columns that follow from the order of all poses, the unseen ones among them.
 _BY_ORDER = ("progress", *(f"approach{j}" for j in range(1, 7)))
 
 
@@ -88,7 +88,7 @@ def session(name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFrame) -> 
     return Session(name, robot, everything, table["seen"].to_numpy() == 1.0)
 
 
-def guess(by: str, name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFrame) -> dict[str, Any]:
+def answer_campaign(by: str, name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFrame) -> dict[str, Any]:
     """The answer of one method to one campaign, as plain data; runs in a worker.
 
     Where a campaign cannot be answered, the entry `failed` says why, and all others are answered still.
@@ -101,13 +101,13 @@ def guess(by: str, name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFra
         return {"campaign": name, "failed": str(error)}
 
 
-def diagnosed(s: Session) -> dict[str, Any]:
-    """What the diagnosis answers."""
+def diagnosis(s: Session) -> dict[str, Any]:
+    """The answer of the diagnosis."""
     from casadical.diagnosis.diagnose import diagnose
     from casadical.diagnosis.json_answer import Extras, as_json
 
     found = diagnose(s.robot, s.measured)
-    # Nobody will measure on: the poses that would tell are left out.
+    # Nobody measures more: the proposal of next poses, which is costly, is left out.
     answer = as_json(found, s.name, Extras(poses=pd.DataFrame()))
     first = found.rankings[0]
     posterior = {"none": first.none, "unknown": 0.0}
@@ -115,7 +115,7 @@ def diagnosed(s: Session) -> dict[str, Any]:
         text = candidate.label if candidate.listed else "unknown"
         posterior[text] = posterior.get(text, 0.0) + first.probability.get(candidate.label, 0.0)
     if any(c.effect == "outliers" for c in found.causes):
-        # The screening has no probability; where it speaks, it is sure, and the ranking is of the poses that are left.
+        # The screening has no probability: where it finds outliers it is sure, and the ranking is of the other poses.
         posterior["outliers"] = next(c.confidence for c in found.causes if c.effect == "outliers")
     out = np.array([o.row for o in found.outliers], dtype=int)
     return answer | {
@@ -139,5 +139,5 @@ def in_mm(positions: Array) -> list[list[float]]:
 
 
 def rounded(posterior: Mapping[str, float]) -> dict[str, float]:
-    """Probabilities that are worth a word."""
+    """Probabilities that are not negligible."""
     return {text: round(float(p), 5) for text, p in posterior.items() if p >= 1e-5}

@@ -2,13 +2,15 @@
 
 The folder holds withheld.json, the nominal robots, and for each campaign NAME.csv (measured poses) and NAME.unseen.csv
 (further readings, without positions). The key is one file, key.json; its first entry is a salt, so its SHA-256 tells
-nothing of what it holds, and `sha256sum key.json` is all that a sceptical reader needs.
+nothing of what it holds, and `sha256sum key.json` is all that a sceptical reader needs. Files that are kept for good
+may be packed by xz; what is hashed and read is their content.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import lzma
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
@@ -16,33 +18,22 @@ from typing import Literal
 import pandas as pd
 from pydantic import BaseModel, ConfigDict, Field
 
-from casadical.blind_check.packed import content, stored
 from casadical.core.errors import InputError
 from casadical.core.schema import check
 from casadical.measurements.raw_table import read_table as read_csv
 
-MANIFEST, KEY, ROBOTS = "withheld.json", "key.json", "robots"
+MANIFEST, KEY, ROBOTS, XZ = "withheld.json", "key.json", "robots", ".xz"
 Kind = Literal["none", "one", "several", "unlisted"]
 
 # Effects that belong to no joint, so that an answer need not name one.
-JOINTLESS = frozenset(
-    (
-        "thermal_growth",
-        "target_shift",
-        "payload_error",
-        "gravity_compensator",
-        "link_flexure",
-        "base_compliance",
-        "frame_drift",
-        "outliers",
-        "none",
-        "unknown",
-    )
-)
+JOINTLESS = frozenset((
+    "thermal_growth", "target_shift", "payload_error", "gravity_compensator", "link_flexure", "base_compliance",
+    "frame_drift", "outliers", "none", "unknown",
+))  # fmt: skip
 
 
 def label(effect: str, joint: int | None) -> str:
-    """The word by which an effect at a joint is compared: name, or name@joint."""
+    """By what an effect at a joint is compared: name, or name@joint."""
     return effect if joint is None or effect in JOINTLESS else f"{effect}@{joint}"
 
 
@@ -50,8 +41,8 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
 
 
-class Listed(_Strict):
-    """What is told of a campaign: whose it is."""
+class CampaignEntry(_Strict):
+    """What everyone knows of a campaign: which robot it is of."""
 
     robot: str
 
@@ -61,7 +52,7 @@ class Manifest(_Strict):
 
     format: Literal["casadical withheld 1"] = "casadical withheld 1"
     key_sha256: str = Field(pattern="^[0-9a-f]{64}$")
-    campaigns: dict[str, Listed] = Field(min_length=1)
+    campaigns: dict[str, CampaignEntry] = Field(min_length=1)
 
 
 class HiddenEffect(_Strict):
@@ -107,7 +98,7 @@ class Secret(_Strict):
 
 
 class Key(_Strict):
-    """key.json: salt, how it was made, and every campaign's secret."""
+    """key.json: salt, how it was made (seed, physics, versions), and every campaign's secret."""
 
     salt: str
     seed: int
@@ -124,6 +115,23 @@ class Key(_Strict):
 
 def sha256(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def stored(path: Path) -> Path:
+    """The file itself, or the one packed by xz beside it where that alone is there."""
+    packed = path.with_name(path.name + XZ)
+    return packed if packed.is_file() and not path.exists() else path
+
+
+def content(path: Path) -> bytes:
+    """What a file holds, unpacked where its name ends in .xz. Raises InputError: not a whole xz file; and OSError."""
+    data = path.read_bytes()
+    if path.suffix != XZ:
+        return data
+    try:
+        return lzma.decompress(data)
+    except lzma.LZMAError as error:
+        raise InputError(f"{path}: not a whole xz file: {error}; fetch it again") from None
 
 
 def read_manifest(folder: Path) -> Manifest:

@@ -1,4 +1,4 @@
-"""A score to read: figures beside their targets, the same by parts, who is taken for whom, and every wrong claim."""
+"""A score as text: metrics beside their targets, the same by parts, the confusion matrix, and every wrong claim."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from casadical.blind_check.figures import bands, part_figures
-from casadical.blind_check.paired import pairs
+from casadical.blind_check.metrics import part_metrics
 from casadical.blind_check.scoring import Score
+from casadical.blind_check.sign_test import sign_tests
 from casadical.core.errors import InputError
 
 _LAST = ("at another joint", "unknown", "none")
 
 
 def report(scores: Sequence[Score]) -> RenderableType:
-    """The first score in full, the others' figures beside it."""
+    """The first score in full, the metrics of the others beside it."""
     first = scores[0]
-    parts: list[RenderableType] = [Text(_title(first)), Text(), _figures(scores), Text()]
+    parts: list[RenderableType] = [Text(_title(first)), Text(), _metrics(scores), Text()]
     if len(scores) > 1:
-        parts += [Text("Right on the same campaign: the first alone : the other alone"), _pairs(scores), Text()]
+        parts += [Text("Right on the same campaign: the first alone : the other alone"), _sign_tests(scores), Text()]
     parts += [_parts(first), Text()]
     parts += [Text("Hidden (rows) and answered first (columns), at most one effect"), _confusion(first), Text()]
     parts += [Text(line) for line in wrong_claims(first)]
@@ -33,7 +33,7 @@ def _title(s: Score) -> str:
     made = ", ".join(f"{name} {number}" for name, number in s.key.versions.items())
     missing = f"; {len(s.unanswered)} more have no answer and do not count" if s.unanswered else ""
     return (
-        f"{len(s.trials)} campaigns whose effect was withheld (engine: {s.key.reality}, seed {s.key.seed}; {made})"
+        f"{len(s.outcomes)} campaigns whose effect was withheld (engine: {s.key.reality}, seed {s.key.seed}; {made})"
         f"{missing}\nkey as published: sha256 {s.head.key_sha256}"
     )
 
@@ -45,18 +45,18 @@ def _table(*columns: str) -> Table:
     return table
 
 
-def _figures(scores: Sequence[Score]) -> Table:
-    """Every figure of every score: value (95 % interval; n), and the target."""
+def _metrics(scores: Sequence[Score]) -> Table:
+    """Every metric of every score: value (95 % interval; n), and the target."""
     table = _table("", *(s.head.by for s in scores), "target")
-    for rows in zip(*(s.figures for s in scores), strict=True):
-        table.add_row(rows[0].name, *(str(r.figure) for r in rows), rows[0].target)
+    for rows in zip(*(s.metrics for s in scores), strict=True):
+        table.add_row(rows[0].name, *(str(r.estimate) for r in rows), rows[0].target)
     return table
 
 
-def _pairs(scores: Sequence[Score]) -> Table:
+def _sign_tests(scores: Sequence[Score]) -> Table:
     """Every further score against the first, campaign by campaign."""
     first, *others = scores
-    found = [pairs(first.trials, s.trials) for s in others]
+    found = [sign_tests(first.outcomes, s.outcomes) for s in others]
     table = _table("", *(f"{first.head.by} : {s.head.by}" for s in others))
     for rows in zip(*found, strict=True):
         table.add_row(rows[0].name, *map(str, rows))
@@ -64,19 +64,17 @@ def _pairs(scores: Sequence[Score]) -> Table:
 
 
 def _parts(s: Score) -> Table:
-    found = {by: {w: part_figures(p) for w, p in parts.items()} for by, parts in bands(s.trials).items()}
-    names = next(iter(next(iter(found.values())).values())).keys()
-    table = _table("by", "", "n", *names)
-    for by, parts in found.items():
-        for k, (word, figures) in enumerate(parts.items()):
-            cells = ["-" if f.value is None else f"{f.value:.3f} [{f.low:.2f}, {f.high:.2f}]" for f in figures.values()]
-            count = len(bands(s.trials)[by][word])
-            table.add_row(by if k == 0 else "", word, str(count), *cells)
+    table = _table("by", "", "n", *part_metrics(s.outcomes))
+    for by, parts in s.parts.items():
+        for k, (word, part) in enumerate(parts.items()):
+            found = part_metrics(part).values()
+            cells = ["-" if f.value is None else f"{f.value:.3f} [{f.low:.2f}, {f.high:.2f}]" for f in found]
+            table.add_row(by if k == 0 else "", word, str(len(part)), *cells)
     return table
 
 
 def ordered(s: Score) -> tuple[list[str], list[str]]:
-    """Rows and columns of the confusion matrix: listed effects on the diagonal, what is no effect last."""
+    """Rows and columns of the confusion matrix: listed effects on the diagonal, none and unknown last."""
     rows = sorted(s.confusion, key=lambda w: (w == "none", w))
     words = {w for row in s.confusion.values() for w in row}
     effects = [w for w in rows if w in words and w not in _LAST]
@@ -93,16 +91,16 @@ def _confusion(s: Score) -> Table:
 
 
 def wrong_claims(s: Score) -> list[str]:
-    """A line for each answer that says it is this, and it is not."""
+    """A line for each answer that claims a cause that is not there."""
     lines = ["Wrong claims, and what was hidden:"]
-    for t in s.trials:
-        if t.wrongly:
+    for t in s.outcomes:
+        if t.wrong_claims:
             hidden = ", ".join(t.truth or t.effects) or "nothing"
             lines.append(f"  {t.name}  {t.kind:<8}  {hidden}: claimed {', '.join(t.named)}  (signal {t.signal:.2f})")
     return lines if len(lines) > 1 else ["No wrong claims."]
 
 
-def draw(s: Score, path: Path) -> None:
+def draw_confusion(s: Score, path: Path) -> None:
     """The confusion matrix as a picture. Raises InputError without matplotlib."""
     try:
         from matplotlib.figure import Figure as Canvas

@@ -1,4 +1,4 @@
-"""Open the key, see that it is the one whose hash was published, and count."""
+"""Score answers: open the key, check that it is the one whose hash was published, and count."""
 
 from __future__ import annotations
 
@@ -7,38 +7,43 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from casadical.blind_check.answers import Head, read_answers
-from casadical.blind_check.figures import Row, bands, confusion, figures, part_figures
-from casadical.blind_check.intervals import Figure
+from casadical.blind_check.answers import Header, read_answers
+from casadical.blind_check.confidence_intervals import Estimate
+from casadical.blind_check.metrics import Metric, breakdown, confusion, metrics, part_metrics
+from casadical.blind_check.outcomes import Outcome, outcome
 from casadical.blind_check.protocol import Key, read_key, read_manifest
-from casadical.blind_check.trials import Trial, trial
 from casadical.core.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """What a file of answers is worth.
+    """A file of answers against the key.
 
-    head : who answered; key : how the campaigns were made; trials : campaigns that count
+    head : the method that answered; key : how the campaigns were made; outcomes : of campaigns that were answered
     """
 
-    head: Head
+    head: Header
     key: Key
-    trials: tuple[Trial, ...]
+    outcomes: tuple[Outcome, ...]
 
     @property
     def unanswered(self) -> list[str]:
-        """Campaigns that do not count."""
-        return sorted(set(self.key.campaigns) - {t.name for t in self.trials})
+        """Campaigns without an answer; they do not count."""
+        return sorted(set(self.key.campaigns) - {t.name for t in self.outcomes})
 
     @property
-    def figures(self) -> list[Row]:
-        return figures(self.trials)
+    def metrics(self) -> list[Metric]:
+        return metrics(self.outcomes)
+
+    @property
+    def parts(self) -> dict[str, dict[str, list[Outcome]]]:
+        """Outcomes by poses, signal, column that was not logged, robot, and effect."""
+        return breakdown(self.outcomes)
 
     @property
     def confusion(self) -> dict[str, dict[str, int]]:
-        """What was hidden -> what was answered -> how often."""
-        return confusion(self.trials)
+        """How often what was answered first, by what was hidden."""
+        return confusion(self.outcomes)
 
     def as_json(self) -> dict[str, Any]:
         """All of it as plain data."""
@@ -46,29 +51,24 @@ class Score:
             "by": self.head.by,
             "versions": self.head.versions,
             "made": {"seed": self.key.seed, "reality": self.key.reality, "versions": self.key.versions},
-            "campaigns": len(self.trials),
+            "campaigns": len(self.outcomes),
             "unanswered": self.unanswered,
-            "figures": {r.name: {**_plain(r.figure), "target": r.target} for r in self.figures},
+            "figures": {r.name: {**_plain(r.estimate), "target": r.target} for r in self.metrics},
             "parts": {
-                by: {w: {k: _plain(f) for k, f in part_figures(p).items()} for w, p in parts.items()}
-                for by, parts in bands(self.trials).items()
+                by: {w: {k: _plain(f) for k, f in part_metrics(p).items()} for w, p in parts.items()}
+                for by, parts in self.parts.items()
             },
             "confusion": self.confusion,
-            "trials": [{k: _short(v) for k, v in t.__dict__.items()} for t in self.trials],
+            "trials": [{k: _short(v) for k, v in t.__dict__.items()} for t in self.outcomes],
         }
 
 
 def in_common(scores: Sequence[Score]) -> list[Score]:
-    """The same scores on the campaigns that all have answered, so that they can stand side by side.
-
-    Raises InputError: there is no such campaign.
-    """
-    names = set.intersection(*({t.name for t in s.trials} for s in scores))
+    """The same scores on the campaigns that all of them answer, to be compared. Raises InputError: there is none."""
+    names = set.intersection(*({t.name for t in s.outcomes} for s in scores))
     if not names:
-        raise InputError(
-            "no campaign is answered by all of these files; predict on with each, or score them one by one"
-        )
-    return [replace(s, trials=tuple(t for t in s.trials if t.name in names)) for s in scores]
+        raise InputError("no campaign is answered by all of these files; predict more, or score them one by one")
+    return [replace(s, outcomes=tuple(t for t in s.outcomes if t.name in names)) for s in scores]
 
 
 def score(folder: str | Path, key: str | Path, answers: str | Path) -> Score:
@@ -82,13 +82,13 @@ def score(folder: str | Path, key: str | Path, answers: str | Path) -> Score:
     if head.key_sha256 != manifest.key_sha256:
         raise InputError(f"{path}: answers another check than the one in {folder}; predict that one first")
     opened = read_key(Path(key), manifest)
-    trials = tuple(trial(name, s, found[name]) for name, s in opened.campaigns.items() if name in found)
-    if not trials:
+    outcomes = tuple(outcome(name, s, found[name]) for name, s in opened.campaigns.items() if name in found)
+    if not outcomes:
         raise InputError(f"{path}: answers no campaign of {folder}")
-    return Score(head, opened, trials)
+    return Score(head, opened, outcomes)
 
 
-def _plain(f: Figure) -> dict[str, Any]:
+def _plain(f: Estimate) -> dict[str, Any]:
     return {k: _short(v) for k, v in f.__dict__.items()}
 
 

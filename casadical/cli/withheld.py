@@ -14,7 +14,7 @@ from casadical.cli.terminal import Json, Quiet, keep_json, progress
 from casadical.core.errors import InputError
 
 withheld_app = typer.Typer(
-    help="Check the diagnosis blindly: on campaigns of another engine, whose hidden effect is kept apart.",
+    help="Check the diagnosis blindly: on campaigns of another physics engine, whose hidden effect is kept apart.",
     no_args_is_help=True,
     rich_markup_mode="markdown",
 )
@@ -44,9 +44,9 @@ def make_command(
     ] = None,
     n: Annotated[int, typer.Option("--n", "-n", min=4, help="Number of campaigns.")] = 60,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Of all chance; default: one that nobody knows, kept in the key.")
+        int | None, typer.Option(min=0, help="Of everything drawn; default: one that nobody knows, kept in the key.")
     ] = None,
-    poses: Annotated[str, typer.Option(metavar="N,N", help="Of a campaign, one of these.")] = "40,100,200",
+    poses: Annotated[str, typer.Option(metavar="N,N", help="Poses of a campaign, one of these.")] = "40,100,200",
     reality: Annotated[
         str, typer.Option(metavar="mujoco|numpy", help="The physics: MuJoCo, or the project's own simulator.")
     ] = "mujoco",
@@ -62,8 +62,8 @@ def make_command(
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
-    from casadical.blind_check.making import make
-    from casadical.blind_check.running import workers as pool
+    from casadical.blind_check.generation import make
+    from casadical.blind_check.worker_pool import workers as pool
 
     sizes = _whole(poses)
     place = key or out.with_name(f"{out.resolve().name}-key")
@@ -93,7 +93,7 @@ def predict_command(
         typer.Option("--out", metavar="FILE", help="Answers, a line of JSON each; default: DIR/answers.METHOD.jsonl."),
     ] = None,
     by: Annotated[
-        str, typer.Option(metavar="diagnosis|f-test|bic|ebic|gp", help="The diagnosis, or what it is measured against.")
+        str, typer.Option(metavar="diagnosis|f-test|bic|ebic|gp", help="The diagnosis, or a method to compare it with.")
     ] = "diagnosis",
     workers: Workers = None,
     json_file: Json = None,
@@ -105,8 +105,8 @@ def predict_command(
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
-    from casadical.blind_check.predicting import predict
-    from casadical.blind_check.running import workers as pool
+    from casadical.blind_check.prediction import predict
+    from casadical.blind_check.worker_pool import workers as pool
 
     try:
         with progress(quiet) as bar, pool(None, workers) as executor:
@@ -137,7 +137,7 @@ def score_command(
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
-    from casadical.blind_check.report import draw, report
+    from casadical.blind_check.report import draw_confusion, report
     from casadical.blind_check.scoring import in_common, score
 
     scores = in_common([score(folder, key, path) for path in answers])
@@ -146,5 +146,5 @@ def score_command(
     Console(quiet=quiet, width=max(console.width, 240, 90 + 40 * len(scores))).print(report(scores), soft_wrap=True)
     keep_json(json_file, [s.as_json() for s in scores], console)
     if figure:
-        draw(scores[0], figure)
+        draw_confusion(scores[0], figure)
         console.print(f"wrote {figure}", soft_wrap=True)

@@ -8,6 +8,7 @@ one the picture. The answers themselves were made by the commands on that page (
 
 import io
 import json
+import lzma
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,12 +18,12 @@ import numpy as np
 from diagnosis_scores import power
 from rich.console import Console
 
-from casadical.blind_check import figures
-from casadical.blind_check.intervals import Figure
-from casadical.blind_check.packed import pack, stored
-from casadical.blind_check.paired import pairs
-from casadical.blind_check.report import draw, report
+from casadical.blind_check import metrics
+from casadical.blind_check.confidence_intervals import Estimate
+from casadical.blind_check.protocol import XZ, stored
+from casadical.blind_check.report import draw_confusion, report
 from casadical.blind_check.scoring import Score, in_common, score
+from casadical.blind_check.sign_test import sign_tests
 from casadical.core.files import write_whole
 
 ROOT = Path(__file__).parents[2]
@@ -43,13 +44,16 @@ def answered(run: str) -> list[Score]:
 def packed(folder: Path) -> None:
     for path in (folder / "key.json", *folder.glob("answers.*.jsonl")):
         if path.exists():
-            pack(path)
+            # The same content gives the same bytes.
+            packed = lzma.compress(path.read_bytes(), preset=9 | lzma.PRESET_EXTREME)
+            path.with_name(path.name + XZ).write_bytes(packed)
+            path.unlink()
 
 
 def columns(found: dict[str, list[Score]]) -> dict[str, Score]:
     """The diagnosis' figures to stand side by side."""
     first = found["first run"][0]
-    sound = replace(first, trials=tuple(t for t in first.trials if "backlash" not in t.effects))
+    sound = replace(first, outcomes=tuple(t for t in first.outcomes if "backlash" not in t.effects))
     return {"first run": first, "without backlash": sound, **{run: s[0] for run, s in found.items()}}
 
 
@@ -61,15 +65,15 @@ def head(words: Sequence[str]) -> list[str]:
     return [cells(words), "|---" * len(words) + "|"]
 
 
-def told(figure: Figure) -> str:
+def told(figure: Estimate) -> str:
     return str(figure).replace("  (", " (")
 
 
 def markdown(scores: dict[str, Score]) -> str:
     """Figures side by side, each with its interval."""
-    rows = head(["", *(f"{name}, {len(s.trials)} campaigns" for name, s in scores.items()), "target"])
-    for row in zip(*(s.figures for s in scores.values()), strict=True):
-        rows.append(cells([row[0].name, *(told(r.figure) for r in row), row[0].target]))
+    rows = head(["", *(f"{name}, {len(s.outcomes)} campaigns" for name, s in scores.items()), "target"])
+    for row in zip(*(s.metrics for s in scores.values()), strict=True):
+        rows.append(cells([row[0].name, *(told(r.estimate) for r in row), row[0].target]))
     return "\n".join(rows)
 
 
@@ -77,18 +81,18 @@ def limits(found: dict[str, Score]) -> str:
     """Detection beside what a test could detect that knows the signature and the noise; see diagnosis_scores.power."""
     rows = head(["", *(f"{name}: detected" for name in found), *(f"{name}: could be" for name in found)])
     bands = {
-        "signal >= .5": (figures.STRONG, np.inf, 0.0),
-        "signal .35 to .5": (figures.SEEN, figures.STRONG, 0.0),
-        "signal .2 to .35": (figures.FAINT, figures.SEEN, 0.0),
+        "signal >= .5": (metrics.STRONG, np.inf, 0.0),
+        "signal .35 to .5": (metrics.DETECTABLE, metrics.STRONG, 0.0),
+        "signal .2 to .35": (metrics.FAINT, metrics.DETECTABLE, 0.0),
         "any signal that such a test detects at least 99 times in 100": (0.0, np.inf, 0.99),
     }
     for name, (low, high, least) in bands.items():
         there = [
-            [t for t in s.trials if t.kind != "none" and low <= t.signal < high and power(t.signal, t.poses) >= least]
+            [t for t in s.outcomes if t.kind != "none" and low <= t.signal < high and power(t.signal, t.poses) >= least]
             for s in found.values()
         ]
-        seen = [told(figures.detection(trials, 0.0)) for trials in there]
-        could = [f"{np.mean([power(t.signal, t.poses) for t in trials]):.3f}" if trials else "-" for trials in there]
+        seen = [told(metrics.detection(part, 0.0)) for part in there]
+        could = [f"{np.mean([power(t.signal, t.poses) for t in part]):.3f}" if part else "-" for part in there]
         rows.append(cells([name, *seen, *could]))
     return "\n".join(rows)
 
@@ -98,11 +102,11 @@ def beside(found: dict[str, list[Score]]) -> str:
     run = [run for run, scores in found.items() if len(scores) > 1][-1]
     scores = in_common(found[run])
     first, *others = scores
-    asked = [pairs(first.trials, s.trials) for s in others]
+    asked = [sign_tests(first.outcomes, s.outcomes) for s in others]
     rows = head(["right on the same campaign", *(f"{first.head.by} alone : {s.head.by} alone" for s in others)])
     rows += [cells([row[0].name, *map(str, row)]) for row in zip(*asked, strict=True)]
     which = (
-        f"The {run}, the {len(first.trials)} of its {len(first.key.campaigns)} campaigns that all of these answered:"
+        f"The {run}, the {len(first.outcomes)} of its {len(first.key.campaigns)} campaigns that all of these answered:"
     )
     return "\n\n".join([which, markdown({s.head.by: s for s in scores}), "\n".join(rows)])
 
@@ -139,7 +143,7 @@ def main() -> None:
             prints.append(f"THE {run.upper()}\n\n" + re.sub(r" +$", "", text.getvalue(), flags=re.MULTILINE))
             whole = json.dumps(found[run][0].as_json(), indent=1, allow_nan=False)
             write_whole(RUNS[run] / "score.json", whole + "\n")
-            draw(found[run][0], ROOT / "docs" / "images" / "blind_check_confusion.png")
+            draw_confusion(found[run][0], ROOT / "docs" / "images" / "blind_check_confusion.png")
     write_whole(PRINT, "\n\n".join(prints))
     tables = {
         "runs": made(found),

@@ -9,15 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from casadical.blind_check import figures
-from casadical.blind_check import trials as check
-from casadical.blind_check.intervals import Figure, quantile, share
+from casadical.blind_check import metrics, outcomes
+from casadical.blind_check.confidence_intervals import Estimate, quantile, share
 from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.evidence import Evidence, Whitened
 from casadical.diagnosis.linear_problem import Case
 
 # Name, value, target, theoretical limit.
-Row = tuple[str, Figure, str, str]
+Row = tuple[str, Estimate, str, str]
 
 FALSE_ALARMS = 0.01
 KINDS = {"none": "none", "unlisted": "unlisted", "two": "several"}
@@ -53,9 +52,9 @@ class Trial:
     seconds: float
 
     @property
-    def counted(self) -> check.Trial:
+    def counted(self) -> outcomes.Outcome:
         """The same as a trial of the blind check; signals are over all noise, and shrinks over the base model's gap."""
-        return check.Trial(
+        return outcomes.Outcome(
             name=self.hidden,
             robot="",
             kind=KINDS.get(self.part, "one"),
@@ -67,7 +66,7 @@ class Trial:
             signals=self.beside or (self.visible,),
             verdict=self.verdict,
             named=self.claims,
-            alike=(self.claims[0], *self.alike)[: check.SET_SIZE] if self.claims else (),
+            alike=(self.claims[0], *self.alike)[: outcomes.SET_SIZE] if self.claims else (),
             probability=self.posterior,
             predicted=self.predicted_shrink,
             realised=self.true_shrink,
@@ -137,7 +136,7 @@ def _wrong(t: Trial) -> str:
     return f"  {t.part:<9} {t.hidden or '-':<46} claimed {wrong}  (visible {t.visible:.2f})"
 
 
-def _counted(trials: Sequence[Trial]) -> list[check.Trial]:
+def _counted(trials: Sequence[Trial]) -> list[outcomes.Outcome]:
     return [t.counted for t in trials]
 
 
@@ -148,31 +147,31 @@ def _limit(values: Sequence[float]) -> str:
 def _detection(trials: Sequence[Trial]) -> list[Row]:
     at = trials[0].part
     # All of them were scaled to this signal.
-    found = figures.detection(_counted(trials), 0.0)
+    found = metrics.detection(_counted(trials), 0.0)
     limit = _limit([power(t.visible, t.poses) for t in trials])
     return [(f"detection, visible rms/noise {at[3:]}", found, {"at .5": ".99", "at .35": ".90"}[at], limit)]
 
 
 def _nothing(trials: Sequence[Trial]) -> list[Row]:
-    return [("false alarms; half the campaigns with outliers", figures.false_alarms(_counted(trials)), "<= .01", "")]
+    return [("false alarms; half the campaigns with outliers", metrics.false_alarms(_counted(trials)), "<= .01", "")]
 
 
 def _isolation(trials: Sequence[Trial]) -> list[Row]:
     every = _counted(trials)
-    seen, errors = figures.seen(every), figures.shrink_errors(every)
-    told = np.mean([told_apart(t) for t in trials if t.visible >= figures.SEEN], axis=0)
+    seen, errors = metrics.detectable(every), metrics.shrink_errors(every)
+    told = np.mean([told_apart(t) for t in trials if t.visible >= metrics.DETECTABLE], axis=0)
     n = f"{trials[0].poses} poses"
     return [
-        (f"FIA: probability of the true cause, {n}", figures.isolation(seen), ">= .92", _limit(told[1])),
+        (f"FIA: probability of the true cause, {n}", metrics.isolation(seen), ">= .92", _limit(told[1])),
         (
             f"first cause right, where one is named, {n}",
             share([t.first_right for t in every if t.named]),
             "",
             _limit(told[0]),
         ),
-        (f"claims right, {n}", figures.claims_right(every), ">= .98", ""),
-        (f"claims made, {n}", figures.claims_made(seen), ">= .65", ""),
-        (f"sets contain the truth, {n}", figures.sets_right(every), ".93 - .97", ""),
+        (f"claims right, {n}", metrics.claims_right(every), ">= .98", ""),
+        (f"claims made, {n}", metrics.claims_made(seen), ">= .65", ""),
+        (f"sets contain the truth, {n}", metrics.sets_right(every), ".93 - .97", ""),
         (f"|predicted - true shrink|, median, {n}", quantile(errors, 0.5), "<= .04", ""),
         (f"|predicted - true shrink|, 90 %, {n}", quantile(errors, 0.9), "<= .12", ""),
     ]
@@ -182,19 +181,19 @@ def _foreign(trials: Sequence[Trial]) -> list[Row]:
     every = _counted(trials)
     without = share([t.without_rivals == "explained" for t in trials])
     return [
-        ("on no standard list, claimed as standard", figures.claims_made(every), "<= .02", ""),
-        ("  of those visible", figures.claims_made(figures.seen(every)), "", ""),
+        ("on no standard list, claimed as standard", metrics.claims_made(every), "<= .02", ""),
+        ("  of those visible", metrics.claims_made(metrics.detectable(every)), "", ""),
         ("  all, without the rarer effects as rivals", without, "", ""),
     ]
 
 
 def _several(trials: Sequence[Trial]) -> list[Row]:
     every = _counted(trials)
-    limit = _limit([power(v, t.poses) for t in trials for v in t.beside if v >= figures.SEEN])
+    limit = _limit([power(v, t.poses) for t in trials for v in t.beside if v >= metrics.DETECTABLE])
     return [
-        ("two at once: recall, visible beside the other", figures.recall(every), ">= .93", limit),
-        ("  of those of visible rms/noise >= .5", figures.recall(every, figures.STRONG), "", ""),
-        ("two at once: precision", figures.precision(every), ">= .90", ""),
+        ("two at once: recall, visible beside the other", metrics.recall(every), ">= .93", limit),
+        ("  of those of visible rms/noise >= .5", metrics.recall(every, metrics.STRONG), "", ""),
+        ("two at once: precision", metrics.precision(every), ">= .90", ""),
     ]
 
 

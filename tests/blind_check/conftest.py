@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from checks import ROOT, Here, N
 
-from casadical.blind_check.making import make
-from casadical.blind_check.predicting import predict
+from casadical.blind_check.generation import make
+from casadical.blind_check.prediction import predict
 
 
 @dataclass(frozen=True)

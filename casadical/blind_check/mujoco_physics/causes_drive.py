@@ -1,4 +1,4 @@
-"""Causes in the drives that no load is needed to see: gears, encoders, belts, bevels, zeros."""
+"""Causes in the drives that do not depend on load: gears, encoders, belts, bevels, zeros."""
 
 # ruff: noqa: ARG002 - every cause is called with the same arguments, whether it needs them or not
 
@@ -146,3 +146,19 @@ class DamagedTooth(Cause):
     def motors(self, plant: Plant, stops: Stops) -> Array:
         pinion = (self.ratio * stops.q[:, self.joint - 1] - self.at_rad) % (2 * np.pi) / (2 * np.pi)
         return only(self.joint, np.where(pinion < 0.1, -self.size, 0.0))
+
+
+@dataclass(frozen=True)
+class LostBits(Cause):
+    """An encoder that lost its low bits: the joint stops in the middle of a step of ``size`` [rad]; on no list.
+
+    One of the middles is at ``at_rad``.
+    """
+
+    joint: int
+    size: float
+    at_rad: float
+
+    def motors(self, plant: Plant, stops: Stops) -> Array:
+        q = stops.q[:, self.joint - 1] - self.at_rad
+        return only(self.joint, self.size * np.round(q / self.size) - q)

@@ -1,4 +1,4 @@
-"""Causes that the load brings about in the joints: play, friction, hardening, springs, hoses."""
+"""Causes by load in the joints: play, friction, hardening, springs, hoses, cables, rubber."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -8,9 +8,10 @@ import numpy as np
 from casadical.blind_check.mujoco_physics.cause import Cause
 from casadical.blind_check.mujoco_physics.mechanism import Body, Cord, Joint, Mechanism, Shaft
 from casadical.blind_check.mujoco_physics.robot import SLOW, spring
-from casadical.blind_check.numpy_physics.statics import rated_torque
+from casadical.blind_check.numpy_physics.statics import rated_torque, settle
 from casadical.blind_check.synthetic.plant import Plant
 from casadical.blind_check.synthetic.rigid import Array
+from casadical.blind_check.synthetic.stops import Stops, only
 
 
 @dataclass(frozen=True)
@@ -138,6 +139,47 @@ class HosePull(Cause):
         stiffness = self.size * plant.stiffness[4] / (lever * usual / 3)
         hose = Cord("hose", "clip", "hose_end", stiffness, (0.0, 0.85 * usual))
         return replace(mechanism, cords=(*mechanism.cords, hose))
+
+
+@dataclass(frozen=True)
+class TightCable(Cause):
+    """A cable package too short for its joint: it tightens towards both ends of the joint's range; on no list.
+
+    ``size`` [rad] is how far it winds the joint at either end, ``free`` the share of the range in which it is slack.
+    """
+
+    joint: int
+    size: float
+    free: float
+
+    def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
+        j, half = self.joint - 1, float(np.ptp(plant.ranges[self.joint - 1])) / 2
+        k = self.size * float(plant.stiffness[j]) / ((1 - self.free) * half)
+        cable = Shaft(f"cable{self.joint}", {f"joint{self.joint}": 1.0}, k, slack=self.free * half)
+        return replace(mechanism, shafts=(*mechanism.shafts, cable))
+
+
+@dataclass(frozen=True)
+class RubberCoupling(Cause):
+    """A rubber coupling creeps, depending on the loads of the previous poses; on no list.
+
+    ``size`` [rad] is what it gives under the rated torque in the end, beyond the joint's own spring; it gets there with
+    the time constant ``lag_minutes``. The robot starts unloaded, and waits at each pose until it is measured.
+    """
+
+    joint: int
+    size: float
+    lag_minutes: float
+
+    def motors(self, plant: Plant, stops: Stops) -> Array:
+        j = self.joint - 1
+        end = self.size * settle(plant, stops).load[:, j] / rated_torque(plant)[j]
+        share = -np.expm1(-np.diff(stops.time_s, prepend=0.0) / 60 / self.lag_minutes)
+        crept, given = 0.0, np.empty(len(stops))
+        for k in range(len(stops)):
+            crept += (end[k] - crept) * share[k]
+            given[k] = crept
+        return only(self.joint, given)
 
 
 def mark(mechanism: Mechanism, plant: Plant, link: int, name: str, home: Array) -> Mechanism:

@@ -6,10 +6,10 @@ from typing import ClassVar
 import numpy as np
 
 from casadical.blind_check.mujoco_physics.cause import Cause, beam_axes, length_of, triple
-from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Mechanism, X, Y
+from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Mechanism, X, Y, Z
 from casadical.blind_check.mujoco_physics.robot import SLOW, spring
-from casadical.blind_check.numpy_physics.disturbances_structure import plant_stretch
 from casadical.blind_check.numpy_physics.state import GRAVITY
+from casadical.blind_check.numpy_physics.statics import stretched_moments
 from casadical.blind_check.synthetic.plant import Plant
 
 
@@ -51,7 +51,7 @@ class CrackedLink(Cause):
         place = np.eye(4)
         place[:3, 3] = 0.3 * length
         hinge = spring(
-            "crack", plant_stretch(plant, self.link)[1] / self.size, axis=triple(axis), limits=(0.0, 20 * self.size)
+            "crack", stretched_moments(plant, self.link)[1] / self.size, axis=triple(axis), limits=(0.0, 20 * self.size)
         )
         return mechanism.with_body_after(f"link{self.link}", Body("beyond_crack", "", place, (hinge,)))
 
@@ -64,7 +64,7 @@ class LooseAnchor(Cause):
     towards: float
 
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
-        moment = 0.3 * plant_stretch(plant, 0)[1]
+        moment = 0.3 * stretched_moments(plant, 0)[1]
         axis = (float(np.cos(self.towards)), float(np.sin(self.towards)), 0.0)
         tip = spring("tip", 0.2 * moment / self.size, axis=axis, limits=(-self.size, self.size))
         return mechanism.with_body_after("pedestal", Body("tipping", "", np.eye(4), (tip,)))
@@ -116,3 +116,24 @@ class ToolSlip(Cause):
         )
         tool = mechanism.body("tool")
         return mechanism.with_body(replace(tool, joints=slides))
+
+
+@dataclass(frozen=True)
+class LooseCargo(Cause):
+    """The payload lies loose in its crate and slides against whichever walls are lowest; on no list.
+
+    ``size`` [rad] is the windup of joint 5 by half the crate's clearance: the slide is ``size`` times the joint's
+    stiffness over the payload's weight. A pad holds it in the middle until a tenth of its weight pushes.
+    """
+
+    size: float
+
+    def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
+        weight = GRAVITY * plant.payload_kg
+        slide = self.size * float(plant.stiffness[4]) / weight
+        pad = 0.1 * weight / slide
+        slides = tuple(
+            spring(f"cargo_{n}", pad, inertia_of=3 * pad, kind="slide", axis=axis, limits=(-slide, slide))
+            for n, axis in (("x", X), ("y", Y), ("z", Z))
+        )
+        return mechanism.with_body(replace(mechanism.body("payload"), joints=slides))

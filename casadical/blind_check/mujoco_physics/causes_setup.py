@@ -1,4 +1,4 @@
-"""Causes in the measurement: a frame that creeps, a reflector that moves, wrong points."""
+"""Causes in the measurement: a frame that creeps, a reflector that moves, wrong points, wrong distances."""
 
 # ruff: noqa: ARG002 - every cause is called with the same arguments, whether it needs them or not
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from casadical.blind_check.mujoco_physics.cause import Cause
 from casadical.blind_check.mujoco_physics.equilibrium import Setting
+from casadical.blind_check.numpy_physics.statics import positions
 from casadical.blind_check.synthetic.plant import Plant
 from casadical.blind_check.synthetic.rigid import Array
 from casadical.blind_check.synthetic.stops import Stops
@@ -54,3 +55,16 @@ class Outliers(Cause):
         length /= np.linalg.norm(direction, axis=-1)
         hit = rng.random(len(xyz)) < self.share
         return xyz + np.where(hit, length, 0.0)[:, None] * direction
+
+
+@dataclass(frozen=True)
+class RangeOffset(Cause):
+    """The tracker, standing at ``stand_m`` (3,), reads every distance too long by ``size`` [m]; on no list."""
+
+    size: float
+    stand_m: tuple[float, float, float]
+
+    def settings(self, plant: Plant, stops: Stops) -> Sequence[Setting]:
+        sight = positions(plant, (), stops) - np.array(self.stand_m)
+        away = sight / np.linalg.norm(sight, axis=1, keepdims=True)
+        return (Setting("shift", "tracker", -self.size * away),)

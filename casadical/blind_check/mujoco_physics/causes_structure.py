@@ -19,7 +19,7 @@ from casadical.blind_check.mujoco_physics.cause import (
 from casadical.blind_check.mujoco_physics.equilibrium import Setting
 from casadical.blind_check.mujoco_physics.mechanism import Body, Mechanism, X, Y
 from casadical.blind_check.mujoco_physics.robot import spring
-from casadical.blind_check.numpy_physics.disturbances_structure import plant_stretch
+from casadical.blind_check.numpy_physics.statics import stretched_moments
 from casadical.blind_check.synthetic.plant import Plant
 from casadical.blind_check.synthetic.rigid import Array
 from casadical.blind_check.synthetic.stops import Stops
@@ -41,7 +41,7 @@ class LinkFlexure(Cause):
         name = f"link{self.link}"
         whole, length = mechanism.body(name), length_of(plant, self.link)
         e, across, aside = beam_axes(length)
-        bend = 2 * plant_stretch(plant, self.link)[0] / self.size
+        bend = 2 * stretched_moments(plant, self.link)[0] / self.size
         hinges = [("up", across, bend), ("side", aside, bend), ("twist", e, self.torsion * bend)]
         for cut, at in (("b", 0.75), ("a", 0.25)):
             joints = tuple(spring(f"{name}{cut}_{n}", k, axis=triple(axis)) for n, axis, k in hinges)
@@ -66,7 +66,7 @@ class BaseCompliance(Cause):
     height_m: float
 
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
-        k, at = plant_stretch(plant, 0)[1] / self.size, (0.0, 0.0, -self.height_m)
+        k, at = stretched_moments(plant, 0)[1] / self.size, (0.0, 0.0, -self.height_m)
         width = 0.15 * float(np.linalg.norm(np.diff(plant.stations, axis=0), axis=-1).sum())
         joints = (
             spring("anchors_x", k, axis=X, at=at),

@@ -7,6 +7,7 @@ import numpy as np
 from casadical.blind_check.mujoco_physics.hidden import LISTED, UNLISTED, Hidden
 from casadical.blind_check.numpy_physics.statics import rated_torque
 from casadical.blind_check.synthetic.plant import Plant
+from casadical.blind_check.synthetic.rigid import random_vector
 from casadical.core.errors import InputError
 
 Kind = Literal["none", "one", "pair", "three", "unlisted"]
@@ -74,8 +75,8 @@ def _size(
         "joint_zero_step": {"size": 40e-6 * usual * sign, "at_s": middle},
         "thermal_growth": {"size": 11.5e-6 * float(np.clip(usual, 0.8, 2.0)), "lag_minutes": float(rng.uniform(4, 12))},
         "thermal_zero_drift": {"size": 5e-6 * usual * sign, "lag_minutes": float(rng.uniform(4, 15))},
-        "target_shift": {"shift_m": _direction(rng, 50e-6 * usual), "at_s": middle},
-        "payload_error": {"size": 0.05 * usual * sign, "shift_m": _direction(rng, 0.03 * usual)},
+        "target_shift": {"shift_m": random_vector(rng, 50e-6 * usual), "at_s": middle},
+        "payload_error": {"size": 0.05 * usual * sign, "shift_m": random_vector(rng, 0.03 * usual)},
         "axis_wobble": {
             "size": 25e-6 * usual,
             "shift_m": 10e-6 * usual,
@@ -101,8 +102,8 @@ def _size(
         },
         "base_compliance": {"size": 50e-6 * usual, "across": float(rng.uniform(0.5, 1.0)), "height_m": 0.3},
         "frame_drift": {
-            "shift_m": _direction(rng, 50e-6 * usual),
-            "turn_rad": _direction(rng, 20e-6 * usual),
+            "shift_m": random_vector(rng, 50e-6 * usual),
+            "turn_rad": random_vector(rng, 20e-6 * usual),
             "settling_minutes": float(rng.uniform(15, 60)),
         },
         "outliers": {"share": float(rng.uniform(0.02, 0.05)), "size": 0.7e-3 * usual},
@@ -117,10 +118,10 @@ def _size(
         "damaged_tooth": {"size": 80e-6 * usual, "ratio": float(rng.choice([3.0, 5.0, 7.5, 10.0])), "at_rad": angle},
     }
     # Those drawn apart leave the sizes of the others as they were for the same seed.
-    return sizes[effect] if effect in sizes else _odd(plant, usual, sign, angle, inside, rng)[effect]
+    return sizes[effect] if effect in sizes else _added_later(plant, usual, sign, angle, inside, rng)[effect]
 
 
-def _odd(
+def _added_later(
     plant: Plant, usual: float, sign: float, angle: float, inside: float, rng: np.random.Generator
 ) -> dict[str, dict[str, Any]]:
     return {
@@ -137,9 +138,3 @@ def _stand(plant: Plant, towards: float, rng: np.random.Generator) -> tuple[floa
     reach = float(np.linalg.norm(np.diff(plant.stations, axis=0), axis=-1).sum())
     away = reach * float(rng.uniform(1.3, 2.0))
     return away * float(np.cos(towards)), away * float(np.sin(towards)), float(rng.uniform(0.0, 1.5))
-
-
-def _direction(rng: np.random.Generator, length: float) -> tuple[float, float, float]:
-    v = rng.standard_normal(3)
-    x, y, z = (float(c) for c in length * v / np.linalg.norm(v))
-    return x, y, z

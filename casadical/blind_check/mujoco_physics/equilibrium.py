@@ -7,7 +7,7 @@ know neither.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -15,9 +15,6 @@ from casadical.blind_check.mujoco_physics.mechanism import Mechanism
 from casadical.blind_check.mujoco_physics.mjcf import mjcf
 from casadical.blind_check.synthetic.rigid import Array
 from casadical.core.errors import ConvergenceError, InputError
-
-if TYPE_CHECKING:
-    import mujoco
 
 STILL = 2e-9  # rad/s or m/s; the way left to go is a tenth of it in rad or m
 CREEP = 2e-7  # rad/s or m/s; what friction holds creeps in the engine
@@ -163,7 +160,7 @@ class Engine:
         )
 
 
-def _mujoco() -> "Any | mujoco":
+def _mujoco() -> Any:
     try:
         import mujoco
     except ModuleNotFoundError as error:

@@ -4,85 +4,52 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
+from casadical.blind_check.mujoco_physics import (
+    causes_drive,
+    causes_load,
+    causes_loose,
+    causes_setup,
+    causes_structure,
+)
 from casadical.blind_check.mujoco_physics.cause import Cause
-from casadical.blind_check.mujoco_physics.causes_drive import (
-    DamagedTooth,
-    EncoderPit,
-    GearEccentricity,
-    JointCoupling,
-    JointScale,
-    JointZeroStep,
-    ThermalZeroDrift,
-    TransmissionRipple,
-)
-from casadical.blind_check.mujoco_physics.causes_load import (
-    Backlash,
-    FrictionWindup,
-    GravityCompensator,
-    HosePull,
-    NonlinearStiffness,
-)
-from casadical.blind_check.mujoco_physics.causes_loose import (
-    BearingPlay,
-    CrackedLink,
-    LooseAnchor,
-    LooseFlange,
-    ToolSlip,
-)
-from casadical.blind_check.mujoco_physics.causes_odd import (
-    LooseCargo,
-    LostBits,
-    RangeOffset,
-    RubberCoupling,
-    TightCable,
-)
-from casadical.blind_check.mujoco_physics.causes_setup import FrameDrift, Outliers, TargetShift
-from casadical.blind_check.mujoco_physics.causes_structure import (
-    AxisWobble,
-    BaseCompliance,
-    LinkFlexure,
-    PayloadError,
-    ThermalBend,
-    ThermalGrowth,
-)
 from casadical.core.errors import InputError
 
 LISTED: Mapping[str, type[Cause]] = {
-    "gear_eccentricity": GearEccentricity,
-    "transmission_ripple": TransmissionRipple,
-    "joint_scale": JointScale,
-    "joint_coupling": JointCoupling,
-    "joint_zero_step": JointZeroStep,
-    "thermal_growth": ThermalGrowth,
-    "thermal_zero_drift": ThermalZeroDrift,
-    "target_shift": TargetShift,
-    "payload_error": PayloadError,
-    "axis_wobble": AxisWobble,
-    "gravity_compensator": GravityCompensator,
-    "nonlinear_stiffness": NonlinearStiffness,
-    "backlash": Backlash,
-    "friction_windup": FrictionWindup,
-    "link_flexure": LinkFlexure,
-    "base_compliance": BaseCompliance,
-    "frame_drift": FrameDrift,
-    "outliers": Outliers,
+    "gear_eccentricity": causes_drive.GearEccentricity,
+    "transmission_ripple": causes_drive.TransmissionRipple,
+    "joint_scale": causes_drive.JointScale,
+    "joint_coupling": causes_drive.JointCoupling,
+    "joint_zero_step": causes_drive.JointZeroStep,
+    "thermal_growth": causes_structure.ThermalGrowth,
+    "thermal_zero_drift": causes_drive.ThermalZeroDrift,
+    "target_shift": causes_setup.TargetShift,
+    "payload_error": causes_structure.PayloadError,
+    "axis_wobble": causes_structure.AxisWobble,
+    "gravity_compensator": causes_load.GravityCompensator,
+    "nonlinear_stiffness": causes_load.NonlinearStiffness,
+    "backlash": causes_load.Backlash,
+    "friction_windup": causes_load.FrictionWindup,
+    "link_flexure": causes_structure.LinkFlexure,
+    "base_compliance": causes_structure.BaseCompliance,
+    "frame_drift": causes_setup.FrameDrift,
+    "outliers": causes_setup.Outliers,
 }
 
 UNLISTED: Mapping[str, type[Cause]] = {
-    "loose_flange": LooseFlange,
-    "tool_slip": ToolSlip,
-    "bearing_play": BearingPlay,
-    "hose_pull": HosePull,
-    "cracked_link": CrackedLink,
-    "loose_anchor": LooseAnchor,
-    "thermal_bend": ThermalBend,
-    "encoder_pit": EncoderPit,
-    "damaged_tooth": DamagedTooth,
-    "loose_cargo": LooseCargo,
-    "tight_cable": TightCable,
-    "lost_bits": LostBits,
-    "rubber_coupling": RubberCoupling,
-    "range_offset": RangeOffset,
+    "loose_flange": causes_loose.LooseFlange,
+    "tool_slip": causes_loose.ToolSlip,
+    "bearing_play": causes_loose.BearingPlay,
+    "hose_pull": causes_load.HosePull,
+    "cracked_link": causes_loose.CrackedLink,
+    "loose_anchor": causes_loose.LooseAnchor,
+    "thermal_bend": causes_structure.ThermalBend,
+    "encoder_pit": causes_drive.EncoderPit,
+    "damaged_tooth": causes_drive.DamagedTooth,
+    "loose_cargo": causes_loose.LooseCargo,
+    "tight_cable": causes_load.TightCable,
+    "lost_bits": causes_drive.LostBits,
+    "rubber_coupling": causes_load.RubberCoupling,
+    "range_offset": causes_setup.RangeOffset,
 }
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Loop, Mechanism
-from casadical.blind_check.synthetic.fourbar import close_loop, pivot, unfolded
+from casadical.blind_check.synthetic.fourbar import close_loop, pivot
 from casadical.blind_check.synthetic.plant import Plant
 from casadical.blind_check.synthetic.rigid import Array, turn
 
@@ -56,11 +56,6 @@ def start(plant: Plant, angles: Array) -> dict[str, float]:
         loop = close_loop(plant, _crank(angles[None]))
         first |= {"elbow": float(loop.passive[0]), "coupler_turn": _coupler(plant, angles), "coupler_tilt": 0.0}
     return first
-
-
-def reachable(plant: Plant) -> tuple[float, float] | None:
-    """Crank distances [m] that keep the loop away from its folds; None without a loop."""
-    return unfolded(plant)
 
 
 def spring(name: str, stiffness: float, *, inertia_of: float | None = None, **more: object) -> Joint:

@@ -6,6 +6,7 @@ import numpy as np
 
 from casadical.blind_check.numpy_physics.disturbance import Disturbance
 from casadical.blind_check.numpy_physics.state import GRAVITY, State
+from casadical.blind_check.numpy_physics.statics import stretched_moments
 from casadical.blind_check.synthetic.plant import Plant
 from casadical.blind_check.synthetic.rigid import Array, back, motion, move, slide
 
@@ -55,7 +56,7 @@ class LinkFlexure(Disturbance):
         root, tip = plant.stations[link], plant.stations[link + 1]
         length = float(np.linalg.norm(tip - root))
         e = (tip - root) / length
-        stretched, _ = plant_stretch(plant, link)
+        stretched, _ = stretched_moments(plant, link)
         bend = self.size / (stretched * length)
         force, moment = (back(G, w) for w in state.wrench_beyond(link, move(G, tip)))
         own = back(G, np.array([0.0, 0.0, -GRAVITY * plant.mass[link - 1]]))
@@ -77,7 +78,7 @@ class PedestalTilt(Disturbance):
     def outboard(self, link: int, state: State) -> Array | None:
         if link != 0:
             return None
-        _, stretched = plant_stretch(state.plant, 0)
+        _, stretched = stretched_moments(state.plant, 0)
         base = state.plant.base
         _, moment = state.wrench_beyond(0, base[:3, 3])
         rock = back(base, moment) * np.array([1.0, self.across, 0.0]) * self.size / stretched
@@ -123,16 +124,3 @@ class PayloadError(Disturbance):
 
     def altered(self, plant: Plant) -> Plant:
         return replace(plant, payload_factor=1 + self.size, payload_com=plant.payload_com + np.array(self.shift_m))
-
-
-def plant_stretch(plant: Plant, link: int) -> tuple[float, float]:
-    """Moments [N m] of all weights beyond ``link`` about its end and about its root, if they hung at full stretch."""
-    ends = plant.stations
-    steps = np.linalg.norm(np.diff(ends, axis=0), axis=-1)
-    about_end = about_root = 0.0
-    for body in range(link, 7):
-        mass, com = (plant.mass[body], plant.com[body]) if body < 6 else (plant.payload_kg, plant.payload_com)
-        reach = float(steps[link + 1 : min(body, 5) + 1].sum() + np.linalg.norm(com))
-        about_end += GRAVITY * mass * reach
-        about_root += GRAVITY * mass * (reach + steps[link])
-    return about_end, about_root

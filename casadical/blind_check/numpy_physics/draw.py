@@ -7,6 +7,7 @@ import numpy as np
 
 from casadical.blind_check.numpy_physics.disturbance import Disturbance
 from casadical.blind_check.numpy_physics.disturbances import LISTED, UNLISTED
+from casadical.blind_check.synthetic.rigid import random_vector
 from casadical.core.errors import InputError
 
 _EITHER_SIGN = {
@@ -44,9 +45,7 @@ def draw_disturbance(effect: str, seed: int, *, joint: int | None = None, scale:
 
 def _drawn(effect: str, name: str, usual: Any, size: float, rng: np.random.Generator) -> Any:
     if name in ("towards", "about") or (name == "shift_m" and isinstance(usual, tuple)):
-        length = abs(size) * np.linalg.norm(usual) if name == "shift_m" else 1.0
-        direction = rng.standard_normal(3)
-        return tuple((length * direction / np.linalg.norm(direction)).tolist())
+        return random_vector(rng, abs(size) * float(np.linalg.norm(usual)) if name == "shift_m" else 1.0)
     if name in _SIZES:
         return usual * size
     if name in ("phase", "oval_phase"):

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from casadical.blind_check.numpy_physics.disturbance import Disturbance
-from casadical.blind_check.numpy_physics.state import State, moments
+from casadical.blind_check.numpy_physics.state import GRAVITY, State, moments
 from casadical.blind_check.synthetic.fourbar import close_loop, unfolded
 from casadical.blind_check.synthetic.plant import Plant
 from casadical.blind_check.synthetic.rigid import Array, move, turn
@@ -52,6 +52,19 @@ def rated_torque(plant: Plant) -> Array:
     largest: Array = np.abs(moments(placed(plant, still, q))).max(0)
     floored: Array = np.maximum(largest, 0.05 * largest.max())
     return floored
+
+
+def stretched_moments(plant: Plant, link: int) -> tuple[float, float]:
+    """Moments [N m] of all weights beyond ``link`` about its end and about its root, if they hung at full stretch."""
+    ends = plant.stations
+    steps = np.linalg.norm(np.diff(ends, axis=0), axis=-1)
+    about_end = about_root = 0.0
+    for body in range(link, 7):
+        mass, com = (plant.mass[body], plant.com[body]) if body < 6 else (plant.payload_kg, plant.payload_com)
+        reach = float(steps[link + 1 : min(body, 5) + 1].sum() + np.linalg.norm(com))
+        about_end += GRAVITY * mass * reach
+        about_root += GRAVITY * mass * (reach + steps[link])
+    return about_end, about_root
 
 
 def _bodies(state: State, angles: Array, disturbances: Sequence[Disturbance]) -> Array:

@@ -61,3 +61,10 @@ def back(G: Array, v: Array) -> Array:
     """The directions ``v`` (..., 3) brought back to before the motions ``G``."""
     turned: Array = np.einsum("...ji,...j->...i", G[..., :3, :3], v)
     return turned
+
+
+def random_vector(rng: np.random.Generator, length: float) -> tuple[float, float, float]:
+    """A vector of the length, in any direction with equal probability."""
+    direction = rng.standard_normal(3)
+    x, y, z = (float(c) for c in length * direction / np.linalg.norm(direction))
+    return x, y, z

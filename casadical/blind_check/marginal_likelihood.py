@@ -1,4 +1,4 @@
-"""The hyperparameters of a Gaussian process of maximum likelihood, some ten times as fast as scikit-learn.
+"""Hyperparameters of a Gaussian process by maximum marginal likelihood, some ten times as fast as scikit-learn.
 
 The squared differences that the gradient needs are sums over rows: for symmetric S, sum S_ij (x_i - x_j)^2 is
 2 (sum x_i^2 (S 1)_i - x' S x), so that no array of shape (n, n, inputs) is made. (Rasmussen and Williams 2006, 5.4.)

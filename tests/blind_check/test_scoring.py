@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from casadical.blind_check.answers import Answer
-from casadical.blind_check.figures import confusion, figures, part_figures
-from casadical.blind_check.intervals import mean, quantile, share
-from casadical.blind_check.paired import Pair, pairs
+from casadical.blind_check.confidence_intervals import mean, quantile, share
+from casadical.blind_check.metrics import confusion, metrics, part_metrics
+from casadical.blind_check.outcomes import Outcome, outcome
 from casadical.blind_check.protocol import HiddenEffect, Secret, label, read_manifest
 from casadical.blind_check.scoring import in_common, score
-from casadical.blind_check.trials import Trial, trial
+from casadical.blind_check.sign_test import SignTest, sign_tests
 from casadical.cli import app
 from casadical.core.errors import InputError
 
@@ -41,7 +41,7 @@ def test_bad_files_are_named(small, tmp_path) -> None:
         score(small.folder, tmp_path / "nowhere", small.answers)
     path = tmp_path / "answers.jsonl"
     path.write_text(small.answers.read_text().replace('"verdict":"', '"verdict":"perhaps ', 1))
-    with pytest.raises(InputError, match=r"line 2: verdict: .*delete this line, and predict again"):
+    with pytest.raises(InputError, match=r"line 2: verdict: .*delete this line, and run predict again"):
         score(small.folder, small.key, path)
     path.write_text("{}\n")
     with pytest.raises(InputError, match=r"line 1: key_sha256: .*predict into another file \(--out\)"):
@@ -60,7 +60,7 @@ def test_the_command_prints_every_figure_and_writes_them(small, tmp_path) -> Non
     assert done.exit_code == 0, done.output
     told = json.loads(files["json"].read_text())
     assert told["campaigns"] == 4
-    assert set(told["figures"]) == {r.name for r in score(small.folder, small.key, small.answers).figures}
+    assert set(told["figures"]) == {r.name for r in score(small.folder, small.key, small.answers).metrics}
     assert all(name in done.output for name in told["figures"])
     assert read_manifest(small.folder).key_sha256 in done.output
     assert files["figure"].read_bytes()[:4] == b"\x89PNG"
@@ -70,7 +70,7 @@ def test_unanswered_campaigns_are_told(small, tmp_path) -> None:
     path = tmp_path / "some.jsonl"
     path.write_text("".join(small.answers.read_text().splitlines(keepends=True)[:3]))
     found = score(small.folder, small.key, path)
-    assert (len(found.trials), len(found.unanswered)) == (2, 2)
+    assert (len(found.outcomes), len(found.unanswered)) == (2, 2)
 
 
 def test_intervals_against_scipy() -> None:
@@ -89,7 +89,7 @@ def test_intervals_against_scipy() -> None:
     assert str(mean([])) == "-"
 
 
-def made(kind: str, truth: tuple[str, ...], verdict: str, named: tuple[str, ...], **more: object) -> Trial:
+def made(kind: str, truth: tuple[str, ...], verdict: str, named: tuple[str, ...], **more: object) -> Outcome:
     """A trial by hand; the set of the first cause is itself unless told."""
     given = {
         "name": "t", "robot": "r", "kind": kind, "poses": 40, "missing": None,
@@ -97,11 +97,11 @@ def made(kind: str, truth: tuple[str, ...], verdict: str, named: tuple[str, ...]
         "truth": truth, "signal": 1.0, "signals": (1.0,) * len(truth), "verdict": verdict, "named": named,
         "alike": named[:1], "probability": 0.5, "predicted": 0.5, "realised": 0.5, "before": 1e-4, "after": 5e-5,
     }  # fmt: skip
-    return Trial(**(given | more))  # type: ignore[arg-type]
+    return Outcome(**(given | more))  # type: ignore[arg-type]
 
 
 def test_figures_counted_by_hand() -> None:
-    trials = [
+    outcomes = [
         made("none", (), "none", ()),
         made("none", (), "explained", ("backlash@1",)),
         made("one", ("backlash@2",), "explained", ("backlash@2", "joint_scale@1"), probability=0.9, predicted=0.6),
@@ -113,7 +113,7 @@ def test_figures_counted_by_hand() -> None:
         made("unlisted", (), "explained", ("c",)),
         made("unlisted", (), "unknown", ()),
     ]
-    found = {r.name: (r.figure.value, r.figure.hits, r.figure.n) for r in figures(trials)}
+    found = {r.name: (r.estimate.value, r.estimate.hits, r.estimate.n) for r in metrics(outcomes)}
     expected = {
         "false alarms where there is nothing": (0.5, 1, 2),
         "detection, signal >= .5": (1.0, 6, 6),
@@ -135,13 +135,13 @@ def test_figures_counted_by_hand() -> None:
     }
     for name, (value, hits, n) in expected.items():
         assert found[name] == (pytest.approx(value), hits, n), name
-    assert confusion(trials) == {
+    assert confusion(outcomes) == {
         "none": {"none": 1, "backlash": 1},
         "backlash": {"backlash": 1, "at another joint": 1},
         "frame_drift": {"target_shift": 1, "none": 1},
         "ghost": {"c": 1, "unknown": 1},
     }
-    assert part_figures(trials)["detected"].hits == 7
+    assert part_metrics(outcomes)["detected"].hits == 7
 
 
 def test_a_trial_measures_the_shrink_at_the_unseen_poses() -> None:
@@ -156,14 +156,14 @@ def test_a_trial_measures_the_shrink_at_the_unseen_poses() -> None:
         "posterior": {"gravity_compensator@2": 0.7, "none": 0.3},
         "unseen": {"base_mm": [[0, 3, 0], [1, 0, 4], [0, 9, 5]], "with_causes_mm": [[0, 0, 1], [1, 2, 0], [0, 9, 3]]},
     }  # fmt: skip
-    found = trial("c", secret, Answer.model_validate(given))
+    found = outcome("c", secret, Answer.model_validate(given))
     assert found.truth == found.named == ("gravity_compensator",)
     assert found.alike == ("gravity_compensator", "backlash@2", "x")
     assert (found.signal, found.probability, found.predicted) == pytest.approx((2.0, 0.7, 0.75))
     assert (found.before, found.after, found.realised) == pytest.approx((4e-3, 2e-3, 0.5))
     # Who names outliers is not asked to foretell them: the third pose is one.
     given["causes"] = [{"effect": "outliers", "joint": None}]
-    assert trial("c", secret, Answer.model_validate(given)).after == pytest.approx(1.5e-3)
+    assert outcome("c", secret, Answer.model_validate(given)).after == pytest.approx(1.5e-3)
 
 
 def test_labels_leave_out_joints_that_mean_nothing() -> None:
@@ -183,7 +183,7 @@ def test_methods_are_compared_campaign_by_campaign() -> None:
         [made("one", ("backlash@2",), name=name, **two[k]) for name, two in answers.items()] for k in (0, 1)
     )
     # The order of the other's campaigns does not matter.
-    found = {p.name: p for p in pairs(first, other[::-1])}
+    found = {p.name: p for p in sign_tests(first, other[::-1])}
     asked = {
         "one effect: first cause right, signal >= .35": (2, 1, 1, 1),
         "detected, signal >= .35": (1, 1, 3, 0),
@@ -199,7 +199,7 @@ def test_methods_are_compared_campaign_by_campaign() -> None:
 def test_the_sign_test_is_scipys() -> None:
     stats = pytest.importorskip("scipy.stats")
     for first, other in ((0, 0), (4, 1), (5, 5), (14, 0), (18, 30)):
-        p = Pair("", first, other, both=7, neither=3).p
+        p = SignTest("", first, other, both=7, neither=3).p
         assert p == pytest.approx(stats.binomtest(first, first + other).pvalue if first + other else 1.0)
 
 

@@ -28,7 +28,7 @@ def test_the_committed_answers_have_the_committed_figures(run: Path) -> None:
 
 def test_the_second_run_has_its_key() -> None:
     second = score(DATA / "second", DATA / "second", DATA / "second" / "answers.diagnosis.jsonl")
-    assert (len(second.trials), second.unanswered) == (48, [])
+    assert (len(second.outcomes), second.unanswered) == (48, [])
 
 
 @pytest.mark.parametrize("run", COUNTED, ids=lambda run: run.name)
@@ -43,9 +43,9 @@ def test_the_page_has_the_baselines_of_the_last_run() -> None:
     run = next(run for run in reversed(COUNTED) if len(answers(run)) > 1)
     page = (ROOT / "docs" / "blind-check.md").read_text().partition("<!-- beside -->")[2]
     for s in in_common([score(run, run, path) for path in answers(run)]):
-        for row in s.figures:
+        for row in s.metrics:
             line = next(line for line in page.splitlines() if line.startswith(f"| {row.name} |"))
-            assert f"| {str(row.figure).replace('  (', ' (')} |" in line, (s.head.by, row.name)
+            assert f"| {str(row.estimate).replace('  (', ' (')} |" in line, (s.head.by, row.name)
 
 
 def answers(run: Path) -> list[Path]:

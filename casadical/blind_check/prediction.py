@@ -1,4 +1,4 @@
-"""Answer a blind check: diagnose each campaign from the folder's files, and predict its unseen poses."""
+"""Answer a blind check: diagnose each campaign from its folder alone, and predict positions at its unseen poses."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from typing import IO, Any
 
 import pandas as pd
 
-from casadical.blind_check.answers import line, read_answers
-from casadical.blind_check.predictor import METHODS, guess
+from casadical.blind_check.answers import json_line, read_answers
+from casadical.blind_check.predictor import METHODS, answer_campaign
 from casadical.blind_check.protocol import MANIFEST, ROBOTS, Manifest, read_manifest, read_table
-from casadical.blind_check.running import results, workers
+from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.errors import InputError
 from casadical.robot.robot_file import read_robot, to_toml
 
@@ -32,9 +32,9 @@ def predict(
     A campaign that cannot be answered has a line that says why; it is tried again by the next call.
 
     out : file of answers, a line each; by default answers.METHOD.jsonl in the folder
-    by : diagnosis; or what it is measured against, f-test, bic, ebic or gp
+    by : diagnosis; or a method to compare it with: f-test, bic, ebic or gp
     executor : any of `concurrent.futures`' kind, a cluster's among them; by default a process for each core
-    show : called with a word, how many are done, and how many there are
+    show : called with a campaign's name, how many are done, and how many there are
 
     Raises InputError: no such folder or method, tables that cannot be read, or a file that answers another check.
     """
@@ -50,7 +50,7 @@ def predict(
     with workers(executor) as pool, path.open("a", encoding="utf-8") as file:
         if not path.stat().st_size:
             _write(file, {"key_sha256": manifest.key_sha256, "by": by, "versions": _versions()})
-        for count, answer in enumerate(results(pool, guess, tasks), len(done) + 1):
+        for count, answer in enumerate(completed(pool, answer_campaign, tasks), len(done) + 1):
             _write(file, answer)
             show(answer["campaign"], count, len(manifest.campaigns))
     return path
@@ -72,7 +72,7 @@ def _begun(path: Path, manifest: Manifest, by: str) -> set[str]:
 
 
 def _write(file: IO[str], data: dict[str, Any]) -> None:
-    file.write(line(data))
+    file.write(json_line(data))
     file.flush()
 
 
@@ -83,7 +83,7 @@ def _model(folder: Path, robot: str) -> str:
 def _tables(folder: Path, name: str) -> tuple[pd.DataFrame, pd.DataFrame]:
     seen, unseen = (read_table(folder, name + end) for end in ("", ".unseen"))
     if {"x_mm", "y_mm", "z_mm"} & set(unseen):
-        raise InputError(f"{folder / name}.unseen.csv: holds positions; they belong into the key alone ({MANIFEST})")
+        raise InputError(f"{folder / name}.unseen.csv: holds positions; they belong in the key alone ({MANIFEST})")
     return seen, unseen
 
 

@@ -1,4 +1,4 @@
-"""A trial: what was hidden in one campaign beside what was answered, reduced to what the figures count."""
+"""The outcome of one campaign: what was hidden beside what was answered, reduced to what the metrics count."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from casadical.blind_check.answers import Answer
 from casadical.blind_check.protocol import Kind, Secret
 from casadical.core.transforms import Array
 
-# An unseen position farther from the truth than so many spreads is an outlier of the instrument.
+# A coordinate farther from the truth than so many robust standard deviations is an outlier of the instrument.
 FAR = 8.0
 SET_SIZE = 3
 
 
 @dataclass(frozen=True)
-class Trial:
+class Outcome:
     """One campaign.
 
-    kind : none, one, several, unlisted; effects : words of what is hidden; truth : labels that a right answer names
-    signal, signals : visible rms over the instrument's noise, of all effects together and of each alone
+    kind : none, one, several, unlisted; effects : names of what is hidden; truth : labels that a right answer names
+    signal, signals : rms that the base model cannot absorb over the noise, of all effects and of each alone
     verdict, named : the answer, its causes by label; alike : the set of the first cause, itself included
     probability : given to the truth (the mean, where there are several)
-    predicted, realised : share by which the gap shrinks on poses held out, as predicted and at the unseen poses
+    predicted, realised : share by which the gap shrinks, as the answer says and at the unseen poses
     before, after : mean error at the unseen poses [m], by the base model and with the named causes
     """
 
@@ -51,21 +51,21 @@ class Trial:
 
     @property
     def alarmed(self) -> bool:
-        """Whether it says that there is something which is not: a cause, or one that it does not know."""
+        """Whether it reports something that is not there: a cause, or one that it does not know."""
         return self.verdict in ("ambiguous", "unknown") or any(text not in self.truth for text in self.named)
 
     @property
     def claimed(self) -> bool:
-        """Whether it says: it is this."""
+        """Whether it claims to know the cause."""
         return self.verdict == "explained"
 
     @property
-    def wrongly(self) -> tuple[str, ...]:
-        """What it claims and is not there."""
+    def wrong_claims(self) -> tuple[str, ...]:
+        """Causes that it claims and that are not there."""
         return tuple(text for text in self.named if text not in self.truth) if self.claimed else ()
 
     @property
-    def left(self) -> float:
+    def share_left(self) -> float:
         """Share of the gap that is left at the unseen poses."""
         return self.after / self.before
 
@@ -75,13 +75,13 @@ class Trial:
         return bool(self.truth) and set(self.truth) <= set(self.named[: len(self.truth)])
 
 
-def trial(name: str, secret: Secret, answer: Answer) -> Trial:
+def outcome(name: str, secret: Secret, answer: Answer) -> Outcome:
     """A campaign's secret beside its answer."""
     named = tuple(dict.fromkeys(c.label for c in answer.causes))
     before, after = unseen_errors(secret, answer, "outliers" in named)
-    wanted = secret.truth or ("none",) if secret.kind == "none" else secret.truth or ("unknown",)
+    wanted = secret.truth or ("none" if secret.kind == "none" else "unknown",)
     probability = answer.probabilities
-    return Trial(
+    return Outcome(
         name=name,
         robot=secret.robot,
         kind=secret.kind,
@@ -103,18 +103,18 @@ def trial(name: str, secret: Secret, answer: Answer) -> Trial:
 
 
 def unseen_errors(secret: Secret, answer: Answer, outliers_named: bool) -> tuple[float, float]:
-    """Mean distance [m] of the measured unseen positions from the base model's and from those with causes.
+    """Mean error at the unseen poses [m], by the base model and with the named causes.
 
-    An answer that names outliers says that they are no errors of the robot: they stay out of the gap after.
+    Where the answer names outliers, those of the instrument are left out of the second: they are no error of the robot.
     """
     measured, true = np.array(secret.measured_mm), np.array(secret.true_mm)
     base, better = np.array(answer.unseen.base_mm), np.array(answer.unseen.with_causes_mm)
-    used = ~far(measured - true) if outliers_named else np.ones(len(measured), dtype=bool)
+    used = ~outlying(measured - true) if outliers_named else np.ones(len(measured), dtype=bool)
     after = np.linalg.norm(measured - better, axis=1)[used]
     return 1e-3 * float(np.linalg.norm(measured - base, axis=1).mean()), 1e-3 * float(after.mean())
 
 
-def far(noise: Array) -> Array:
-    """Mask, shape (n,), of the poses whose noise, shape (n, 3), is no noise."""
+def outlying(noise: Array) -> Array:
+    """Mask, shape (n,), of the poses whose noise, shape (n, 3), is far beyond its robust standard deviation."""
     spread = 1.4826 * float(np.median(np.abs(noise)))
     return np.asarray(np.abs(noise).max(axis=1) > FAR * spread)

@@ -6,20 +6,22 @@ import hashlib
 import json
 from collections import Counter
 
+import numpy as np
 import pandas as pd
 import pytest
 from checks import ROOT, Here, N
 
-from casadical.blind_check.drawing import in_shares, plans
-from casadical.blind_check.making import UNSEEN, make
+from casadical.blind_check.campaign_plans import draw_plans, in_shares
+from casadical.blind_check.generation import UNSEEN, make
 from casadical.blind_check.protocol import read_key, read_manifest
+from casadical.blind_check.signal_size import unabsorbed_rms
 from casadical.core.errors import ConvergenceError, InputError
 
 WORDS = (["a", "b", "c", "d"], ["x", "y"])
 
 
 def test_the_mix_is_as_told() -> None:
-    drawn = plans(300, 11, WORDS)
+    drawn = draw_plans(300, 11, WORDS)
     assert Counter(p.kind for p in drawn) == {"none": 75, "one": 135, "several": 45, "unlisted": 45}
     assert Counter(p.poses for p in drawn) == {40: 100, 100: 100, 200: 100}
     assert Counter(p.robot for p in drawn) == {"hh800": 100, "kr210": 100, "ur10e": 100}
@@ -54,10 +56,20 @@ def test_without_a_seed_each_check_is_another(tmp_path) -> None:
     assert len(hashes) == 2
 
 
+def test_columns_that_depend_on_others_absorb_no_more() -> None:
+    rng = np.random.default_rng(0)
+    J, shift = rng.normal(size=(40, 3, 20)), rng.normal(size=(40, 3))
+    A = J.reshape(120, 20)
+    expected = np.sqrt(np.mean((shift.ravel() - A @ np.linalg.lstsq(A, shift.ravel())[0]) ** 2))
+    twice = np.concatenate([J, 1e-3 * J[:, :, :5], J[:, :, 5:10] + J[:, :, 10:15]], axis=2)
+    assert unabsorbed_rms(J, shift) == pytest.approx(expected)
+    assert unabsorbed_rms(twice, shift) == pytest.approx(expected)
+
+
 def test_a_session_without_rest_is_drawn_anew(monkeypatch) -> None:
     from importlib import import_module
 
-    module = import_module("casadical.blind_check.making")
+    module = import_module("casadical.blind_check.generation")
 
     seeds: list[int] = []
 
@@ -70,7 +82,7 @@ def test_a_session_without_rest_is_drawn_anew(monkeypatch) -> None:
             return "measured"
 
     monkeypatch.setattr(module, "physics_named", lambda _name: Restless)
-    plan = plans(4, 1, WORDS)[0]
+    plan = draw_plans(4, 1, WORDS)[0]
     found, record = module._recorded("mujoco", {}, plan)
     assert (record, seeds) == ("measured", [plan.seed, plan.seed + 1, plan.seed + 2])
     assert (found.kind, found.effects, found.seed) == (plan.kind, plan.effects, plan.seed + 2)

@@ -1,4 +1,4 @@
-"""What the check consists of: how often nothing, one effect, several or one on no list; poses, robots, lost columns."""
+"""Plans of campaigns: shares of none, one, several and unlisted effects; poses, robots, columns left out."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Thing = TypeVar("Thing")
 
 @dataclass(frozen=True)
 class Plan:
-    """One campaign before it is measured; noise [m], repeatability [rad], seed of all further chance."""
+    """One campaign before it is measured; noise [m], repeatability [rad], seed : of everything else that is drawn."""
 
     name: str
     robot: str
@@ -37,10 +37,12 @@ class Plan:
     seed: int
 
 
-def plans(n: int, seed: int, words: tuple[Sequence[str], Sequence[str]], poses: Sequence[int] = POSES) -> list[Plan]:
-    """n campaigns in shuffled order; shares are kept as nearly as whole numbers allow, all else takes turns.
+def draw_plans(
+    n: int, seed: int, words: tuple[Sequence[str], Sequence[str]], poses: Sequence[int] = POSES
+) -> list[Plan]:
+    """n campaigns in random order; shares are kept as nearly as whole numbers allow, all else takes turns.
 
-    words : effects that are on the diagnosis' list, and on none; poses : of a campaign
+    words : effects that are on the diagnosis' list, and on none; poses : numbers of poses of a campaign
     """
     rng = np.random.default_rng([seed, 1])
     kinds = shuffled(rng, in_shares(n, SHARES))
@@ -82,13 +84,13 @@ def shuffled(rng: np.random.Generator, things: Sequence[Thing]) -> list[Thing]:
 
 
 def turns(rng: np.random.Generator, things: Sequence[Thing]) -> Iterator[Thing]:
-    """Every thing once in random order, then every one again in another, without end."""
+    """Everything once in random order, then everything again in another, without end."""
     while True:
         yield from shuffled(rng, things)
 
 
 def distinct(pool: Iterator[Thing], count: int) -> tuple[Thing, ...]:
-    """The next things of a pool that are not the same; what is drawn twice is left out."""
+    """The next things of a pool that differ from each other."""
     found: dict[Thing, None] = {}
     while len(found) < count:
         found.update(dict.fromkeys(islice(pool, 1)))

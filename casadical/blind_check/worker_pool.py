@@ -1,6 +1,6 @@
-"""Many independent tasks on all cores, or on whatever executor is handed in; results come as they are done.
+"""Independent tasks on all cores, or on an executor that is handed in; results come in the order of completion.
 
-This module loads nothing heavy, so that a new worker can be limited to one thread before numpy is loaded.
+This module loads nothing heavy, so that a fresh worker can be set to one thread before it loads numpy.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ Result = TypeVar("Result")
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def begin_work() -> None:
-    """A worker uses one thread, for workers share the cores by being many; it leaves Ctrl-C to who started it."""
+def start_worker() -> None:
+    """Let a worker use one thread, as there is one for each core; Ctrl-C is left to the process that started it."""
     signal(SIGINT, SIG_IGN)
     for name in _THREADS:
         os.environ.setdefault(name, "1")
@@ -31,7 +31,7 @@ def workers(executor: Executor | None, count: int | None = None) -> Iterator[Exe
     if executor is not None:
         yield executor
         return
-    own = ProcessPoolExecutor(count or os.cpu_count(), mp_context=get_context("spawn"), initializer=begin_work)
+    own = ProcessPoolExecutor(count or os.cpu_count(), mp_context=get_context("spawn"), initializer=start_worker)
     try:
         yield own
     except BaseException:
@@ -40,10 +40,12 @@ def workers(executor: Executor | None, count: int | None = None) -> Iterator[Exe
     own.shutdown()
 
 
-def results(executor: Executor, function: Callable[..., Result], tasks: Iterable[tuple[Any, ...]]) -> Iterator[Result]:
-    """What the function makes of each task's arguments, in the order in which they are done.
+def completed(
+    executor: Executor, function: Callable[..., Result], tasks: Iterable[tuple[Any, ...]]
+) -> Iterator[Result]:
+    """Results of a function for each task's arguments, in the order of completion.
 
-    An error in one ends them all; when the caller stops listening, what has not begun is cancelled.
+    An error in one ends them all; when the caller stops, tasks that have not begun are cancelled.
     """
     futures: list[Future[Result]] = [executor.submit(function, *task) for task in tasks]
     try:

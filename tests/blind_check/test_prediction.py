@@ -12,7 +12,7 @@ import pytest
 from checks import Here, N
 
 from casadical.blind_check.answers import read_answers
-from casadical.blind_check.predicting import predict
+from casadical.blind_check.prediction import predict
 from casadical.blind_check.protocol import read_manifest
 from casadical.core.errors import InputError
 
@@ -65,9 +65,9 @@ KILLED = """
 import os, shutil, signal, sys
 from pathlib import Path
 from checks import Here
-from casadical.blind_check.predicting import predict
+from casadical.blind_check.prediction import predict
 
-FILES = ("blind_check/predicting.py", "blind_check/answers.py")
+FILES = ("blind_check/prediction.py", "blind_check/answers.py")
 folder, whole, path = map(Path, sys.argv[1:])
 
 def go_on(kill_at):
@@ -168,5 +168,5 @@ def test_positions_among_the_unseen_are_refused(small, tmp_path) -> None:
     path = next(leaky.glob("*.unseen.csv"))
     lines = path.read_text().splitlines()
     path.write_text("\n".join([lines[0] + ",x_mm,y_mm,z_mm", *(line + ",1,2,3" for line in lines[1:])]) + "\n")
-    with pytest.raises(InputError, match="holds positions; they belong into the key alone"):
+    with pytest.raises(InputError, match="holds positions; they belong in the key alone"):
         predict(leaky, tmp_path / "answers.jsonl", by="bic")

@@ -97,4 +97,4 @@ def test_a_user_who_calibrates_or_diagnoses_loads_nothing_of_the_blind_check(wor
 def test_predicting_loads_nothing_that_makes_campaigns() -> None:
     loaded = of_the_room(loaded_by(PREDICTING))
     assert f"{ROOM}.predictor" in loaded
-    assert [m for m in loaded if m.startswith((*PHYSICS, f"{ROOM}.physics", f"{ROOM}.making"))] == []
+    assert [m for m in loaded if m.startswith((*PHYSICS, f"{ROOM}.physics", f"{ROOM}.generation"))] == []

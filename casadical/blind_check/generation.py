@@ -1,4 +1,4 @@
-"""Make a blind check: campaigns for everyone to see, and apart from them the key, whose hash goes with them."""
+"""Make a blind check: campaigns for everyone to see, and apart from them the key, whose hash is published with them."""
 
 from __future__ import annotations
 
@@ -15,12 +15,23 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from casadical.blind_check.drawing import POSES, Plan, plans
+from casadical.blind_check.campaign_plans import POSES, Plan, draw_plans
 from casadical.blind_check.physics import Record, physics_named
 from casadical.blind_check.predictor import nominal
-from casadical.blind_check.protocol import KEY, MANIFEST, ROBOTS, HiddenEffect, Key, Listed, Manifest, Secret, sha256
-from casadical.blind_check.running import results, workers
-from casadical.blind_check.visible import base_jacobian, visible
+from casadical.blind_check.protocol import (
+    KEY,
+    MANIFEST,
+    ROBOTS,
+    CampaignEntry,
+    HiddenEffect,
+    Key,
+    Manifest,
+    Secret,
+    sha256,
+)
+from casadical.blind_check.signal_size import base_jacobian, unabsorbed_rms
+from casadical.blind_check.synthetic.campaigns import APPROACHES, MEASURED, TRUE
+from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.errors import ConvergenceError, InputError
 from casadical.core.files import write_together
 from casadical.core.transforms import Array
@@ -31,19 +42,17 @@ from casadical.robot.robot_file import to_toml
 UNSEEN = 50
 LEAST_POSES = 20
 REDRAWN = 5
-_TRUE = ["x_true_mm", "y_true_mm", "z_true_mm"]
-_MEASURED = ["x_mm", "y_mm", "z_mm"]
-_STRUCK = {
+_COLUMNS = {
     "temperature": ["temperature_degC"],
     "payload": ["payload_kg"],
-    "approach": [f"approach{j}" for j in range(1, 7)],
+    "approach": APPROACHES,
     "time": ["time_s"],
 }
 
 
 @dataclass(frozen=True, eq=False)
 class _Campaign:
-    """A campaign on its way to the disk."""
+    """The texts of a campaign's tables, and what it hides."""
 
     name: str
     seen: str
@@ -65,11 +74,11 @@ def make(
 ) -> Manifest:
     """Write n campaigns to a folder and their key to another, and publish the key's hash with the campaigns.
 
-    seed : of all chance, kept in the key; by default one that nobody knows, which a real test needs
-    poses : of a campaign, one of these; each has 50 more that are not told
+    seed : of everything drawn, kept in the key; by default one that nobody knows, which a real test needs
+    poses : of a campaign, one of these; each has 50 more whose positions only the key has
     physics : mujoco, or numpy for the project's own simulator; project : folder with problems/ and data/
     executor : any of `concurrent.futures`' kind; by default a process for each core
-    show : called with a word, how many are done, and how many there are
+    show : called with a campaign's name, how many are done, and how many there are
 
     Raises InputError: too few campaigns, a folder that is in use, or a key within the campaigns' folder.
     """
@@ -77,12 +86,12 @@ def make(
     _check(folder, key_folder, n, poses)
     seed = secrets.randbits(62) if seed is None else seed
     simulated = physics_named(physics)
-    todo = plans(n, seed, (simulated.listed, simulated.unlisted), poses)
+    todo = draw_plans(n, seed, (simulated.listed, simulated.unlisted), poses)
     drawings = {r: _drawing(Path(project), r) for r in sorted({p.robot for p in todo})}
     made: dict[str, _Campaign] = {}
     with workers(executor) as pool:
         tasks = [(physics, *drawings[p.robot], p) for p in todo]
-        for done, campaign in enumerate(results(pool, campaign_of, tasks), 1):
+        for done, campaign in enumerate(completed(pool, campaign_of, tasks), 1):
             made[campaign.name] = campaign
             show(campaign.name, done, len(todo))
     inside = Key(
@@ -92,7 +101,9 @@ def make(
         versions={"casadical": version("casadical"), **simulated.versions()},
         campaigns={p.name: made[p.name].secret for p in todo},
     )
-    manifest = Manifest(key_sha256=sha256(inside.text()), campaigns={p.name: Listed(robot=p.robot) for p in todo})
+    manifest = Manifest(
+        key_sha256=sha256(inside.text()), campaigns={p.name: CampaignEntry(robot=p.robot) for p in todo}
+    )
     texts = {folder / ROBOTS / f"{name}.robot.toml": text for name, (_, text) in drawings.items()}
     texts |= {folder / f"{c.name}.csv": c.seen for c in made.values()}
     texts |= {folder / f"{c.name}.unseen.csv": c.unseen for c in made.values()}
@@ -114,7 +125,7 @@ def _check(folder: Path, key: Path, n: int, poses: Sequence[int]) -> None:
 
 
 def _drawing(project: Path, robot: str) -> tuple[dict[str, Any], str]:
-    """The engine's table of a nominal robot, and the text of the base model that the diagnosis is given."""
+    """The physics' table of a nominal robot, and the text of the base model that the diagnosis is given."""
     path = project / "data" / "campaigns" / "robots" / f"{robot}.json"
     if not path.is_file():
         raise InputError(f"{path}: no such robot; name the project's folder (with problems/ and data/) by --project")
@@ -125,16 +136,16 @@ def campaign_of(physics: str, table: Mapping[str, Any], model: str, plan: Plan) 
     """One campaign of a plan; runs in a worker. model : text of the base model's robot file."""
     plan, record = _recorded(physics, table, plan)
     rng = np.random.default_rng([plan.seed, 2])
-    # Among the others, so that nothing has to be extrapolated in time or temperature.
+    # Among the others, so that nothing has to be predicted beyond the campaign's time and temperature.
     kept = np.ones(plan.poses + UNSEEN, dtype=bool)
     kept[1 + rng.choice(len(kept) - 2, UNSEEN, replace=False)] = False
-    struck = _STRUCK[plan.missing] if plan.missing else []
-    shown = record.session.drop(columns=[*struck, *_TRUE])
+    struck = _COLUMNS[plan.missing] if plan.missing else []
+    shown = record.session.drop(columns=[*struck, *TRUE])
     unseen = record.session[~kept]
     return _Campaign(
         name=plan.name,
         seen=shown[kept].to_csv(index=False),
-        unseen=shown[~kept].drop(columns=_MEASURED).to_csv(index=False),
+        unseen=shown[~kept].drop(columns=MEASURED).to_csv(index=False),
         secret=_secret(plan, record, kept, model, unseen),
     )
 
@@ -151,12 +162,12 @@ def _recorded(physics: str, table: Mapping[str, Any], plan: Plan, left: int = RE
 
 def _secret(plan: Plan, record: Record, kept: Array, model: str, unseen: pd.DataFrame) -> Secret:
     robot = nominal(model)
-    clean = from_table(record.clean[kept].drop(columns=_TRUE), robot.n, "position")
+    clean = from_table(record.clean[kept].drop(columns=TRUE), robot.n, "position")
     J = base_jacobian(robot, clean)
 
     def seen(table: pd.DataFrame) -> float:
-        shift = table[_MEASURED].to_numpy(float) - record.clean[_MEASURED].to_numpy(float)
-        return round(visible(J, 1e-3 * shift[kept]), 9)
+        shift = table[MEASURED].to_numpy(float) - record.clean[MEASURED].to_numpy(float)
+        return round(unabsorbed_rms(J, 1e-3 * shift[kept]), 9)
 
     together = seen(record.session)
     alone = [seen(t) for t in record.alone] or [together] * len(record.hidden)
@@ -172,8 +183,8 @@ def _secret(plan: Plan, record: Record, kept: Array, model: str, unseen: pd.Data
         noise=plan.noise,
         repeatability=plan.repeatability,
         visible=together,
-        measured_mm=_rows(unseen, _MEASURED),
-        true_mm=_rows(unseen, _TRUE),
+        measured_mm=_rows(unseen, MEASURED),
+        true_mm=_rows(unseen, TRUE),
     )
 
 

@@ -1,0 +1,172 @@
+"""The metrics of a blind check, each with its interval; the one place where they are defined.
+
+Signal is the rms of a coordinate that the hidden effects add and the base model cannot absorb, over the instrument's
+noise. Detection, false alarms and FIA are counted as in the DX diagnosis competitions; the others are ours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from casadical.blind_check.confidence_intervals import Estimate, mean, quantile, share
+from casadical.blind_check.outcomes import Outcome
+
+STRONG, DETECTABLE, FAINT = 0.5, 0.35, 0.2
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A metric by name, its estimate, and what the project aims at."""
+
+    name: str
+    estimate: Estimate
+    target: str = ""
+
+
+def metrics(outcomes: Sequence[Outcome]) -> list[Metric]:
+    """All metrics of a set of outcomes."""
+    none, one, several, off = (of_kind(outcomes, kind) for kind in ("none", "one", "several", "unlisted"))
+    hidden = [t for t in outcomes if t.kind != "none"]
+    pairs = [t for t in several if len(t.truth) == 2 and min(t.signals) >= DETECTABLE]
+    return [
+        Metric("false alarms where there is nothing", false_alarms(none), "at most .01"),
+        Metric("detection, signal >= .5", detection(hidden, STRONG), ".99"),
+        Metric("detection, signal .35 to .5", detection(hidden, DETECTABLE, STRONG), ".90"),
+        Metric("detection, signal .2 to .35", detection(hidden, FAINT, DETECTABLE)),
+        Metric("one effect: first cause right, signal >= .35", share([t.first_right for t in detectable(one)])),
+        Metric("FIA: probability of the true cause, signal >= .35", isolation(detectable(one)), ".92"),
+        Metric("FIA over all campaigns with one effect", isolation(one)),
+        Metric("one effect: claims right", claims_right(one), ".98"),
+        Metric("one effect: claims made, signal >= .35", claims_made(detectable(one)), ".65"),
+        Metric("one effect: sets contain the truth", sets_right(one), ".93 - .97"),
+        Metric("one effect: size of the set", mean([float(len(t.alike)) for t in one if t.alike])),
+        Metric("two effects, each >= .35: both named first", share([t.first_right for t in pairs])),
+        Metric("several: recall of effects >= .35", recall(several), ".93"),
+        Metric("several: precision", precision(several), ".90"),
+        Metric("on no list, claimed as listed", claims_made(off), "at most .02"),
+        Metric("on no list, any listed cause named", share([bool(t.named) for t in off])),
+        *_shrink(outcomes),
+    ]
+
+
+def of_kind(outcomes: Sequence[Outcome], kind: str) -> list[Outcome]:
+    return [t for t in outcomes if t.kind == kind]
+
+
+def detectable(outcomes: Sequence[Outcome]) -> list[Outcome]:
+    """Those whose signal is large enough to be found."""
+    return [t for t in outcomes if t.signal >= DETECTABLE]
+
+
+def false_alarms(none: Sequence[Outcome]) -> Estimate:
+    """Answers that report something that is not there."""
+    return share([t.alarmed for t in none])
+
+
+def detection(hidden: Sequence[Outcome], low: float, high: float = float("inf")) -> Estimate:
+    """Of signals from low to high, those answered by anything but none."""
+    return share([t.detected for t in hidden if low <= t.signal < high])
+
+
+def isolation(outcomes: Sequence[Outcome]) -> Estimate:
+    """FIA: mean probability given to the truth."""
+    return mean([t.probability for t in outcomes])
+
+
+def claims_right(one: Sequence[Outcome]) -> Estimate:
+    """Of the answers that claim a cause, those that are right."""
+    return share([t.first_right for t in one if t.claimed])
+
+
+def claims_made(outcomes: Sequence[Outcome]) -> Estimate:
+    return share([t.claimed for t in outcomes])
+
+
+def sets_right(one: Sequence[Outcome]) -> Estimate:
+    """Of the sets that are given, those that contain the truth."""
+    return share([t.truth[0] in t.alike for t in one if t.alike])
+
+
+def recall(several: Sequence[Outcome], least: float = DETECTABLE) -> Estimate:
+    """Of the effects whose own signal is as large as this, those that are named."""
+    visible = [(t, text) for t in several for text, s in zip(t.truth, t.signals, strict=True) if s >= least]
+    return share([text in t.named for t, text in visible])
+
+
+def precision(several: Sequence[Outcome]) -> Estimate:
+    """Of the causes that are named, those that are there."""
+    return share([text in t.truth for t in several for text in t.named])
+
+
+def _shrink(outcomes: Sequence[Outcome]) -> list[Metric]:
+    """How far the gap shrinks at poses that no fit saw, and how well that was predicted, where a cause was named."""
+    # How many outliers fall among fifty poses is chance, and no error of the robot: counted apart.
+    wrong, every = shrink_errors([t for t in outcomes if "outliers" not in t.named]), shrink_errors(outcomes)
+    return [
+        Metric("shrink foretold less realised, median", quantile(wrong, 0.5), "at most .04"),
+        Metric("shrink foretold less realised, 90th percentile", quantile(wrong, 0.9), "at most .12"),
+        Metric("the same where outliers are named too", quantile(every, 0.9)),
+        Metric(
+            "listed effects, signal >= .35: share of the gap that is left, median",
+            quantile([t.share_left for t in detectable(outcomes) if t.kind in ("one", "several")], 0.5),
+        ),
+    ]
+
+
+def shrink_errors(outcomes: Sequence[Outcome]) -> list[float]:
+    """Difference of predicted and realised shrink of the gap, where a cause is named."""
+    return [abs(t.predicted - t.realised) for t in outcomes if t.named]
+
+
+def breakdown(outcomes: Sequence[Outcome]) -> dict[str, dict[str, list[Outcome]]]:
+    """Outcomes in parts: by poses, signal, column that was not logged, robot, and effect."""
+    edges = [(0.0, FAINT), (FAINT, DETECTABLE), (DETECTABLE, STRONG), (STRONG, 1.0), (1.0, float("inf"))]
+    hidden = [t for t in outcomes if t.kind != "none"]
+    return {
+        "poses": _parts(outcomes, lambda t: f"{t.poses:>3}"),
+        "signal": {_band(a, b): [t for t in hidden if a <= t.signal < b] for a, b in edges},
+        "not logged": _parts(outcomes, lambda t: t.missing or "all logged"),
+        "robot": _parts(outcomes, lambda t: t.robot),
+        "effect (one hidden)": _parts(of_kind(outcomes, "one"), lambda t: t.effects[0]),
+        "on no list": _parts(of_kind(outcomes, "unlisted"), lambda t: t.effects[0]),
+    }
+
+
+def _parts(outcomes: Sequence[Outcome], word: Callable[[Outcome], str]) -> dict[str, list[Outcome]]:
+    return {w: [t for t in outcomes if word(t) == w] for w in sorted({word(t) for t in outcomes})}
+
+
+def _band(low: float, high: float) -> str:
+    return f">= {low:g}" if high == float("inf") else f"{low:g} .. {high:g}"
+
+
+def part_metrics(part: Sequence[Outcome]) -> dict[str, Estimate]:
+    """The metrics that are counted for each part."""
+    one = of_kind(part, "one")
+    return {
+        "false alarms": false_alarms(of_kind(part, "none")),
+        "detected": share([t.detected for t in part if t.kind != "none"]),
+        "first right": share([t.first_right for t in one]),
+        "claims right": claims_right(one),
+        "FIA": isolation(one),
+        "shrink error": quantile(shrink_errors([t for t in part if "outliers" not in t.named]), 0.5),
+    }
+
+
+def confusion(outcomes: Sequence[Outcome]) -> dict[str, dict[str, int]]:
+    """What was hidden (rows) against what was answered first, in campaigns with at most one effect."""
+    table: dict[str, dict[str, int]] = {}
+    for t in outcomes:
+        if t.kind != "several":
+            row = table.setdefault(t.effects[0] if t.effects else "none", {})
+            row[first_answer(t)] = row.get(first_answer(t), 0) + 1
+    return table
+
+
+def first_answer(t: Outcome) -> str:
+    """What an answer names first: none, unknown, an effect, or the right effect at another joint."""
+    if t.verdict in ("none", "unknown") or not t.named:
+        return t.verdict if t.verdict in ("none", "unknown") else "unknown"
+    word = t.named[0].partition("@")[0]
+    return "at another joint" if t.truth and word == t.effects[0] and t.named[0] != t.truth[0] else word
