@@ -13,7 +13,7 @@ from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.search import Investigation, Show
 from casadical.effects import Effect
 from casadical.identification.identification import Identification, identify
-from casadical.identification.least_squares import spread
+from casadical.identification.least_squares import robust_std
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
@@ -66,7 +66,7 @@ def _refuse_coarse(found: Diagnosis) -> Diagnosis:
     most = float(SIGMAS[-1])
     if found.noise.sigma < most:
         return found
-    left = 1e3 * spread(found.case.whole.r)
+    left = 1e3 * robust_std(found.case.whole.r)
     raise InputError(
         f"{found.case.m.source}: {left:.2g} mm a coordinate are left, and noise beyond {1e3 * most:.2g} mm is not told "
         "from its causes; correct the robot file or units, or measure with a finer instrument"

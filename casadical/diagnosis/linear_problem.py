@@ -17,7 +17,7 @@ from casadical.diagnosis.linearisation import Columns, linearise
 from casadical.effects import Effect
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import Identification
-from casadical.identification.least_squares import spread
+from casadical.identification.least_squares import robust_std
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
@@ -138,7 +138,7 @@ def make_case(identification: Identification, candidates: Sequence[Candidate]) -
     delta0[[n.startswith("base_") for n in robot.parameters.names]] = 0.0
     r = m.position - p
     # Gross only: an effect that leaves the points in two clouds must not lose one of them as outliers.
-    kept = np.linalg.norm(r, axis=1) / np.sqrt(3) <= GROSS * spread(r)
+    kept = np.linalg.norm(r, axis=1) / np.sqrt(3) <= GROSS * robust_std(r)
     E = Columns(linear, effects)
     whole = Evidence(r, linear.J, linear.Jq, delta0, base_prior(robot), E, held=E.held)
     columns = column_numbers(effects, 0)

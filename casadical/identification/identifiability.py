@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from casadical.core.parameters import Parameter
 from casadical.core.transforms import Array
 
 DEPENDENT = 1e-6
@@ -103,14 +104,55 @@ def _in_words(alike: tuple[str, ...]) -> str:
     return f"it moves the measured points exactly as {', '.join(alike)} {verb}"
 
 
-def poorly_determined(standard_errors: Array, priors: Array) -> int | None:
-    """The parameter that the data determine worst against its prior (largest error over prior above one), if any."""
-    ratio = standard_errors / priors
-    worst = int(np.argmax(ratio)) if ratio.size else 0
-    return worst if ratio.size and ratio[worst] > 1 else None
+def drop_poor(
+    parameters: Sequence[Parameter], H: Array, variance: float = 1.0
+) -> tuple[list[int], list[Unidentifiable], Array]:
+    """Leave out parameters that the data determine less accurately than their prior, one by one, the worst first.
+
+    parameters : of the first rows of H; further rows are unknown points, which stay
+    H : information of all, shape (size, size), the parameters in units of their scale; variance : of a residual
+
+    Returns the indices of the kept ones, the others with the reason, and the covariance of the kept ones, shape (p, p).
+    Bounds do not count: a parameter may sit at one just because the data do not determine it.
+    """
+    priors = np.array([p.prior for p in parameters]) / np.array([p.scale for p in parameters])
+    left = list(range(len(H)))
+    poor: list[Unidentifiable] = []
+    while True:
+        kept = [k for k in left if k < len(parameters)]
+        covariance = variance * scaled_inverse(H[np.ix_(left, left)])[: len(kept), : len(kept)]
+        errors = np.sqrt(np.diag(covariance))
+        ratio = errors / priors[kept]
+        if not kept or ratio.max() <= 1:
+            return kept, poor, covariance
+        worst = int(np.argmax(ratio))
+        partners = _correlated(covariance, worst, [parameters[k].name for k in kept])
+        poor.append(_poorly_determined(parameters[kept[worst]], errors[worst], partners))
+        left.remove(kept[worst])
 
 
-def correlated(covariance: Array, k: int, names: Sequence[str], above: float = 0.9) -> tuple[str, ...]:
+def scaled_inverse(H: Array) -> Array:
+    """Inverse of a positive semidefinite matrix, scaled first; directions at round-off come out as very uncertain."""
+    root = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    eigenvalues, V = np.linalg.eigh(H / np.outer(root, root))
+    return np.asarray((V / np.maximum(eigenvalues, 1e-15)) @ V.T / np.outer(root, root))
+
+
+def _poorly_determined(p: Parameter, error: float, partners: tuple[str, ...]) -> Unidentifiable:
+    """With the reason; error : standard error in units of the parameter's scale."""
+    unit = p.readable_unit
+    reason = (
+        f"these poses determine it only to +/- {p.readable(error * p.scale):.3g} {unit}, worse than its prior, "
+        f"{p.readable(p.prior):.3g} {unit}"
+    )
+    if partners:
+        reason += (
+            f"; it moves the measured points nearly as {', '.join(partners)} {'does' if len(partners) == 1 else 'do'}"
+        )
+    return Unidentifiable(p.name, reason, partners)
+
+
+def _correlated(covariance: Array, k: int, names: Sequence[str], above: float = 0.9) -> tuple[str, ...]:
     """Up to six parameters whose estimates are correlated with parameter k, the strongest first."""
     errors = np.sqrt(np.diag(covariance))
     share = np.abs(covariance[k] / (errors[k] * errors))

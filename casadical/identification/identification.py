@@ -20,11 +20,11 @@ from casadical.identification.least_squares import (
     SIGMA_ANGLE_GUESS,
     SIGMA_GUESS,
     LeastSquares,
-    settle,
-    spread,
+    reduce_and_solve,
+    robust_std,
     variance,
 )
-from casadical.identification.placement import place
+from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against
 from casadical.identification.residuals import LOSSES, Loss, make_block
 from casadical.identification.solver import Progress, Solution
@@ -34,7 +34,7 @@ from casadical.robot.knowledge import Knowledge, blocks
 from casadical.robot.robot import Robot, modified_dh
 from casadical.robot.robot_file import to_toml
 
-Settled = tuple[LeastSquares, Solution, Identifiability]
+Solved = tuple[LeastSquares, Solution, Identifiability]
 Method = Literal["KM", "SKCM"]
 METHODS: dict[str, tuple[str, ...]] = {"KM": ("kinematic",), "SKCM": ("kinematic", "compliance")}
 
@@ -233,7 +233,7 @@ def identify(
         raise InputError(f"loss {loss!r} is not known; allowed: {', '.join(LOSSES)}")
     for m in sets:
         check_against(robot, m)
-    start = place(robot, next((m for m in sets if m.position is not None), sets[0]))
+    start = place_frames(robot, next((m for m in sets if m.position is not None), sets[0]))
     names = start.parameters.select(free)
     if not names:
         raise InputError(
@@ -241,7 +241,7 @@ def identify(
         )
     sigmas = tuple((m.sigma or SIGMA_GUESS, m.sigma_angle or SIGMA_ANGLE_GUESS) for m in sets)
     problem = LeastSquares(start, sets, names, loss, priors, sigmas)
-    (reduced, solution, found), outliers = _screened(problem, SCREENINGS if screen else 0, progress)
+    (reduced, solution, found), outliers = _solve_without_outliers(problem, SCREENINGS if screen else 0, progress)
     result = Identification(
         given=robot,
         start=start,
@@ -299,13 +299,13 @@ def _by_method(robot: Robot, method: str) -> tuple[Robot, tuple[str, ...]]:
     return robot, METHODS[method]
 
 
-def _with_sigmas(problem: LeastSquares, progress: Progress | None) -> Settled:
+def _solve_with_sigmas(problem: LeastSquares, progress: Progress | None) -> Solved:
     """Solve; where a sigma matters and was not given, estimate it from the residuals and solve again."""
     first = problem.sets[0]
     several = len(problem.sets) > 1 or find_kind(first.kind).angles > 0 or bool(first.separations)
     matters = problem.loss != "linear" or problem.priors or several
     for _ in range(SIGMA_ROUNDS):
-        settled = settle(problem, progress)
+        settled = reduce_and_solve(problem, progress)
         if not matters:
             break
         sigmas = _estimated_sigmas(*settled[:2])
@@ -336,31 +336,31 @@ def _estimated_sigmas(problem: LeastSquares, solution: Solution) -> tuple[tuple[
 
 def _deviation(problem: LeastSquares, r: Array, freedom: Array) -> float:
     """Standard deviation of residuals that have this many degrees of freedom each."""
-    square = spread(r) ** 2 if problem.loss != "linear" else float(np.mean(r**2))
+    square = robust_std(r) ** 2 if problem.loss != "linear" else float(np.mean(r**2))
     return float(np.sqrt(square / max(float(np.mean(freedom)), 1 / r.size)))
 
 
-def _screened(
+def _solve_without_outliers(
     problem: LeastSquares, rounds: int, progress: Progress | None
-) -> tuple[Settled, tuple[tuple[int, int], ...]]:
+) -> tuple[Solved, tuple[tuple[int, int], ...]]:
     """Solve; with a robust loss, leave outliers out and solve again until there are no more of them.
 
     In rounds, because outliers widen the spread by which they are judged.
     """
     kept = [np.arange(len(m)) for m in problem.sets]
-    settled = _with_sigmas(problem, progress)
+    settled = _solve_with_sigmas(problem, progress)
     for _ in range(rounds if problem.loss != "linear" else 0):
-        far = _far(settled[0], settled[1])
+        far = _outlier_masks(settled[0], settled[1])
         if not any(mask.any() for mask in far):
             break
         kept = [index[~mask] for index, mask in zip(kept, far, strict=True)]
         sets = tuple(m[index] for m, index in zip(problem.sets, kept, strict=True))
-        settled = _with_sigmas(replace(problem, sets=sets, sigmas=settled[0].sigmas), progress)
+        settled = _solve_with_sigmas(replace(problem, sets=sets, sigmas=settled[0].sigmas), progress)
     out = [np.setdiff1d(np.arange(len(m)), index) for m, index in zip(problem.sets, kept, strict=True)]
     return settled, tuple((k, int(i)) for k, left in enumerate(out) for i in left)
 
 
-def _far(problem: LeastSquares, solution: Solution) -> list[Array]:
+def _outlier_masks(problem: LeastSquares, solution: Solution) -> list[Array]:
     """Masks of the poses whose residuals noise of their spread would exceed once in 100 000."""
     residuals, _ = problem.evaluate(solution.v)
     edges = np.cumsum([0, *(r.size for r in residuals)])
@@ -370,5 +370,5 @@ def _far(problem: LeastSquares, solution: Solution) -> list[Array]:
         r = residuals[k]
         # A pose that draws the fit towards itself shows little of its error.
         z = r / np.sqrt(np.maximum(share[edges[k] : edges[k + 1]].reshape(r.shape), LEAST_REDUNDANCY))
-        masks.append((z**2).sum(axis=1) > OUTLIER_CHI2[r.shape[1]] * spread(z) ** 2)
+        masks.append((z**2).sum(axis=1) > OUTLIER_CHI2[r.shape[1]] * robust_std(z) ** 2)
     return masks

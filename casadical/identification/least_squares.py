@@ -16,15 +16,14 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.errors import ConvergenceError, InputError
-from casadical.core.parameters import Parameter
 from casadical.core.transforms import Array
 from casadical.identification.accuracy import predicted
 from casadical.identification.identifiability import (
     Identifiability,
     Unidentifiable,
     analyse,
-    correlated,
-    poorly_determined,
+    drop_poor,
+    scaled_inverse,
 )
 from casadical.identification.residuals import POINT_SCALE, Block, Loss, loss_slope, loss_value, make_block
 from casadical.identification.solver import Progress, Solution, minimise
@@ -361,7 +360,7 @@ class LeastSquares:
         _, J, slope = self._weighted(v)
         free = np.flatnonzero(~self.at_bounds(v))
         H, middle = ((J.T @ ((slope**power)[:, None] * J) + self.prior_matrix)[np.ix_(free, free)] for power in (1, 2))
-        inverse = _inverse(H)
+        inverse = scaled_inverse(H)
         whole = np.full((self.size, self.size), np.nan)
         whole[np.ix_(free, free)] = variance * (inverse @ middle @ inverse if self.loss != "linear" else inverse)
         p = len(self.names)
@@ -371,24 +370,19 @@ class LeastSquares:
         """Degrees of freedom of each observed number, one less its leverage; they sum to those of the fit."""
         _, J, slope = self._weighted(v)
         H = J.T @ (slope[:, None] * J) + self.prior_matrix
-        return np.asarray(1 - slope * np.einsum("ij,ij->i", J @ _inverse(H), J))
+        return np.asarray(1 - slope * np.einsum("ij,ij->i", J @ scaled_inverse(H), J))
 
     def with_names(self, names: Sequence[str]) -> LeastSquares:
         return replace(self, names=tuple(names))
 
 
-def _inverse(H: Array) -> Array:
-    """Inverse of a positive semidefinite matrix, scaled first; directions at round-off come out as very uncertain."""
-    root = np.sqrt(np.maximum(np.diag(H), 1e-300))
-    eigenvalues, V = np.linalg.eigh(H / np.outer(root, root))
-    return np.asarray((V / np.maximum(eigenvalues, 1e-15)) @ V.T / np.outer(root, root))
+def reduce_and_solve(
+    problem: LeastSquares, progress: Progress | None
+) -> tuple[LeastSquares, Solution, Identifiability]:
+    """Choose the independent parameters, solve, and leave out those that the data determine worse than their prior.
 
-
-def settle(problem: LeastSquares, progress: Progress | None) -> tuple[LeastSquares, Solution, Identifiability]:
-    """Choose the independent parameters, solve, and let go of those of which the data say less than the prior does.
-
-    Independence is decided at the start, where exact dependences are exact. Raises InputError where the data tell no
-    parameter at all, or are no more numbers than there are unknowns.
+    Independence is decided at the start, where exact dependences are exact. Raises InputError where the data determine
+    no parameter at all, or are no more numbers than there are unknowns.
     """
     found = problem.identifiability(np.zeros(problem.size))
     reduced = problem.with_names(found.independent)
@@ -426,39 +420,9 @@ def _misfit(problem: LeastSquares, v: Array) -> float:
 
 
 def _poor(problem: LeastSquares, v: Array) -> list[Unidentifiable]:
-    """Parameters that the data tell worse than their priors, let go one by one, the worst first.
-
-    Bounds hold nothing here: a parameter may sit at one just because the data tell nothing of it.
-    """
+    """Parameters that the data determine worse than their prior."""
     _, H = problem.gradient(v)
-    scale = variance(problem, v)
-    prior = np.array([problem.robot.parameters[n].prior for n in problem.names]) / problem.scale
-    left = list(range(problem.size))
-    poor: list[Unidentifiable] = []
-    while True:
-        named = [k for k in left if k < len(problem.names)]
-        covariance = scale * _inverse(H[np.ix_(left, left)])[: len(named), : len(named)]
-        errors = np.sqrt(np.diag(covariance))
-        worst = poorly_determined(errors, prior[named])
-        if worst is None:
-            return poor
-        names = [problem.names[k] for k in named]
-        poor.append(_told(problem.robot.parameters[names[worst]], errors[worst], correlated(covariance, worst, names)))
-        left.remove(named[worst])
-
-
-def _told(p: Parameter, error: float, partners: tuple[str, ...]) -> Unidentifiable:
-    """In words; error : standard error in units of the parameter's scale."""
-    unit = p.readable_unit
-    reason = (
-        f"these poses determine it only to +/- {p.readable(error * p.scale):.3g} {unit}, worse than its prior, "
-        f"{p.readable(p.prior):.3g} {unit}"
-    )
-    if partners:
-        reason += (
-            f"; it moves the measured points nearly as {', '.join(partners)} {'does' if len(partners) == 1 else 'do'}"
-        )
-    return Unidentifiable(p.name, reason, partners)
+    return drop_poor([problem.robot.parameters[n] for n in problem.names], H, variance(problem, v))[1]
 
 
 def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float:
@@ -469,13 +433,13 @@ def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float
     residuals, _ = problem.evaluate(v)
     freedom = problem.residual_count - problem.size + int(np.count_nonzero(np.diag(problem.prior_matrix)))
     if problem.loss != "linear" and not trimmed:
-        typical = float(np.median([spread(r) ** 2 for r in residuals]))
+        typical = float(np.median([robust_std(r) ** 2 for r in residuals]))
         return typical * problem.residual_count / max(1, freedom)
     chi2 = sum(float((r**2).sum()) for r in residuals) + problem.prior_square(v)
     return chi2 / max(1, freedom)
 
 
-def spread(r: Array) -> float:
+def robust_std(r: Array) -> float:
     """Standard deviation of residuals from their median absolute value, robust to outliers; zeros have weight zero."""
     counted = np.abs(r[r != 0])
     return float(1.4826 * np.median(counted)) if counted.size else 0.0

@@ -12,7 +12,7 @@ from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
 
-def place(robot: Robot, m: Measurements) -> Robot:
+def place_frames(robot: Robot, m: Measurements) -> Robot:
     """The robot with the unknown parts of its base and tool frames put where the measurements say.
 
     For each pose y = R_B (p + R t) + p_B, with flange p, R in the base frame. Multiplied by M = R_B' it is linear in

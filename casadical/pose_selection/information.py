@@ -15,10 +15,9 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.identification.identifiability import Unidentifiable, correlated, poorly_determined
+from casadical.identification.identifiability import Unidentifiable, drop_poor
 from casadical.identification.least_squares import LeastSquares
 from casadical.measurements.measurements import Measurements
-from casadical.pose_selection.experimental_design import inverse
 from casadical.robot.robot import Robot
 
 MM = 1e-3
@@ -79,24 +78,14 @@ def independent(
     """Names that an identification from so many poses like these would keep, and the others with the reason.
 
     First the independent ones; then, one by one, those are held that the data would determine less accurately than the
-    prior (as in `least_squares.settle`). Raises InputError where none is left.
+    prior (as in `least_squares.reduce_and_solve`). Raises InputError where none is left.
     """
     problem = _problem(robot, names, m[np.arange(min(_PART, len(m)))])
     found = problem.identifiability(np.zeros(problem.size))
     kept = list(found.independent)
     J = scaled_jacobian(robot, kept, m).reshape(-1, len(kept))
     M = J.T @ J * (MM / noise.sigma) ** 2 * poses / len(m)
-    prior = np.array([robot.parameters[n].prior / robot.parameters[n].scale for n in kept])
-    poor: list[Unidentifiable] = []
-    left = list(range(len(kept)))
-    while left:
-        C = inverse(M[np.ix_(left, left)])
-        worst = poorly_determined(np.sqrt(np.diag(C)), prior[left])
-        if worst is None:
-            break
-        alike = correlated(C, worst, [kept[k] for k in left])
-        poor.append(Unidentifiable(kept[left[worst]], "these poses would determine it worse than its prior", alike))
-        del left[worst]
+    left, poor, _ = drop_poor([robot.parameters[n] for n in kept], M)
     if not left:
         raise InputError(f"{robot.name}: poses like these determine none of {', '.join(names)}; free other parameters")
     return tuple(kept[k] for k in left), (*found.held, *poor)

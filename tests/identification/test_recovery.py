@@ -164,7 +164,7 @@ def test_skewed_parallel_axes_give_the_same_set_again():
 
 @pytest.mark.parametrize("seed", range(6))
 def test_place_is_exact_without_noise_in_any_tracker_frame(seed):
-    from casadical.identification.placement import place
+    from casadical.identification.placement import place_frames
 
     rng = np.random.default_rng(seed)
     T = frame(from_rpy(rng.uniform(-np.pi, np.pi, 3)), rng.uniform(-50, 50, 3))
@@ -172,32 +172,32 @@ def test_place_is_exact_without_noise_in_any_tracker_frame(seed):
     built = replace(
         robot, base=replace(robot.base, T=T), tool=replace(robot.tool, T=frame(np.eye(3), rng.normal(0, 0.2, 3)))
     )
-    placed = place(robot, arms.positions(built, arms.readings(built, 20, seed), 0, sigma=0))
+    placed = place_frames(robot, arms.positions(built, arms.readings(built, 20, seed), 0, sigma=0))
     assert np.allclose(placed.base.T, T, rtol=0, atol=1e-10)
     assert np.allclose(placed.tool.T, built.tool.T, rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize("quarter", ["x", "y", "z", "half turn"])
 def test_place_at_right_angles_and_half_turns(quarter):
-    from casadical.identification.placement import place
+    from casadical.identification.placement import place_frames
 
     angles = {"x": (np.pi / 2, 0, 0), "y": (0, np.pi / 2, 0), "z": (0, 0, -np.pi / 2), "half turn": (np.pi, 0, np.pi)}[
         quarter
     ]
     robot = arms.six_axis()
     built = replace(robot, base=replace(robot.base, T=frame(from_rpy(np.array(angles)), np.array([0, 0, -3.0]))))
-    placed = place(robot, arms.positions(built, arms.readings(built, 12, 1), 0, sigma=0))
+    placed = place_frames(robot, arms.positions(built, arms.readings(built, 12, 1), 0, sigma=0))
     assert np.allclose(placed.base.T, built.base.T, rtol=0, atol=1e-10)
 
 
 def test_place_with_full_poses_finds_the_tool_s_orientation():
-    from casadical.identification.placement import place
+    from casadical.identification.placement import place_frames
 
     robot = arms.six_axis(tool=replace(arms.six_axis().tool, unknown="pose"))
     tool = frame(from_rpy(np.array([0.3, -1.2, 2.0])), np.array([0.02, 0.1, 0.15]))
     built = replace(robot, base=replace(robot.base, T=arms.TRACKER), tool=replace(robot.tool, T=tool))
     m = arms.poses(built, arms.readings(built, 20, 1), 0, sigma=0, sigma_angle=0)
-    placed = place(robot, m)
+    placed = place_frames(robot, m)
     assert np.allclose(placed.tool.T, tool, rtol=0, atol=1e-10)
     result = identify(robot, arms.poses(built, m.q, 2), ["placement"])
     assert set(result.names) == {f"{w}_{c}" for w in ("base", "tool") for c in ("x", "y", "z", "rx", "ry", "rz")}
@@ -205,12 +205,12 @@ def test_place_with_full_poses_finds_the_tool_s_orientation():
 
 def test_place_with_compliance_and_a_tilted_frame():
     """Gravity known in the measuring frame: the start is turned with it."""
-    from casadical.identification.placement import place
+    from casadical.identification.placement import place_frames
 
     body = arms.Body(15.0, np.array([0.2, 0.02, 0.01]))
     joints = tuple(replace(j, compliance=3e-5, body=body) for j in arms.six_axis().joints)
     robot = arms.six_axis(joints=joints, gravity=np.array([9.8, 0, 0]))
     T = frame(from_rpy(np.array([0, np.pi / 2, 0])) @ from_rpy(np.array([0, 0, np.pi])), np.array([1.0, 2.0, 3.0]))
     built = replace(robot, base=replace(robot.base, T=T))
-    placed = place(robot, arms.positions(built, arms.readings(built, 30, 1), 0, sigma=0))
+    placed = place_frames(robot, arms.positions(built, arms.readings(built, 30, 1), 0, sigma=0))
     assert np.allclose(placed.base.T, T, rtol=0, atol=1e-6)

@@ -12,7 +12,7 @@ import numpy as np
 from casadical.core.errors import InputError
 from casadical.identification.identifiability import CONFOUNDED
 from casadical.identification.identification import METHODS
-from casadical.identification.placement import place
+from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against
 from casadical.measurements.measurements import Measurements
 from casadical.project.check.coverage import (
@@ -83,7 +83,7 @@ def precheck(folder: str | Path, noise: float | None = None, seed: int | None = 
     found, usable = _data_findings(problem.robot, sets, other_conventions(folder))
     found += limits_findings(problem.robot)
     known, source = _noise(noise, sets)
-    start = place(problem.robot, next((m for m in sets if m.position is not None), sets[0]))
+    start = place_frames(problem.robot, next((m for m in sets if m.position is not None), sets[0]))
     outlooks: list[Outlook] = []
     for method in problem.methods if usable else ():
         try:

@@ -13,13 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadical.core.transforms import Array
-from casadical.identification.identifiability import Unidentifiable, correlated, poorly_determined
+from casadical.identification.identifiability import Unidentifiable, drop_poor
 from casadical.identification.least_squares import SIGMA_ANGLE_GUESS, SIGMA_GUESS, LeastSquares
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection import Workspace, observability
 from casadical.pose_selection.candidates import draw_uniform, expected
-from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.information import MM, scaled_jacobian
 from casadical.robot.robot import Robot
 
@@ -87,8 +86,9 @@ def outlook(
     residuals, J = problem.evaluate(np.zeros(problem.size))
     scatter = _scatter(np.concatenate([r.ravel() for r in residuals]), J, problem.residual_count - problem.size)
     unit = 1.0 if noise or np.isnan(scatter) else max(scatter, LEAST_SCATTER)
-    kept, poor, C = _worth_it(problem, unit**2)
-    columns = [problem.names.index(n) for n in kept]
+    _, H = problem.gradient(np.zeros(problem.size))
+    columns, poor, C = drop_poor([robot.parameters[n] for n in problem.names], H, unit**2)
+    kept = tuple(problem.names[k] for k in columns)
     index = observability(J[:, columns] / unit, sum(len(m) for m in sets))["O1"] if kept else 0.0
     scale = np.array([robot.parameters[n].scale for n in kept])
     return Outlook(
@@ -104,24 +104,6 @@ def _scatter(r: Array, J: Array, freedom: int) -> float:
         return float("nan")
     left = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
     return float(np.sqrt(left @ left / freedom))
-
-
-def _worth_it(problem: LeastSquares, variance: float) -> tuple[tuple[str, ...], tuple[Unidentifiable, ...], Array]:
-    """Parameters that the data tell better than their priors, the others, and the covariance (units of scale)."""
-    _, H = problem.gradient(np.zeros(problem.size))
-    prior = np.array([problem.robot.parameters[n].prior for n in problem.names]) / problem.scale
-    left = list(range(problem.size))
-    poor: list[Unidentifiable] = []
-    while True:
-        named = [k for k in left if k < len(problem.names)]
-        C = variance * inverse(H[np.ix_(left, left)])[: len(named), : len(named)]
-        names = [problem.names[k] for k in named]
-        worst = poorly_determined(np.sqrt(np.diag(C)), prior[named])
-        if worst is None:
-            return tuple(names), tuple(poor), C
-        reason = "these poses would determine it worse than its prior"
-        poor.append(Unidentifiable(names[worst], reason, correlated(C, worst, names)))
-        left.remove(named[worst])
 
 
 def _accuracy(robot: Robot, names: tuple[str, ...], C: Array, seed: int) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 from casadical.core.errors import InputError
 from casadical.core.schema import load_toml
 from casadical.identification.accuracy import errors, predicted
-from casadical.identification.placement import place
+from casadical.identification.placement import place_frames
 from casadical.measurements.measurements import Measurements
 from casadical.project.check.findings import Finding
 from casadical.robot.robot import Robot
@@ -81,7 +81,7 @@ def _left(robot: Robot, m: Measurements) -> float:
     """Error after base and tool are placed [m]; infinite where the model cannot be evaluated."""
     with np.errstate(all="ignore"):
         try:
-            e = errors(place(robot, m), m)
+            e = errors(place_frames(robot, m), m)
         except np.linalg.LinAlgError:
             return np.inf
     # The median: a few wild readings are outliers, not a slip.
