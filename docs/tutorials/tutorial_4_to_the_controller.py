@@ -20,8 +20,7 @@ import numpy as np
 import pandas as pd
 
 from casadical import calibrate, from_table, write_robot
-from casadical.blind_check.numpy_physics import campaign, hh800_true
-from casadical.blind_check.numpy_physics.twin import UNMODELLED, WARMUP
+from casadical.blind_check.numpy_physics import UNMODELLED, WARMUP, campaign, hh800_true
 from casadical.compensator import Compensator, Taught, save_compensator
 from casadical.export import Sources, Status, command_of, model_corrector, write_c
 from casadical.identification import predicted, residual_mm

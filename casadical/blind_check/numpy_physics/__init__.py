@@ -9,13 +9,15 @@ from casadical.blind_check.numpy_physics import disturbances
 from casadical.blind_check.numpy_physics.campaigns import campaign
 from casadical.blind_check.numpy_physics.disturbance import Disturbance
 from casadical.blind_check.numpy_physics.draw import draw_disturbance
-from casadical.blind_check.numpy_physics.twin import HH800, hh800_true, hh800_twin
+from casadical.blind_check.numpy_physics.twin import HH800, UNMODELLED, WARMUP, hh800_true, hh800_twin
 from casadical.blind_check.synthetic.perturb import perturb
 from casadical.blind_check.synthetic.plant import FourBar, Plant
 from casadical.blind_check.synthetic.stops import Warmup
 
 __all__ = [
     "HH800",
+    "UNMODELLED",
+    "WARMUP",
     "Disturbance",
     "FourBar",
     "Plant",

@@ -1,0 +1,105 @@
+"""One result of a calibrated problem: printed, kept and shown on a page with the same figures."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from casadical import InputError, calibrate, read_problem, read_robot
+from casadical.core.blocks import Table, Words, plain_text
+from casadical.identification import errors, residual_mm
+from casadical.report.calibration import calibration_part
+
+ROOT = Path(__file__).parents[2]
+PLANAR = ROOT / "problems" / "planar"
+
+
+def test_a_problem_that_was_read_gives_what_its_folder_gives(calibrated) -> None:
+    problem = read_problem(PLANAR)
+    found = calibrate(problem)
+    assert found.to_json() == calibrated("planar").to_json()
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        found.networks = None  # type: ignore[misc]
+    with pytest.raises(InputError, match="seed 3: this problem is split"):
+        calibrate(problem, seed=3)
+
+
+def test_the_last_method_counts(calibrated) -> None:
+    c = calibrated("hh800")
+    assert list(c.identifications) == ["KM", "SKCM"]
+    assert c.identification is c.identifications["SKCM"]
+    assert c.robot is c.identification.robot
+
+
+def test_as_text_it_is_what_the_command_prints(calibrated) -> None:
+    printed = "".join(line.rstrip() + "\n" for line in str(calibrated("planar")).splitlines())
+    assert printed == (ROOT / "tests" / "cli" / "planar.txt").read_text().rstrip("\n") + "\n"
+
+
+def test_every_table_that_is_printed_stands_on_the_page(calibrated) -> None:
+    """Cell by cell; of the parameters the page shows those that were held, too."""
+    c = calibrated("hh800")
+    page = [b for s in calibration_part(c).sections for b in s.blocks if isinstance(b, Table)]
+    tables = [b for b in c.blocks() if isinstance(b, Table)]
+    assert len(tables) == 4 + 1 + 2 + 1 + 1  # sets, networks, paper, parameters, held
+    for table in tables:
+        same = next(t for t in page if t.columns == table.columns and set(table.rows) <= set(t.rows))
+        assert (same == table) or "All parameters" in same.title
+    sentences = {b.text for s in calibration_part(c).sections for b in s.blocks if isinstance(b, Words)}
+    assert {b.text for b in c.blocks() if isinstance(b, Words) and b.kind == "verdict"} <= sentences
+
+
+def test_the_papers_tables_hold_one_standard_deviation(calibrated) -> None:
+    """The sample's, of identifications and of networks as they were trained, from the errors of each pose."""
+    c = calibrated("hh800")
+    table = next(b for b in c.blocks() if isinstance(b, Table) and "validation" in b.title)
+    assert "n - 1" in table.title
+    m = c.problem.sets["report"][0]
+    left = {method: 1e3 * errors(result.robot, m) for method, result in c.identifications.items()}
+    for method, r in c.networks.results.items():
+        rest = residual_mm(c.robot, m) - r.compensator.trained.output_mm(m.q)
+        left[method] = np.linalg.norm(rest, axis=1)
+    rows = {row[0].rstrip("*"): row for row in table.rows}
+    assert rows.keys() == {"before", *left}
+    for method, e in left.items():
+        assert rows[method][2:5] == tuple(f"{v:.4f}" for v in (e.mean(), e.max(), e.std(ddof=1)))
+
+
+def test_files_are_written_all_or_none(calibrated, tmp_path: Path) -> None:
+    c = calibrated("planar")
+    (tmp_path / "taken" / "KM.parameters.csv").mkdir(parents=True)
+    with pytest.raises(InputError, match=r"KM\.parameters\.csv: is a folder"):
+        c.write(tmp_path / "taken")
+    assert [p.name for p in (tmp_path / "taken").iterdir()] == ["KM.parameters.csv"]
+    c.write(tmp_path / "kept")
+    assert sorted(p.name for p in (tmp_path / "kept").iterdir()) == [
+        "KM.parameters.csv",
+        "KM.robot.toml",
+        "result.json",
+    ]
+    assert json.loads((tmp_path / "kept" / "result.json").read_text()) == json.loads(json.dumps(c.to_json()))
+    m = c.problem.sets["report"][0]
+    again = errors(read_robot(tmp_path / "kept" / "KM.robot.toml"), m).mean()
+    assert again == pytest.approx(c.accuracies["KM"]["report"]["calibrated"].mean, abs=1e-9)
+
+
+def test_a_robot_that_is_not_from_a_urdf_has_none_to_write(calibrated) -> None:
+    c = calibrated("planar")
+    with pytest.raises(InputError, match="its robot is not from a URDF"):
+        c.problem.calibrated_urdf(c.robot)
+
+
+def test_brackets_stay_in_the_text_and_nothing_is_cut() -> None:
+    """A console of rich takes [mm] for a style unless it is told not to."""
+    table = Table("Error [mm]", ("a [bold]", "why", "n"), [("x[red]", "because " * 30, "1.5")], frozenset({2}))
+    text = plain_text([Words("[b]first[/b]", "title"), table, Words("last")], width=60)
+    for part in ("[b]first[/b]", "Error [mm]", "a [bold]", "x[red]", "1.5"):
+        assert part in text
+    assert len(re.findall("because", text)) == 30
+    assert text.splitlines()[1].strip() == ""
+    assert max(map(len, text.splitlines())) <= 60
