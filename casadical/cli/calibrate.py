@@ -7,10 +7,10 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import Progress, TaskID
 
 from casadical.cli.completion import losses, methods
-from casadical.cli.terminal import Json, Problems, Quiet, Report, as_text, as_typed, progress
+from casadical.cli.options import Json, Problems, Quiet, Report
+from casadical.cli.terminal import as_text, as_typed, keep, working
 from casadical.core.errors import InputError
 
 
@@ -59,7 +59,6 @@ def calibrate(
 
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
-    from casadical.core.files import write_together
     from casadical.project import calibration as work
 
     if report_file:
@@ -71,12 +70,7 @@ def calibrate(
     done: list[work.Calibration] = []
     texts: dict[Path, str] = {}
     for name, folder in _by_name(problems).items():
-        with progress(quiet) as bar:
-            task = bar.add_task(f"{name}: reading", total=None)
-
-            def show(text: str, name: str = name, bar: Progress = bar, task: TaskID = task) -> None:
-                bar.update(task, description=f"{name}: {text}")
-
+        with working(quiet, "reading", name) as show:
             done.append(work.calibrate(folder, method=method, loss=loss, seed=seed, show=show))
         console.print(done[-1].report())
         console.print()
@@ -89,12 +83,9 @@ def calibrate(
     if report_file:
         from casadical.report import calibration_report
 
-        with progress(quiet) as bar:
-            bar.add_task("writing the report", total=None)
+        with working(quiet, "writing the report"):
             texts[report_file] = calibration_report(done, as_typed())
-    write_together(texts)
-    for path in texts:
-        console.print(f"wrote {path}", soft_wrap=True)
+    keep(texts, console)
 
 
 def _by_name(folders: list[Path]) -> dict[str, Path]:

@@ -7,7 +7,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from casadical.cli.terminal import BAD_INPUT, Json, Problems, Quiet, keep_json, progress
+from casadical.cli.options import Json, Problems, Quiet
+from casadical.cli.terminal import BAD_INPUT, keep_json, working
 
 
 def check(
@@ -37,8 +38,7 @@ def check(
     console = Console(quiet=quiet)
     found = []
     for folder in problems:
-        with progress(quiet) as bar:
-            bar.add_task(f"{folder.name}: checking", total=None)
+        with working(quiet, "checking", folder.name):
             found.append(precheck(folder, None if noise_mm is None else 1e-3 * noise_mm))
         console.print(report(found[-1]))
         console.print()

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from casadical.cli.options import Compensator, Nominal, Payload
-from casadical.cli.terminal import Json, Quiet, keep_json, plain
+from casadical.cli.options import Compensator, Json, Nominal, Overwrite, Payload, Quiet
+from casadical.cli.terminal import keep_json, plain, refuse_taken
 from casadical.core.errors import InputError
 
 
@@ -30,7 +30,7 @@ def correct(
     tool: Annotated[
         str | None, typer.Option(metavar="shared|own", help="As of `casadical export c`; default: shared.")
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FILE.csv if it is there.")] = False,
+    overwrite: Overwrite = False,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -46,8 +46,7 @@ def correct(
     from casadical.export.controller.models import Sources, command_of
     from casadical.export.controller.program import read_program
 
-    if out.exists() and not overwrite:
-        raise InputError(f"{out} is there already; give another file, or --overwrite")
+    refuse_taken(out, overwrite)
     if not model.exists():
         raise InputError(f"{model}: no such folder or robot file")
     if model.is_dir():
@@ -68,11 +67,11 @@ def correct(
     result = corrected(corrector, read_program(program, corrector.joints))
     write_whole(out, result.to_csv())
     console = plain(quiet)
-    console.print(str(result))
+    console.print(result.report())
     if model.is_dir():
         console.print(_stated(model))
     console.print(f"wrote {out}")
-    keep_json(json_file, result.figures, console)
+    keep_json(json_file, result.to_json(), console)
 
 
 def _stated(folder: Path) -> str:

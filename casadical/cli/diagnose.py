@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import Progress, TaskID
 
-from casadical.cli import completion as words
-from casadical.cli.terminal import Json, Quiet, Report, as_text, as_typed, keep_json, progress
+from casadical.cli.options import Campaigns, Effects, Json, Problem, Quiet, Report
+from casadical.cli.terminal import as_text, as_typed, keep, keep_json, working
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,18 +21,11 @@ if TYPE_CHECKING:
 
 
 def diagnose(
-    problem: Annotated[Path, typer.Argument(metavar="PROBLEM_DIR", help="Folder with the robot.")],
-    campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.csv...", help="Measured positions.")],
+    problem: Problem,
+    campaigns: Campaigns,
     json_file: Json = None,
     report_file: Report = None,
-    effects: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAMES",
-            autocompletion=words.effects,
-            help="standard (the default), extended, or only these: names (backlash) or labels (backlash@5), by commas.",
-        ),
-    ] = None,
+    effects: Effects = None,
     measure_next: Annotated[
         Path | None,
         typer.Option("--next", metavar="FILE", help="Write poses that distinguish the leading causes, as CSV."),
@@ -66,7 +58,7 @@ def diagnose(
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
-    from casadical.core.files import write_together, write_whole
+    from casadical.core.files import write_whole
     from casadical.diagnosis.diagnose import diagnose as run
     from casadical.diagnosis.json_answer import as_json
     from casadical.diagnosis.text import report
@@ -86,12 +78,7 @@ def diagnose(
     answers, answered = [], []
     for path in campaigns:
         m = read_campaign(problem, path, robot)
-        with progress(quiet) as bar:
-            task = bar.add_task(path.stem, total=None)
-
-            def show(text: str, bar: Progress = bar, task: TaskID = task, name: str = path.stem) -> None:
-                bar.update(task, description=f"{name}: {text}")
-
+        with working(quiet, "diagnosing", path.stem) as show:
             chosen = effects.split(",") if effects else "standard"
             found = run(robot, m, chosen, seed=seed, bootstrap=bootstrap, show=show)
             file = measure_next if len(campaigns) == 1 else None
@@ -108,12 +95,9 @@ def diagnose(
     if report_file:
         from casadical.report import diagnosis_report
 
-        with progress(quiet) as bar:
-            bar.add_task("writing the report", total=None)
+        with working(quiet, "writing the report"):
             texts[report_file] = diagnosis_report(problem, answered, as_typed())
-    write_together(texts)
-    for path in texts:
-        console.print(f"wrote {path}", soft_wrap=True)
+    keep(texts, console)
 
 
 def _extras(

@@ -11,8 +11,8 @@ import typer
 
 from casadical.cli import completion as words
 from casadical.cli.export_model import export_mjcf, export_urdf
-from casadical.cli.options import Compensator, Nominal, Payload, Tool
-from casadical.cli.terminal import Json, Quiet, keep_json, plain
+from casadical.cli.options import Compensator, Json, Nominal, Payload, Quiet, Tool
+from casadical.cli.terminal import keep_json, plain
 from casadical.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -97,10 +97,9 @@ def export_c(
     console.print(f"{what} of {robot}, {real}")
     for line in _about(sources, what, getattr(product, "network", product) is not None):
         console.print(line)
-    console.print(str(written))
+    console.print(written.report())
     console.print("precondition: the controller's own absolute-accuracy option is off")
-    kept = {"folder": str(out), "files": list(written.files), "verified": written.verified, "figures": written.figures}
-    keep_json(json_file, kept, console)
+    keep_json(json_file, written.to_json(), console)
 
 
 def prefix_of(name: str) -> str:

@@ -7,9 +7,8 @@ from typing import Annotated
 
 import typer
 
-from casadical.cli import completion as words
-from casadical.cli.options import Nominal
-from casadical.cli.terminal import Json, Quiet, keep_json, plain, progress
+from casadical.cli.options import Effects, Json, Nominal, Overwrite, Quiet
+from casadical.cli.terminal import keep_json, plain, refuse_taken, working
 from casadical.core.errors import InputError
 
 _Source = Annotated[
@@ -19,7 +18,6 @@ _Source = Annotated[
     ),
 ]
 _Out = Annotated[Path, typer.Option(metavar="FILE", help="Where the model goes.")]
-_Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace FILE if it is there.")]
 
 
 def export_mjcf(
@@ -33,14 +31,7 @@ def export_mjcf(
             "causes that are found go into the model.",
         ),
     ] = None,
-    effects: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAMES",
-            autocompletion=words.effects,
-            help="standard (the default), extended, or only these: names (backlash) or labels (backlash@5), by commas.",
-        ),
-    ] = None,
+    effects: Effects = None,
     into: Annotated[
         Path | None,
         typer.Option(
@@ -56,7 +47,7 @@ def export_mjcf(
         bool, typer.Option("--springs", help="With --into: a spring beside each compliant joint, NAME_spring.")
     ] = False,
     nominal: Nominal = None,
-    overwrite: _Overwrite = False,
+    overwrite: Overwrite = False,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -68,12 +59,11 @@ def export_mjcf(
     from casadical.export.mjcf.mjcf import mjcf
     from casadical.export.mjcf.sources import into_users, robot_to_write
 
-    _refuse_taken(out, overwrite)
+    refuse_taken(out, overwrite)
     if (into is None) != (joints is None) or (into is None and (springs or nominal)):
         raise InputError("--into and --joints belong together; --springs and --nominal belong to them")
-    with progress(quiet) as bar:
-        task = bar.add_task("calibrating", total=None)
-        robot, _ = robot_to_write(source, campaign, effects, lambda text: bar.update(task, description=text))
+    with working(quiet, "calibrating") as show:
+        robot, _ = robot_to_write(source, campaign, effects, show)
     made = mjcf(robot) if into is None else into_users(source, campaign, nominal, robot, into, joints or "", springs)
     write_whole(out, made.text)
     console = plain(quiet)
@@ -89,7 +79,7 @@ def export_mjcf(
 def export_urdf(
     source: _Source,
     out: _Out,
-    overwrite: _Overwrite = False,
+    overwrite: Overwrite = False,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -103,10 +93,9 @@ def export_urdf(
     from casadical.export.mjcf.sources import calibrated, robot_to_write
     from casadical.robot.urdf import new_urdf
 
-    _refuse_taken(out, overwrite)
+    refuse_taken(out, overwrite)
     into = None
-    with progress(quiet) as bar:
-        bar.add_task("calibrating", total=None)
+    with working(quiet, "calibrating"):
         if source.is_dir():
             calibration = calibrated(source)
             robot, into = calibration.robot, calibration.problem.urdf
@@ -117,8 +106,3 @@ def export_urdf(
     console = plain(quiet)
     console.print(f"wrote {out}: {robot.name}, {robot.n} joints" + (f", after {into[0].name}" if into else ""))
     keep_json(json_file, {"file": str(out), "robot": robot.name, "into": into[0].name if into else None}, console)
-
-
-def _refuse_taken(out: Path, overwrite: bool) -> None:
-    if out.exists() and not overwrite:
-        raise InputError(f"{out} is there already; give another file, or --overwrite")

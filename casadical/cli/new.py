@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from casadical.cli.terminal import Json, Quiet, keep_json
+from casadical.cli.options import Json, Quiet
+from casadical.cli.terminal import keep_json
 
 
 def new(

@@ -1,4 +1,4 @@
-"""Options of the commands that put a calibrated robot on a controller: which files it is made from."""
+"""Arguments and options that several commands have, in the same words."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from casadical.cli import completion as words
 
 Nominal = Annotated[
     Path | None,
@@ -27,3 +29,23 @@ Tool = Annotated[
         "point that is the controller's tool centre point.",
     ),
 ]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
+Json = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Keep all figures as JSON; of several inputs, of each.")
+]
+Report = Annotated[
+    Path | None,
+    typer.Option("--report", metavar="FILE.html", help="Write an HTML report in one file (needs plotly and jinja2)."),
+]
+Problems = Annotated[list[Path], typer.Argument(metavar="PROBLEM_DIR...", help="One or more problem folders.")]
+Problem = Annotated[Path, typer.Argument(metavar="PROBLEM_DIR", help="Folder with the robot.")]
+Campaigns = Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.csv...", help="Measured positions.")]
+Effects = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAMES",
+        autocompletion=words.effects,
+        help="standard (the default), extended, or only these: names (backlash) or labels (backlash@5), by commas.",
+    ),
+]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace FILE if it is there.")]

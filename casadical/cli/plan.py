@@ -9,7 +9,8 @@ import typer
 from rich.console import Console
 
 from casadical.cli import completion as words
-from casadical.cli.terminal import Json, Quiet, progress
+from casadical.cli.options import Json, Quiet
+from casadical.cli.terminal import keep, working
 from casadical.core.errors import InputError
 
 
@@ -73,7 +74,7 @@ def plan(
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
-    from casadical.core.files import json_text, write_together
+    from casadical.core.files import json_text
     from casadical.diagnosis.candidates import named
     from casadical.pose_selection.candidates import Circumstances
     from casadical.pose_selection.criteria import checked
@@ -94,8 +95,7 @@ def plan(
     workspace = read_workspace(room, robot) if room else None
     circumstances = Circumstances(_numbers(payloads), every_payload, both_approaches, repeats)
     word = checked(criterion)
-    with progress(quiet) as bar:
-        bar.add_task("choosing poses", total=None)
+    with working(quiet, "choosing poses"):
         found = run(
             robot, n, added, criterion=word, workspace=workspace, circumstances=circumstances, measured=before,
             noise=noise, min_distance=min_distance, order=order, target=target, seed=seed,
@@ -104,12 +104,10 @@ def plan(
     texts = found.files(place) if place else {}
     if json_file:
         texts[json_file] = json_text(found.to_json())
-    write_together(texts)
     console = Console(quiet=quiet)
     console.print(found.report())
     console.print(planned_with(problem, measured))
-    for path in texts:
-        console.print(f"wrote {path}", soft_wrap=True)
+    keep(texts, console)
 
 
 def _numbers(text: str | None) -> tuple[float, ...]:

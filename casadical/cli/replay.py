@@ -6,26 +6,18 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.progress import Progress, TaskID
 
-from casadical.cli import completion as words
-from casadical.cli.terminal import Json, Quiet, keep_json, plain, progress
+from casadical.cli.options import Campaigns, Effects, Json, Problem, Quiet
+from casadical.cli.terminal import keep, keep_json, plain, working
 
 
 def replay(
-    problem: Annotated[Path, typer.Argument(metavar="PROBLEM_DIR", help="Folder with the robot.")],
-    campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.csv...", help="Measured positions.")],
+    problem: Problem,
+    campaigns: Campaigns,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Keep the models here, CAMPAIGN.STAGE.xml (0 is the nominal).")
     ] = None,
-    effects: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAMES",
-            autocompletion=words.effects,
-            help="standard (the default), extended, or only these: names (backlash) or labels (backlash@5), by commas.",
-        ),
-    ] = None,
+    effects: Effects = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the split: two thirds are fitted, the others replayed.")] = 0,
     json_file: Json = None,
     quiet: Quiet = False,
@@ -36,9 +28,8 @@ def replay(
 
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
-    from casadical.core.files import write_together
     from casadical.export.mjcf.equilibrium import load_mujoco
-    from casadical.export.mjcf.replay import as_json, replay_campaign
+    from casadical.export.mjcf.replay import replay_campaign
     from casadical.project.problem import read_campaign, read_campaign_robot
 
     load_mujoco()
@@ -48,21 +39,14 @@ def replay(
     texts: dict[Path, str] = {}
     for path in campaigns:
         m = read_campaign(problem, path, robot)
-        with progress(quiet) as bar:
-            task = bar.add_task(path.stem, total=None)
-
-            def show(text: str, bar: Progress = bar, task: TaskID = task, name: str = path.stem) -> None:
-                bar.update(task, description=f"{name}: {text}")
-
+        with working(quiet, "diagnosing", path.stem) as show:
             found = replay_campaign(robot, m, effects.split(",") if effects else "standard", seed=seed, show=show)
         console.print(f"{path.stem} ({robot.name}), held-out poses replayed in MuJoCo")
         console.print(found.table.to_string(index=False, float_format=lambda v: f"{v:.4f}"))
         for text in found.stages[-1].export.left_out:
             console.print(f"LEFT OUT {text}")
-        answers.append({"campaign": path.stem, **as_json(found)})
+        answers.append({"campaign": path.stem, **found.to_json()})
         if out:
             texts |= {out / f"{path.stem}.{k}.xml": s.export.text for k, s in enumerate(found.stages)}
-    write_together(texts)
-    for path in texts:
-        console.print(f"wrote {path}")
+    keep(texts, console)
     keep_json(json_file, answers, console)

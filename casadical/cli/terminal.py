@@ -1,29 +1,22 @@
-"""What all commands share on a terminal: the same options in the same words, progress only where someone looks."""
+"""What all commands share on a terminal: exit codes, lines and JSON, progress where a person watches."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import typer
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from casadical.core.files import json_text, write_whole
+from casadical.core.errors import InputError
+from casadical.core.files import json_text, write_together
 
 BAD_INPUT, NO_CONVERGENCE, OUR_BUG = 2, 3, 70
 
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
-Json = Annotated[
-    Path | None, typer.Option("--json", metavar="FILE", help="Keep all figures as JSON; of several inputs, of each.")
-]
-Report = Annotated[
-    Path | None,
-    typer.Option("--report", metavar="FILE.html", help="Write an HTML report in one file (needs plotly and jinja2)."),
-]
-Problems = Annotated[list[Path], typer.Argument(metavar="PROBLEM_DIR...", help="One or more problem folders.")]
+Show = Callable[[str], None]
 
 
 def as_text(figures: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> str:
@@ -39,10 +32,21 @@ def plain(quiet: bool) -> Console:
 
 def keep_json(path: Path | None, figures: Mapping[str, Any] | Sequence[Mapping[str, Any]], console: Console) -> None:
     """Write figures where `--json` says, if it does, and say so. Raises InputError."""
-    if path is None:
-        return
-    write_whole(path, as_text(figures))
-    console.print(f"wrote {path}", soft_wrap=True)
+    if path is not None:
+        keep({path: as_text(figures)}, console)
+
+
+def keep(texts: Mapping[Path, str], console: Console) -> None:
+    """Write files, all or none, and say so. Raises InputError."""
+    write_together(texts)
+    for path in texts:
+        console.print(f"wrote {path}", soft_wrap=True)
+
+
+def refuse_taken(out: Path, overwrite: bool) -> None:
+    """Raises InputError where the file is there already and is not to be replaced."""
+    if out.exists() and not overwrite:
+        raise InputError(f"{out} is there already; give another file, or --overwrite")
 
 
 def as_typed() -> list[str]:
@@ -50,14 +54,15 @@ def as_typed() -> list[str]:
     return ["casadical", *sys.argv[1:]]
 
 
-def progress(quiet: bool) -> Progress:
-    """Live progress on a terminal's standard error; silent elsewhere."""
+@contextmanager
+def working(quiet: bool, step: str, name: str = "") -> Iterator[Show]:
+    """Live progress of one piece of work; silent but on a terminal, and never on standard output.
+
+    step : what is done first; name : of what. The function that it gives takes the next step's name.
+    """
     console = Console(stderr=True)
-    return Progress(
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        TimeElapsedColumn(),
-        console=console,
-        transient=True,
-        disable=quiet or not console.is_terminal,
-    )
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    head = f"{name}: " if name else ""
+    with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
+        task = bar.add_task(head + step, total=None)
+        yield lambda text: bar.update(task, description=head + text)

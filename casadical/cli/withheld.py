@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import Progress, TaskID
 
-from casadical.cli.terminal import Json, Quiet, keep_json, progress
+from casadical.cli.options import Json, Quiet
+from casadical.cli.terminal import Show, keep_json, working
 from casadical.core.errors import InputError
 
 withheld_app = typer.Typer(
@@ -29,11 +29,8 @@ def _group() -> None:
     pass
 
 
-def _counting(bar: Progress, task: TaskID) -> Callable[[str, int, int], None]:
-    def show(name: str, done: int, count: int) -> None:
-        bar.update(task, description=f"{done} of {count} ({name})")
-
-    return show
+def _counted(show: Show) -> Callable[[str, int, int], None]:
+    return lambda name, done, count: show(f"{done} of {count} ({name})")
 
 
 @withheld_app.command("make")
@@ -67,8 +64,8 @@ def make_command(
 
     sizes = _whole(poses)
     place = key or out.with_name(f"{out.resolve().name}-key")
-    with progress(quiet) as bar, pool(None, workers) as executor:
-        show = _counting(bar, bar.add_task("drawing campaigns", total=None))
+    with working(quiet, "drawing campaigns") as step, pool(None, workers) as executor:
+        show = _counted(step)
         made = make(out, place, n, seed, poses=sizes, physics=reality, project=project, executor=executor, show=show)
     console = Console(quiet=quiet)
     console.print(f"wrote {len(made.campaigns)} campaigns to {out}, their key to {place}", soft_wrap=True)
@@ -109,8 +106,8 @@ def predict_command(
     from casadical.blind_check.worker_pool import workers as pool
 
     try:
-        with progress(quiet) as bar, pool(None, workers) as executor:
-            show = _counting(bar, bar.add_task("reading", total=None))
+        with working(quiet, "reading") as step, pool(None, workers) as executor:
+            show = _counted(step)
             path = predict(folder, out, by=by, executor=executor, show=show)
     except KeyboardInterrupt:
         typer.echo("casadical: interrupted; the answers so far are kept, the same command goes on from there", err=True)

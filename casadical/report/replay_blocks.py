@@ -10,7 +10,7 @@ import numpy as np
 from casadical.core.blocks import Table, Words, mm
 from casadical.core.errors import ConvergenceError, InputError
 from casadical.export.mjcf.equilibrium import load_mujoco
-from casadical.export.mjcf.replay import Replay, Stage, replay_diagnosis
+from casadical.export.mjcf.replay import Replay, ReplayedModel, replay_diagnosis
 from casadical.report.page import Block, Drawing
 from casadical.report.style import BLUE, GREEN, GREY, INK, new_figure, plain
 
@@ -54,7 +54,7 @@ def replay_blocks(d: Diagnosis) -> Iterator[Block]:
     yield _table(found)
 
 
-def _shown(found: Replay) -> tuple[Stage, ...]:
+def _shown(found: Replay) -> tuple[ReplayedModel, ...]:
     """The stages; the last one only if anything of the causes is in it."""
     last = found.stages[-1]
     causes = found.diagnosis.effects() if found.diagnosis else ()

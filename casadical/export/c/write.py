@@ -35,7 +35,8 @@ class Export:
         """Whether a compiler was there and the compiled C gave the reference's bits."""
         return bool(self.comparisons)
 
-    def __str__(self) -> str:
+    def report(self) -> str:
+        """Whether it is verified, every comparison, and the figures of this model."""
         head = (
             "verified: compiled, and the same bits as the reference"
             if self.verified
@@ -44,6 +45,12 @@ class Export:
         lines = [head, *map(str, self.comparisons)]
         lines += [f"{key}: {value:g}" for key, value in self.figures.items()]
         return "\n".join([*lines, f"{len(self.files)} files in {self.folder}"])
+
+    def to_json(self) -> dict[str, Any]:
+        """The same as plain data."""
+        return {
+            "folder": str(self.folder), "files": list(self.files), "verified": self.verified, "figures": self.figures
+        }  # fmt: skip
 
 
 def write_c(

@@ -73,12 +73,12 @@ class Corrected:
         """The program's table with the new targets and a status for each row."""
         return self.program.text(self.q, self.fine, self.status)
 
-    def __str__(self) -> str:
+    def report(self) -> str:
+        """The verdict, refused rows with their reasons, and what moved by how much."""
         return "\n".join([*_refused(self), *_moved(self)])
 
-    @property
-    def figures(self) -> dict[str, Any]:
-        """The summary as plain data: rows, refused ones by line of the file, how far the tool moves."""
+    def to_json(self) -> dict[str, Any]:
+        """The summary as plain data: rows, refused ones by line of the file, how far the tool moves [mm]."""
         refused = {str(self.program.line[k]): self.status[k] for k in np.flatnonzero(~self.fine)}
         moved = self.moved_mm[self.fine]
         found: dict[str, Any] = {"rows": len(self.status), "corrected": int(self.fine.sum()), "refused": refused}

@@ -30,7 +30,7 @@ Show = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class ReplayedModel:
     """One model in the simulator: its distance from the measured points, shape (n,), and from casadical's own [m].
 
     lacking : labels of effects that neither the model nor the measured point holds, as the engine has no counterpart
@@ -53,7 +53,7 @@ class Replay:
 
     source: str
     robot: str
-    stages: tuple[Stage, ...]
+    stages: tuple[ReplayedModel, ...]
     diagnosis: Diagnosis | None = None
 
     @property
@@ -68,8 +68,18 @@ class Replay:
         ]  # fmt: skip
         return pd.DataFrame(rows)
 
+    def to_json(self) -> dict[str, Any]:
+        """The replay as plain data: its table, and what became of each effect in the last model."""
+        last = self.stages[-1].export
+        return {
+            "robot": self.robot,
+            "stages": self.table.to_dict("records"),
+            "written": list(last.written),
+            "left_out": list(last.left_out),
+        }
 
-def replay(robot: Robot, m: Measurements, name: str = "model") -> Stage:
+
+def replay(robot: Robot, m: Measurements, name: str = "model") -> ReplayedModel:
     """Drive a robot's model to measured poses in MuJoCo.
 
     Effects of the measurement (a frame that drifts, a reflector's offset) are no part of the model: they are added to
@@ -83,7 +93,7 @@ def replay(robot: Robot, m: Measurements, name: str = "model") -> Stage:
     apart = np.linalg.norm(there - predicted(robot, m)[0], axis=1)
     out = {text.partition(":")[0] for text in export.left_out}
     lacking = tuple(e.label for e in robot.effects if e.label in out and not e.of_measurement)
-    return Stage(name, export, np.linalg.norm(there - m.position, axis=1), apart, lacking)
+    return ReplayedModel(name, export, np.linalg.norm(there - m.position, axis=1), apart, lacking)
 
 
 def _of_the_measurement(robot: Robot, m: Measurements) -> Array:
@@ -143,7 +153,7 @@ def _stages(
     found: Diagnosis,
     with_causes: Callable[[], Robot],
     show: Show,
-) -> tuple[Stage, ...]:
+) -> tuple[ReplayedModel, ...]:
     """Nominal robot, calibrated one, and that with the causes: identified from some poses, replayed at others.
 
     with_causes : gives the robot with its causes, identified from `fitted`
@@ -162,13 +172,3 @@ def _stages(
 
 def _fit(robot: Robot, m: Measurements, free: tuple[str, ...]) -> Identification:
     return identify(robot, m, free, loss="huber", priors=free != ("placement",), screen=False)
-
-
-def as_json(found: Replay) -> dict[str, Any]:
-    """A replay as plain data."""
-    return {
-        "robot": found.robot,
-        "stages": found.table.to_dict("records"),
-        "written": list(found.stages[-1].export.written),
-        "left_out": list(found.stages[-1].export.left_out),
-    }

@@ -45,7 +45,7 @@ def test_without_a_compiler_it_is_written_and_called_unverified(tmp_path, networ
     monkeypatch.setattr(write_module, "compilers", list)
     export = write_c(network, tmp_path, name="arm")
     assert not export.verified
-    assert "UNVERIFIED" in str(export)
+    assert "UNVERIFIED" in export.report()
     assert json.loads((tmp_path / "manifest.json").read_text())["verified"] is False
     assert (tmp_path / "arm.c").exists()
 
