@@ -228,7 +228,7 @@ def identify(
     sets = _as_sets(measurements)
     known = robot.knowledge or Knowledge()
     if method is not None:
-        robot, free = _by_method(robot, method)
+        robot, free = by_method(robot, method)
     if loss not in LOSSES:
         raise InputError(f"loss {loss!r} is not known; allowed: {', '.join(LOSSES)}")
     for m in sets:
@@ -291,10 +291,11 @@ def _as_sets(measurements: Measurements | Sequence[Measurements]) -> tuple[Measu
     return sets
 
 
-def _by_method(robot: Robot, method: str) -> tuple[Robot, tuple[str, ...]]:
+def by_method(robot: Robot, method: str) -> tuple[Robot, tuple[str, ...]]:
+    """The robot as a method of the paper takes it, and what it identifies. Raises InputError for other methods."""
     if method not in METHODS:
         raise InputError(f"method {method!r} is not known; allowed: {', '.join(METHODS)}")
-    if method == "KM":
+    if method == "KM":  # rigid joints
         robot = robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0))
     return robot, METHODS[method]
 
@@ -305,31 +306,35 @@ def _solve_with_sigmas(problem: LeastSquares, progress: Progress | None) -> Solv
     several = len(problem.sets) > 1 or find_kind(first.kind).angles > 0 or bool(first.separations)
     matters = problem.loss != "linear" or problem.priors or several
     for _ in range(SIGMA_ROUNDS):
-        settled = reduce_and_solve(problem, progress)
+        solved = reduce_and_solve(problem, progress)
         if not matters:
             break
-        sigmas = _estimated_sigmas(*settled[:2])
+        sigmas = _estimated_sigmas(*solved[:2])
         change = np.abs(np.log(np.array(sigmas) / np.array(problem.sigmas))).max()
         problem = replace(problem, sigmas=sigmas)
         if change < 0.03:
             break
-    return settled
+    return solved
+
+
+def _with_freedom(problem: LeastSquares, solution: Solution) -> list[tuple[Array, Array]]:
+    """Residuals of each set and the degrees of freedom of each, both of shape (n, m)."""
+    residuals, _ = problem.evaluate(solution.v)
+    edges = np.cumsum([r.size for r in residuals])
+    shares = np.split(problem.redundancies(solution.v), edges)
+    return [(r, share.reshape(r.shape)) for _, r, share in zip(problem.sets, residuals, shares, strict=False)]
 
 
 def _estimated_sigmas(problem: LeastSquares, solution: Solution) -> tuple[tuple[float, float], ...]:
     """Of each set, from its residuals and their share in the degrees of freedom (Foerstner 1979)."""
-    residuals, _ = problem.evaluate(solution.v)
-    edges = np.cumsum([0, *(r.size for r in residuals)])
-    share = problem.redundancies(solution.v)
     found = []
-    for k, (m, (sigma, angle)) in enumerate(zip(problem.sets, problem.sigmas, strict=True)):
-        freedom = share[edges[k] : edges[k + 1]].reshape(residuals[k].shape)[m.weight > 0]
-        r = residuals[k][m.weight > 0]
-        lengths = find_kind(m.kind).lengths
-        if lengths:
-            sigma = m.sigma or sigma * _deviation(problem, r[:, :lengths], freedom[:, :lengths])
-        if lengths < r.shape[1]:
-            angle = m.sigma_angle or angle * _deviation(problem, r[:, lengths:], freedom[:, lengths:])
+    for m, (sigma, angle), both in zip(problem.sets, problem.sigmas, _with_freedom(problem, solution), strict=True):
+        r, freedom = (values[m.weight > 0] for values in both)
+        n = find_kind(m.kind).lengths
+        if n:
+            sigma = m.sigma or sigma * _deviation(problem, r[:, :n], freedom[:, :n])
+        if n < r.shape[1]:
+            angle = m.sigma_angle or angle * _deviation(problem, r[:, n:], freedom[:, n:])
         found.append((max(sigma, LEAST_SIGMA), max(angle, LEAST_SIGMA)))
     return tuple(found)
 
@@ -348,27 +353,23 @@ def _solve_without_outliers(
     In rounds, because outliers widen the spread by which they are judged.
     """
     kept = [np.arange(len(m)) for m in problem.sets]
-    settled = _solve_with_sigmas(problem, progress)
+    solved = _solve_with_sigmas(problem, progress)
     for _ in range(rounds if problem.loss != "linear" else 0):
-        far = _outlier_masks(settled[0], settled[1])
+        far = _outlier_masks(solved[0], solved[1])
         if not any(mask.any() for mask in far):
             break
         kept = [index[~mask] for index, mask in zip(kept, far, strict=True)]
         sets = tuple(m[index] for m, index in zip(problem.sets, kept, strict=True))
-        settled = _solve_with_sigmas(replace(problem, sets=sets, sigmas=settled[0].sigmas), progress)
+        solved = _solve_with_sigmas(replace(problem, sets=sets, sigmas=solved[0].sigmas), progress)
     out = [np.setdiff1d(np.arange(len(m)), index) for m, index in zip(problem.sets, kept, strict=True)]
-    return settled, tuple((k, int(i)) for k, left in enumerate(out) for i in left)
+    return solved, tuple((k, int(i)) for k, left in enumerate(out) for i in left)
 
 
 def _outlier_masks(problem: LeastSquares, solution: Solution) -> list[Array]:
     """Masks of the poses whose residuals noise of their spread would exceed once in 100 000."""
-    residuals, _ = problem.evaluate(solution.v)
-    edges = np.cumsum([0, *(r.size for r in residuals)])
-    share = problem.redundancies(solution.v)
     masks = []
-    for k in range(len(problem.sets)):
-        r = residuals[k]
+    for r, freedom in _with_freedom(problem, solution):
         # A pose that draws the fit towards itself shows little of its error.
-        z = r / np.sqrt(np.maximum(share[edges[k] : edges[k + 1]].reshape(r.shape), LEAST_REDUNDANCY))
+        z = r / np.sqrt(np.maximum(freedom, LEAST_REDUNDANCY))
         masks.append((z**2).sum(axis=1) > OUTLIER_CHI2[r.shape[1]] * robust_std(z) ** 2)
     return masks

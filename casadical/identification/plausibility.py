@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from casadical.core.errors import InputError
+from casadical.core.transforms import Array
 from casadical.identification.accuracy import positions_at, predicted
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
@@ -43,11 +44,16 @@ def check_against(robot: Robot, m: Measurements) -> None:
             raise InputError(f"{m.source}: {fault}")
 
 
-def _refuse_open_loop(robot: Robot, m: Measurements) -> None:
+def least_margins(robot: Robot, m: Measurements) -> Array:
+    """The smallest margin of the robot's four-bars at each pose, shape (n,): 1 is square, below 0 they are open."""
     w = m.condition_matrix(robot.conditions, robot.declared)
     (margin,) = robot.model.evaluate(("margin",), m.q, w, robot.parameters.values)
     # Not a number where the crank's end lies on the driven joint: the rocker's direction is then open.
-    smallest = np.nan_to_num(margin.min(axis=0), nan=0.0)
+    return np.asarray(np.nan_to_num(margin.min(axis=0), nan=0.0))
+
+
+def _refuse_open_loop(robot: Robot, m: Measurements) -> None:
+    smallest = least_margins(robot, m)
     k = int(np.argmin(smallest))
     if smallest[k] < LEAST_MARGIN:
         raise InputError(

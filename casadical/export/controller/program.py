@@ -13,6 +13,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.measurements.raw_table import read_table
 
 STATUS = "correction_status"
 
@@ -59,36 +60,17 @@ def read_program(path: str | Path, joints: int) -> Program:
 
     Raises InputError that names file, row and column.
     """
-    path = Path(path)
-    lines = _lines(path)
-    if len(lines) < 2:
-        raise InputError(f"{path}: {'a header but no rows' if lines else 'is empty'}; at least one target is needed")
-    header = tuple(name.strip() for name in lines[0][1])
-    if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
-        raise InputError(f"{path}: its columns are separated by ';' or tabs; allowed: commas, with decimal points")
-    columns, units = _columns(path, header, joints)
-    for number, cells in lines[1:]:
-        if len(cells) != len(header):
-            raise InputError(f"{path}: row {number} has {len(cells)} cells, the header {len(header)}; correct the row")
-    line = tuple(number for number, _ in lines[1:])
-    rows = tuple(tuple(cells) for _, cells in lines[1:])
+    table = read_table(path)
+    header, rows, line = table.header, table.cells, table.line
+    columns, units = _columns(table.path, header, joints)
+    for number, row in zip(line, rows, strict=True):
+        if len(row) != len(header):
+            raise InputError(f"{path}: row {number} has {len(row)} cells, the header {len(header)}; correct the row")
     q = np.empty((len(rows), joints))
     for i, (column, unit) in enumerate(zip(columns, units, strict=True)):
         for k, row in enumerate(rows):
             q[k, i] = _number(row[column], f"{path}: row {line[k]}, column {header[column]!r}") * _TO_RAD[unit]
     return Program(str(path), q, header, rows, line, columns, units)
-
-
-def _lines(path: Path) -> list[tuple[int, list[str]]]:
-    """Cells of each line with its number, trailing blank lines left out."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-        reader = csv.reader(io.StringIO(text.rstrip() + "\n", newline=""), strict=True)
-        return [(reader.line_num, cells) for cells in reader] if text.strip() else []
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: not a readable CSV table: {error}") from None
 
 
 def _columns(path: Path, header: tuple[str, ...], joints: int) -> tuple[tuple[int, ...], tuple[str, ...]]:

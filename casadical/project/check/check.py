@@ -11,7 +11,7 @@ import numpy as np
 
 from casadical.core.errors import InputError
 from casadical.identification.identifiability import CONFOUNDED
-from casadical.identification.identification import METHODS
+from casadical.identification.identification import by_method
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against
 from casadical.measurements.measurements import Measurements
@@ -87,7 +87,8 @@ def precheck(folder: str | Path, noise: float | None = None, seed: int | None = 
     outlooks: list[Outlook] = []
     for method in problem.methods if usable else ():
         try:
-            outlooks.append(outlook(_as_method(start, method), sets, METHODS[method], method, noise))
+            taken, free = by_method(start, method)
+            outlooks.append(outlook(taken, sets, free, method, noise))
         except (InputError, np.linalg.LinAlgError) as error:
             found.append(Finding("error", "identifiability", f"{method}: {error}"))
     for view in outlooks:
@@ -130,11 +131,6 @@ def _data_findings(
             more = "; repeats tell of noise, only new readings tell of parameters" if few else ""
             found.append(Finding("warning" if few else "note", "repeats", text + more))
     return found, not any(f.topic in ("data", "units") and f.level == "error" for f in found)
-
-
-def _as_method(robot: Robot, method: str) -> Robot:
-    """KM takes joints as rigid."""
-    return robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0)) if method == "KM" else robot
 
 
 def _noise(given: float | None, sets: tuple[Measurements, ...]) -> tuple[float | None, str]:

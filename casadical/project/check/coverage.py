@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from casadical.identification.plausibility import least_margins
 from casadical.measurements.columns import RADIANS
 from casadical.measurements.measurements import Measurements, same_readings
 from casadical.project.check.findings import Finding
@@ -86,11 +87,7 @@ def repeats(m: Measurements) -> tuple[int, float | None]:
 
 def margin(robot: Robot, m: Measurements) -> float | None:
     """The smallest margin of the robot's four-bars over the poses; None without four-bars."""
-    if not robot.loops:
-        return None
-    w = m.condition_matrix(robot.conditions, robot.declared)
-    (values,) = robot.model.evaluate(("margin",), m.q, w, robot.parameters.values)
-    return float(np.nan_to_num(values, nan=0.0).min())
+    return float(least_margins(robot, m).min()) if robot.loops else None
 
 
 def margin_findings(robot: Robot, m: Measurements) -> list[Finding]:

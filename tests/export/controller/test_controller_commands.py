@@ -192,7 +192,7 @@ BAD = {
     "nan": (f"{HEAD}\n1,90,180,0,nan,0\n", ["row 2", "'q5_deg'", "'nan'"]),
     "empty cell": (f"{HEAD}\n1,90,180,0,,0\n", ["row 2", "'q5_deg'", "''"]),
     "short row": (f"{HEAD}\n1,90,180,0,0,0\n1,90,180\n", ["row 3 has 3 cells, the header 6"]),
-    "blank row": (f"{HEAD}\n1,90,180,0,0,0\n\n1,90,180,0,0,0\n", ["row 3 has 0 cells"]),
+    "after a blank row": (f"{HEAD}\n\n1,90,180,0,0,0\n1,90\n", ["row 4 has 2 cells"]),
     "missing joint": ("q1_deg,q2_deg\n1,2\n", ["q3_deg or q3_rad is missing"]),
     "joint twice": (f"{HEAD},q1_rad\n1,90,180,0,0,0,0\n", ["'q1_deg' and 'q1_rad' say the same"]),
     "seventh joint": (f"{HEAD},q7_deg\n1,90,180,0,0,0,0\n", ["'q7_deg': this robot has only 6 joints"]),
