@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import importlib.util
+import json
+import re
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -81,3 +85,33 @@ def test_every_room_has_a_paragraph(architecture) -> None:
     rooms = [room for storey in architecture.floors() for room in storey]
     assert sorted(rooms) == architecture.House(ROOT / "casadical").rooms
     assert [room for room in rooms if f"\n**{room}** " not in page] == []
+
+
+def stops() -> dict[str, list[str]]:
+    """The four ways of the page: the heading's first words, and FILE:FUNCTION of each stop."""
+    part = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").partition("\n## Four ways")[2]
+    ways = (way.partition("\n") for way in part.partition("\n## ")[0].split("\n### ")[1:])
+    return {title: re.findall(r"^\d+\. `(\S+?)`", text, re.MULTILINE) for title, _, text in ways}
+
+
+WALKS = {
+    "A CSV": "calibrate",
+    "A campaign": "diagnose",
+    "An effect": "effect",
+    "A network": "network",
+}
+
+
+@pytest.mark.parametrize("title", WALKS)
+def test_a_way_is_walked_in_the_order_of_its_stops(title: str, tmp_path: Path) -> None:
+    """Each stop is a function that the walk really enters, and none before an earlier stop."""
+    if title in ("An effect", "A network") and not (shutil.which("gcc") or shutil.which("clang")):
+        pytest.skip("no C compiler")
+    (way,) = (found for name, found in stops().items() if name.startswith(title))
+    assert len(way) > 8
+    walk = [sys.executable, Path(__file__).with_name("walked.py"), WALKS[title], tmp_path]
+    done = subprocess.run(walk, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    entered = json.loads(done.stdout.splitlines()[-1])
+    assert [stop for stop in way if stop not in entered] == []
+    assert way == sorted(way, key=entered.index)
