@@ -51,7 +51,7 @@ PURPOSE = {
 # Members that stand for their family in "files that name a member": what the code calls them. The blind check is left
 # out: its simulators have their own list of causes on purpose.
 INDEPENDENT = {"blind_check", "withheld", "engine", "simulation"}
-KINDS = {"pair_distance": {"pair_distance"}, "contact": {"contact"}}
+KINDS = {"pair_distance": {"pair_distance", "PairDistance"}, "contact": {"contact", "Contact"}}
 LANGUAGES = {"structured text": {"structured_text", "StructuredText"}}
 
 
