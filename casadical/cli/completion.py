@@ -36,7 +36,7 @@ def criteria(incomplete: str) -> list[str]:
 
 def languages(incomplete: str) -> list[str]:
     """Words for `export c --language`; after a comma, of the next one."""
-    from casadical.export.c.language import known_languages
+    from casadical.export.c.registry import known_languages
 
     return _listed(tuple(known_languages()), incomplete)
 

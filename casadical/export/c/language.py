@@ -1,25 +1,13 @@
-"""Languages of a controller: each turns the same tapes into files of its own.
-
-A language is one file and one line of `LANGUAGES`; one of another package is an entry point of the group `GROUP`.
-"""
+"""A language of a controller: it turns tapes into files. Each is one file, and one line in `registry.py`."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from casadical.core.errors import InputError
-from casadical.core.plugins import members
 from casadical.export.c.tape_program import TapeProgram
-
-GROUP = "casadical.controller_languages"
-LANGUAGES = (
-    "casadical.export.c.c_language:C99",
-    "casadical.export.c.fmu:Fmu",
-    "casadical.export.c.structured_text:StructuredText",
-)
 
 
 @dataclass(frozen=True)
@@ -46,23 +34,3 @@ class Language(ABC):
         program : its tapes by name: `network`, or `forward`, `prepare`, `advance` and perhaps `network` of a command
         (see `tape_program`); label.name begins each file's name
         """
-
-
-def known_languages() -> dict[str, type[Language]]:
-    """Languages of this package, then those of installed plug-ins, by name. Raises InputError for a faulty plug-in."""
-    return members(GROUP, Language, LANGUAGES)  # type: ignore[type-abstract]
-
-
-def written_in(program: TapeProgram, label: Label, names: Iterable[str] | None) -> dict[str, bytes]:
-    """Contents of all files by name; `names` as of `write_c`. Raises InputError."""
-    known = known_languages()
-    own = list(known)[: len(LANGUAGES)]
-    found: dict[str, bytes] = {}
-    for name in dict.fromkeys(("c", *(own if names is None else names))):
-        if name not in known:
-            raise InputError(f"language {name!r} is not known; allowed: {', '.join(known)}")
-        for file, content in known[name]().files(program, label).items():
-            if file in (*found, "manifest.json"):
-                raise InputError(f"language {name!r} writes {file}, which is another one's; leave one of them out")
-            found[file] = content.encode() if isinstance(content, str) else content
-    return found

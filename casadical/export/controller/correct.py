@@ -14,8 +14,9 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import CasadicalError, InputError
-from casadical.export import Command, Status, load
-from casadical.export.c.products import mapped
+from casadical.export.c.kernel import load
+from casadical.export.c.products import Command, mapped
+from casadical.export.c.reference import Status
 from casadical.export.c.reference import correct as reference_correct
 from casadical.export.c.tape_program import tape_program
 from casadical.export.controller.program import Program

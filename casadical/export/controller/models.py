@@ -18,8 +18,7 @@ import numpy as np
 from casadical.compensator import Compensator, load_compensator
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.export import Command, Limits, NetworkFunction
-from casadical.export.c.products import mapped
+from casadical.export.c.products import Command, Limits, NetworkFunction, mapped
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Body, Placement, Robot
 from casadical.robot.robot_file import read_robot

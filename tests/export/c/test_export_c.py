@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from casadical.export import Command, Limits, Status, load, write_c
-from casadical.export.c.language import Label, written_in
+from casadical.export.c.language import Label
 from casadical.export.c.reference import correct, started, step
+from casadical.export.c.registry import written_in
 from casadical.export.c.tape_program import tape_program
 from casadical.export.c.toolchain import compilers
 from casadical.export.c.vectors import inside

@@ -14,7 +14,7 @@ import pytest
 
 from casadical.core.errors import InputError
 from casadical.export import Sources, command_of, write_c
-from casadical.export.c.language import known_languages
+from casadical.export.c.registry import known_languages
 
 ROOT = Path(__file__).parents[3]
 
