@@ -342,7 +342,7 @@ class Sums:
         return out
 
     def _wide(self, group: Array, beside: Beside, also: Array | None, out: Array) -> None:
-        """A group of many columns, from the rho that is likeliest so far to both sides while it is within reach."""
+        """A group of many columns, from the most probable rho so far to both sides while it is within reach."""
         near = self.e.near
         best = int(np.argmax(beside.log_base[list(near)].max(axis=1)))
         top = -np.inf

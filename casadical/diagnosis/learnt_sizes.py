@@ -1,7 +1,7 @@
 """The prior size of an effect's parts, learnt from the data: marginal likelihood, by MacKay's fixed point.
 
 A part's variance is set to the mean square of its parameters over the share of them that the data determine; the noise
-likewise. A part about which the data say nothing keeps its size. (MacKay 1992, Bayesian interpolation, sec. 4.)
+variance too. A part that the data do not determine keeps its size. (MacKay 1992, Bayesian interpolation, sec. 4.)
 """
 
 from __future__ import annotations

@@ -173,7 +173,7 @@ class Effect:
 
     @property
     def parts(self) -> Mapping[int, Array]:
-        """Places of the parameters of each part whose prior size is learnt from the data, by part; none by default."""
+        """Indices, shape (k,), of the parameters of each part whose prior size is estimated, by part; {} by default."""
         return {}
 
     def with_sizes(self, factors: Mapping[int, float]) -> Self:

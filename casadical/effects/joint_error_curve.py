@@ -60,7 +60,7 @@ class JointErrorCurve(Effect):
 
     @property
     def parts(self) -> dict[int, Array]:
-        """Places of each joint's parameters among all of the effect's, by joint."""
+        """Indices, shape (k,), of each joint's parameters among all of the effect's, by joint."""
         joints = [j for j, spread in enumerate(self.spread, 1) if spread > 0]
         return {j: np.arange(2 * self.orders * k, 2 * self.orders * (k + 1)) for k, j in enumerate(joints)}
 

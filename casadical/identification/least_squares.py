@@ -196,7 +196,7 @@ class LeastSquares:
         )
 
     def _solve_in_steps(self, progress: Progress | None) -> Solution:
-        """The bounded optimum of many parameters: Ipopt on the Gauss-Newton quadratic, linearised anew at each step.
+        """The bounded optimum of many parameters: Ipopt on the Gauss-Newton quadratic, linearised again at each step.
 
         A symbolic Hessian would grow with the square of the parameters at every pose; products of the Jacobian do not.
         """

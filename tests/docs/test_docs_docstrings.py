@@ -32,8 +32,9 @@ SHAPE = re.compile(r"shapes? \(|\((?:\w+, ?)*\w*\d?,?\)|see `|see :func|as of `|
 UNIT = re.compile(r"\[[^\]]+\]|_mm\b|\bSI\b|boolean|bool|degrees|radians|see `|see :func|as of `")
 # Arrays without a unit, as what they hold has none.
 UNITLESS = {
-    "casadical.compensator.Layout.layers", "casadical.compensator.Layout.weights",
-}  # fmt: skip
+    *("casadical.compensator.Layout.layers", "casadical.compensator.Layout.weights"),
+    *("casadical.Effect.parts", "casadical.effects.Effect.parts", "casadical.effects.JointErrorCurve.parts"),
+}
 
 
 def public() -> Iterator[tuple[str, object]]:

@@ -13,6 +13,7 @@ import pytest
 import casadical.export.c.write as write_module
 from casadical.core.errors import CasadicalError, InputError
 from casadical.export import Command, Limits, NetworkFunction, load, write_c
+from casadical.export.c import c_language
 
 
 def test_the_same_model_gives_the_same_bytes(tmp_path, network):
@@ -66,12 +67,12 @@ def test_nothing_is_overwritten_or_deleted_unless_told_to(tmp_path, network):
 
 
 def test_a_difference_stops_the_export(tmp_path, network, compiler, monkeypatch):
-    real_source = write_module.source
+    real_source = c_language.source
 
     def wrong(program, label):
         return real_source(program, label).replace("0x1.45f306p-1F", "0x1.45f308p-1F").replace("+ (z * ", "- (z * ", 1)
 
-    monkeypatch.setattr(write_module, "source", wrong)
+    monkeypatch.setattr(c_language, "source", wrong)
     with pytest.raises(CasadicalError, match="nothing was written"):
         write_c(network, tmp_path / "out", name="arm", real="float", vectors=1000)
     assert not (tmp_path / "out").exists()
