@@ -57,7 +57,7 @@ def parameter_tables(result: Identification, whole: bool = False) -> list[Table 
 
 
 def was_placed(result: Identification) -> bool:
-    """Whether the nominal values of base and tool come from a first placement on the data (see `placement.place_frames`)."""
+    """Whether the nominal values of base and tool come from a first placement (see `placement.place_frames`)."""
     return result.given.base.unknown == "pose" and any(m.position is not None for m in result.measurements)
 
 
