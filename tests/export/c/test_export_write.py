@@ -10,6 +10,7 @@ import export_models as models
 import numpy as np
 import pytest
 
+import casadical.export.c.c_language as c_language
 import casadical.export.c.write as write_module
 from casadical.core.errors import CasadicalError, InputError
 from casadical.export import Command, Limits, NetworkFunction, load, write_c
