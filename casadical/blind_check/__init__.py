@@ -1,7 +1,7 @@
-"""The blind check: campaigns whose hidden effect is kept apart, answers given without it, and the score.
+"""The blind check: campaigns with hidden effects, answers of the diagnosis to them, and the score.
 
-``make`` draws robots and effects in an engine that shares no formula with the diagnosis, writes what an instrument
-would have recorded, and the key to a separate place; ``predict`` sees the campaigns alone; ``score`` opens the key.
+``make`` draws robots and effects in a physics that shares no formula with the diagnosis, and writes what an instrument
+would have recorded to one folder and the key to another; ``predict`` reads the campaigns only; ``score`` opens the key.
 """
 
 from casadical.core.lazy import attach

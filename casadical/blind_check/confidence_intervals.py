@@ -1,4 +1,7 @@
-"""Estimates with 95 % intervals: shares by Wilson's score (1927), means and quantiles by the bootstrap (Efron 1979)."""
+"""Estimates with 95 % intervals: shares by Wilson's score (1927), means and quantiles by the bootstrap (Efron 1979).
+
+The score has statistics of its own: the bootstrap of the diagnosis is part of what it judges.
+"""
 
 from __future__ import annotations
 

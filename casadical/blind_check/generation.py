@@ -74,8 +74,8 @@ def make(
 ) -> Manifest:
     """Write n campaigns to a folder and their key to another, and publish the key's hash with the campaigns.
 
-    seed : of everything drawn, kept in the key; by default one that nobody knows, which a real test needs
-    poses : of a campaign, one of these; each has 50 more whose positions only the key has
+    seed : of everything drawn, kept in the key; by default a random one, which a real test needs
+    poses : numbers of poses of a campaign, one of these; each has 50 more whose positions are only in the key
     physics : mujoco, or numpy for the project's own simulator; project : folder with problems/ and data/
     executor : any of `concurrent.futures`' kind; by default a process for each core
     show : called with a campaign's name, how many are done, and how many there are

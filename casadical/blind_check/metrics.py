@@ -101,7 +101,7 @@ def precision(several: Sequence[Outcome]) -> Estimate:
 
 def _shrink(outcomes: Sequence[Outcome]) -> list[Metric]:
     """How far the gap shrinks at poses that no fit saw, and how well that was predicted, where a cause was named."""
-    # How many outliers fall among fifty poses is chance, and no error of the robot: counted apart.
+    # The number of outliers among fifty poses is random, and no error of the robot: counted separately.
     wrong, every = shrink_errors([t for t in outcomes if "outliers" not in t.named]), shrink_errors(outcomes)
     return [
         Metric("shrink foretold less realised, median", quantile(wrong, 0.5), "at most .04"),

@@ -1,8 +1,7 @@
 """The physics that makes the campaigns: a plan goes in, measured tables come out.
 
-Two of them: MuJoCo, which is not ours (`mujoco_physics`), and the project's own independent simulator
-(`numpy_physics`), which needs no further package. Neither shares a formula with the effects; neither is ever loaded
-by `predict`.
+There are two: MuJoCo (`mujoco_physics`), and the project's own independent simulator (`numpy_physics`), which needs no
+further package. Neither shares a formula with the effects, and `predict` loads neither.
 """
 
 from __future__ import annotations
@@ -57,7 +56,7 @@ class Physics:
 
     listed, unlisted : names of its effects that are on the diagnosis' list, and of those that are on none
     packages : what its campaigns depend on
-    draw : an effect by its name, joint and sizes by chance, for a campaign of so many poses
+    draw : an effect by its name, its joint and sizes at random, for a campaign of so many poses
     campaign : the table of a robot with effects, by numbers of poses and seed
     """
 
@@ -91,7 +90,7 @@ class Physics:
                 seed,
                 noise_mm=1e3 * plan.noise,
                 repeatability_urad=1e6 * plan.repeatability,
-                # Nobody notes a payload that never changes.
+                # A payload that is not logged is constant.
                 payload_states=[plant.payload_kg] if plan.missing == "payload" else None,
                 approach="motion",
                 truth=True,

@@ -1,8 +1,8 @@
-"""The two sides of the check on disk: the folder that everyone sees, and the key whose hash stands in that folder.
+"""The two sides of the check on disk: the folder that everyone sees, and the key whose hash is in that folder.
 
 The folder holds withheld.json, the nominal robots, and for each campaign NAME.csv (measured poses) and NAME.unseen.csv
-(further readings, without positions). The key is one file, key.json; its first entry is a salt, so its SHA-256 tells
-nothing of what it holds, and `sha256sum key.json` is all that a sceptical reader needs. Files that are kept for good
+(further readings, without positions). The key is one file, key.json; its first entry is a salt, so its SHA-256 reveals
+nothing of its content, and `sha256sum key.json` is all that a sceptical reader needs. Files that are kept for good
 may be packed by xz; what is hashed and read is their content.
 """
 

@@ -1,9 +1,9 @@
-"""A reality that is not ours: robots in the physics engine MuJoCo, as built, with effects hidden in them.
+"""Independent physics: robots as built in the engine MuJoCo, with hidden effects.
 
-``campaign`` measures a robot with what is ``Hidden`` in it, ``measure`` does so at given poses, ``draw_hidden`` hides
-effects by chance. Rest is found by the engine; of casadical it takes nominal robots, their building errors and the
-drawing of poses (``casadical.blind_check.numpy_physics``), and nothing of the model, the effects or the diagnosis.
-MuJoCo itself is loaded when an ``Engine`` is made: ``pip install 'casadical[withheld]'``.
+``campaign`` measures a robot with ``Hidden`` effects, ``measure`` does so at given poses, ``draw_hidden`` draws effects
+at random. The engine finds the equilibrium. Nominal robots, their building errors and the drawing of poses are those of
+``casadical.blind_check.synthetic``; nothing is taken from the model, the effects or the diagnosis. MuJoCo is loaded
+when an ``Engine`` is made: ``pip install 'casadical[withheld]'``.
 """
 
 from casadical.blind_check.mujoco_physics.campaigns import campaign, measure, positions

@@ -120,7 +120,7 @@ class ToolSlip(Cause):
 
 @dataclass(frozen=True)
 class LooseCargo(Cause):
-    """The payload lies loose in its crate and slides against whichever walls are lowest; on no list.
+    """The payload is loose in its crate and slides against the lowest walls; on no list.
 
     ``size`` [rad] is the windup of joint 5 by half the crate's clearance: the slide is ``size`` times the joint's
     stiffness over the payload's weight. A pad holds it in the middle until a tenth of its weight pushes.

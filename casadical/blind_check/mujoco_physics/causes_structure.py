@@ -56,7 +56,7 @@ class LinkFlexure(Cause):
 
 @dataclass(frozen=True)
 class BaseCompliance(Cause):
-    """The pedestal stands on anchors that give: it rocks about two axes ``height_m`` below the base, and sinks.
+    """The pedestal stands on compliant anchors: it tilts about two axes ``height_m`` below the base, and sinks.
 
     ``size`` [rad] is its tilt by the full overturning moment, ``across`` the share of that across its foot.
     """
@@ -132,7 +132,7 @@ class ThermalGrowth(Cause):
 
 @dataclass(frozen=True)
 class PayloadError(Cause):
-    """The payload is heavier than declared by the share ``size`` and hangs off its place by ``shift_m`` in frame 6."""
+    """The payload is heavier than declared by the share ``size``, its mass centre off by ``shift_m`` in frame 6."""
 
     size: float
     shift_m: tuple[float, float, float]

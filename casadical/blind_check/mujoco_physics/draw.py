@@ -1,4 +1,4 @@
-"""Hidden effects drawn by chance, with the sizes that real robots have."""
+"""Hidden effects drawn at random, with the sizes that real robots have."""
 
 from typing import Any, Literal, get_args
 
@@ -12,7 +12,7 @@ from casadical.core.errors import InputError
 
 Kind = Literal["none", "one", "pair", "three", "unlisted"]
 _COUNT = {"none": 0, "one": 1, "pair": 2, "three": 3, "unlisted": 1}
-_LOADED = ("backlash", "nonlinear_stiffness", "rubber_coupling")  # seen only where there is torque
+_LOADED = ("backlash", "nonlinear_stiffness", "rubber_coupling")  # visible only where there is torque
 _ANY = (
     *("gear_eccentricity", "transmission_ripple", "joint_scale", "joint_zero_step", "thermal_zero_drift"),
     *("axis_wobble", "friction_windup", "bearing_play", "encoder_pit", "damaged_tooth"),
@@ -34,7 +34,7 @@ def draw_hidden(plant: Plant, kind: Kind, rng: np.random.Generator, *, poses: in
 
 
 def draw_effect(plant: Plant, effect: str, rng: np.random.Generator, *, poses: int = 100) -> Hidden:
-    """One effect by its name, its joint and sizes by chance. Raises InputError for an unknown name."""
+    """One effect by its name, its joint and sizes at random. Raises InputError for an unknown name."""
     if effect not in {**LISTED, **UNLISTED}:
         raise InputError(f"effect {effect!r} is unknown; there are {', '.join([*LISTED, *UNLISTED])}")
     joint = _joint(plant, effect, rng)
@@ -117,7 +117,7 @@ def _size(
         "encoder_pit": {"size": 100e-6 * usual * sign, "at_rad": inside, "width_rad": float(rng.uniform(0.3, 0.9))},
         "damaged_tooth": {"size": 80e-6 * usual, "ratio": float(rng.choice([3.0, 5.0, 7.5, 10.0])), "at_rad": angle},
     }
-    # Those drawn apart leave the sizes of the others as they were for the same seed.
+    # These are drawn separately, so that the sizes of the others stay the same for the same seed.
     return sizes[effect] if effect in sizes else _added_later(plant, usual, sign, angle, inside, rng)[effect]
 
 
@@ -134,7 +134,7 @@ def _added_later(
 
 
 def _stand(plant: Plant, towards: float, rng: np.random.Generator) -> tuple[float, float, float]:
-    """Where a tracker stands: out of the robot's reach, at about a man's height or lower."""
+    """Position of a tracker: out of the robot's reach, at eye level or lower."""
     reach = float(np.linalg.norm(np.diff(plant.stations, axis=0), axis=-1).sum())
     away = reach * float(rng.uniform(1.3, 2.0))
     return away * float(np.cos(towards)), away * float(np.sin(towards)), float(rng.uniform(0.0, 1.5))

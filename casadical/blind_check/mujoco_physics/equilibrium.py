@@ -1,8 +1,8 @@
 """Where a mechanism comes to rest in MuJoCo: the engine moves it there, step by step, until nothing moves.
 
 Time is slowed down: the joints' own inertia and damping (``robot.spring``) make every joint come to rest in a second
-or so, whatever its stiffness, so that steps of 20 ms suffice. Statics - weights, springs, loops, stops, dry friction -
-know neither.
+or so, whatever its stiffness, so that steps of 20 ms suffice. The equilibrium of
+weights, springs, loops, stops and dry friction depends on neither.
 """
 
 from collections.abc import Iterable, Mapping

@@ -1,4 +1,4 @@
-"""A mechanism as a physics engine knows one: bodies, joints, loops, cords. No robot, no effect, no engine in here."""
+"""A mechanism in the terms of a physics engine: bodies, joints, loops, cords."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -14,7 +14,7 @@ X, Y, Z, ORIGIN = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 
 
 @dataclass(frozen=True)
 class Joint:
-    """A hinge or a slide of a body in its parent; the joints of one body act in turn, the first at the parent.
+    """A hinge or a slide of a body in its parent; the joints of one body act in this order, the first at the parent.
 
     name : unique in the mechanism
     kind, axis, at : hinge or slide, its direction and a point on it [m], in the body's frame

@@ -8,7 +8,7 @@ from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Mechanis
 from casadical.blind_check.synthetic.rigid import Array
 
 STEP = 0.02  # s, of the integrator
-HARD = "0.9999 0.9999 0.001 0.5 2"  # the hardest impedance that MuJoCo knows, at every violation
+HARD = "0.9999 0.9999 0.001 0.5 2"  # the hardest impedance that MuJoCo has, at every violation
 
 
 def mjcf(mechanism: Mechanism, *, name: str = "robot", step_s: float = STEP, tracker: bool = True) -> str:

@@ -62,7 +62,7 @@ def spring(name: str, stiffness: float, *, inertia_of: float | None = None, **mo
     """A joint on a spring, with the inertia and damping that let it come to rest in ``SLOW``, whatever its stiffness.
 
     A spring that hardens takes the inertia of one of the stiffness ``inertia_of``, between its softest and its hardest.
-    Statics do not know inertia or damping.
+    Inertia and damping do not change the equilibrium.
     """
     k = float(stiffness if inertia_of is None else inertia_of)
     joint = Joint(name, stiffness=float(stiffness), inertia=k * SLOW**2, damping=2 * k * SLOW)

@@ -1,8 +1,7 @@
-"""Synthetic measurement campaigns from a physical simulator that shares no formula with the calibration model.
+"""Synthetic campaigns from a simulator in numpy that shares no formula with the calibration model.
 
-``Plant.from_dict`` reads a nominal robot, ``perturb`` makes a real one of it, ``campaign`` measures it with any of the
-``disturbances``; ``hh800_twin`` is the paper's experiment. It uses numpy and pandas only and no other part of casadical
-than the errors, so that a diagnosis checked against it is not checked against its own formulas.
+``Plant.from_dict`` reads a nominal robot, ``perturb`` adds building errors, ``campaign`` measures it with any of the
+``disturbances``; ``hh800_twin`` is the paper's experiment.
 """
 
 from casadical.blind_check.numpy_physics import disturbances

@@ -1,4 +1,4 @@
-"""Disturbances that the load brings about in the joints: play, friction, hardening, springs, hoses."""
+"""Disturbances by load in the joints: play, friction, hardening, springs, hoses."""
 
 from dataclasses import dataclass
 

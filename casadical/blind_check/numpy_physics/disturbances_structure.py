@@ -40,7 +40,7 @@ class AxisWobble(Disturbance):
 
 @dataclass(frozen=True)
 class LinkFlexure(Disturbance):
-    """Link ``link`` is a beam, clamped at its joint: what hangs on its end and its own weight bend and twist it.
+    """Link ``link`` is a beam, clamped at its joint: the load on its end and its own weight bend and twist it.
 
     ``size`` [rad] is the slope of its end if all beyond hung at full stretch; ``torsion`` is twist over bend stiffness.
     """

@@ -1,4 +1,4 @@
-"""A disturbance drawn by chance: the effect is named; size, phase, time and direction follow from a seed."""
+"""A disturbance drawn at random: the effect is given; size, phase, time and direction follow from a seed."""
 
 from dataclasses import fields
 from typing import Any
@@ -19,7 +19,7 @@ _SIZES = {"size", "oval", "shift_m", "turn_rad", "share", "gradient_K_per_m"}
 
 
 def draw_disturbance(effect: str, seed: int, *, joint: int | None = None, scale: float = 1.0) -> Disturbance:
-    """The effect with 0.7 to 1.5 times its usual size, times ``scale``, and everything else by chance.
+    """The effect with 0.7 to 1.5 times its usual size, times ``scale``, and everything else at random.
 
     effect : a word of ``disturbances.LISTED`` or ``disturbances.UNLISTED``
     seed : everything drawn follows from it

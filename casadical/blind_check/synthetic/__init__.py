@@ -1,6 +1,5 @@
-"""What both physics share and none of it is physics of an effect: a robot as built, the circumstances of its poses,
-and the table of a campaign.
+"""What the two physics have in common: a robot as built, the circumstances of its poses, the table of a campaign.
 
-It uses numpy and pandas, and of casadical the errors alone: rotations, loops and arrays have their own code here, so
-that a diagnosis checked against these campaigns is not checked against its own formulas.
+Of casadical only the errors are imported. Rotations, loops and arrays are written again here, so that a diagnosis
+checked against these campaigns is not checked against its own formulas.
 """

@@ -108,9 +108,9 @@ def simulate(
     n, seed : number of poses, and what everything drawn follows from
     repeatability_urad : standard deviation of each joint about its reading
     noise_mm : standard deviation of each measured coordinate
-    payload_states : declared payloads [kg], taken in turn in blocks; by default none and the plant's
+    payload_states : declared payloads [kg], in alternating blocks; by default none and the plant's
     warmup : the arm's temperature; by default 7 K in some 35 minutes
-    approach : each joint's last motion by chance, or (``"motion"``) as it follows from the order of the poses
+    approach : direction of each joint's last motion, random or (``"motion"``) as it follows from the order of the poses
     q_deg : readings (n, 6) to take instead of drawing them from ``ranges_deg`` (6, 2), by default the plant's
     crank_distance_m : limits of the loop's crank distance; by default a quarter of the rocker away from the folds
     truth : add x_true_mm, y_true_mm, z_true_mm: no noise, joints exactly repeated, and the instrument right

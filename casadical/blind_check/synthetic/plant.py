@@ -1,7 +1,7 @@
-"""A robot as it stands: where its axes, masses and reflector are when every reading is zero.
+"""A robot as built: where its axes, masses and reflector are when every reading is zero.
 
 The nominal robot comes from a plain mapping (modified DH rows, masses, stiffness, an optional four-bar); from there on
-the simulator knows no DH parameters, only frames at zero readings and the lines the bodies turn about.
+there are no DH parameters, only frames at zero readings and the axes about which the bodies turn.
 """
 
 from collections.abc import Mapping
@@ -43,7 +43,7 @@ class Plant:
     payload_factor : true mass of the payload over the declared one
     stiffness : array (6,) [N m/rad], of the actuated joints (joint 3: the crank, where there is a four-bar)
     ranges : array (6, 2), joint ranges [rad]
-    base : array (4, 4), the robot's base in the measuring frame, whose -z is gravity
+    base : array (4, 4), the robot's base in the measuring frame; gravity is along its -z
     """
 
     name: str

@@ -87,7 +87,7 @@ def draw_poses(
 def spread_poses(
     plant: Plant, n: int, rng: np.random.Generator, ranges: Array, crank_distance_m: tuple[float, float] | None
 ) -> Array:
-    """As ``draw_poses``, but spread evenly: each next pose is, of 30 drawn, the one farthest from those there are."""
+    """As ``draw_poses``, but spread evenly: each next pose is, of 30 drawn, the one farthest from those before."""
     drawn = draw_poses(plant, 30 * n, rng, ranges, crank_distance_m)
     unit = (drawn - ranges[:, 0]) / (ranges[:, 1] - ranges[:, 0])
     chosen = [0]
@@ -105,7 +105,7 @@ def draw_stops(
     warmup: Warmup,
     approach: Literal["chance", "motion"] = "chance",
 ) -> Stops:
-    """The circumstances of the readings ``q`` (n, 6) [rad]: 20 to 40 s a pose, payloads in turn, approaches."""
+    """Circumstances of the readings ``q`` (n, 6) [rad]: 20 to 40 s a pose, payloads in blocks, approaches."""
     n = len(q)
     time = np.cumsum(np.round(np.random.default_rng(seeds[0]).uniform(20.0, 40.0, n), 1))
     came = np.random.default_rng(seeds[1]).choice([-1.0, 1.0], (n, 6))
