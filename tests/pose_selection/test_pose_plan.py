@@ -104,11 +104,16 @@ def test_payloads_of_the_measured_poses_are_planned_where_effects_are_to_be_told
     assert set(pd.read_csv(tmp_path / "plain.csv")["payload_kg"]) == {120}
 
 
-def test_a_plan_continues_from_a_file(monkeypatch, tmp_path, capsys, robot_file) -> None:
-    q = readings(elbow(), 15, 3)
+def write_measured(path: Path, count: int, noise: float) -> None:
+    """A campaign of the elbow arm, with noise of each coordinate [m]."""
+    q = readings(elbow(), count, 3)
     table = pd.DataFrame(np.rad2deg(q), columns=[f"q{j}_deg" for j in range(1, 7)])
-    table[["x_mm", "y_mm", "z_mm"]] = 1e3 * positions(elbow(), q, 0, 5e-5).position
-    table.to_csv(tmp_path / "measured.csv", index=False)
+    table[["x_mm", "y_mm", "z_mm"]] = 1e3 * positions(elbow(), q, 0, noise).position
+    table.to_csv(path, index=False)
+
+
+def test_a_plan_continues_from_a_file(monkeypatch, tmp_path, capsys, robot_file) -> None:
+    write_measured(tmp_path / "measured.csv", 15, 5e-5)
     out = tmp_path / "next.csv"
     assert run(monkeypatch, robot_file, "-n", 6, "--measured", tmp_path / "measured.csv", "--out", out) == 0
     text = " ".join(capsys.readouterr().out.split())
@@ -135,10 +140,7 @@ def test_a_plan_is_made_with_what_a_calibration_wrote(monkeypatch, tmp_path, cap
 
 
 def test_without_a_number_it_is_the_stopping_rule(monkeypatch, tmp_path, capsys, robot_file) -> None:
-    q = readings(elbow(), 20, 3)
-    table = pd.DataFrame(np.rad2deg(q), columns=[f"q{j}_deg" for j in range(1, 7)])
-    table[["x_mm", "y_mm", "z_mm"]] = 1e3 * positions(elbow(), q, 0, 2e-5).position
-    table.to_csv(tmp_path / "measured.csv", index=False)
+    write_measured(tmp_path / "measured.csv", 20, 2e-5)
     out = tmp_path / "course.csv"
     words = ("--measured", tmp_path / "measured.csv", "--noise-mm", "0.02", "--target-mm", "0.02", "--out", out)
     assert run(monkeypatch, robot_file, *words) == 0

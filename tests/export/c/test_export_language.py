@@ -4,19 +4,18 @@ import csv
 import hashlib
 import json
 import math
-import os
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from plugin_site import ROOT, installed, run
 
 from casadical.core.errors import InputError
 from casadical.export import Sources, command_of, write_c
 from casadical.export.c.registry import known_languages
 
-ROOT = Path(__file__).parents[3]
+GROUP = "casadical.controller_languages"
 
 # A row an operation: what it does, the rows that it takes, its constant; the last row names the outputs.
 MODULE = """
@@ -36,23 +35,6 @@ class Rows(Language):
             found[f"{label.name}_{key}.csv"] = text.getvalue()
         return found
 """
-
-
-def installed(folder: Path, module: str = MODULE, point: str = "rows = tape_rows:Rows") -> Path:
-    """A folder as an installer leaves it."""
-    (folder / "tape_rows.py").write_text(module)
-    about = folder / "tape_rows-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: tape-rows\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text(f"[casadical.controller_languages]\n{point}\n")
-    return folder
-
-
-def run(site: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
-    """The command in a fresh process that finds packages in `site`."""
-    path = os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
-    command = [Path(sys.executable).parent / "casadical", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, "PYTHONPATH": path})
 
 
 OPERATIONS = {
@@ -87,7 +69,7 @@ def interpreted(path: Path, q: np.ndarray) -> list[float]:
 
 
 def test_a_plug_in_writes_what_the_model_computes(tmp_path):
-    site, out = installed(tmp_path), tmp_path / "c"
+    site, out = installed(tmp_path, GROUP, "rows = toy:Rows", MODULE), tmp_path / "c"
     nominal = ROOT / "problems" / "hh800" / "robot.toml"
     done = run(site, "export", "c", nominal, "--nominal", nominal, "--name", "arm", "--out", out, "--language", "rows")
     assert (done.returncode, done.stderr) == (0, "")
@@ -119,22 +101,22 @@ def test_the_c_alone(tmp_path, network):
 
 
 FAULTY = {
-    "not there": (MODULE, "rows = tape_rows:Row", "cannot be loaded"),
-    "no language": ("Rows = 3", "rows = tape_rows:Rows", "must be a subclass of casadical.export.c.language.Language"),
-    "of another name": (MODULE, "tape = tape_rows:Rows", "both need the same name"),
-    "taken": (MODULE.replace('"rows"', '"c"'), "c = tape_rows:Rows", "there is a 'c' already"),
-    "files of the C": (MODULE.replace('_{key}.csv"]', '.c"]'), "rows = tape_rows:Rows", "writes arm.c, which is"),
+    "not there": (MODULE, "rows = toy:Row", "cannot be loaded"),
+    "no language": ("Rows = 3", "rows = toy:Rows", "must be a subclass of casadical.export.c.language.Language"),
+    "of another name": (MODULE, "tape = toy:Rows", "both need the same name"),
+    "taken": (MODULE.replace('"rows"', '"c"'), "c = toy:Rows", "there is a 'c' already"),
+    "files of the C": (MODULE.replace('_{key}.csv"]', '.c"]'), "rows = toy:Rows", "writes arm.c, which is"),
 }
 
 
 @pytest.mark.parametrize("case", FAULTY)
 def test_a_faulty_plug_in_is_named(case, tmp_path, monkeypatch, network):
     module, point, message = FAULTY[case]
-    monkeypatch.syspath_prepend(installed(tmp_path, module, point))
-    monkeypatch.delitem(sys.modules, "tape_rows", raising=False)
+    monkeypatch.syspath_prepend(installed(tmp_path, GROUP, point, module))
+    monkeypatch.delitem(sys.modules, "toy", raising=False)
     with pytest.raises(InputError, match=message):
         write_c(network, tmp_path / "c", name="arm", languages=("rows",), vectors=100)
-    sys.modules.pop("tape_rows", None)
+    sys.modules.pop("toy", None)
     assert not (tmp_path / "c").exists()
 
 

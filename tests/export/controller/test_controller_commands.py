@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 import pytest
-from controller_arms import NAMES, nominal_path, planted, poses, positions, rigid_motion
+from controller_arms import nominal_path, planted, poses, positions, rigid_motion
 
 import casadical.export.c.kernel as kernel_module
 import casadical.export.c.write as write_module
@@ -18,7 +18,7 @@ from casadical.cli.export import prefix_of
 from casadical.compensator import Compensator, save_compensator
 from casadical.export import load
 from casadical.export.c.toolchain import compilers
-from casadical.robot.robot_file import read_robot, write_robot
+from casadical.robot.robot_file import read_robot
 
 needs_compiler = pytest.mark.skipif(not compilers(), reason="no C compiler (gcc, clang, cc) on this machine")
 
@@ -29,14 +29,6 @@ def run(monkeypatch, *arguments) -> int:
     with pytest.raises(SystemExit) as stopped:
         cli.main()
     return int(stopped.value.code or 0)
-
-
-@pytest.fixture(scope="module")
-def files(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("robots")
-    for name in NAMES:
-        write_robot(planted(name), folder / f"{name}.toml")
-    return folder
 
 
 @pytest.fixture(scope="module")

@@ -24,15 +24,6 @@ MICROMETRE = 1e-6
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory):
-    """Robot files with planted errors, by problem."""
-    folder = tmp_path_factory.mktemp("robots")
-    for name in NAMES:
-        write_robot(planted(name), folder / f"{name}.toml")
-    return folder
-
-
-@pytest.fixture(scope="module")
 def compensator(tmp_path_factory):
     """A network for hh800 that adds about half a millimetre in the measuring frame."""
     q = poses(planted("hh800"), 150, seed=5)
