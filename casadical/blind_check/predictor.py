@@ -103,12 +103,14 @@ def answer_campaign(by: str, name: str, model: str, seen: pd.DataFrame, unseen: 
 
 def diagnosis(s: Session) -> dict[str, Any]:
     """The answer of the diagnosis."""
+    from casadical.diagnosis.details import Details
     from casadical.diagnosis.diagnose import diagnose
-    from casadical.diagnosis.json_answer import Extras, as_json
+    from casadical.diagnosis.json_answer import as_json
+    from casadical.diagnosis.localisation import localise
+    from casadical.diagnosis.smooth_description import describe_unlisted
 
     found = diagnose(s.robot, s.measured)
-    # Nobody measures more: the proposal of next poses, which is costly, is left out.
-    answer = as_json(found, s.name, Extras(poses=pd.DataFrame()))
+    answer = as_json(found, s.name, Details(where=localise(found), unlisted=describe_unlisted(found)))
     first = found.rankings[0]
     posterior = {"none": first.none, "unknown": 0.0}
     for candidate in found.case.candidates:

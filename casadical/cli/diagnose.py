@@ -12,11 +12,6 @@ from casadical.cli.options import Campaigns, Effects, Json, Problem, Quiet, Repo
 from casadical.cli.terminal import as_text, as_typed, keep, keep_json, working
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from casadical.diagnosis.json_answer import Extras
-    from casadical.diagnosis.result import Diagnosis
-    from casadical.pose_selection.workspace import Workspace
     from casadical.robot.robot import Robot
 
 
@@ -59,6 +54,7 @@ def diagnose(
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
     from casadical.core.files import write_whole
+    from casadical.diagnosis.details import analyse
     from casadical.diagnosis.diagnose import diagnose as run
     from casadical.diagnosis.json_answer import as_json
     from casadical.diagnosis.text import report
@@ -82,15 +78,16 @@ def diagnose(
             chosen = effects.split(",") if effects else "standard"
             found = run(robot, m, chosen, seed=seed, bootstrap=bootstrap, show=show)
             file = measure_next if len(campaigns) == 1 else None
-            extras = _extras(found, file, next_n, network, workspace, show)
-        answers.append(as_json(found, path.stem, extras))
-        answered.append((path, found, extras))
-        console.print(report(found, f"{path.stem} ({robot.name})", extras), soft_wrap=True)
+            name_of_file = file.name if file else ""
+            more = analyse(found, poses=next_n, workspace=workspace, networks=network, file=name_of_file, show=show)
+        answers.append(as_json(found, path.stem, more))
+        answered.append((path, found, more))
+        console.print(report(found, f"{path.stem} ({robot.name})", more), soft_wrap=True)
         console.print()
-        if file and extras.poses is not None:
-            if len(extras.poses):
-                write_whole(file, extras.poses.to_csv(index=False))
-            console.print(f"wrote {file}" if len(extras.poses) else f"{file}: not written, for nothing is in question")
+        if file and more.poses is not None:
+            if len(more.poses):
+                write_whole(file, more.poses.to_csv(index=False))
+            console.print(f"wrote {file}" if len(more.poses) else f"{file}: not written, for nothing is in question")
     texts = {json_file: as_text(answers)} if json_file else {}
     if report_file:
         from casadical.report import diagnosis_report
@@ -98,25 +95,6 @@ def diagnose(
         with working(quiet, "writing the report"):
             texts[report_file] = diagnosis_report(problem, answered, as_typed())
     keep(texts, console)
-
-
-def _extras(
-    found: Diagnosis,
-    file: Path | None,
-    next_n: int,
-    network: bool,
-    workspace: Workspace | None,
-    show: Callable[[str], None],
-) -> Extras:
-    """The parts that take longer."""
-    from casadical.diagnosis.json_answer import Extras
-
-    show("where it lies")
-    _ = found.where
-    check = found.check_refit(show) if found.effects() else None
-    networks = found.with_network(show=show) if network else None
-    show("poses to measure next")
-    return Extras(check, networks, found.next_poses(next_n, workspace=workspace), file.name if file else "")
 
 
 def _print_isolability(

@@ -15,12 +15,14 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
 from casadical.diagnosis.candidates import Candidate, candidates_of, choose
 from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case, base_prior, column_numbers, widths
 from casadical.diagnosis.linearisation import signatures
+from casadical.diagnosis.result import Diagnosis
 from casadical.effects import Effect
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
@@ -58,8 +60,8 @@ class Isolability:
 
 
 def isolability(
-    robot: Robot,
-    m: Measurements,
+    robot: Robot | Diagnosis,
+    m: Measurements | None = None,
     effects: Sequence[str | Effect] | Literal["standard", "extended"] = "standard",
     *,
     noise: Noise = USUAL_NOISE,
@@ -67,11 +69,16 @@ def isolability(
 ) -> Isolability:
     """Isolability of effects at the poses of a (planned) campaign; positions are not looked at.
 
+    robot : nominal; or a diagnosis, whose candidates are judged at its own poses, calibrated geometry and noise
     effects : as of `diagnose`; noise : that is expected
     whole : whether an effect counts as one cause in all its joints together, not joint by joint
 
-    Raises InputError for a name that is no effect.
+    Raises InputError for a name that is no effect, or where poses are missing.
     """
+    if isinstance(robot, Diagnosis):
+        return _of_case(robot.case, robot.noise)
+    if m is None:
+        raise InputError("poses are missing; give isolability(robot, measurements), or a diagnosis alone")
     candidates = [c for c in candidates_of(robot, effects) if c.listed]
     possible, missing = choose(candidates, m)
     used = tuple(dict.fromkeys(e for c in possible for v in c.variants for e in v))
@@ -85,8 +92,7 @@ def isolability(
     return _judged(evidence, groups, noise, missing)
 
 
-def isolability_of(case: Case, noise: Noise) -> Isolability:
-    """Isolability of a case's candidates at its own poses, calibrated geometry and noise."""
+def _of_case(case: Case, noise: Noise) -> Isolability:
     listed = [c for c in case.candidates if c.listed]
     groups = {c.label: [case.group(v) for v in c.variants] for c in listed}
     return _judged(replace(case.evidence, reference=noise.sigma), groups, noise, case.missing)

@@ -11,7 +11,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from casadical.diagnosis.isolability import Isolability
-from casadical.diagnosis.phrases import columns_to_log, gathered_by_columns
+from casadical.diagnosis.statements import columns_to_log, gathered_by_columns
 
 SHOWN_RIVALS = 3
 WIDTH = 112

@@ -2,37 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
 from typing import Any
 
 import pandas as pd
 
-from casadical.diagnosis.advice import told_apart
-from casadical.diagnosis.network import NetworkGap
-from casadical.diagnosis.phrases import missing_columns
-from casadical.diagnosis.refit import Check
-from casadical.diagnosis.result import Cause, Diagnosis
-from casadical.diagnosis.smooth_description import Unlisted
-from casadical.effects import Effect
-
-# Poses to measure next.
-NEXT = 15
+from casadical.diagnosis.details import Details
+from casadical.diagnosis.held_out_gap import NetworkGap
+from casadical.diagnosis.next_poses import discrimination_probability
+from casadical.diagnosis.result import Cause, Diagnosis, Unlisted
+from casadical.diagnosis.statements import missing_columns, settings
 
 
-@dataclass(frozen=True, eq=False)
-class Extras:
-    """What takes longer than the diagnosis: held-out gap of the refit, of networks, and poses to measure next."""
+def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[str, Any]:
+    """The answer in the campaigns' format; lengths in mm, readable by any tool.
 
-    check: Check | None = None
-    networks: tuple[NetworkGap, NetworkGap] | None = None
-    poses: pd.DataFrame | None = None
-    file: str = ""
-
-
-def as_json(d: Diagnosis, campaign: str, extras: Extras | None = None) -> dict[str, Any]:
-    """The answer in the campaigns' format; lengths in mm, readable by any tool."""
-    e = extras or Extras()
-    poses = d.next_poses(NEXT) if e.poses is None else e.poses
+    more : what `analyse` computed; nothing is computed here, and what was not computed is left out
+    """
+    more = more or Details()
+    poses = pd.DataFrame() if more.poses is None else more.poses
+    check, networks, unlisted = more.check, more.networks, more.unlisted
     return {
         "campaign": campaign,
         "verdict": d.verdict,
@@ -40,25 +28,19 @@ def as_json(d: Diagnosis, campaign: str, extras: Extras | None = None) -> dict[s
         **({} if d.p_nothing is None else {"p_nothing": d.p_nothing}),
         "causes": [_cause(c) for c in d.causes],
         "unknown_rest": round(d.unknown_rest, 4),
-        **({} if d.unlisted is None else {"unlisted": _unlisted(d.unlisted)}),
+        **({} if unlisted is None else {"unlisted": _unlisted(unlisted)}),
         "course": _records(d.course),
-        "where": {name: _records(table) for name, table in d.where.tables()},
+        **({"where": {name: _records(table) for name, table in more.where.tables()}} if more.where else {}),
         "noise": {"sigma_mm": _mm(d.noise.sigma), "repeatability_urad": round(1e6 * d.noise.repeatability, 2)},
         "replicates": {"sigma_mm": _mm(d.replicates.sigma), "poses": d.replicates.poses, "used": d.replicates.enough},
         "outliers": [{"row": o.row, "distance_mm": _mm(o.distance), "sigmas": round(o.sigmas, 2)} for o in d.outliers],
         "outlier_rows": [o.row for o in d.outliers],
         "missing_columns": {label: list(columns) for label, columns in missing_columns(d).items()},
         "next_measurements": _next(poses),
-        **({"told_rightly": [round(p, 4) for p in told_apart(d, poses)]} if len(poses) else {}),
-        **({"refit_mm": {"held_out": _mm(e.check.refit), "linearised": _mm(e.check.linearised)}} if e.check else {}),
-        **({"network_mm": [_network(n) for n in e.networks]} if e.networks else {}),
+        **({"told_rightly": [round(p, 4) for p in discrimination_probability(d, poses)]} if len(poses) else {}),
+        **({"refit_mm": {"held_out": _mm(check.refit), "linearised": _mm(check.linearised)}} if check else {}),
+        **({"network_mm": [_network(n) for n in networks]} if networks else {}),
     }
-
-
-def settings(effect: Effect) -> dict[str, float]:
-    """Values of an effect in which it is not linear (cycles, knee, lag, time of a step)."""
-    values = {f.name: getattr(effect, f.name) for f in fields(effect)}
-    return {name: value for name, value in values.items() if isinstance(value, float)}
 
 
 def _next(poses: pd.DataFrame) -> list[dict[str, Any]]:

@@ -14,6 +14,7 @@ from casadical.core.transforms import Array
 from casadical.diagnosis.components import Components, components
 from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.result import Diagnosis
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
 
@@ -28,9 +29,9 @@ BINS = ("by", "part", "poses", "share", "low", "high", "rms_mm", "rms_low_mm", "
 class Where:
     """Where the gap that the base model leaves lies; a table each, empty where a column was not logged.
 
-    joints, links : columns part, share, low, high, rms_mm. Parts of the robot whose smooth errors would bring the gap
-        forth; both tables hold the rest as "elsewhere" and sum to one. rms_mm is a coordinate's, noise left aside;
-        intervals are those of the fit (see `places`)
+    joints, links : columns part, share, low, high, rms_mm. Parts of the robot whose smooth errors would account for
+        the gap; both tables hold the rest as "elsewhere" and sum to one. rms_mm is a coordinate's, noise left aside;
+        intervals are those of the fit (see `components`)
     directions : the same with column frame: base (x, y, z), axis (radial, tangential, vertical about joint 1), tool
         (x, y, z); each frame sums to one, noise included; intervals by bootstrap over poses, as in all that follow
     regions, payload, temperature, time, approach : columns by, part, poses, share (of the squared error), low, high,
@@ -63,7 +64,12 @@ class Where:
         return every[every["low"] > even].sort_values("excess", ascending=False, ignore_index=True)
 
 
-def where(case: Case, noise: Noise, seed: int = 0) -> Where:
+def localise(found: Diagnosis) -> Where:
+    """Where the gap of a diagnosis' base model lies: by joint, link, direction, region and circumstances."""
+    return localise_residual(found.case, found.noise, found.seed)
+
+
+def localise_residual(case: Case, noise: Noise, seed: int = 0) -> Where:
     """Where the residual of a case lies; noise : that is left aside in the shares of joints and links."""
     found = components(case, noise, seed)
     split = _Split(case, seed)

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from math import erf, log, sqrt
 
 import numpy as np
 import pandas as pd
@@ -23,6 +24,7 @@ from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence, log_sum
 from casadical.diagnosis.linear_problem import Case, widths
 from casadical.diagnosis.linearisation import signatures
 from casadical.diagnosis.pose_pool import Pool, draw_pool, news
+from casadical.diagnosis.result import Diagnosis
 from casadical.effects import Effect
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.workspace import Workspace
@@ -47,20 +49,23 @@ class _Prediction:
 
 
 def next_poses(
-    case: Case,
-    labels: Sequence[str],
+    found: Diagnosis | Case,
     n: int,
+    labels: Sequence[str] = (),
     seed: int = 0,
     *,
-    beside: Sequence[str] = (NONE,),
+    beside: Sequence[str] | None = None,
     workspace: Workspace | None = None,
     payloads: Sequence[float] = (),
     pool: int = POOL,
 ) -> pd.DataFrame:
-    """The next n poses to measure, the most telling first.
+    """The next n poses to measure, the most informative first.
 
-    labels : causes to distinguish, as the case's candidates name them; "none" for no cause at all
-    beside : others from which each of them is to be distinguished as well, but not from each other
+    found : a diagnosis, or the case of one
+    labels : causes to distinguish, as the case's candidates name them; "none" for no cause at all; by default those
+        that the diagnosis has in question (`Diagnosis.in_question`), and an empty table where there are none
+    beside : others from which each of them is to be distinguished as well, but not from each other; by default "none",
+        and with the default labels the most probable other cause
     workspace : where poses may lie; by default the robot's own ranges, loops as open as they were in the campaign
     payloads : states [kg] that can be mounted; by default none, the declared one and the campaign's
     pool : how many poses are drawn to choose from; the campaign's own are added
@@ -72,7 +77,15 @@ def next_poses(
     and, empty, the columns to be logged. Raises InputError for fewer than two labels or one that the case does not
     know.
     """
-    causes = _causes(case, labels, beside)
+    case = found.case if isinstance(found, Diagnosis) else found
+    others: tuple[str, ...] = ()
+    if isinstance(found, Diagnosis) and not labels:
+        labels = found.in_question
+        if len(labels) < 2:
+            return pd.DataFrame()
+        known = {c.label for c in case.candidates}
+        others = tuple(k for k in found.rankings[-1].order if k in known and k not in labels)[:1]
+    causes = _causes(case, labels, (NONE, *others) if beside is None else beside)
     noise = causes[0].noise
     effects = tuple(dict.fromkeys(e for cause in causes for e in cause.variant))
     drawn = draw_pool(case, effects, pool, seed, workspace, payloads)
@@ -244,3 +257,28 @@ def _table(
     for name in ("time_s", "temperature_degC", "x_mm", "y_mm", "z_mm"):
         table[name] = np.nan
     return table
+
+
+def discrimination_probability(found: Diagnosis, poses: pd.DataFrame) -> tuple[float, float]:
+    """Probability that the more probable of the two most similar causes is true: now, and after these poses.
+
+    poses : of `next_poses`. After them the log odds are normal about their expected gain D with variance 2 D, whichever
+    cause is true.
+    """
+    first, second = found.in_question[:2]
+    ranking = max(found.rankings, key=lambda r: r.probability.get(first, 0) + r.probability.get(second, 0))
+    a, b = (max(ranking.probability.get(k, 0.0), 1e-12) for k in (first, second))
+    share = a / (a + b)
+    return probability_after(share, 0.0), probability_after(share, float(poses["separation"].iloc[-1]))
+
+
+def probability_after(share: float, gain: float) -> float:
+    """Probability of a right choice between two causes, of which one has this share, after an expected log factor."""
+    if gain <= 0:
+        return max(share, 1 - share)
+    odds, width = log(share / (1 - share)), sqrt(2 * gain)
+    return share * _normal((gain + odds) / width) + (1 - share) * _normal((gain - odds) / width)
+
+
+def _normal(x: float) -> float:
+    return 0.5 * (1 + erf(x / sqrt(2)))

@@ -1,30 +1,20 @@
-"""What a diagnosis found: verdict, causes, the gap before and after, and what follows from it."""
+"""What a diagnosis found: verdict, causes, the gap before and after. Results only: nothing here is computed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
 import pandas as pd
 
-from casadical.compensator import Trainer
-from casadical.core.transforms import Array
-from casadical.diagnosis.cross_validation import Noise, held_out_errors, random_folds
-from casadical.diagnosis.isolability import Isolability, isolability_of
+from casadical.core.arrays import Array
+from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.localisation import Where, where
-from casadical.diagnosis.network import NetworkGap, network_gap
-from casadical.diagnosis.next_poses import next_poses
 from casadical.diagnosis.posterior import Ranking
-from casadical.diagnosis.refit import Check, held_out_refit, refit
 from casadical.diagnosis.replicates import Replicates
-from casadical.diagnosis.smooth_description import Unlisted, unlisted_forms
 from casadical.effects import Effect
 from casadical.identification.identification import Identification
-from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
 
 # Two forms are not in question where one has this share of what both have.
@@ -76,18 +66,38 @@ class Cause:
 
 
 @dataclass(frozen=True, eq=False)
+class Unlisted:
+    """Forms that describe the unknown (see `describe_unlisted`); they name no cause.
+
+    labels : what they are, of listed effects too; effects : the same as effects of the model
+    before, after : mean held-out gap [m] with the named causes, and with these forms too
+    shrink, shrink_interval : share by which it falls, with a 95 % interval
+    """
+
+    labels: tuple[str, ...]
+    effects: tuple[Effect, ...]
+    before: float
+    after: float
+    shrink: float
+    shrink_interval: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
 class Diagnosis:
     """The answer to: why is there still a gap?
 
     verdict : none, explained, ambiguous, unknown; causes : the largest shrink first
     gap : held-out, before and after the causes; noise : instrument and joint repeatability
     unknown_rest : share of the gap that is there to be explained and that no named cause explains
-    course : how far the gap falls with each cause added (see `how_far.course`)
+    course : how far the gap falls with each cause added (see `held_out_gap.course`)
     replicates : scatter of repeated poses, of which there may be none
     rankings : what each step saw; outliers : poses that were left out
-    missing : label -> columns that would be needed to speak about it
+    missing : label -> columns that would be needed to judge it
     case, identification : what it was computed from; seed : of all chance
     p_nothing : how often noise alone would look as much like some cause; None without a bootstrap
+
+    What costs more is asked for by name: `refit` and `apply` below, and in `casadical.diagnosis` `analyse`, `localise`,
+    `isolability`, `describe_unlisted`, `check_refit`, `network_gaps` and `next_poses`.
     """
 
     verdict: Verdict
@@ -105,25 +115,6 @@ class Diagnosis:
     seed: int = 0
     p_nothing: float | None = None
 
-    @cached_property
-    def unlisted(self) -> Unlisted | None:
-        """What the rest is most like, and the gap with that in the model; None unless the verdict is unknown."""
-        if self.verdict != "unknown":
-            return None
-        named = self.columns, frozenset(c.label for c in self.causes)
-        noise = self.noise if self.effects() else self.rankings[0].noise[""]
-        return unlisted_forms(self.case, self.rankings[-1], named, noise, self.seed)
-
-    @cached_property
-    def where(self) -> Where:
-        """Where the gap of the base model lies: by joint, link, direction, region and circumstances (see `where`)."""
-        return where(self.case, self.noise, self.seed)
-
-    @cached_property
-    def isolability(self) -> Isolability:
-        """What these poses could have shown: what the base absorbs of each effect, what looks alike, at this noise."""
-        return isolability_of(self.case, self.noise)
-
     @property
     def in_question(self) -> tuple[str, ...]:
         """Labels that further poses should distinguish: a set of similar causes, or the two leading ones."""
@@ -135,52 +126,26 @@ class Diagnosis:
         certain = len(order) > 1 and last[order[0]] > CERTAIN * (last[order[0]] + last[order[1]])
         return tuple(order[:2]) if self.verdict in ("ambiguous", "unknown") and not certain else ()
 
-    def next_poses(
-        self, n: int, seed: int = 0, *, workspace: Workspace | None = None, payloads: Sequence[float] = ()
-    ) -> pd.DataFrame:
-        """The n poses that best distinguish what these data cannot (see `next_poses.next_poses`); may be empty.
-
-        workspace : where poses may lie; payloads : states [kg] that can be mounted
-        """
-        labels = self.in_question
-        if len(labels) < 2:
-            return pd.DataFrame()
-        known = {c.label for c in self.case.candidates}
-        others = [k for k in self.rankings[-1].order if k in known and k not in labels]
-        beside = ("none", *others[:1])
-        return next_poses(self.case, labels, n, seed, beside=beside, workspace=workspace, payloads=payloads)
-
-    def effects(self, top: int | None = None, unlisted: bool = False) -> tuple[Effect, ...]:
+    def effects(self, top: int | None = None, unlisted: Unlisted | None = None) -> tuple[Effect, ...]:
         """Effects of the first `top` causes (all by default), with their most likely settings.
 
-        unlisted : also the forms of the unknown, which name no cause but describe what is left
+        unlisted : a description of the unknown, whose forms are added
         """
         named = tuple(e for c in self.causes[:top] for e in c.effects)
-        return (*named, *self.unlisted.effects) if unlisted and self.unlisted else named
+        return (*named, *unlisted.effects) if unlisted else named
 
-    def refit(self, top: int | None = None, unlisted: bool = False) -> Identification:
-        """Base model and these effects identified together by Ipopt, with standard errors (see `effects`, `refit`)."""
+    def refit(self, top: int | None = None, unlisted: Unlisted | None = None) -> Identification:
+        """Base model and these effects identified together by Ipopt, with standard errors.
+
+        top, unlisted : as of `effects`. Raises ConvergenceError.
+        """
+        from casadical.diagnosis.refit import refit
+
         return refit(self.case, self.effects(top, unlisted), self.noise)
 
-    def apply(self, top: int | None = None, unlisted: bool = False) -> Robot:
-        """The calibrated robot with these effects in its model: it predicts, and is exported, as any other."""
+    def apply(self, top: int | None = None, unlisted: Unlisted | None = None) -> Robot:
+        """The calibrated robot with these effects in its model (see `refit`): it predicts, and is exported, as any."""
         return self.refit(top, unlisted).robot
-
-    def check_refit(self, show: Callable[[str], None] = lambda _text: None) -> Check:
-        """Held-out gap of the nonlinear refit beside that of the linearised model, on the same fifths."""
-        errors = held_out_refit(self.case, self.effects(), self.noise, self.seed, show)
-        folds = random_folds(len(errors), self.seed)
-        linear = held_out_errors(self.case.evidence, self.columns, self.noise, folds)
-        return Check(float(errors.mean()), float(linear.mean()))
-
-    def with_network(
-        self, trainer: Trainer | str = "lm", show: Callable[[str], None] = lambda _text: None
-    ) -> tuple[NetworkGap, NetworkGap]:
-        """The gap when the paper's network is used instead of the causes, and on what the causes leave."""
-        before = self.rankings[0].noise[""]
-        columns = (np.zeros(0, dtype=np.int64), before), (self.columns, self.noise)
-        first, second = (network_gap(self.case, c, noise, self.seed, trainer, show) for c, noise in columns)
-        return first, second
 
     @property
     def columns(self) -> Array:

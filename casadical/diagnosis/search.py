@@ -20,13 +20,13 @@ from casadical.diagnosis.cross_validation import (
     remainders,
     shrink_interval,
 )
+from casadical.diagnosis.held_out_gap import Stage, course, scatter
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.pair_search import two_causes
 from casadical.diagnosis.posterior import Ranking, rank
 from casadical.diagnosis.replicates import Replicates, replicates
 from casadical.diagnosis.result import Cause, Diagnosis, Gap, Outlier, Verdict
 from casadical.diagnosis.settings_search import refined
-from casadical.diagnosis.shrink_course import Stage, course, scatter
 from casadical.diagnosis.thresholds import (
     CLAIM,
     DETECT_FURTHER,

@@ -6,41 +6,35 @@ beside it. Together they are a description all the same, and where it predicts p
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from casadical.core.transforms import Array
 from casadical.diagnosis.cross_validation import Noise, partitioned_errors, shrink_interval
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import Ranking, rank
+from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.diagnosis.thresholds import DETECT_FURTHER
 from casadical.effects import Effect
 
 MOST_FORMS = 4
 
 
-@dataclass(frozen=True, eq=False)
-class Unlisted:
-    """Forms that describe the unknown.
+def describe_unlisted(found: Diagnosis) -> Unlisted | None:
+    """What the rest is most like, and the gap with that in the model; None unless the verdict is unknown.
 
-    labels : what they are, of listed effects too; effects : they as effects of the model
-    before, after : mean held-out gap [m] with the named causes, and with these forms too
-    shrink, shrink_interval : share by which it falls, with a 95 % interval
+    Forms are added one by one, the first of them on no list, each compared again with the others; None without one.
     """
-
-    labels: tuple[str, ...]
-    effects: tuple[Effect, ...]
-    before: float
-    after: float
-    shrink: float
-    shrink_interval: tuple[float, float]
+    if found.verdict != "unknown":
+        return None
+    named = found.columns, frozenset(c.label for c in found.causes)
+    noise = found.noise if found.effects() else found.rankings[0].noise[""]
+    return _forms(found.case, found.rankings[-1], named, noise, found.seed)
 
 
-def unlisted_forms(
+def _forms(
     case: Case, ranking: Ranking, named: tuple[Array, frozenset[str]], noise: Noise, seed: int
 ) -> Unlisted | None:
-    """Forms added one by one, the first of them on no list, each compared again with the others; None without one.
+    """The description of a case.
 
     ranking : the last one; named : columns and labels of the named causes; noise : that these leave
     """

@@ -10,7 +10,7 @@ import numpy as np
 from casadical.core.transforms import Array
 from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.linear_problem import make_case
-from casadical.diagnosis.localisation import Where, where
+from casadical.diagnosis.localisation import Where, localise_residual
 from casadical.identification.accuracy import errors, residual_mm
 from casadical.measurements.measurements import Measurements
 from casadical.project.calibration import Calibration
@@ -99,7 +99,7 @@ def where_left(calibration: Calibration) -> Where | None:
     result = calibration.identification
     if len(result.measurements) != 1 or result.measurements[0].position is None:
         return None
-    return where(make_case(result, ()), Noise(result.sigmas[0][0], 0.0))
+    return localise_residual(make_case(result, ()), Noise(result.sigmas[0][0], 0.0))
 
 
 def _models(m: Measurements, calibration: Calibration) -> Iterator[Left]:

@@ -15,7 +15,7 @@ from casadical.project.tables import error_tables, judged_on, network_tables, pa
 from casadical.report.figures_of_calibration import calibration_figures
 from casadical.report.page import Block, Drawing, Part, Section, Tile, report_html
 from casadical.report.provenance import problem_files, provenance_of
-from casadical.report.where_blocks import where_drawings
+from casadical.report.share_figures import where_drawings
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go

@@ -12,7 +12,7 @@ from casadical.report.style import BLUE, GREEN, GREY, INK, ORANGE, new_figure, p
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-    from casadical.diagnosis.network import NetworkGap
+    from casadical.diagnosis.held_out_gap import NetworkGap
     from casadical.diagnosis.result import Diagnosis
 
 MOST_SHOWN = 8

@@ -9,19 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadical.core.blocks import Table, Words, mm
-from casadical.diagnosis.advice import kinds, told_apart
-from casadical.diagnosis.json_answer import NEXT, Extras, settings
-from casadical.diagnosis.phrases import (
-    alike,
-    has_rest,
-    headline,
-    invisible,
-    left_over,
-    not_logged,
-    resembles,
-    unsure_floor,
-)
-from casadical.diagnosis.text import readable, refitted, signature
+from casadical.diagnosis.statements import CauseRow, cause_rows, has_rest, left_over, statements
 from casadical.diagnosis.thresholds import PARTITIONS
 from casadical.identification.tables import correlated, held_table, parameter_tables
 from casadical.project.remaining_errors import BEFORE
@@ -29,42 +17,48 @@ from casadical.report.figures_of_diagnosis import diagnosis_figures, held_out_po
 from casadical.report.page import Block, Drawing, Part, Section, Tile, report_html
 from casadical.report.provenance import campaign_files, provenance_of
 from casadical.report.replay_blocks import replay_blocks
-from casadical.report.where_blocks import where_drawings
+from casadical.report.share_figures import where_drawings
 
 if TYPE_CHECKING:
     import pandas as pd
     import plotly.graph_objects as go
 
-    from casadical.diagnosis.result import Cause, Diagnosis
+    from casadical.diagnosis.details import Details
+    from casadical.diagnosis.result import Diagnosis
+    from casadical.diagnosis.statements import Statement
 
 
 def diagnosis_report(
-    folder: Path, answered: Sequence[tuple[Path, Diagnosis, Extras | None]], command: Sequence[str] = ()
+    folder: Path, answered: Sequence[tuple[Path, Diagnosis, Details | None]], command: Sequence[str] = ()
 ) -> str:
     """One HTML file of one or several diagnoses of a problem's robot.
 
-    folder : the problem's; answered : (campaign's file, diagnosis, what takes longer, if it was computed); command : as
-    it was typed. Raises InputError where plotly or jinja2 is not installed, or a file is gone.
+    folder : the problem's; answered : (campaign's file, diagnosis, what `analyse` computed of it); command : as it was
+    typed. Raises InputError where plotly or jinja2 is not installed, or a file is gone.
     """
-    parts = [diagnosis_part(d, path.stem, extras) for path, d, extras in answered]
+    parts = [diagnosis_part(d, path.stem, more) for path, d, more in answered]
     return report_html("Diagnosis", parts, provenance_of(campaign_files(folder, [a[0] for a in answered]), command))
 
 
-def diagnosis_part(d: Diagnosis, name: str, extras: Extras | None = None) -> Part:
+def diagnosis_part(d: Diagnosis, name: str, more: Details | None = None) -> Part:
     """One campaign's part of a page; name : of the campaign. Raises InputError where plotly is not installed."""
-    e = extras or Extras()
-    figures = diagnosis_figures(d, e)
+    figures = diagnosis_figures(d, more)
+    said = statements(d, more)
+    rows = cause_rows(d)
     sections = [
-        Section("Verdict", [*_verdict(d)]),
-        Section("Errors before and after", [Drawing("gap", figures["gap"], _GAP), _error_table(d), *_refit(e)]),
+        Section("Verdict", [*_said(said, "VERDICT", "GAP", "UNKNOWN", "OUT")]),
+        Section(
+            "Errors before and after",
+            [Drawing("gap", figures["gap"], _GAP), _error_table(d), *_said(said, "AFTER")],
+        ),
         Section("Error of each pose", [Drawing("errors", figures["errors"], _EACH)]),
         Section("In the workspace", [Drawing("workspace", figures["workspace"], _SPACE)]),
-        Section("Where the gap lies", [*_where_blocks(d, figures)]),
-        Section("Which causes, and how sure", [*_cause_blocks(d, figures)]),
-        Section("What these poses cannot tell", [*_cannot_blocks(d)]),
+        Section("Where the gap lies", [*_said(said, "WHERE"), *_where_blocks(more, figures)]),
+        Section("Which causes, and how sure", [*_said(said, "WHICH"), *_cause_tables(rows), *_cause_figures(figures)]),
+        Section("What these poses cannot tell", [*_said(said, "CANNOT", "MISSING")]),
         Section("Replayed in a simulator", [*replay_blocks(d)]),
         Section("Parameters of the base model", [*_parameter_blocks(d, figures)]),
-        Section("What to measure next", [*_next_blocks(d, e)]),
+        Section("What to measure next", [*_next_blocks(said, more)]),
     ]
     return Part(f"Diagnosis of {name}", d.identification.given.name, sections, [*_tiles(d)])
 
@@ -83,49 +77,15 @@ _SPACE = (
 )
 
 
-def _verdict(d: Diagnosis) -> Iterator[Block]:
-    sentence = headline(d)
-    yield Words(f"{sentence[0].upper()}{sentence[1:]}.".replace("->", "→"), "verdict")
-    detected = "Nothing was detected" if d.verdict == "none" else "Something was detected"
-    chance = (
-        f", and noise alone looks as much like a cause {_how_often(d.p_nothing)}" if d.p_nothing is not None else ""
-    )
-    yield Words(
-        f"The calibrated base model leaves {mm(d.gap.before)} mm on held-out poses; noise alone would leave "
-        f"{mm(d.gap.floor)} mm. {detected}: the probability that nothing is there is {d.rankings[0].none:.2g}{chance}."
-    )
-    for c in d.causes:
-        low, high = (100 * v for v in c.shrink_interval)
-        shown, mechanical = signature(c)
-        yield Words(
-            f"{c.label}: {shown}{f'; may be {mechanical}' if mechanical else ''}. Probability {c.confidence:.3f}; "
-            f"alone it shrinks the gap by {100 * c.shrink:.0f} % (95 %: {low:.0f} to {high:.0f} %)."
-        )
-    if has_rest(d):
-        likeness = [words for words in (resembles(d), unsure_floor(d)) if words]
-        if likeness:
-            yield Words(f"The rest of {left_over(d)[1]:.3f} mm rms: {'; '.join(likeness)}.", "warning")
-    if d.outliers:
-        rows = ", ".join(f"{o.row} ({mm(o.distance)} mm)" for o in d.outliers[:12]) + (
-            " ..." if len(d.outliers) > 12 else ""
-        )
-        count = "1 pose was" if len(d.outliers) == 1 else f"{len(d.outliers)} poses were"
-        yield Words(f"{count} left out as outliers: rows {rows}.")
-
-
-def _how_often(p: float) -> str:
-    return f"in {'less than ' if p < 1e-3 else ''}{100 * p:.2g} % of all draws (bootstrap, p-value)"
-
-
-def _cannot_blocks(d: Diagnosis) -> Iterator[Block]:
-    """What looks alike, what stays hidden, what was not logged."""
-    for label, others in alike(d).items():
-        yield Words(f"These data cannot tell {label} from {others}.", "warning")
-    hidden, lost = invisible(d), not_logged(d)
-    yield from (Words(f"Cannot be seen, {why}: {labels}.") for why, labels in hidden.items())
-    yield from (Words(f"Not logged: {columns}. It would show {what}.") for columns, what in lost.items())
-    if not hidden and not lost:
-        yield Words("At its usual size every effect of the list would show in these poses.")
+def _said(said: Sequence[Statement], *about: str) -> Iterator[Words]:
+    """The statements about something, as sentences."""
+    for topic in about:
+        for s in (s for s in said if s.about == topic):
+            text = f"cannot {s.text}" if topic == "CANNOT" else s.text
+            if text.split()[0].strip(":,").isalpha():  # no name of a column
+                text = text[0].upper() + text[1:]
+            text = text.replace("->", "→").replace("   ", ", ")
+            yield Words(f"{text}.", "verdict" if topic == "VERDICT" else "warning" if s.doubtful else "text")
 
 
 def _tiles(d: Diagnosis) -> Iterator[Tile]:
@@ -155,15 +115,11 @@ def _error_table(d: Diagnosis) -> Table:
     return Table("Errors in mm", columns, rows, frozenset(range(1, 7)), strong)
 
 
-def _refit(e: Extras) -> Iterator[Block]:
-    if e.check:
-        words = refitted(e.check)
-        yield Words(f"{words[0].upper()}{words[1:]}.", "text" if e.check.agree else "warning")
-
-
-def _where_blocks(d: Diagnosis, figures: Mapping[str, go.Figure]) -> Iterator[Block]:
+def _where_blocks(more: Details | None, figures: Mapping[str, go.Figure]) -> Iterator[Block]:
+    if more is None or more.where is None:
+        return
     yield Words("Of what the base model leaves at the poses it was fitted to. Bars are 95 % intervals.", "note")
-    worst = d.where.worst.head(8)
+    worst = more.where.worst.head(8)
     if len(worst):
         rows = [
             (
@@ -180,29 +136,32 @@ def _where_blocks(d: Diagnosis, figures: Mapping[str, go.Figure]) -> Iterator[Bl
     yield from where_drawings({k.partition("/")[2]: f for k, f in figures.items() if k.startswith("where/")})
 
 
-def _cause_blocks(d: Diagnosis, figures: Mapping[str, go.Figure]) -> Iterator[Block]:
+def _cause_tables(rows: Sequence[CauseRow]) -> Iterator[Block]:
+    if not rows:
+        return
+    cells = [(r.named, r.shown, f"{r.cause.confidence:.3f}", r.gap.replace("->", "→"), r.shrinks) for r in rows]
+    columns = ("cause", "signature", "posterior", "gap if added, mm", "shrinks by, 95 %")
+    yield Table("Causes", columns, cells, frozenset({2, 3, 4}))
+    sizes = [
+        (r.cause.label, name, value, error or "chosen", unit)
+        for r in rows
+        if r.cause.effects
+        for name, value, error, unit in r.parameters
+    ]
+    if sizes:
+        head = ("cause", "parameter", "value", "std error", "unit")
+        yield Table("Size of the causes", head, sizes, frozenset({2, 3}))
+
+
+def _cause_figures(figures: Mapping[str, go.Figure]) -> Iterator[Block]:
     if "shrink" in figures:
-        yield Drawing(
-            "shrink", figures["shrink"], "On held-out poses, each cause alone in the model; they may overlap."
-        )
-        rows = [row for c in d.causes for row in _estimates(c)]
-        if rows:
-            yield Table(
-                "Size of the causes", ("cause", "parameter", "value", "std error", "unit"), rows, frozenset({2, 3})
-            )
+        caption = "On held-out poses, each cause alone in the model; they may overlap."
+        yield Drawing("shrink", figures["shrink"], caption)
     for name, figure in figures.items():
         if name.startswith("causes/"):
             first = name == "causes/1"
             caption = "All candidates compete with nothing at all and with smooth errors of no listed cause."
             yield Drawing(name, figure, caption if first else "Once the causes so far are in the model.")
-
-
-def _estimates(c: Cause) -> Iterator[tuple[str, ...]]:
-    for effect in c.effects:
-        yield from ((c.label, name, f"{value:.4g}", "chosen", "") for name, value in settings(effect).items())
-    for name, (value, error, unit) in (c.estimates or {}).items():
-        factor, shown = readable(unit, max(abs(value), error))
-        yield c.label, name, f"{factor * value:.4g}", f"{factor * error:.2g}", shown
 
 
 def _parameter_blocks(d: Diagnosis, figures: Mapping[str, go.Figure]) -> Iterator[Block]:
@@ -217,19 +176,20 @@ def _parameter_blocks(d: Diagnosis, figures: Mapping[str, go.Figure]) -> Iterato
     yield from correlated(d.identification)
 
 
-def _next_blocks(d: Diagnosis, e: Extras) -> Iterator[Block]:
-    poses = d.next_poses(NEXT) if e.poses is None else e.poses
-    if not len(poses):
+def _next_blocks(said: Sequence[Statement], more: Details | None) -> Iterator[Block]:
+    if more is None or more.poses is None:
+        return
+    yield from _said(said, "NEXT")
+    if not len(more.poses):
         yield Words("Nothing is in question: no further poses are needed to distinguish causes.")
         return
-    before, after = told_apart(d, poses)
     yield Words(
-        f"Measure these {len(poses)} poses to distinguish {' from '.join(d.in_question)}: the probability of the "
-        f"correct cause rises from {before:.2f} to {after:.2f}. {kinds(d.case, poses)}. The option "
-        "--next FILE.csv writes them. "
-        "Separation is the expected log Bayes factor in favour of the truth, of a pose and those before it."
+        "P(correct) is the probability that the more probable of the two causes is the true one, now and with these "
+        "poses measured. Separation is the expected log Bayes factor in favour of the truth, of a pose and those "
+        "before it. The option --next FILE.csv writes the poses.",
+        "note",
     )
-    yield _pose_table(poses)
+    yield _pose_table(more.poses)
 
 
 def _pose_table(poses: pd.DataFrame) -> Table:

@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadical.core.transforms import Array
-from casadical.diagnosis.cross_validation import Noise, fitted_without, held_out_errors, random_folds
-from casadical.diagnosis.thresholds import PARTITIONS
+from casadical.diagnosis.cross_validation import fitted_without, partitioned_errors
 from casadical.project.remaining_errors import BEFORE, Left, PoseErrors
 from casadical.report.cause_figures import gap_course, posteriors, shrinks
 from casadical.report.error_figures import before_after
@@ -19,25 +17,27 @@ from casadical.report.workspace import workspace
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-    from casadical.diagnosis.json_answer import Extras
+    from casadical.diagnosis.details import Details
     from casadical.diagnosis.result import Diagnosis
 
 WITH = "with causes"
 
 
-def diagnosis_figures(d: Diagnosis, extras: Extras | None = None) -> dict[str, go.Figure]:
-    """Every figure of a diagnosis' report, by name; extras : with networks, they stand beside the gap.
+def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> dict[str, go.Figure]:
+    """Every figure of a diagnosis' report, by name.
 
-    gap; errors (held out, pose by pose); workspace; where/TABLE as `Diagnosis.where` names them; causes/STEP;
-    shrink (where a cause was found); parameters/lengths, /angles, /compliance. Raises InputError without plotly.
+    gap; errors (held out, pose by pose); workspace; causes/STEP; shrink (where a cause was found); parameters/lengths,
+    /angles, /compliance; of `analyse` where/TABLE as `Where` names them, and networks, which stand beside the gap.
+    Raises InputError without plotly.
     """
     poses = held_out_poses(d)
     found = {
-        "gap": gap_course(d, extras.networks if extras else None),
+        "gap": gap_course(d, more.networks if more else None),
         "errors": before_after(poses, d.gap.floor),
         "workspace": workspace(fitted_poses(d), d.identification.robot),
     }
-    found |= {f"where/{name}": where_figure(name, table) for name, table in d.where.tables()}
+    if more and more.where:
+        found |= {f"where/{name}": where_figure(name, table) for name, table in more.where.tables()}
     found |= {f"causes/{k + 1}": posteriors(d, k) for k in range(len(d.rankings))}
     if d.causes:
         found["shrink"] = shrinks(d)
@@ -46,16 +46,10 @@ def diagnosis_figures(d: Diagnosis, extras: Extras | None = None) -> dict[str, g
 
 def held_out_poses(d: Diagnosis) -> PoseErrors:
     """Held-out error of every pose that is no outlier: base model, and with the causes in it."""
-    e = d.case.evidence
-    folds = [random_folds(len(e.r), d.seed + k) for k in range(PARTITIONS)]
-
-    def errors(columns: Array, noise: Noise) -> Array:
-        return np.asarray(np.mean([held_out_errors(e, columns, noise, f) for f in folds], axis=0))
-
-    none = np.zeros(0, dtype=np.int64)
-    models = [Left(BEFORE, errors(none, d.rankings[0].noise[""]))]
+    e, none = d.case.evidence, np.zeros(0, dtype=np.int64)
+    models = [Left(BEFORE, partitioned_errors(e, none, d.rankings[0].noise[""], d.seed))]
     if d.columns.size:
-        models.append(Left(WITH, errors(d.columns, d.noise)))
+        models.append(Left(WITH, partitioned_errors(e, d.columns, d.noise, d.seed)))
     return _poses(d, tuple(models), "Held-out poses")
 
 

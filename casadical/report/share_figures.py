@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
 from casadical.core.transforms import Array
+from casadical.report.page import Drawing
 from casadical.report.style import BLUE, GREY, MUTED, new_figure, plain
 
 if TYPE_CHECKING:
@@ -29,9 +30,21 @@ TITLES = {
 
 
 def where_figure(name: str, table: pd.DataFrame) -> go.Figure:
-    """A table of `Diagnosis.where` as a figure; name : of the table (joints, regions, ...)."""
+    """A table of `Where` as a figure; name : of the table (joints, regions, ...)."""
     title = TITLES.get(name, f"Error by {name}")
     return _of_data(title, table) if "poses" in table else _of_parts(title, table)
+
+
+def where_drawings(figures: Mapping[str, go.Figure]) -> Iterator[Drawing]:
+    """Figures of where the gap lies, each with how to read it."""
+    captions = {
+        "joints": "Share of the gap that smooth errors of each joint would account for; all sum to 100 %.",
+        "links": "The same for links, loop, base and tool frame.",
+        "directions": "Each frame's three directions sum to 100 %, noise included; evenly spread would be 33 % each.",
+        "regions": "Poses in thirds of each joint's readings, of the distance from joint 1 and of the height.",
+    }
+    for name, figure in figures.items():
+        yield Drawing(f"where/{name}", figure, captions.get(name, ""))
 
 
 def _of_parts(title: str, table: pd.DataFrame) -> go.Figure:

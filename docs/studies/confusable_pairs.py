@@ -122,7 +122,7 @@ def later(first, q_deg, warm, payload_kg, sides):
 def chosen(case, ranking, pair, first, seed, rng):
     """As next_poses proposes them for the pair."""
     others = [k for k in ranking.order if k not in pair.causes][:1]
-    table = next_poses(case, list(pair.causes), MORE, seed, beside=["none", *others])
+    table = next_poses(case, MORE, list(pair.causes), seed, beside=["none", *others])
     sides = rng.choice([-1, 1], (MORE, 6))
     for k, name in enumerate(SIDES):
         if name in table:

@@ -100,7 +100,7 @@ def trial(r: Robot, seed: int) -> tuple[str, dict[str, Ranking]] | None:
     if first.none > 0.05 or first.probability[listed[0]] > 0.9 * (1 - first.none):
         return None
     found = {"fifty poses": first}
-    chosen = next_poses(case, listed[:2], MORE, seed)
+    chosen = next_poses(case, MORE, listed[:2], seed)
     approach = rng.choice([-1.0, 1.0], (MORE, 6))
     for j in range(1, 7):
         if f"approach{j}" in chosen:

@@ -17,10 +17,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from casadical import Diagnosis, InputError, diagnose, identify
+from casadical import Diagnosis, InputError, diagnose, identify, isolability
 from casadical.compensator import Compensator
-from casadical.diagnosis.json_answer import Extras
-from casadical.diagnosis.text import page_of
+from casadical.diagnosis import Details, check_refit, describe_unlisted, localise, page_of
 from casadical.identification.accuracy import errors, predicted
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
@@ -82,8 +81,9 @@ def study(name: str, poses: int) -> Diagnosis:
     print(f"== {name}: {len(m)} poses; diagnosed on {len(train)}, tried on {tried}")
     print(f"columns: {', '.join(c for c in train.conditions if c not in ('progress', *LAGS[1:]))}")
     d = diagnose(problem.robot, train, show=lambda text: print(text, file=sys.stderr, flush=True))
-    check = d.check_refit() if d.effects() else None
-    print(page_of(d, Extras(check)))
+    unlisted = describe_unlisted(d)
+    check = check_refit(d) if d.effects() else None
+    print(page_of(d, Details(localise(d), isolability(d), unlisted, check)))
     for k, r in enumerate(d.rankings, 1):
         top = ", ".join(f"{label} {r.probability[label]:.2f}" for label in r.order[:4])
         print(f"step {k}: nothing {r.none:.2g}; {top}")
@@ -99,14 +99,14 @@ def study(name: str, poses: int) -> Diagnosis:
         if cause.effects:
             robot = d.apply(top)
             line(f"{'and' if top > 1 else 'with'} {cause.label}", {k: errors(robot, t) for k, t in tests.items()}, base)
-    if d.unlisted:
-        robot = d.apply(unlisted=True)
+    if unlisted:
+        robot = d.apply(unlisted=unlisted)
         line(
             f"{'and' if d.effects() else 'with'} its unknown forms",
             {k: errors(robot, t) for k, t in tests.items()},
             base,
         )
-    if d.effects() or d.unlisted:
+    if d.effects() or unlisted:
         word, error = with_network(robot, kept, tests)
         line(f"all causes + network{word}", error, base)
     print(flush=True)
@@ -120,7 +120,8 @@ def carried(found: dict[str, Diagnosis], poses: int) -> None:
     )
     print(f"   again from {poses} poses and tried on up to 2000 others; mean error [mm]")
     for source, d in found.items():
-        refit = d.refit(unlisted=True)
+        unlisted = describe_unlisted(d)
+        refit = d.refit(unlisted=unlisted)
         values = {n: v for n, v in zip(refit.names, refit.estimate, strict=True) if "@" in n}
         for target in (t for t in found if t != source):
             bare = read_problem(ROOT / "problems" / target).robot
@@ -128,7 +129,7 @@ def carried(found: dict[str, Diagnosis], poses: int) -> None:
             order = np.random.default_rng(1).permutation(len(m))[: poses + 2000]
             train, test = m[order[:poses]], m[order[poses:]]
             means = []
-            for robot in (bare, bare.with_effect(*d.effects(unlisted=True)).with_values(values)):
+            for robot in (bare, bare.with_effect(*d.effects(unlisted=unlisted)).with_values(values)):
                 fit = identify(robot, train, ("kinematic", "compliance"), loss="huber", priors=True)
                 means.append(1e3 * np.sort(errors(fit.robot, test))[: int(0.99 * len(test))].mean())
             shrink = 100 * (1 - means[1] / means[0])

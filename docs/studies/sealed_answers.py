@@ -7,9 +7,9 @@ The key to these campaigns is not in this repository; nothing here was tuned on 
 import json
 from pathlib import Path
 
-from casadical import diagnose, read_measurements
+from casadical import diagnose, next_poses, read_measurements
 from casadical.core.files import write_whole
-from casadical.diagnosis.json_answer import as_json
+from casadical.diagnosis import Details, as_json, describe_unlisted, localise
 from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]
@@ -20,7 +20,8 @@ def main() -> None:
     for path in sorted((ROOT / "data" / "campaigns" / "sealed").glob("*.csv")):
         robot = robots[path.stem.split("-")[0]]
         found = diagnose(robot, read_measurements(path, robot.n))
-        answer = as_json(found, path.stem)
+        more = Details(localise(found), unlisted=describe_unlisted(found), poses=next_poses(found, 15))
+        answer = as_json(found, path.stem, more)
         write_whole(ROOT / "data" / "campaigns" / "answers" / f"{path.stem}.json", json.dumps(answer, indent=1) + "\n")
         causes = ", ".join(f"{c.label} {c.confidence:.2f}" for c in found.causes)
         gap = f"{1e3 * found.gap.before:.4f} -> {1e3 * found.gap.after:.4f} mm"

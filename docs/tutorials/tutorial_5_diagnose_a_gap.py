@@ -15,6 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from casadical import diagnose, identify, isolability, next_poses, read_campaign_robot, read_measurements
+from casadical.diagnosis import localise
 from casadical.identification import errors, predicted
 from casadical.measurements import derive
 
@@ -88,9 +89,10 @@ assert [c.label for c in found.causes] == ["thermal_growth"]
 # ----------------------------------------
 # Before any cause is named: as growth of links, the gap lies in the three long ones; as errors of joints, in none.
 
-print(found.where.links[["part", "share", "low", "high"]].round(2).to_string(index=False))
+where = localise(found)
+print(where.links[["part", "share", "low", "high"]].round(2).to_string(index=False))
 print(found.course[["model", "gap_mm", "low_mm", "high_mm", "loo_mm"]].round(4).to_string(index=False))
-shares = found.where.links.set_index("part").share
+shares = where.links.set_index("part").share
 assert shares[["link 1", "link 2", "link 4"]].sum() > 0.95
 
 # %%
@@ -164,7 +166,7 @@ for name, part in (("half", campaign[:60]), ("whole", campaign)):
 assert {c.label for c in answer.causes} == {"nonlinear_stiffness@2", "frame_drift"}
 assert {c.label for c in half.causes} <= {"nonlinear_stiffness@2", "backlash@2", "frame_drift"}
 
-poses = next_poses(half.case, ["nonlinear_stiffness@2", "backlash@2"], 10)
+poses = next_poses(half, 10, ["nonlinear_stiffness@2", "backlash@2"])
 print(poses.round(2).head(3).dropna(axis=1, how="all").T.to_string(header=False))
 assert len(poses) == 10
 assert poses.separation.is_monotonic_increasing

@@ -9,6 +9,7 @@ from cases import ANSWERS, diagnosed, practice, robot, simulated
 
 from casadical import InputError
 from casadical.blind_check.numpy_physics import disturbances
+from casadical.diagnosis.details import analyse
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.text import page_of
@@ -37,7 +38,7 @@ def test_practice_campaign_gets_its_answer(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["hh800-P01", "ur10e-P09", "kr210-P08"])
 def test_answer_has_the_campaigns_format(name: str) -> None:
-    answer = json.loads(json.dumps(as_json(diagnosed(name), name), allow_nan=False))
+    answer = json.loads(json.dumps(as_json(diagnosed(name), name, analyse(diagnosed(name))), allow_nan=False))
     assert answer["campaign"] == name
     assert answer["verdict"] in VERDICTS
     assert set(answer["gap_mm"]) == {"before", "after", "floor"}

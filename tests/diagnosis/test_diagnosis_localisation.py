@@ -11,7 +11,17 @@ from casadical.blind_check.numpy_physics import Disturbance, disturbances
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.linear_problem import Case, make_case
-from casadical.diagnosis.localisation import BINS, DIRECTIONS, PARTS, Where, _directions, _payload, _Split, where
+from casadical.diagnosis.localisation import (
+    BINS,
+    DIRECTIONS,
+    PARTS,
+    Where,
+    _directions,
+    _payload,
+    _Split,
+    localise,
+    localise_residual,
+)
 from casadical.identification.identification import identify
 
 NOISE = Noise(15e-6, 6e-6)
@@ -20,7 +30,7 @@ NOISE = Noise(15e-6, 6e-6)
 def planted(name: str, seed: int, *causes: Disturbance) -> Where:
     r = robot(name)
     found = identify(r, simulated(name, seed, *causes), loss="huber", priors=True, screen=False)
-    return where(make_case(found, candidates_of(r, ["joint_scale"])), NOISE)
+    return localise_residual(make_case(found, candidates_of(r, ["joint_scale"])), NOISE)
 
 
 def share(table: pd.DataFrame, part: str) -> float:
@@ -47,7 +57,7 @@ def test_gap_is_found_where_it_was_planted(name: str, seed: int, cause: Disturba
 
 
 def test_tables_have_stable_columns_and_sum_to_one() -> None:
-    w = diagnosed("ur10e-P06").where
+    w = localise(diagnosed("ur10e-P06"))
     assert list(w.joints) == list(w.links) == list(PARTS)
     assert list(w.directions) == list(DIRECTIONS)
     assert w.joints["share"].sum() == pytest.approx(1)
@@ -87,7 +97,7 @@ def test_part_of_the_data_that_is_worse_is_named(any_case: Case) -> None:
     """Errors twice as large with payload, and thrice as large where joint 2 rose, are the worst parts."""
     rng, m = np.random.default_rng(1), any_case.m
     factor = np.where(m.conditions["payload_kg"] > 5, 2.0, 1.0) * np.where(m.conditions["approach2"] > 0, 3.0, 1.0)
-    w = where(doctored(2e-5 * factor[:, None] * rng.standard_normal((len(m), 3))), NOISE)
+    w = localise_residual(doctored(2e-5 * factor[:, None] * rng.standard_normal((len(m), 3))), NOISE)
     assert tuple(w.worst.loc[0, ["by", "part"]]) == ("approach of joint 2", "rising")
     assert "10 kg" in set(w.worst["part"])
     rms = w.payload.set_index("part")["rms_mm"]
@@ -109,6 +119,6 @@ def test_intervals_cover(any_case: Case) -> None:
 def test_columns_that_were_not_logged_leave_empty_tables() -> None:
     m = simulated("ur10e", 12, drop=("temp", "payload"))
     found = identify(robot("ur10e"), m, loss="huber", priors=True)
-    w = where(make_case(found, candidates_of(robot("ur10e"), ["joint_scale"])), NOISE)
+    w = localise_residual(make_case(found, candidates_of(robot("ur10e"), ["joint_scale"])), NOISE)
     assert len(w.payload) == len(w.temperature) == 0
     assert {name for name, _ in w.tables()} == {"joints", "links", "directions", "regions", "time", "approach"}

@@ -62,8 +62,8 @@ def test_gains_add_up_to_the_expected_log_bayes_factor() -> None:
 
 
 def test_table_can_be_taken_to_the_robot(doubtful) -> None:
-    table = next_poses(doubtful, ["nonlinear_stiffness@2", "backlash@2"], 6, seed=1, pool=200)
-    again = next_poses(doubtful, ["nonlinear_stiffness@2", "backlash@2"], 6, seed=1, pool=200)
+    table = next_poses(doubtful, 6, ["nonlinear_stiffness@2", "backlash@2"], seed=1, pool=200)
+    again = next_poses(doubtful, 6, ["nonlinear_stiffness@2", "backlash@2"], seed=1, pool=200)
     pd.testing.assert_frame_equal(table, again)
     assert {"order", "payload_kg", "approach2", "repeats", "separation", "time_s", "x_mm"} <= set(table)
     assert "approach3" not in table  # neither cause asks for it
@@ -83,7 +83,7 @@ def test_table_can_be_taken_to_the_robot(doubtful) -> None:
     "labels", [["nonlinear_stiffness@2", "backlash@2"], ["frame_drift", "thermal_growth"], ["backlash@2", "none"]]
 )
 def test_chosen_poses_tell_more_than_random_ones(doubtful, labels: list[str]) -> None:
-    best = next_poses(doubtful, labels, 8, beside=(), pool=400)["separation"].iloc[-1]
+    best = next_poses(doubtful, 8, labels, beside=(), pool=400)["separation"].iloc[-1]
     causes = _causes(doubtful, labels)
     least = causes[0].noise
     effects = tuple(dict.fromkeys(e for cause in causes for e in cause.variant))
@@ -123,13 +123,13 @@ def poor():
     ],
 )
 def test_what_the_campaign_had_not_is_asked_for(poor, labels: list[str], news: str) -> None:
-    table = next_poses(poor, labels, 6, pool=300)
+    table = next_poses(poor, 6, labels, pool=300)
     assert table["new"].str.contains(news, regex=False).any()
 
 
 def test_only_what_the_room_and_the_payloads_allow(poor) -> None:
     room = Workspace(*np.deg2rad([[-60, -170, -90, -90, -90, -90], [60, -20, 90, 90, 90, 90]]))
-    table = next_poses(poor, ["joint_scale@1", "gear_eccentricity@1"], 6, workspace=room, payloads=(0.0, 2.0), pool=300)
+    table = next_poses(poor, 6, ["joint_scale@1", "gear_eccentricity@1"], workspace=room, payloads=(0.0, 2.0), pool=300)
     assert table["q1_deg"].abs().between(30, 60).any()
     assert table["q1_deg"].abs().max() <= 60
     assert set(table["payload_kg"]) <= {0.0, 2.0}
@@ -137,7 +137,7 @@ def test_only_what_the_room_and_the_payloads_allow(poor) -> None:
 
 def test_backlash_is_told_near_zero_torque(doubtful) -> None:
     """Joint 2 of the UR10e carries nothing when the arm stands upright: there the flank changes."""
-    table = next_poses(doubtful, ["nonlinear_stiffness@2", "backlash@2"], 6, pool=400)
+    table = next_poses(doubtful, 6, ["nonlinear_stiffness@2", "backlash@2"], pool=400)
     r = robot("ur10e")
     w = np.stack([table["payload_kg"].to_numpy()])
     q = np.deg2rad(table[[f"q{i}_deg" for i in range(1, 7)]].to_numpy())
@@ -146,14 +146,14 @@ def test_backlash_is_told_near_zero_torque(doubtful) -> None:
 
 
 def test_three_causes_and_a_thermal_state(doubtful) -> None:
-    table = next_poses(doubtful, ["frame_drift", "thermal_growth", "gear_eccentricity@2"], 5, pool=200)
+    table = next_poses(doubtful, 5, ["frame_drift", "thermal_growth", "gear_eccentricity@2"], pool=200)
     assert set(table["state"]) <= {"cold", "warm"}
     assert table["separation"].iloc[-1] > 0
 
 
 def test_loop_stays_as_open_as_it_was() -> None:
     c = case("hh800-P01", "backlash", "friction_windup")
-    table = next_poses(c, ["backlash@5", "friction_windup@5"], 5, pool=300)
+    table = next_poses(c, 5, ["backlash@5", "friction_windup@5"], pool=300)
     margin = c.robot.model.at_declared("loop", ("margin",))
     values = c.robot.parameters.values
     q = np.deg2rad(table[[f"q{i}_deg" for i in range(1, 7)]].to_numpy())
@@ -164,4 +164,4 @@ def test_loop_stays_as_open_as_it_was() -> None:
 @pytest.mark.parametrize("labels", [["backlash@2"], ["backlash@2", "backlash@2"], ["backlash@2", "hose"]])
 def test_bad_labels(doubtful, labels: list[str]) -> None:
     with pytest.raises(InputError):
-        next_poses(doubtful, labels, 3)
+        next_poses(doubtful, 3, labels)

@@ -7,11 +7,13 @@ from cases import robot, simulated
 
 from casadical.blind_check.numpy_physics import disturbances
 from casadical.diagnosis.candidates import candidates_of
+from casadical.diagnosis.details import Details
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.pair_search import two_causes
 from casadical.diagnosis.posterior import rank
+from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.diagnosis.text import page_of
 from casadical.identification.accuracy import errors
 from casadical.identification.identification import identify
@@ -49,14 +51,15 @@ def test_a_bump_in_a_joints_own_angle_is_unknown_and_its_joint_named() -> None:
     d = diagnose(r, replace(m, position=m.position + case.whole.Jq[:, :, 2] * bump[:, None]))
     assert (d.verdict, d.causes) == ("unknown", ())
     assert d.rankings[0].order[0] == "any function of q3 in joint 3"
-    assert d.unlisted is not None
-    assert "any function of q3 in joint 3" in d.unlisted.labels
-    assert d.unlisted.shrink_interval[0] > 0.1
-    assert as_json(d, "bump")["unlisted"]["forms"] == list(d.unlisted.labels)
-    assert "in the model, causes or not, " in " ".join(page_of(d).split())
+    u = describe_unlisted(d)
+    assert u is not None
+    assert "any function of q3 in joint 3" in u.labels
+    assert u.shrink_interval[0] > 0.1
+    assert as_json(d, "bump", Details(unlisted=u))["unlisted"]["forms"] == list(u.labels)
+    assert "in the model, causes or not, " in " ".join(page_of(d, Details(unlisted=u)).split())
     assert d.effects() == ()
-    assert len(d.effects(unlisted=True)) == len(d.unlisted.labels)
+    assert len(d.effects(unlisted=u)) == len(u.labels)
     moved = replace(m, position=m.position + case.whole.Jq[:, :, 2] * bump[:, None])
     found, unseen = diagnose(r, moved[:75]), moved[75:]
-    base, mapped = (errors(found.apply(unlisted=form), unseen).mean() for form in (False, True))
+    base, mapped = (errors(found.apply(unlisted=u), unseen).mean() for u in (None, describe_unlisted(found)))
     assert mapped < 0.7 * base

@@ -41,7 +41,7 @@ def test_user_export_and_blind_check_have_the_same_robot(name: str) -> None:
     exported, _ = robot_to_write(folder, PRACTICE / f"{name}.csv")
     table = pd.read_csv(PRACTICE / f"{name}.csv")
     s = predictor.session(name, to_toml(robot(name.split("-")[0])), table, table[:0])
-    predictor.diagnosed(Recorded(s.name, s.robot, s.everything, s.seen))
+    predictor.diagnosis(Recorded(s.name, s.robot, s.everything, s.seen))
     m, _ = derive(practice(name), applied.conditions)
     there = predicted(applied, m)[0]
     assert np.abs(there - predicted(exported, m)[0]).max() < 1e-9

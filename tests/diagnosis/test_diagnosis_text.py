@@ -8,19 +8,18 @@ import pandas as pd
 import pytest
 from cases import practice, robot
 
-from casadical.diagnosis.advice import after_gain
 from casadical.diagnosis.cross_validation import Noise
+from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
+from casadical.diagnosis.held_out_gap import COLUMNS, Check, NetworkGap
 from casadical.diagnosis.isolability import Isolability
-from casadical.diagnosis.json_answer import Extras, as_json
+from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.localisation import BINS, DIRECTIONS, PARTS, Where
-from casadical.diagnosis.network import NetworkGap
-from casadical.diagnosis.phrases import missing_columns, not_logged
+from casadical.diagnosis.next_poses import probability_after
 from casadical.diagnosis.posterior import Ranking
-from casadical.diagnosis.refit import Check
 from casadical.diagnosis.replicates import Replicates
 from casadical.diagnosis.result import Cause, Gap, Outlier
-from casadical.diagnosis.shrink_course import COLUMNS
+from casadical.diagnosis.statements import missing_columns, not_logged
 from casadical.diagnosis.text import WIDTH, page_of
 from casadical.effects import Backlash, ThermalZeroDrift
 
@@ -54,7 +53,7 @@ def fixed(true: Diagnosis) -> Diagnosis:
     ]
     noise = Noise(12e-6, 5e-6)
     one = Ranking(1e-9, {label: 0.55, rival: 0.45}, {}, {}, {"": noise})
-    d = replace(
+    return replace(
         true,
         verdict="ambiguous",
         causes=causes,
@@ -73,6 +72,12 @@ def fixed(true: Diagnosis) -> Diagnosis:
             "thermal_zero_drift@2": ("warmth_0s", "warmth_300s"),
         },
     )
+
+
+@pytest.fixture(scope="module")
+def seen() -> Details:
+    """Where it lies and what the poses show, made up."""
+    label, rival = "backlash@2", "nonlinear_stiffness@2"
     parts = [
         ("joint 2", 0.41, 0.34, 0.48, 0.05),
         ("joint 3", 0.22, 0.15, 0.3, 0.03),
@@ -86,14 +91,13 @@ def fixed(true: Diagnosis) -> Diagnosis:
     none = pd.DataFrame(columns=list(BINS))
     tables = [pd.DataFrame(parts, columns=list(PARTS)), pd.DataFrame(links, columns=list(PARTS))]
     directions = pd.DataFrame(columns=list(DIRECTIONS))
-    d.__dict__["where"] = Where(*tables, directions, none, pd.DataFrame(payload, columns=list(BINS)), none, none, none)
-    seen = pd.DataFrame(
+    where = Where(*tables, directions, none, pd.DataFrame(payload, columns=list(BINS)), none, none, none)
+    effects = pd.DataFrame(
         {"size_mm": [0.1, 0.1, 0.1, 0.0], "absorbed": [0.6, 0.7, 0.99, 1.0], "findable_from": [0.5, 0.6, 9.0, np.inf]},
         index=[label, rival, "gravity_compensator", "link_flexure"],
     )
     alike = pd.DataFrame([[1, 0.78], [0.7, 1]], index=[label, rival], columns=[label, rival])
-    d.__dict__["isolability"] = Isolability(seen, alike, {})
-    return d
+    return Details(where, Isolability(effects, alike, {}))
 
 
 @pytest.fixture(scope="module")
@@ -109,27 +113,26 @@ def poses() -> pd.DataFrame:
     return pd.DataFrame({"order": [1, 2, 3, 4], **q, **more, "separation": [0.1, 0.4, 0.9, 1.5]})
 
 
-def extras(poses: pd.DataFrame) -> Extras:
+@pytest.fixture(scope="module")
+def details(seen: Details, poses: pd.DataFrame) -> Details:
     networks = NetworkGap(127e-6, 120e-6, 131e-6, 3), NetworkGap(46e-6, 46e-6, 60e-6, 5)
-    return Extras(Check(47e-6, 46e-6), networks, poses, "next.csv")
+    return replace(seen, check=Check(47e-6, 46e-6), networks=networks, poses=poses, file="next.csv")
 
 
-def test_page_is_the_golden_one(fixed: Diagnosis, poses: pd.DataFrame) -> None:
+def test_page_is_the_golden_one(fixed: Diagnosis, details: Details) -> None:
     """If the change is wanted: write page_of(...) to the file."""
-    assert page_of(fixed, extras(poses)) + "\n" == (GOLDEN / "page.txt").read_text(encoding="utf-8")
+    assert page_of(fixed, details) + "\n" == (GOLDEN / "page.txt").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("verdict", ["none", "unknown"])
-def test_verdicts_without_a_cause(fixed: Diagnosis, verdict: str) -> None:
+def test_verdicts_without_a_cause(fixed: Diagnosis, seen: Details, verdict: str) -> None:
     d = replace(fixed, verdict=verdict, causes=(), course=fixed.course[:1], outliers=(), missing={})
-    d.__dict__.update({k: fixed.__dict__[k] for k in ("where", "isolability")})
-    assert page_of(d) + "\n" == (GOLDEN / f"{verdict}.txt").read_text(encoding="utf-8")
+    assert page_of(d, seen) + "\n" == (GOLDEN / f"{verdict}.txt").read_text(encoding="utf-8")
 
 
 def test_an_explained_gap_of_which_much_is_left_says_so_first(fixed: Diagnosis) -> None:
     def first(**changes: object) -> str:
         d = replace(fixed, verdict="explained", causes=fixed.causes[:2], outliers=(), **changes)
-        d.__dict__.update({k: fixed.__dict__[k] for k in ("where", "isolability")})
         return " ".join(page_of(d).partition("\nGAP")[0].split())
 
     named = "backlash@2 and thermal_zero_drift@3"
@@ -148,7 +151,6 @@ def test_a_long_signature_is_wrapped_and_whole(fixed: Diagnosis) -> None:
         )
 
     d = replace(fixed, causes=(replace(fixed.causes[0], effect="pull", effects=(Pull(2, 0.04, 0.02),)),))
-    d.__dict__.update({k: fixed.__dict__[k] for k in ("where", "isolability")})
     text = page_of(d)
     assert "..." not in text
     lines = [line[3:65].strip() for line in text.partition("signature")[2].splitlines()[1:3]]
@@ -164,14 +166,14 @@ def test_what_to_log_is_named_as_a_table_names_it(fixed: Diagnosis) -> None:
 
 
 def test_true_page_is_no_wider_than_it_says(true: Diagnosis) -> None:
-    text = page_of(true, Extras(poses=true.next_poses(3), file="a_rather_long_name_of_a_file.csv"))
+    text = page_of(true, analyse(true, poses=3, file="a_rather_long_name_of_a_file.csv"))
     assert max(map(len, text.splitlines())) <= WIDTH
     for word in ("VERDICT", "GAP", "WHERE", "WHICH", "AFTER"):
         assert f"\n{word}" in f"\n{text}"
 
 
-def test_json_holds_what_the_page_says(fixed: Diagnosis, poses: pd.DataFrame) -> None:
-    answer = as_json(fixed, "made-up", extras(poses))
+def test_json_holds_what_the_page_says(fixed: Diagnosis, details: Details) -> None:
+    answer = as_json(fixed, "made-up", details)
     assert answer["refit_mm"] == {"held_out": 0.047, "linearised": 0.046}
     assert answer["network_mm"][0] == {"before": 0.127, "used": 0.12, "forced": 0.131, "refused": 3}
     assert answer["course"][2]["blocks_mm"] == 0.055
@@ -182,7 +184,7 @@ def test_json_holds_what_the_page_says(fixed: Diagnosis, poses: pd.DataFrame) ->
     assert answer["where"]["joints"][0]["part"] == "joint 2"
     before, after = answer["told_rightly"]
     assert before == pytest.approx(0.55)
-    assert after == pytest.approx(after_gain(0.55, 1.5), abs=1e-4)
+    assert after == pytest.approx(probability_after(0.55, 1.5), abs=1e-4)
 
 
 @pytest.mark.parametrize(("share", "gain"), [(0.5, 1.0), (0.7, 0.5), (0.9, 3.0), (0.98, 0.2)])
@@ -193,5 +195,5 @@ def test_probability_of_a_right_choice(share: float, gain: float) -> None:
     apart = np.sqrt(2 * gain)
     x = rng.standard_normal(first.size) + np.where(first, apart, 0.0)
     odds = np.log(share / (1 - share)) + apart * x - gain
-    assert after_gain(share, gain) == pytest.approx(((odds > 0) == first).mean(), abs=0.003)
-    assert after_gain(share, 0.0) == max(share, 1 - share)
+    assert probability_after(share, gain) == pytest.approx(((odds > 0) == first).mean(), abs=0.003)
+    assert probability_after(share, 0.0) == max(share, 1 - share)

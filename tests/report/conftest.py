@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from casadical.diagnosis.details import analyse
 from casadical.diagnosis.diagnose import diagnose
 from casadical.measurements.reading import read_measurements
 from casadical.project.problem import read_campaign_robot
@@ -29,6 +30,11 @@ def diagnosis():
 
 
 @pytest.fixture(scope="session")
+def details(diagnosis):
+    return analyse(diagnosis)
+
+
+@pytest.fixture(scope="session")
 def calibration_file(hh800, tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("report") / "calibration.html"
     path.write_text(calibration_report([hh800], ["casadical", "calibrate", "problems/hh800"]), encoding="utf-8")
@@ -36,8 +42,8 @@ def calibration_file(hh800, tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def diagnosis_file(diagnosis, tmp_path_factory) -> Path:
+def diagnosis_file(diagnosis, details, tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("report") / "diagnosis.html"
-    text = diagnosis_report(ROOT / "problems/hh800", [(CAMPAIGN, diagnosis, None)])
+    text = diagnosis_report(ROOT / "problems/hh800", [(CAMPAIGN, diagnosis, details)])
     path.write_text(text, encoding="utf-8")
     return path

@@ -61,8 +61,8 @@ def test_factors_are_round_and_never_greater(factor, rounded) -> None:
     assert round_factor(factor) == rounded
 
 
-def test_shares_and_probabilities_sum_to_one(diagnosis) -> None:
-    figures = diagnosis_figures(diagnosis)
+def test_shares_and_probabilities_sum_to_one(diagnosis, details) -> None:
+    figures = diagnosis_figures(diagnosis, details)
     assert sum(figures["where/joints"].data[0].x) == pytest.approx(100, abs=1e-3)
     assert sum(figures["causes/1"].data[0].x) == pytest.approx(1, abs=0.02)  # those beyond the first eight are left out
     bars = figures["gap"].data[0].x

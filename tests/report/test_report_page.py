@@ -75,19 +75,21 @@ def test_the_tables_say_what_the_command_prints(hh800, calibration_file) -> None
     assert f"<td>after SKCM</td>{cells}" in text
 
 
-def test_the_diagnosis_tells_what_it_cannot_see_and_what_chance_does(diagnosis) -> None:
+def test_the_diagnosis_tells_what_it_cannot_see_and_what_chance_does(diagnosis, details) -> None:
     def words(**changes: object) -> list[str]:
-        blocks = [b for s in diagnosis_part(replace(diagnosis, **changes), "made up").sections for b in s.blocks]
+        blocks = [
+            b for s in diagnosis_part(replace(diagnosis, **changes), "made up", details).sections for b in s.blocks
+        ]
         return [b.text for b in blocks if isinstance(b, Words)]
 
     lost = words(p_nothing=0.0004998, missing={"payload_error": ("payload_kg",)}, unknown_rest=0.2)
-    assert any("less than 0.05 % of all draws (bootstrap, p-value)" in w for w in lost)
-    assert "Not logged: payload_kg. It would show payload_error." in lost
+    assert any(w.endswith(", p < 0.0005.") for w in lost)
+    assert "payload_kg: not logged; it would show payload_error." in lost
     assert any(w.startswith("Explained in part only: backlash@5; yet ") for w in lost)
-    hidden = diagnosis.isolability.effects
+    hidden = details.isolability.effects
     hidden = [k for k in hidden.index[hidden["absorbed"] > 0.98] if k != "backlash@5"]
     assert hidden
-    seen = next(w for w in lost if w.startswith("Cannot be seen, as the base model"))
+    seen = next(w for w in lost if w.startswith("Cannot see, as the base model"))
     assert all(k.partition("@")[0] in seen for k in hidden)
 
 

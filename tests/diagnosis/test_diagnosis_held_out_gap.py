@@ -12,10 +12,9 @@ from casadical.blind_check.numpy_physics import disturbances
 from casadical.compensator import LevenbergMarquardt
 from casadical.diagnosis.cross_validation import Noise, held_out_errors, random_folds
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
+from casadical.diagnosis.held_out_gap import Stage, check_refit, course, network_gap, of_time, time_blocks
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.network import network_gap
 from casadical.diagnosis.replicates import replicates
-from casadical.diagnosis.shrink_course import Stage, course, of_time, time_blocks
 from casadical.effects import FrameDrift, FrictionWindup, ThermalGrowth
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.identification import identify
@@ -99,7 +98,7 @@ def test_applied_causes_keep_their_promise_on_unseen_poses(half: tuple[Diagnosis
 
 def test_refit_agrees_with_the_linearised_and_has_standard_errors(half: tuple[Diagnosis, Measurements]) -> None:
     d, _ = half
-    check = d.check_refit()
+    check = check_refit(d)
     assert check.agree
     assert check.linearised == pytest.approx(d.gap.after, rel=0.05)
     table = d.refit().parameters.set_index("name")
@@ -193,7 +192,7 @@ def test_interrupt_leaves_nothing_behind() -> None:
     d = diagnose(robot("ur10e"), practice("ur10e-P06"), FEW, show=seen.append)
     assert seen[0] == "calibrating the base model"
     assert seen[-1].startswith("cause 2")
-    d.check_refit(seen.append)
+    check_refit(d, seen.append)
     assert seen[-1] == "refit 5 of 5"
 
 
@@ -204,5 +203,5 @@ def test_isolability_of_a_diagnosis_is_that_of_its_poses() -> None:
     ahead = isolability(robot("ur10e"), practice("ur10e-P06"), FEW, noise=d.noise)
     # The torque of joint 1 is that of the robot's tilt, which only the calibrated one shows.
     others = [k for k in ahead.effects.index if not k.endswith("@1")]
-    ours = d.isolability.effects.loc[others]
+    ours = isolability(d).effects.loc[others]
     np.testing.assert_allclose(ours["visible_mm"], ahead.effects.loc[others, "visible_mm"], rtol=0.1, atol=1e-4)

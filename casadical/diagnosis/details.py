@@ -1,0 +1,62 @@
+"""What is computed from a diagnosis to be reported: where the gap lies, what the poses show, what to measure next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import pandas as pd
+
+from casadical.diagnosis.held_out_gap import Check, NetworkGap, check_refit, network_gaps
+from casadical.diagnosis.isolability import Isolability, isolability
+from casadical.diagnosis.localisation import Where, localise
+from casadical.diagnosis.next_poses import next_poses
+from casadical.diagnosis.result import Diagnosis, Unlisted
+from casadical.diagnosis.smooth_description import describe_unlisted
+from casadical.pose_selection.workspace import Workspace
+
+# Poses to measure next.
+NEXT = 15
+
+
+@dataclass(frozen=True, eq=False)
+class Details:
+    """What a report of a diagnosis shows besides the diagnosis; None for what was not computed.
+
+    where : see `localise`; isolability : see `isolability`; unlisted : see `describe_unlisted`
+    check : see `check_refit`; networks : see `network_gaps`
+    poses : see `next_poses`; file : name of the file that they are written to, if they are
+    """
+
+    where: Where | None = None
+    isolability: Isolability | None = None
+    unlisted: Unlisted | None = None
+    check: Check | None = None
+    networks: tuple[NetworkGap, NetworkGap] | None = None
+    poses: pd.DataFrame | None = None
+    file: str = ""
+
+
+def analyse(
+    found: Diagnosis,
+    *,
+    poses: int = NEXT,
+    workspace: Workspace | None = None,
+    networks: bool = False,
+    file: str = "",
+    show: Callable[[str], None] = lambda _text: None,
+) -> Details:
+    """All that `casadical diagnose` reports besides the diagnosis; some seconds, with networks minutes.
+
+    poses : how many to choose to be measured next; workspace : where they may lie
+    networks : whether to train networks, instead of the causes and after them
+    show : called with a line of progress. Raises ConvergenceError.
+    """
+    show("where it lies")
+    where = localise(found)
+    check = check_refit(found, show) if found.effects() else None
+    gaps = network_gaps(found, show=show) if networks else None
+    show("poses to measure next")
+    chosen = next_poses(found, poses, workspace=workspace)
+    show("what these poses can show")
+    return Details(where, isolability(found), describe_unlisted(found), check, gaps, chosen, file)

@@ -1,0 +1,176 @@
+"""How far the gap shrinks on held-out poses: cause by cause, in the nonlinear refit, with networks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from casadical.compensator import Compensator, Trainer
+from casadical.core.arrays import Array
+from casadical.diagnosis.cross_validation import (
+    FOLDS,
+    Noise,
+    covariance,
+    fitted_without,
+    held_out_errors,
+    random_folds,
+)
+from casadical.diagnosis.evidence import Evidence
+from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.refit import refit, refit_measurements
+from casadical.diagnosis.result import Diagnosis
+from casadical.effects import Effect
+from casadical.identification.accuracy import errors
+from casadical.measurements.derived_columns import derive
+
+DRAWS = 1000
+COLUMNS = ("model", "gap_mm", "low_mm", "high_mm", "loo_mm", "blocks_mm", "model_mm", "model_low_mm", "model_high_mm")
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """The model at one stage: what was added last, columns of all causes in it, the noise that it leaves."""
+
+    added: str
+    columns: Array
+    noise: Noise
+
+
+def course(case: Case, stages: Sequence[Stage], folds: Sequence[Array], noise: Noise, seed: int) -> pd.DataFrame:
+    """A row for each stage, all on the same poses, the outliers left out.
+
+    model : "base", or "+ label"; gap_mm : mean held-out position error over partitions into fifths, low_mm and high_mm
+    its 95 % interval by bootstrap over poses; loo_mm : the same with each pose left out alone
+    blocks_mm : with contiguous fifths of the campaign left out, which effects of time and temperature must foresee
+    model_mm : rms held-out error with the noise's own mean square taken off, with a 95 % interval: what a noiseless
+    instrument would read
+    """
+    e = case.evidence
+    alone, blocks = np.arange(len(e.r)), time_blocks(case)
+    floor = np.trace(covariance(e, noise), axis1=1, axis2=2)
+    pick = np.random.default_rng(seed).integers(0, len(e.r), (DRAWS, len(e.r)))
+    rows = []
+    for stage in stages:
+        runs = np.stack([held_out_errors(e, stage.columns, stage.noise, f) for f in folds])
+        error, square = runs.mean(axis=0), (runs**2).mean(axis=0) - floor
+        loo, block = (held_out_errors(e, stage.columns, stage.noise, f).mean() for f in (alone, blocks))
+        rows.append((stage.added, *_with_interval(error, pick), 1e3 * loo, 1e3 * block, *_rooted(square, pick)))
+    return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def time_blocks(case: Case) -> Array:
+    """Number of the contiguous fifth of the campaign in which each kept pose was measured, shape (kept,)."""
+    m, _ = derive(case.m, ["progress"])
+    order = np.argsort(np.argsort(m.conditions["progress"][case.kept], kind="stable"), kind="stable")
+    return np.asarray(FOLDS * order // len(order))
+
+
+def of_time(effects: Sequence[Effect]) -> bool:
+    """Whether any of the effects follows time or temperature, so that leaving out single poses flatters it."""
+    return any(c == "progress" or c.startswith("warmth") for e in effects for c in e.conditions)
+
+
+def scatter(e: Evidence, noise: Noise) -> float:
+    """Of one measured coordinate about the truth, instrument and joint repeatability together [m]."""
+    return float(np.sqrt(np.trace(covariance(e, noise), axis1=1, axis2=2).mean() / 3))
+
+
+def _with_interval(error: Array, pick: Array) -> tuple[float, float, float]:
+    low, high = np.quantile(error[pick].mean(axis=1), [0.025, 0.975])
+    return 1e3 * float(error.mean()), 1e3 * float(low), 1e3 * float(high)
+
+
+def _rooted(square: Array, pick: Array) -> tuple[float, float, float]:
+    low, high = np.quantile(square[pick].mean(axis=1), [0.025, 0.975])
+    mean, low, high = (1e3 * float(np.sqrt(max(0.0, float(v)))) for v in (square.mean(), low, high))
+    return mean, low, high
+
+
+@dataclass(frozen=True)
+class Check:
+    """Held-out gap of the refit, each fifth of the poses predicted by a refit to the others, and that of the linearised
+    model on the same fifths, mean [m]."""
+
+    refit: float
+    linearised: float
+
+    @property
+    def agree(self) -> bool:
+        """Whether the two differ by no more than a tenth."""
+        return abs(self.refit / self.linearised - 1) <= 0.1
+
+
+def check_refit(found: Diagnosis, show: Callable[[str], None] = lambda _text: None) -> Check:
+    """Held-out gap of the nonlinear refit beside that of the linearised model.
+
+    show : called with a line of progress. Raises ConvergenceError.
+    """
+    case, effects = found.case, found.effects()
+    folds = random_folds(int(case.kept.sum()), found.seed)
+    m = refit_measurements(case, effects, found.noise)
+    left = np.empty(len(m))
+    for fold in range(FOLDS):
+        show(f"refit {fold + 1} of {FOLDS}")
+        test = folds == fold
+        left[test] = errors(refit(case, effects, found.noise, ~test).robot, m[test])
+    linear = held_out_errors(case.evidence, found.columns, found.noise, folds)
+    return Check(float(left.mean()), float(linear.mean()))
+
+
+@dataclass(frozen=True)
+class NetworkGap:
+    """Mean held-out error [m] of a model, and of the model with a network trained on what it leaves of the same poses.
+
+    before : the model alone, on the same fifths; used : with the network where the training poses said that it helps
+    forced : with the network in any case, as cross-validation in the training poses judged it; refused : in how many
+    of the five trainings it was refused
+    """
+
+    before: float
+    used: float
+    forced: float
+    refused: int
+
+
+def network_gaps(
+    found: Diagnosis, trainer: Trainer | str = "lm", show: Callable[[str], None] = lambda _text: None
+) -> tuple[NetworkGap, NetworkGap]:
+    """The gap when the paper's network is used instead of the causes, and on what the causes leave."""
+    none = np.zeros(0, dtype=np.int64), found.rankings[0].noise[""]
+    first, second = (
+        network_gap(found.case, columns, noise, found.seed, trainer, show)
+        for columns, noise in (none, (found.columns, found.noise))
+    )
+    return first, second
+
+
+def network_gap(
+    case: Case,
+    columns: Array,
+    noise: Noise,
+    seed: int,
+    trainer: Trainer | str = "lm",
+    show: Callable[[str], None] = lambda _text: None,
+) -> NetworkGap:
+    """Train the paper's 6-5-3 network on four fifths of the poses and try it on the last, five times.
+
+    columns : of the causes in the model, refitted to each four fifths; the network sees joint readings alone
+    """
+    e, q = case.evidence, case.m.q[case.kept]
+    folds = random_folds(len(e.r), seed)
+    before, used = np.empty(len(e.r)), np.empty(len(e.r))
+    ratios, refused = [], 0
+    for fold in range(FOLDS):
+        show(f"network {fold + 1} of {FOLDS}")
+        test = folds == fold
+        left = 1e3 * fitted_without(e, columns, noise, test)
+        net = Compensator.fit(q[~test], left[~test], trainer=trainer, folds=FOLDS, seed=seed)
+        before[test] = np.linalg.norm(left[test], axis=1)
+        used[test] = np.linalg.norm(left[test] - net.correction_mm(q[test]), axis=1)
+        ratios.append(net.choice.after.mean_mm / net.choice.before.mean_mm)
+        refused += not net.helps
+    base = 1e-3 * float(before.mean())
+    return NetworkGap(base, 1e-3 * float(used.mean()), base * float(np.mean(ratios)), refused)
