@@ -50,6 +50,7 @@ def test_a_plug_in_trains_a_method_of_a_problem(folder: Path, tmp_path: Path) ->
 def test_a_plug_in_resumes_from_a_checkpoint_to_the_same_network(tmp_path: Path) -> None:
     installed(tmp_path, "casadical.trainers", POINT, MODULE)
     program = """
+import sys
 import numpy as np
 from casadical.compensator import Compensator
 rng = np.random.default_rng(0)
@@ -62,13 +63,13 @@ def cut(p):
     if len(seen) == 20:
         raise KeyboardInterrupt
 try:
-    Compensator.fit(*data, trainer="random-features", checkpoint="c", progress=cut)
+    Compensator.fit(*data, trainer="random-features", checkpoint=sys.argv[1], progress=cut)
 except KeyboardInterrupt:
     pass
-again = Compensator.fit(*data, trainer="random-features", checkpoint="c")
+again = Compensator.fit(*data, trainer="random-features", checkpoint=sys.argv[1])
 print(again.network.weights.tobytes() == whole.network.weights.tobytes(), len(seen))
 """
-    done = run(tmp_path, program=program)
+    done = run(tmp_path, tmp_path / "c", program=program)
     assert (done.returncode, done.stdout.split()) == (0, ["True", "20"]), done.stderr
 
 

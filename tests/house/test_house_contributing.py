@@ -86,7 +86,8 @@ def test_the_changelog_names_modules_that_exist() -> None:
     rows = [
         [re.findall(r"`([\w.]+)`", cell) for cell in line.split("|")[1:-1]] for line in text.splitlines() if "`" in line
     ]
-    kept = [(f"{old}.{m}", f"{new}.{m}") for row in rows if len(row) == 3 for m in row[0] for old, new in zip(*row[1:])]
+    named = [row for row in rows if len(row) == 3]
+    kept = [(f"{o}.{m}", f"{n}.{m}") for ms, olds, news in named for m in ms for o, n in zip(olds, news, strict=True)]
     moved = kept + [(old, new) for row in rows if len(row) == 2 for old in row[0] for new in row[1]]
     assert len(moved) > 150
     assert [new for _, new in moved if not is_module(new)] == []

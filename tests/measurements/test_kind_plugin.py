@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from plugin_site import installed, run
 
 from casadical import Joint, Placement, Robot, write_robot
 from casadical.core.transforms import frame
 
+GROUP = "casadical.measurement_kinds"
 MODULE = '''
 import numpy as np
 from casadical.measurements import MeasurementKind
@@ -56,7 +55,7 @@ TRUTH = ARM.with_values({"a2": 0.5008, "theta2": 0.002, "tool_x": 0.4012, "tool_
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder as an installer leaves it: a module and its metadata."""
-    return installed(tmp_path_factory.mktemp("site"), MODULE, "height = dial_gauge:Height")
+    return installed(tmp_path_factory.mktemp("site"), GROUP, "height = dial_gauge:Height", MODULE)
 
 
 @pytest.fixture(scope="module")
@@ -74,24 +73,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         'casadical = 1\ntitle = "gauge"\nmethods = ["KM"]\n[[measurements]]\nfile = "poses.csv"\n'
     )
     return made
-
-
-def installed(folder: Path, module: str, point: str) -> Path:
-    (folder / "dial_gauge.py").write_text(module)
-    about = folder / "dial_gauge-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: dial-gauge\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text(f"[casadical.measurement_kinds]\n{point}\n")
-    return folder
-
-
-def run(site: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
-    """The command in a fresh process that finds packages in `site`."""
-    path = os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
-    command = [Path(sys.executable).parent / "casadical", *map(str, arguments)]
-    return subprocess.run(
-        command, capture_output=True, text=True, check=False, env={**os.environ, "PYTHONPATH": path, "COLUMNS": "400"}
-    )
 
 
 def test_a_plug_in_is_read_fitted_and_reported(site: Path, folder: Path, tmp_path: Path) -> None:
@@ -135,7 +116,7 @@ FAULTY = {
 @pytest.mark.parametrize("name", FAULTY)
 def test_a_faulty_plug_in_is_named(name: str, folder: Path, tmp_path: Path) -> None:
     module, point, words = FAULTY[name]
-    done = run(installed(tmp_path, module, point), "calibrate", folder)
+    done = run(installed(tmp_path, GROUP, point, module), "calibrate", folder)
     assert done.returncode == 2, done.stderr
     assert words in done.stderr
     assert point.partition(" ")[0] in done.stderr
