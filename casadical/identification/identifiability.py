@@ -33,7 +33,7 @@ class Unidentifiable:
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What the data can tell.
+    """Which parameters the data determine.
 
     independent : names, in model order; held : the others, each with its reason
     condition : condition number of the scaled Jacobian of the independent ones

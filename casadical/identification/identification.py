@@ -158,15 +158,15 @@ class Identification:
 
     @cached_property
     def placed(self) -> Robot:
-        """The given robot with only base and tool frames fitted: what "before calibration" can mean at all."""
+        """The given robot with only base and tool frames fitted: the comparison that "before calibration" means."""
         groups = [g for g in ("base", "tool") if g in self.given.parameters.groups]
         try:
             return identify(self.given, self.measurements, groups, loss=self.loss).robot if groups else self.start
-        except InputError:  # relative measurements that tell nothing of the frames
+        except InputError:  # relative measurements do not determine the frames
             return self.start
 
     def is_optimal(self, tolerance: float = 1e-4) -> bool:
-        """Whether no step inside the bounds lowers the cost; recomputed from the data, not the solver's word.
+        """Whether no step inside the bounds lowers the cost; recomputed from the data, not by the solver.
 
         tolerance : what one more Gauss-Newton step may gain in chi-squared; 1e-4 is about 1 % of a standard error
         """

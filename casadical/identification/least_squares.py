@@ -31,7 +31,7 @@ from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
-# To be used where no sigma is given, until the residuals tell.
+# Taken where no sigma is given, until it is estimated from the residuals.
 SIGMA_GUESS, SIGMA_ANGLE_GUESS = 1e-4, 1e-4
 # Residuals of this share of the reach are no measuring error.
 POOR_FIT = 0.005
@@ -326,10 +326,10 @@ class LeastSquares:
             return replace(found, independent=tuple(n for n in self.names if n not in dropped))
         J_ordered = np.concatenate([J[:, p:], J[:, :p]], axis=1)
         found = analyse(J_ordered, self.names, 3 * len(self.labels), held)
-        if any(find_kind(m.kind).tells_scale or m.separations for m in self.sets) or not self._scale_is_free():
+        if any(find_kind(m.kind).has_scale or m.separations for m in self.sets) or not self._scale_is_free():
             return found
         longest = max(found.independent, key=lambda n: abs(self._length(n)))
-        held[longest] = "contact without known separations tells no scale; this length is taken as the measure"
+        held[longest] = "contacts without known separations do not determine the scale; this length is its reference"
         return analyse(J_ordered, self.names, 3 * len(self.labels), held)
 
     def _length(self, name: str) -> float:
@@ -410,7 +410,7 @@ def reduce_and_solve(
         )
     reasons = "; ".join(f"{u.name}: {u.reason}" for u in (*found.held, *poor))
     raise InputError(
-        f"{problem.sets[0].source}: these measurements tell nothing of what is to be identified. {reasons}"
+        f"{problem.sets[0].source}: these measurements determine none of the parameters to be identified. {reasons}"
     )
 
 

@@ -75,7 +75,7 @@ def _stiffness(result: Identification) -> list[Words]:
 def stiffness(compliance: float, error: float) -> str:
     """Stiffness [N m/rad] of a compliance [urad/(N m)], or the least it can be where zero compliance is possible."""
     if compliance <= 1.96 * error:
-        return f"above {1e6 / (compliance + 1.96 * error):.2g} (not told from rigid)"
+        return f"above {1e6 / (compliance + 1.96 * error):.2g} (rigid is possible)"
     return f"{1e6 / compliance:.3g}"
 
 

@@ -14,7 +14,7 @@ from casadical.core.transforms import Array
 from casadical.measurements.raw_table import RawTable, refuse_repeated_names
 
 _TO_SI = {"_mm": 1e-3, "_m": 1.0, "_deg": np.pi / 180, "_rad": 1.0}
-# A joint that turns farther [turns] is not believed; joints that all move less [deg] may be meant in radians.
+# More turns than this are refused; joints that all move less [deg] may have been logged in radians.
 MOST_TURNS, RADIANS = 4, 6.3
 # Readings, weights and sets.
 _NO_CONDITIONS = r"q\d+_(deg|rad|mm|m)|weight|set"

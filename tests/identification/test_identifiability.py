@@ -41,7 +41,7 @@ def test_no_gravity_torque_about_a_vertical_axis():
     robot = arms.hh800()
     result = identify(robot, arms.positions(robot, arms.readings(robot, 40, 2), 3))
     assert held(result)["c1"].reason == "it has no effect on what was measured"
-    with pytest.raises(InputError, match=r"tell nothing.*c1: it has no effect"):
+    with pytest.raises(InputError, match=r"determine none of the parameters.*c1: it has no effect"):
         identify(robot, arms.positions(robot, arms.readings(robot, 40, 2), 3), ["c1"])
 
 

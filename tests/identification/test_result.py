@@ -199,4 +199,4 @@ def test_correlations_are_listed_the_strongest_first(result):
 def test_a_stiffness_that_may_be_rigid_is_said_to_be() -> None:
     assert stiffness(5.0, 1.0) == "2e+05"
     assert stiffness(5.0, float("nan")) == "2e+05"
-    assert stiffness(3.0, 4.9) == "above 7.9e+04 (not told from rigid)"
+    assert stiffness(3.0, 4.9) == "above 7.9e+04 (rigid is possible)"

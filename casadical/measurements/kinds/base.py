@@ -54,7 +54,7 @@ class MeasurementKind(ABC):
     pattern : of the columns that it reads, which are no conditions
     arrays : names of the arrays that it needs: fields of `Measurements`, else entries of its `extra`
     lengths, angles : numbers that are observed at a pose [m] and [rad], at least one and at most six together
-    tells_scale : whether it distinguishes robots of one shape and different size
+    has_scale : whether it determines the scale: not where robots of one shape and any size fit alike
     """
 
     name: ClassVar[str]
@@ -64,7 +64,7 @@ class MeasurementKind(ABC):
     arrays: ClassVar[tuple[str, ...]]
     lengths: ClassVar[int]
     angles: ClassVar[int] = 0
-    tells_scale: ClassVar[bool] = True
+    has_scale: ClassVar[bool] = True
 
     @property
     def numbers(self) -> int:

@@ -24,7 +24,7 @@ class Contact(MeasurementKind):
     pattern = "point"
     arrays = ("label",)
     lengths = 3
-    tells_scale = False
+    has_scale = False
 
     def matches(self, names: Set[str]) -> bool:
         return "point" in names

@@ -1,4 +1,4 @@
-"""The check of a whole problem: read it, doubt it, and say what to expect, all before a solve."""
+"""The check of a whole problem before a solve: its files, its data, and the accuracy to expect."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from casadical.project.check.table_faults import table_faults, unknown_columns
 from casadical.project.problem import read_problem, read_problem_robot
 from casadical.robot.robot import Robot
 
-# Observed numbers for each unknown from which on a fit also tells how good it is.
+# Observed numbers for each unknown from which on a fit also shows how good it is.
 COMFORTABLE = 3
-# Times the noise from which on a scatter is no noise.
+# A scatter of more than so many times the noise has other causes.
 LACKS = 4
 
 
@@ -64,7 +64,7 @@ class Precheck:
 
     @property
     def ok(self) -> bool:
-        """Whether a calibration has a point: no errors."""
+        """Whether it can be calibrated: no errors."""
         return not self.of("error")
 
 
@@ -115,7 +115,7 @@ def _more_faults(folder: Path) -> list[Finding]:
 def _data_findings(
     robot: Robot, sets: tuple[Measurements, ...], others: Mapping[str, Robot]
 ) -> tuple[list[Finding], bool]:
-    """Findings of the data that are fitted, and whether a model of them can be looked at."""
+    """Findings of the data that are fitted, and whether they are good enough for a forecast."""
     found: list[Finding] = []
     for m in sets:
         try:
@@ -128,7 +128,7 @@ def _data_findings(
         if distinct < len(m):
             text = f"{m.source}: {len(m)} measurements at {distinct} distinct readings"
             few = 3 * distinct < len(m)
-            more = "; repeats tell of noise, only new readings tell of parameters" if few else ""
+            more = "; repeats show the noise, only new readings determine parameters" if few else ""
             found.append(Finding("warning" if few else "note", "repeats", text + more))
     return found, not any(f.topic in ("data", "units") and f.level == "error" for f in found)
 
@@ -150,7 +150,9 @@ def _outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[
         return [Finding("error", "too few poses", text)]
     found = []
     if view.numbers < COMFORTABLE * p:
-        text = f"{view.method}: {view.numbers} numbers for {p} unknowns; {COMFORTABLE} a piece tell how good the fit is"
+        text = (
+            f"{view.method}: {view.numbers} numbers for {p} unknowns; {COMFORTABLE} for each show how good it is"
+        )
         found.append(Finding("warning", "too few poses", text))
     if view.condition > CONFOUNDED:
         text = f"{view.method}: condition number {view.condition:.0f}: some parameters are nearly confounded"

@@ -1,4 +1,4 @@
-"""What an identification will be able to tell, from one linear step at the nominal robot: no solver is called.
+"""What an identification will determine, and how accurately, from one linear step at the nominal robot, unsolved.
 
 The step leaves a scatter, of noise and of what the model lacks. It is carried through the identified parameters to
 poses all over the joints' ranges (compare `pose_selection.forecast`): the accuracy to expect of the parameters. What
@@ -29,7 +29,7 @@ LEAST_SCATTER = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """What one method will be able to tell.
+    """What one method will determine.
 
     names : parameters that will be identified; held : the others, each with its reason; numbers : observed ones
     unknowns : parameters that are independent, and coordinates of unknown points
@@ -74,7 +74,7 @@ def outlook(
     noise: float | None = None,
     seed: int = 0,
 ) -> Outlook:
-    """What an identification of these parameters from these sets can be expected to tell.
+    """What an identification of these parameters from these sets is expected to determine.
 
     robot : with its base and tool placed; free : as of `identify`; noise : one sigma of a coordinate [m], None: as the
     data show. Raises InputError.

@@ -1,6 +1,6 @@
 """Whether the nominal model can have made the data: after base and tool are placed, centimetres must not be left.
 
-The usual slips are tried one by one (another unit, of one joint too, a joint counted the other way, a zero a quarter
+The usual mistakes are tried one by one (another unit, of one joint too, a joint counted the other way, a zero a quarter
 turn off, a left-handed measuring frame, DH rows of the other convention), and one that explains far more is named.
 """
 
@@ -22,7 +22,7 @@ from casadical.project.check.findings import Finding
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
 
-# Share of the reach that a nominal robot may miss by once it is placed, and by how much a slip must explain the rest.
+# Share of the reach that a placed nominal robot may miss by, and the share of that which an undone mistake may leave.
 GROSS = 0.02
 EXPLAINS = 0.25
 LEAST_SPREAD = 0.1
@@ -30,17 +30,19 @@ POSES = 150
 
 
 def plausible(robot: Robot, m: Measurements, others: Mapping[str, Robot] | None = None) -> list[Finding]:
-    """Says what is left after placing [mm], and which slip explains it where that is far less with the slip undone.
+    """What is left after placing [mm], and which mistake explains it where far less is left once it is undone.
 
     others : robots that the file may have meant, by words that say how (see `other_conventions`)
     """
     if m.position is None:
         return []
-    free = _free(robot)
+    free = _rigid(robot)
     some = m[:: -(-len(m) // POSES)]
-    left = _left(free, some)
-    tried = {words: _left(free, slip) for words, slip in _slips(robot, some) if _large_enough(free, slip)}
-    tried |= {words: _left(_free(other), some) for words, other in (others or {}).items()}
+    left = _median_error(free, some)
+    tried = {
+        words: _median_error(free, undone) for words, undone in _mistakes(robot, some) if _large_enough(free, undone)
+    }
+    tried |= {words: _median_error(_rigid(other), some) for words, other in (others or {}).items()}
     best = min(tried, key=lambda words: tried[words])
     explained = tried[best] < EXPLAINS * left
     if left <= GROSS * robot.reach and not explained:
@@ -52,7 +54,9 @@ def plausible(robot: Robot, m: Measurements, others: Mapping[str, Robot] | None 
     )
     if explained:
         return [Finding("error", "units", f"{text}; {1e3 * tried[best]:.3g} mm would be left if {best}")]
-    return [Finding("error", "units", f"{text}; no slip of unit, sign or zero alone explains it: check the robot file")]
+    return [
+        Finding("error", "units", f"{text}; no single mistake of unit, sign or zero explains it: check the robot file")
+    ]
 
 
 def other_conventions(folder: Path) -> dict[str, Robot]:
@@ -70,21 +74,21 @@ def other_conventions(folder: Path) -> dict[str, Robot]:
     return found
 
 
-def _free(robot: Robot) -> Robot:
-    """Rigid, for deflections are millimetres and slips decimetres; base and tool unknown."""
+def _rigid(robot: Robot) -> Robot:
+    """With rigid joints, for deflections are millimetres, and mistakes decimetres; base and tool unknown."""
     rigid = tuple(replace(j, compliance=None) for j in robot.joints)
     base, tool = replace(robot.base, unknown="pose"), replace(robot.tool, unknown="position")
     return replace(robot, joints=rigid, base=base, tool=tool)
 
 
-def _left(robot: Robot, m: Measurements) -> float:
+def _median_error(robot: Robot, m: Measurements) -> float:
     """Error after base and tool are placed [m]; infinite where the model cannot be evaluated."""
     with np.errstate(all="ignore"):
         try:
             e = errors(place_frames(robot, m), m)
         except np.linalg.LinAlgError:
             return np.inf
-    # The median: a few wild readings are outliers, not a slip.
+    # The median: a few wild readings are outliers, not such a mistake.
     return float(np.median(e)) if np.isfinite(e).all() else np.inf
 
 
@@ -95,7 +99,7 @@ def _large_enough(robot: Robot, m: Measurements) -> bool:
     return bool(np.linalg.norm(np.ptp(m.position, axis=0)) > LEAST_SPREAD * np.linalg.norm(np.ptp(moved, axis=0)))
 
 
-def _slips(robot: Robot, m: Measurements) -> Iterator[tuple[str, Measurements]]:
+def _mistakes(robot: Robot, m: Measurements) -> Iterator[tuple[str, Measurements]]:
     """What may have gone wrong, in words, and the data as they would be without it."""
     assert m.position is not None
     turning = np.array([j.kind == "revolute" for j in robot.joints])
@@ -108,12 +112,12 @@ def _slips(robot: Robot, m: Measurements) -> Iterator[tuple[str, Measurements]]:
     yield "the measuring frame is left-handed (turn the sign of y)", replace(m, position=m.position * [1, -1, 1])
     for i in range(robot.n):
         if turning[i]:
-            yield f"q{i + 1} alone holds radians under a name of degrees", _moved(m, i, factor, 0.0)
-        yield f"joint {i + 1} counts the other way (turn the sign of q{i + 1})", _moved(m, i, -1.0, 0.0)
+            yield f"q{i + 1} alone holds radians under a name of degrees", _with_reading(m, i, factor, 0.0)
+        yield f"joint {i + 1} counts the other way (turn the sign of q{i + 1})", _with_reading(m, i, -1.0, 0.0)
         if turning[i]:
             for degrees in (90, -90, 180):
                 words = f"the zero of joint {i + 1} is {abs(degrees)} deg off (add {degrees} to q{i + 1}_deg)"
-                yield words, _moved(m, i, 1.0, np.deg2rad(degrees))
+                yield words, _with_reading(m, i, 1.0, np.deg2rad(degrees))
     for i in range(1, robot.n):
         coupled = m.q.copy()
         coupled[:, i] += m.q[:, i - 1]
@@ -121,7 +125,7 @@ def _slips(robot: Robot, m: Measurements) -> Iterator[tuple[str, Measurements]]:
         yield f"q{i + 1} is counted the other way against link {i} (add q{i})", replace(m, q=coupled)
 
 
-def _moved(m: Measurements, i: int, sign: float, offset: float) -> Measurements:
+def _with_reading(m: Measurements, i: int, sign: float, offset: float) -> Measurements:
     q = m.q.copy()
     q[:, i] = sign * q[:, i] + offset
     return replace(m, q=q)

@@ -158,7 +158,7 @@ def test_a_fault_that_no_single_slip_explains_is_an_error_all_the_same(tmp_path:
 
     found = precheck(problem_with(tmp_path, change))
     assert not found.ok
-    assert "no slip of unit, sign or zero alone explains it" in said(found, "error")
+    assert "no single mistake of unit, sign or zero explains it" in said(found, "error")
 
 
 def test_every_fault_of_a_table_is_listed_at_once(tmp_path: Path) -> None:
