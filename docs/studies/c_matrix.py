@@ -27,9 +27,9 @@ import export_targets as targets  # noqa: E402
 
 from casadical.export import Command, NetworkFunction, Status, load, write_c  # noqa: E402
 from casadical.export.c.reference import correct, network  # noqa: E402
+from casadical.export.c.self_test import inside  # noqa: E402
 from casadical.export.c.tape_program import tape_program  # noqa: E402
 from casadical.export.c.toolchain import WARNINGS, compilers  # noqa: E402
-from casadical.export.c.vectors import inside  # noqa: E402
 
 PACKAGES = {
     "gcc": "gcc",
@@ -118,7 +118,7 @@ def three_million(folders, count):
         expected, _ = network(program, q)
         for compiler in compilers():
             from casadical.export.c.kernel import build
-            from casadical.export.c.verify import shape_of
+            from casadical.export.c.verification import shape_of
 
             folder = folders["network", real]
             sources = [folder / "arm.c", folder / "arm_self_test.c"]

@@ -2,11 +2,11 @@
 
 import casadi
 
-from casadical.export.c.c_files import SCHEMA, header, source
+from casadical.export.c.c_source import SCHEMA, header, source
 from casadical.export.c.emit import filled, template
 from casadical.export.c.language import Label, Language
+from casadical.export.c.self_test import example_source, self_test_source
 from casadical.export.c.tape_program import TapeProgram
-from casadical.export.c.vectors import example_source, self_test_source
 
 
 class C99(Language):

@@ -1,7 +1,7 @@
 """Constants of the exported C's elementary functions, one set for each real type.
 
 Made by docs/studies/c_coefficients.py: near-minimax polynomials, and pi/2 and ln 2 split so that small multiples of the
-first part are exact. The C templates and the NumPy mirror read the same numbers.
+first part are exact. The C templates and the NumPy evaluation read the same numbers.
 """
 
 from dataclasses import dataclass

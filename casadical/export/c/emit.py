@@ -2,7 +2,7 @@
 
 CasADi's own generator with these elementary functions would run as fast (docs/studies/c_matrix.txt, "portable");
 walking the tape gives exact constants, no MISRA findings, guards where they are needed, and a second reader of the same
-list: the NumPy mirror that the compiled C is compared with.
+list: the NumPy evaluation that the compiled C is compared with.
 """
 
 import re

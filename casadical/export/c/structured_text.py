@@ -4,7 +4,7 @@ It uses the PLC's own SIN, COS, SQRT, EXP and ATAN, so its results agree with th
 """
 
 from casadical.core.arrays import Array
-from casadical.export.c.c_files import boxes, command_numbers
+from casadical.export.c.c_source import boxes, command_numbers
 from casadical.export.c.coefficients import DTYPE, Real
 from casadical.export.c.emit import filled, template
 from casadical.export.c.language import Label, Language

@@ -3,7 +3,7 @@
 Equal operations on equal arguments are stored once, sines and cosines of one angle share an operation, and a tansig is
 recognised however it is written. Where an operation takes only some numbers (square root, exp, sine of a huge angle) a
 guard stands before it; what an interval analysis proves to be needless is removed (see intervals.py). The C emitter and
-the NumPy mirror both walk this list and nothing else.
+the NumPy evaluation both read this list only.
 """
 
 from collections.abc import Iterable

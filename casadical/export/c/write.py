@@ -10,14 +10,14 @@ from typing import Any
 
 from casadical.core.errors import CasadicalError, InputError
 from casadical.core.files import write_together
-from casadical.export.c.c_files import SCHEMA
+from casadical.export.c.c_source import SCHEMA
 from casadical.export.c.coefficients import Real
 from casadical.export.c.language import Label
 from casadical.export.c.products import Product
 from casadical.export.c.registry import written_in
 from casadical.export.c.tape_program import TapeProgram, tape_program
 from casadical.export.c.toolchain import Compiler, compilers
-from casadical.export.c.verify import Comparison, accuracy, compared, shape_of
+from casadical.export.c.verification import Comparison, accuracy, compared, shape_of
 
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,23}")
 

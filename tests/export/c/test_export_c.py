@@ -15,10 +15,10 @@ from casadical.export import Command, Limits, Status, load, write_c
 from casadical.export.c.language import Label
 from casadical.export.c.reference import correct, started, step
 from casadical.export.c.registry import written_in
+from casadical.export.c.self_test import inside
 from casadical.export.c.tape_program import tape_program
 from casadical.export.c.toolchain import compilers
-from casadical.export.c.vectors import inside
-from casadical.export.c.verify import accuracy, compared
+from casadical.export.c.verification import accuracy, compared
 
 REALS = ("float", "double")
 TYPE = {"float": np.float32, "double": np.float64}

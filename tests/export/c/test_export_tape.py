@@ -7,7 +7,7 @@ import pytest
 
 from casadical.core.errors import InputError
 from casadical.export.c.intervals import bounds, without_needless_guards
-from casadical.export.c.mirror import Mirror, run
+from casadical.export.c.numpy_evaluation import NumpyFunctions, run
 from casadical.export.c.tape import tape_of
 
 REALS = ("float", "double")
@@ -90,7 +90,7 @@ def test_a_function_that_cannot_be_expanded_is_refused():
 
 @pytest.mark.parametrize("real", REALS)
 def test_elementary_functions_are_accurate_to_a_few_units_in_the_last_place(real):
-    T, mirror, rng = TYPE[real], Mirror(real), np.random.default_rng(2)
+    T, mirror, rng = TYPE[real], NumpyFunctions(real), np.random.default_rng(2)
     wide = np.longdouble
     eps = np.finfo(T).eps
     x = rng.uniform(-1000, 1000, 50_000).astype(T)

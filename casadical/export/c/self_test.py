@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.export.c.c_files import common_values
+from casadical.export.c.c_source import common_values
 from casadical.export.c.coefficients import DTYPE, Real, literal
 from casadical.export.c.emit import filled, template
 from casadical.export.c.language import Label

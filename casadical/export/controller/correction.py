@@ -19,7 +19,7 @@ from casadical.export.c.products import Command, mapped
 from casadical.export.c.reference import Status
 from casadical.export.c.reference import correct as reference_correct
 from casadical.export.c.tape_program import tape_program
-from casadical.export.controller.program import Program
+from casadical.export.controller.offline_program import Program
 
 LEAVES_BOX = "LEAVES_BOX"
 SHOWN = 20  # rows that a summary lists

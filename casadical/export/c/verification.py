@@ -10,9 +10,9 @@ from casadical.core.arrays import Array
 from casadical.export.c.kernel import Kernel, Shape, build
 from casadical.export.c.products import mapped
 from casadical.export.c.reference import Status
+from casadical.export.c.self_test import comparison_inputs, functions, inside
 from casadical.export.c.tape_program import TapeProgram
 from casadical.export.c.toolchain import WARNINGS, Compiler
-from casadical.export.c.vectors import comparison_inputs, functions, inside
 
 
 @dataclass(frozen=True)

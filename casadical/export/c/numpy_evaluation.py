@@ -14,7 +14,7 @@ from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, EXP_LIMIT, SQRT
 from casadical.export.c.tape import Tape
 
 
-class Mirror:
+class NumpyFunctions:
     """Elementary functions of one real type on arrays."""
 
     def __init__(self, real: Real) -> None:
@@ -131,7 +131,7 @@ def run(tape: Tape, inputs: Array, real: Real) -> tuple[Array, Array]:
 
 
 def _run(tape: Tape, inputs: Array, real: Real) -> tuple[Array, Array]:
-    mirror = Mirror(real)
+    mirror = NumpyFunctions(real)
     T, simple = mirror.T, _simple(mirror.T)
     k = len(inputs)
     fine = np.ones(k, bool)
