@@ -98,6 +98,13 @@ class Fit:
         white = (self.y - self.A @ x).reshape(-1, 3, 1)
         return np.asarray(np.linalg.solve(self.W, white)[:, :, 0])
 
+    def pull(self, poses: Array) -> Array:
+        """Covariance of the fit to some poses at each pose, in units of its noise, shape (n, 3, 3)."""
+        A = self.A[self._rows(poses)]
+        root, scale = self._normal(self.H if len(poses) == len(self.W) else A.T @ A)
+        parts = np.array_split(self.A.reshape(-1, 3, len(scale)), BLOCKS)
+        return np.concatenate([_blocks(part / scale @ root.T) for part in parts])
+
     @cached_property
     def _left_of(self) -> Array | None:
         """What takes observations to what a fit to all leaves of them, shape (3 n, 3 n); None for too many poses."""
@@ -126,10 +133,7 @@ class Fit:
         """What is left at each pose by a fit to all others, shape (n, 3) [m]."""
         if self._left_of is not None:
             return np.concatenate([self.without(np.array([k])) for k in range(len(self.W))])
-        root, scale = self._normal(self.H)
-        pull = np.concatenate(
-            [_blocks(part / scale @ root.T) for part in np.array_split(self.A.reshape(-1, 3, len(scale)), BLOCKS)]
-        )
+        pull = self.pull(np.arange(len(self.W)))
         left = np.linalg.solve(np.eye(3) - pull, (self.y - self.A @ self.x).reshape(-1, 3, 1))
         return np.asarray(np.linalg.solve(self.W, left)[:, :, 0])
 
@@ -182,10 +186,17 @@ def fitted_without(e: Evidence, columns: Array, noise: Noise, test: Array) -> Ar
 
 
 def remainders(e: Evidence, columns: Array, noise: Noise, kept: Array) -> tuple[Array, Array]:
-    """What a fit to the kept poses leaves at every pose: length [m] and squared Mahalanobis distance, shapes (n,)."""
+    """What a fit to the kept poses leaves at every pose: length [m] and squared Mahalanobis distance, shapes (n,).
+
+    The distance of a kept pose is from a fit without it, in units of what that fit can predict: a flexible model
+    follows an outlier that it was fitted to.
+    """
     fit = Fit(e, columns, noise)
-    left = fit.left(fit.to(np.flatnonzero(kept)))
-    return np.linalg.norm(left, axis=1), ((fit.W @ left[:, :, None]) ** 2).sum(axis=(1, 2))
+    x, pull = fit.to(np.flatnonzero(kept)), fit.pull(np.flatnonzero(kept))
+    white = (fit.y - fit.A @ x).reshape(-1, 3, 1)
+    spread = np.eye(3) + np.where(kept[:, None, None], -pull, pull)
+    square = (white * np.linalg.solve(spread, white)).sum(axis=(1, 2))
+    return np.linalg.norm(fit.left(x), axis=1), square
 
 
 def estimates(e: Evidence, columns: Array, noise: Noise) -> tuple[Array, Array]:
