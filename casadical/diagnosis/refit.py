@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from casadical.core.transforms import Array
-from casadical.diagnosis.cross_validation import Noise
+from casadical.diagnosis.cross_validation import Noise, covariance
 from casadical.diagnosis.linear_problem import Case
 from casadical.effects import Effect
 from casadical.identification.identification import Identification, identify
 from casadical.measurements.derived_columns import derive
+from casadical.measurements.kinds.position_covariance import PositionCovariance, typical_sigma, whitening
 from casadical.measurements.measurements import Measurements
 
 
@@ -38,6 +39,11 @@ def _priors(case: Case) -> dict[str, tuple[float, float]]:
 
 
 def refit_measurements(case: Case, effects: Sequence[Effect], noise: Noise) -> Measurements:
-    """Kept poses as positions, with every column that the effects need, and the noise that was found."""
+    """Kept poses as positions, with every column that the effects need, and the noise that was found.
+
+    Instrument and joint repeatability together are a covariance at each pose.
+    """
     m, _ = derive(case.m, [c for e in effects for c in e.conditions])
-    return replace(m.positions_alone(), sigma=noise.sigma)[case.kept]
+    C = covariance(case.whole, noise)[case.kept]
+    m = replace(m.positions_alone()[case.kept], kind=PositionCovariance.name, extra={"whitening": whitening(C)})
+    return replace(m, sigma=typical_sigma(C))

@@ -177,3 +177,23 @@ def test_poses_of_one_position_that_differ_in_orientation_are_no_copies():
     assert len(from_table(t.assign(ry_deg=0.0, rz_deg=0.0), 1)) == 2
     with pytest.raises(InputError, match="row 3 repeats row 2"):
         from_table(t.assign(rx_deg=0.0, ry_deg=0.0, rz_deg=0.0), 1)
+
+
+def test_positions_with_a_covariance_each_weigh_by_it() -> None:
+    """Whitened residuals of noise drawn from the covariances are white; a matrix that is none is refused by row."""
+    rng = np.random.default_rng(3)
+    A = rng.normal(size=(4000, 3, 3)) * 1e-4
+    C = A @ A.transpose(0, 2, 1) + 1e-9 * np.eye(3)
+    noise = (np.linalg.cholesky(C) @ rng.normal(size=(4000, 3, 1)))[:, :, 0]
+    table = pd.DataFrame({"q1_deg": rng.uniform(-90, 90, 4000), **dict.fromkeys(("x_mm", "y_mm", "z_mm"), 0.0)})
+    pairs = {"xx": (0, 0), "xy": (0, 1), "xz": (0, 2), "yy": (1, 1), "yz": (1, 2), "zz": (2, 2)}
+    for name, (i, j) in pairs.items():
+        table[f"cov_{name}_mm2"] = 1e6 * C[:, i, j]
+    m = from_table(table, 1)
+    assert m.kind == "position_covariance"
+    white = (m.extra["whitening"] @ noise[:, :, None])[:, :, 0]
+    sigma = np.sqrt(np.trace(C, axis1=1, axis2=2).mean() / 3)
+    np.testing.assert_allclose(np.cov(white.T), sigma**2 * np.eye(3), atol=0.06 * sigma**2)
+    table.loc[7, "cov_xx_mm2"] = -1.0
+    with pytest.raises(InputError, match=r"row 9, columns cov_xx_mm2 to cov_zz_mm2: no covariance"):
+        from_table(table, 1)

@@ -15,6 +15,7 @@ GROUP = "casadical.measurement_kinds"
 # Tried on a table in this order, so that a kind comes before those that need fewer columns; plug-ins come last.
 _OURS = (
     "casadical.measurements.kinds.pose:Pose",
+    "casadical.measurements.kinds.position_covariance:PositionCovariance",
     "casadical.measurements.kinds.position:Position",
     "casadical.measurements.kinds.pair_distance:PairDistance",
     "casadical.measurements.kinds.distance:Distance",
