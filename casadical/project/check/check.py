@@ -150,9 +150,7 @@ def _outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[
         return [Finding("error", "too few poses", text)]
     found = []
     if view.numbers < COMFORTABLE * p:
-        text = (
-            f"{view.method}: {view.numbers} numbers for {p} unknowns; {COMFORTABLE} for each show how good it is"
-        )
+        text = f"{view.method}: {view.numbers} numbers for {p} unknowns; {COMFORTABLE} for each show how good it is"
         found.append(Finding("warning", "too few poses", text))
     if view.condition > CONFOUNDED:
         text = f"{view.method}: condition number {view.condition:.0f}: some parameters are nearly confounded"
