@@ -128,7 +128,9 @@ def in_own_frame(robot: Robot, nominal: Robot) -> tuple[Robot, Array]:
         turn, gravity = same @ turn, same @ gravity
         placed = {k: getattr(first, k) for k in ("alpha", "a", "beta", "b", "theta", "d")}
         joints = (replace(joints[0], **placed), *joints[1:])
-    own = replace(robot, joints=joints, base=Placement(np.eye(4)), gravity=gravity, gravity_frame="base")
+    own = replace(
+        robot, joints=joints, base=Placement(np.eye(4)), gravity=gravity, gravity_frame="base", knowledge=None
+    )
     return own, turn
 
 
@@ -168,7 +170,7 @@ def _loaded(robot: Robot, payload_kg: float | None) -> Robot:
 
 
 def _rigid(robot: Robot) -> Robot:
-    return replace(robot, joints=tuple(replace(j, compliance=None) for j in robot.joints))
+    return replace(robot, joints=tuple(replace(j, compliance=None) for j in robot.joints), knowledge=None)
 
 
 def _compliant(robot: Robot) -> bool:

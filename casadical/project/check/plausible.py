@@ -78,7 +78,7 @@ def _rigid(robot: Robot) -> Robot:
     """With rigid joints, for deflections are millimetres, and mistakes decimetres; base and tool unknown."""
     rigid = tuple(replace(j, compliance=None) for j in robot.joints)
     base, tool = replace(robot.base, unknown="pose"), replace(robot.tool, unknown="position")
-    return replace(robot, joints=rigid, base=base, tool=tool)
+    return replace(robot, joints=rigid, base=base, tool=tool, knowledge=None)
 
 
 def _median_error(robot: Robot, m: Measurements) -> float:
