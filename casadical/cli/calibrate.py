@@ -20,8 +20,8 @@ def calibrate(
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Keep the calibrated robots (METHOD.robot.toml), parameters (METHOD.parameters.csv), networks "
-            "(METHOD.compensator.json) and result.json here; with several problems, in a folder for each.",
+            help="Write the calibrated robots (METHOD.robot.toml), parameters (METHOD.parameters.csv), networks "
+            "(METHOD.compensator.json) and result.json here; with several problems, into one folder for each.",
         ),
     ] = None,
     json_file: Json = None,
@@ -47,12 +47,12 @@ def calibrate(
         int | None,
         typer.Option(
             min=0,
-            help="Of the random split into sets; default: the problem's. No effect where a column names the sets.",
+            help="Seed of the random split into sets; default: the problem's. No effect where a column names the sets.",
         ),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Identify a robot's parameters and say what they are worth on poses that were held out.
+    """Identify a robot's parameters and report the accuracy on poses that were held out.
 
     Prints, for each problem, the position errors before and after, every parameter with its standard error, and what
     could not be identified and why. Results are written when all problems are done: all of them or none.

@@ -18,10 +18,10 @@ def check(
         typer.Option(
             min=0,
             metavar="MM",
-            help="Of a measured coordinate, one sigma, for the forecast; default: as the data show.",
+            help="Noise of a measured coordinate, one sigma, for the forecast; default: estimated from the data.",
         ),
     ] = None,
-    strict: Annotated[bool, typer.Option("--strict", help="Warnings end in exit code 2 too.")] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Exit with code 2 on warnings too.")] = False,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:

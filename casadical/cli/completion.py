@@ -1,4 +1,4 @@
-"""What may stand after an option, for the shell's completion; looked up only when the shell asks."""
+"""Values of options for the shell's completion; looked up only when the shell asks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ def _begun(words: tuple[str, ...], incomplete: str) -> list[str]:
 
 
 def _listed(words: tuple[str, ...], incomplete: str) -> list[str]:
-    """Words that go on a list by commas."""
+    """Completions of the last word of a list by commas."""
     before, comma, last = incomplete.rpartition(",")
     return [f"{before}{comma}{word}" for word in _begun(words, last)]
 

@@ -28,16 +28,16 @@ def correct(
     ] = None,
     payload: Payload = None,
     tool: Annotated[
-        str | None, typer.Option(metavar="shared|own", help="As of `casadical export c`; default: shared.")
+        str | None, typer.Option(metavar="shared|own", help="As in `casadical export c`; default: shared.")
     ] = None,
     overwrite: Overwrite = False,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """Rewrite the joint targets of an offline program so that the real tool goes where the nominal one would.
+    """Rewrite the joint targets of an offline program so that the real tool reaches the nominal tool's positions.
 
-    Every row gets a status; a row whose status is not OK keeps its targets and is listed. With a folder, the options
-    of the model are those of its export; with a robot file, give --nominal and what else `casadical export c` takes.
+    Every row gets a status; a row whose status is not OK keeps its targets and is listed. A folder has
+    the options of its export; with a robot file, give --nominal and the other options of `casadical export c`.
 
     Exit codes: 0 written, with or without refused rows; 2 bad input; 70 a bug in casadical.
     """

@@ -35,7 +35,7 @@ def _group() -> None:
 @export_app.command("c")
 def export_c(
     robot: Annotated[Path, typer.Argument(metavar="ROBOT.toml", help="A calibrated robot file.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files; what is in it already stays.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files; other files in it stay.")],
     what: Annotated[
         str, typer.Option(metavar="network|command", help="The network alone, or the correction of joint commands.")
     ] = "command",
@@ -46,7 +46,8 @@ def export_c(
     payload: Payload = None,
     tool: Tool = "shared",
     name: Annotated[
-        str | None, typer.Option(metavar="PREFIX", help="Of C functions and files; default: from the robot's name.")
+        str | None,
+        typer.Option(metavar="PREFIX", help="Prefix of C functions and files; default: from the robot's name."),
     ] = None,
     language: Annotated[
         str | None,
@@ -62,7 +63,7 @@ def export_c(
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """Write guarded C99 for a controller, compiled and compared with its source before it is kept.
+    """Write guarded C99 for a controller; it is compiled and compared with its reference before it is kept.
 
     Precondition: the controller's own absolute-accuracy option is off.
 
@@ -77,7 +78,7 @@ def export_c(
     if real not in ("float", "double"):
         raise InputError(f"--real {real}: not known; allowed: float, double")
     if what == "network" and (nominal or payload is not None):
-        raise InputError("--nominal and --payload have no part in a network alone; leave them out, or --what command")
+        raise InputError("--nominal and --payload have no part in a network alone; remove them, or give --what command")
     sources = Sources(robot, nominal, compensator, payload, tool)  # type: ignore[arg-type]
     product = command_of(sources, steps) if what == "command" else network_of(sources)
     try:
@@ -113,7 +114,7 @@ def _sha256(path: Path) -> str:
 
 
 def _about(sources: Sources, what: str, networked: bool) -> list[str]:
-    """What went in, with hashes."""
+    """The files that the export was made from, with hashes."""
     files = {"robot": sources.robot, "nominal": sources.nominal, "compensator": sources.compensator}
     used = ["robot", "compensator"] if what == "network" else list(files)
     lines = [

@@ -28,7 +28,7 @@ def export_mjcf(
         typer.Option(
             metavar="CAMPAIGN.csv",
             help="Measured positions: the robot is calibrated from them and diagnosed, and the "
-            "causes that are found go into the model.",
+            "causes found go into the model.",
         ),
     ] = None,
     effects: Effects = None,
@@ -36,12 +36,15 @@ def export_mjcf(
         Path | None,
         typer.Option(
             metavar="YOURS.xml",
-            help="A MuJoCo model of the nominal robot: its bodies get the calibrated geometry, all else stays. Needs "
+            help="A MuJoCo model of the nominal robot: its bodies get the calibrated geometry, the rest stays. Needs "
             "--joints.",
         ),
     ] = None,
     joints: Annotated[
-        str | None, typer.Option(metavar="NAMES", help="Of the arm's joints in YOURS.xml, from the base on, by commas.")
+        str | None,
+        typer.Option(
+            metavar="NAMES", help="Names of the arm's joints in YOURS.xml, from the base to the tool, by commas."
+        ),
     ] = None,
     springs: Annotated[
         bool, typer.Option("--springs", help="With --into: a spring beside each compliant joint, NAME_spring.")
@@ -83,9 +86,9 @@ def export_urdf(
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """Write a calibrated robot as a URDF: into the problem's own one where it came from one, else a new one.
+    """Write a calibrated robot as a URDF: the problem's own URDF with new numbers, or a new one if it has none.
 
-    A URDF holds geometry and masses; springs and effects have no place in it. Closed loops: see `export mjcf`.
+    A URDF holds geometry and masses, but no springs and effects. For closed loops use `export mjcf`.
 
     Exit codes: 0 written, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """

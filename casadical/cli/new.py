@@ -13,27 +13,29 @@ from casadical.cli.terminal import keep_json
 
 
 def new(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder to be made; nothing is overwritten.")],
-    urdf: Annotated[Path | None, typer.Option(metavar="FILE", help="The robot from a URDF.")] = None,
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The new folder; nothing is overwritten.")],
+    urdf: Annotated[Path | None, typer.Option(metavar="FILE", help="Take the robot from this URDF.")] = None,
     base_link: Annotated[
-        str | None, typer.Option(metavar="LINK", help="Of the URDF, where the arm begins; default: its root.")
+        str | None, typer.Option(metavar="LINK", help="First link of the arm in the URDF; default: its root.")
     ] = None,
     tip_link: Annotated[
-        str | None, typer.Option(metavar="LINK", help="Where it ends; default: the only end that moves.")
+        str | None, typer.Option(metavar="LINK", help="Last link of the arm; default: the only moving end.")
     ] = None,
     dh: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.csv", help="The robot from a table, a row a joint: a_mm, alpha_deg, d_mm, theta_deg, ..."
+            metavar="FILE.csv",
+            help="Take the robot from this table, one row per joint: a_mm, alpha_deg, d_mm, theta_deg, ...",
         ),
     ] = None,
     convention: Annotated[
-        str, typer.Option(metavar="WORD", help="Of the DH table: modified (Craig) or standard.")
+        str, typer.Option(metavar="WORD", help="Convention of the DH table: modified (Craig) or standard.")
     ] = "modified",
     data: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.csv", help="Measured poses: q1_deg .., x_mm, y_mm, z_mm; default: made-up ones, marked so."
+            metavar="FILE.csv",
+            help="Measured poses: q1_deg .., x_mm, y_mm, z_mm; default: synthetic ones, marked as such.",
         ),
     ] = None,
     json_file: Json = None,

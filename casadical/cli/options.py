@@ -12,11 +12,12 @@ from casadical.cli import completion as words
 Nominal = Annotated[
     Path | None,
     typer.Option(
-        metavar="NOMINAL.toml", help="The robot as its controller computes it: the file from before the calibration."
+        metavar="NOMINAL.toml", help="The controller's model of the robot: the robot file from before the calibration."
     ),
 ]
 Compensator = Annotated[
-    Path | None, typer.Option(metavar="NET.json", help="A trained compensator, as save_compensator writes it.")
+    Path | None,
+    typer.Option(metavar="NET.json", help="A trained compensator, as `casadical calibrate --out` writes it."),
 ]
 Payload = Annotated[
     float | None, typer.Option(metavar="KG", help="Mass on the flange; default: as the robot file declares.")
@@ -25,13 +26,16 @@ Tool = Annotated[
     str,
     typer.Option(
         metavar="shared|own",
-        help="shared: nominal and real robot carry the calibrated file's tool. own: each its file's, for a measured "
-        "point that is the controller's tool centre point.",
+        help="shared: nominal and real robot have the calibrated file's tool. own: each has its own file's, for a "
+        "measured point that is the controller's tool centre point.",
     ),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 Json = Annotated[
-    Path | None, typer.Option("--json", metavar="FILE", help="Keep all figures as JSON; of several inputs, of each.")
+    Path | None,
+    typer.Option(
+        "--json", metavar="FILE", help="Write all figures as JSON; with several inputs, a list or a table of them."
+    ),
 ]
 Report = Annotated[
     Path | None,

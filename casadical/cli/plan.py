@@ -21,7 +21,7 @@ def plan(
     ],
     n: Annotated[
         int | None,
-        typer.Option("-n", min=1, help="Number of joint readings to measure; without it, say how many are enough."),
+        typer.Option("-n", min=1, help="Number of joint readings to measure; without it, print how many are enough."),
     ] = None,
     out: Annotated[
         Path | None,
@@ -46,7 +46,7 @@ def plan(
         Path | None, typer.Option(metavar="FILE.toml", help="Limits, floor, boxes, tracker; see docs/plan.md.")
     ] = None,
     measured: Annotated[
-        Path | None, typer.Option(metavar="FILE.csv", help="Poses measured already, which the choice adds to.")
+        Path | None, typer.Option(metavar="FILE.csv", help="Poses already measured; the plan adds to them.")
     ] = None,
     payloads: Annotated[
         str | None, typer.Option(metavar="KG,KG", help="Payloads that can be mounted, by commas.")
@@ -55,22 +55,30 @@ def plan(
     both_approaches: Annotated[bool, typer.Option(help="Approach each reading from either side.")] = False,
     repeats: Annotated[int, typer.Option(min=1, help="Passes over all poses.")] = 1,
     noise_mm: Annotated[
-        float | None, typer.Option(min=0, help="Of a coordinate, one sigma; default: 0.02, or what was measured shows.")
+        float | None,
+        typer.Option(min=0, help="Noise of a coordinate, one sigma; default: 0.02, or estimated from --measured."),
     ] = None,
     joint_noise_urad: Annotated[float, typer.Option(min=0, help="Repeatability of a joint, one sigma.")] = 0.0,
     min_distance: Annotated[
-        float, typer.Option(min=0, max=1, help="Between poses, in the joint that differs most, share of its range.")
+        float,
+        typer.Option(
+            min=0, max=1, help="Least distance of two poses: in the joint that differs most, as a share of its range."
+        ),
     ] = 0.0,
-    target_mm: Annotated[float | None, typer.Option(min=0, help="Accuracy wanted: how many poses are enough?")] = None,
-    order: Annotated[bool, typer.Option("--order/--no-order", help="Order for little travel (needs networkx).")] = True,
-    seed: Annotated[int, typer.Option(min=0, help="Of all chance.")] = 0,
+    target_mm: Annotated[
+        float | None, typer.Option(min=0, help="Wanted accuracy; prints how many poses are enough for it.")
+    ] = None,
+    order: Annotated[
+        bool, typer.Option("--order/--no-order", help="Order the poses for short travel (needs networkx).")
+    ] = True,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """Choose which poses to measure, and say what accuracy to expect of them before measuring.
+    """Choose which poses to measure, and predict the accuracy of the calibration before measuring.
 
-    Without -n it is the stopping rule alone: the accuracy to expect against the number of poses, with what was
-    measured so far.
+    Without -n only the stopping rule: the expected accuracy against the number of poses, given the poses measured
+    so far.
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
@@ -87,7 +95,7 @@ def plan(
     robot = robot_of(problem)
     before = read_campaign(problem, measured, robot) if measured else None
     wanted = [c for c in named(robot, effects.split(",")) if c.listed] if effects else []
-    # Of settings on a grid, the middle one.
+    # An effect with a grid of settings is planned for with the middle one.
     added = [e for c in wanted for e in c.variants[len(c.variants) // 2]]
     given = noise_mm is not None or measured is None
     noise = Noise(1e-3 * (0.02 if noise_mm is None else noise_mm), 1e-6 * joint_noise_urad) if given else None

@@ -15,14 +15,17 @@ def replay(
     problem: Problem,
     campaigns: Campaigns,
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Keep the models here, CAMPAIGN.STAGE.xml (0 is the nominal).")
+        Path | None,
+        typer.Option(metavar="DIR", help="Write the models here, CAMPAIGN.STAGE.xml (0 is the nominal one)."),
     ] = None,
     effects: Effects = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the split: two thirds are fitted, the others replayed.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of the split: two thirds of the poses are fitted, the others replayed.")
+    ] = 0,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """Drive measured poses again in MuJoCo: the gap before, after geometry, after the diagnosed effect.
+    """Replay measured poses in MuJoCo: with the nominal robot, the calibrated one, and that with the diagnosed effect.
 
     Needs MuJoCo: pip install 'casadical[mujoco]'.
 

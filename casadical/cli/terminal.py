@@ -20,31 +20,31 @@ Show = Callable[[str], None]
 
 
 def as_text(figures: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> str:
-    """Figures as JSON; of one that was listed alone, itself."""
+    """Figures as JSON; a list of one is written as its only entry."""
     whole = figures[0] if isinstance(figures, Sequence) and len(figures) == 1 else figures
     return json_text(whole)
 
 
 def plain(quiet: bool) -> Console:
-    """Where a command prints lines that are neither wrapped nor coloured."""
+    """A console for lines that are neither wrapped nor coloured."""
     return Console(quiet=quiet, soft_wrap=True, highlight=False, markup=False, emoji=False)
 
 
 def keep_json(path: Path | None, figures: Mapping[str, Any] | Sequence[Mapping[str, Any]], console: Console) -> None:
-    """Write figures where `--json` says, if it does, and say so. Raises InputError."""
+    """Write figures to the file of `--json`, if there is one, and print its name. Raises InputError."""
     if path is not None:
         keep({path: as_text(figures)}, console)
 
 
 def keep(texts: Mapping[Path, str], console: Console) -> None:
-    """Write files, all or none, and say so. Raises InputError."""
+    """Write files, all or none, and print their names. Raises InputError."""
     write_together(texts)
     for path in texts:
         console.print(f"wrote {path}", soft_wrap=True)
 
 
 def refuse_taken(out: Path, overwrite: bool) -> None:
-    """Raises InputError where the file is there already and is not to be replaced."""
+    """Raises InputError if the file exists and is not to be replaced."""
     if out.exists() and not overwrite:
         raise InputError(f"{out} is there already; give another file, or --overwrite")
 

@@ -1,4 +1,4 @@
-"""Poses that could be measured, and the circumstances of measuring them: payloads, approaches, repeats, time."""
+"""Poses that could be measured, and under which circumstances: payloads, approaches, repeats, time."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ _STEPS = 200
 class Circumstances:
     """How poses are measured.
 
-    payloads : states [kg] that can be mounted; empty: the declared one, and none as well where an effect needs it
-    every_payload : whether each reading is measured with all of them, not with one
-    both_approaches : whether each reading is approached from either side, all joints turned round
+    payloads : masses [kg] that can be mounted; empty: the declared one, and also none if an effect needs two
+    every_payload : whether each reading is measured with all of them instead of one
+    both_approaches : whether each reading is approached twice, with all joints moving in opposite directions
     repeats : how often each reading is measured, in passes over all poses
-    seconds : that a pose takes; warmup_K, warmup_minutes : by how much and how fast the arm is assumed to warm up
+    seconds : time per pose; warmup_K, warmup_minutes : assumed rise of temperature [K] and its time constant [min]
     """
 
     payloads: tuple[float, ...] = ()
@@ -55,7 +55,7 @@ class Circumstances:
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """N readings, each to be measured g times in circumstances of its own.
+    """N readings, each to be measured g times under its own circumstances.
 
     q : shape (N, joints) [rad or m]; conditions : by name, shape (N, g); turn : in which pass, shape (g,)
     """
@@ -76,18 +76,18 @@ class Candidates:
         return replace(self, q=self.q[which], conditions={n: v[which] for n, v in self.conditions.items()})
 
     def joined(self, other: Candidates) -> Candidates:
-        """These, then the others; both made in the same circumstances."""
+        """These, then the others; both made under the same circumstances."""
         conditions = {n: np.concatenate([v, other.conditions[n]]) for n, v in self.conditions.items()}
         return replace(self, q=np.concatenate([self.q, other.q]), conditions=conditions)
 
     def measurements(self, robot: Robot, source: str = "candidates") -> Measurements:
-        """One row a measurement, the g of a reading behind each other, at the positions that the model gives."""
+        """One row per measurement, the g of a reading in sequence, at the positions that the model gives."""
         conditions = {n: v.ravel() for n, v in self.conditions.items()}
         return expected(robot, np.repeat(self.q, self.size, axis=0), conditions, source)
 
 
 def expected(robot: Robot, q: Array, conditions: Mapping[str, Array], source: str) -> Measurements:
-    """What the model says would be measured at readings q, shape (n, joints) [rad or m]."""
+    """Measurements at readings q, shape (n, joints) [rad or m], as the model predicts them."""
     m = unmeasured(q, conditions, source)
     return replace(m, position=predicted(robot, m)[0])
 
@@ -126,9 +126,9 @@ def draw_uniform(robot: Robot, count: int, workspace: Workspace, rng: np.random.
 
 
 def candidates_at(robot: Robot, q: Array, circumstances: Circumstances, n: int, rng: np.random.Generator) -> Candidates:
-    """Candidates at readings q with every column that the robot's model needs, chosen or by chance.
+    """Candidates at readings q with every column that the robot's model needs, some drawn at random.
 
-    n : how many readings the campaign will hold, which says how long it takes
+    n : number of readings of the campaign, which determines how long it takes
     Raises InputError for a column that cannot be planned.
     """
     g, N = circumstances.size(robot), len(q)

@@ -82,7 +82,7 @@ SPECTRAL: dict[str, _Spectral] = {
 
 
 def checked(criterion: str) -> Criterion:
-    """The word as a criterion. Raises InputError for one that is none."""
+    """The criterion of this name. Raises InputError that lists those there are."""
     if criterion not in CRITERIA:
         raise InputError(f"criterion {criterion!r} is not known; allowed: {', '.join(CRITERIA)}")
     return criterion

@@ -1,4 +1,4 @@
-"""What a search for poses works on: candidates, independent parameters, what is known already, what counts."""
+"""The input of a search for poses: candidates, independent parameters, information already there, weights."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ TASK_POSES = 300
 
 @dataclass(frozen=True, eq=False)
 class DesignProblem:
-    """What a search works on.
+    """The input of a search.
 
     names, held, measured, task : as of `Selection`; pool : candidates; open : whether new ones may be drawn near them
     fixed : information of what was measured, shape (p, p); weight : W of linear criteria, shape (p, p)
@@ -44,13 +44,13 @@ class DesignProblem:
     weight: Array = field(repr=False)
 
     def design(self, pool: Candidates, criterion: Criterion, min_distance: float | None) -> Design:
-        """The search's state over a pool; see `designs.Design`."""
+        """The search's state over a pool; see `experimental_design.Design`."""
         lower, upper = self.workspace.ranges(self.robot)
         span = upper - lower
         occupied = np.empty((0, self.robot.n)) if self.measured is None else self.measured.q
         plain = criterion in ("O1", "O2", "O3", "O4", "O5")
         rows = _rows(self.robot, self.names, pool.measurements(self.robot), None if plain else self.noise)
-        # Passes repeat the same rows: they count by the root of their number.
+        # Passes repeat the same rows: n passes are the rows once, times the root of n.
         once = rows.reshape(len(pool), pool.size, 3, -1)[:, pool.turn == 0]
         rows = np.sqrt(self.circumstances.repeats) * once.reshape(len(pool), -1, len(self.names))
         fixed = self.fixed
@@ -102,7 +102,7 @@ def prepare(
     if 3 * total < len(names):
         raise InputError(
             f"{total} poses give {3 * total} numbers, but {len(names)} parameters are to be identified; "
-            f"at least {-(-len(names) // 3)} poses are needed, and some more tell how good they are"
+            f"at least {-(-len(names) // 3)} poses are needed, and some more to estimate their accuracy"
         )
     task_q = draw_uniform(robot, TASK_POSES, workspace, rng) if task is None else np.atleast_2d(task)
     one = replace(circumstances, every_payload=False, both_approaches=False, repeats=1)
@@ -124,7 +124,7 @@ def prepare(
 def _weight(criterion: Criterion, J: Array, chosen: Array, C: Array) -> Array:
     """W: the task's mean J'J, the identity, and the parameters of interest, each as important as the other.
 
-    C : covariance from as many poses taken by chance, which says what counts as important
+    C : covariance from as many random poses, by which both parts are normalised
     """
     of_interest = np.diag(chosen)
     if criterion == "A":
@@ -141,7 +141,7 @@ def _chosen(robot: Robot, interest: Iterable[str], names: Sequence[str]) -> Arra
     hit = robot.parameters.select(words) if words else ()
     lost = [n for n in hit if n not in names]
     if lost and len(lost) == len(hit):
-        raise InputError(f"no poses would tell anything of {', '.join(lost)}: see what it is confounded with")
+        raise InputError(f"no poses would determine {', '.join(lost)}: see what it is confounded with")
     parameters = [robot.parameters[n] for n in names]
     return np.array([(p.scale / p.prior) ** 2 if p.name in hit else 0.0 for p in parameters])
 

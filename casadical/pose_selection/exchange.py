@@ -10,7 +10,7 @@ from casadical.pose_selection.experimental_design import Design
 
 # How many poses an excursion adds (or takes away) before it returns to the number wanted.
 DEPTH = 4
-# What an exchange must gain in the logarithm of its index: above round-off, which would let it go round for ever.
+# Least gain of an exchange in the logarithm of its index: above round-off, which could make it cycle for ever.
 LEAST_GAIN = 1e-6
 
 
@@ -56,7 +56,7 @@ def _excursion(design: Design, n: int, reach: int, up: bool) -> None:
 
 
 def search(design: Design, n: int, restarts: int, seed: int) -> Array:
-    """The best n candidates of several searches, each from a part drawn by chance; indices, shape (n,).
+    """The best n candidates of several searches, each from a random start; indices, shape (n,).
 
     Raises InputError where fewer than n can be chosen.
     """

@@ -27,12 +27,13 @@ RIDGE = 1e-10
 
 
 class Design(ABC):
-    """Chosen candidates and what another one, or one less, is worth; larger values are better.
+    """Chosen candidates, and what adding or removing one gains; larger values are better.
 
-    rows : shape (N, m, p), scaled Jacobians in units of sigma; fixed : information there is already, shape (p, p)
-    places : shape (N, d), where candidates stand; those at most `apart` from a chosen one are closed to choice,
-        itself included; below zero: a candidate may be chosen more than once
-    occupied : shape (k, d), places taken beforehand
+    rows : scaled Jacobians in units of sigma, shape (N, m, p)
+    fixed : information from poses already measured, shape (p, p)
+    places : coordinates of the candidates, shape (N, d); those within `apart` of a chosen one cannot be chosen,
+        itself included; apart below zero: a candidate may be chosen more than once
+    occupied : coordinates of poses already measured, shape (k, d)
     """
 
     # What a snapshot keeps.
@@ -79,7 +80,7 @@ class Design(ABC):
         return k if np.isfinite(gain[k]) else None
 
     def worst(self) -> int:
-        """Position in `chosen` of the candidate that is missed least."""
+        """Position in `chosen` of the candidate whose removal costs least."""
         gain = self._gains(np.array(self.chosen), -1)
         return int(np.argmax(gain[self.chosen]))
 
@@ -97,7 +98,7 @@ class Design(ABC):
 
     @abstractmethod
     def _refresh(self) -> None:
-        """Compute from M what is kept besides it."""
+        """Compute from M what is kept with it."""
 
     @abstractmethod
     def _update(self, A: Array, sign: int) -> None:
@@ -181,7 +182,7 @@ class Linear(_Inverse):
     def _gains(self, which: Array, sign: int) -> Array:
         gains = np.full(self.N, -np.inf)
         small = np.eye(self.m) + sign * self.D[which]
-        # One that cannot be missed leaves `small` singular.
+        # Without an indispensable candidate `small` is singular.
         regular = np.linalg.det(small) > 1e-12
         small[~regular] = np.eye(self.m)
         change = sign * np.trace(np.linalg.solve(small, self.L[which]), axis1=1, axis2=2)
@@ -221,6 +222,6 @@ class Spectral(Design):
 
 
 def inverse(M: Array) -> Array:
-    """Of a positive definite matrix, scaled to a unit diagonal first."""
+    """Inverse of a positive definite matrix, shape (p, p), scaled to a unit diagonal first."""
     root = np.sqrt(np.diag(M))
     return np.asarray(np.linalg.inv(M / np.outer(root, root)) / np.outer(root, root))

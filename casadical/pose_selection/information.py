@@ -1,4 +1,4 @@
-"""What poses tell of the parameters: exact scaled Jacobians, noise, and which parameters an identification would keep.
+"""Information of poses about the parameters: exact scaled Jacobians, noise, and which parameters are identifiable.
 
 Scaled means millimetres per unit of a parameter's scale (1 mm, 1 mrad, or the deflection of 1 mrad): what `identify`
 computes with.
@@ -27,18 +27,23 @@ _PART = 1000
 
 @dataclass(frozen=True)
 class Noise:
-    """Of a measured coordinate [m], and of how a joint repeats [rad or m]: one sigma each."""
+    """One sigma each: sigma of a measured coordinate [m], joint_sigma of a joint's repeatability [rad or m].
+
+    Raises InputError for a sigma that is not positive and for a negative joint_sigma.
+    """
 
     sigma: float = 2e-5
     joint_sigma: float = 0.0
 
     def __post_init__(self) -> None:
         if not (self.sigma > 0 and self.joint_sigma >= 0):
-            raise InputError(f"noise of {self.sigma} m and {self.joint_sigma} rad; allowed: above zero, and not below")
+            raise InputError(
+                f"noise of {self.sigma} m and {self.joint_sigma} rad; allowed: above zero, and zero or more"
+            )
 
 
 def scaled_jacobian(robot: Robot, names: Sequence[str], m: Measurements) -> Array:
-    """Shape (n, 3, p) [mm per unit of scale], at the robot's values."""
+    """Jacobian of the positions by these parameters, at the robot's values, shape (n, 3, p) [mm per unit of scale]."""
     parts = [m[np.arange(start, min(start + _PART, len(m)))] for start in range(0, len(m), _PART)]
     found = [_problem(robot, names, part).evaluate(np.zeros(len(names)))[1] for part in parts]
     return np.asarray(np.concatenate(found).reshape(len(m), 3, -1))
@@ -57,7 +62,7 @@ def _by_joints(robot: Robot) -> ca.Function:
 
 
 def noise_covariance(robot: Robot, m: Measurements, noise: Noise) -> Array:
-    """Of each measured point, shape (n, 3, 3) [mm^2]; the readings' own noise moves the point through the arm."""
+    """Covariance of each measured point, shape (n, 3, 3) [mm^2], from the instrument and the joints' repeatability."""
     measured = (noise.sigma / MM) ** 2 * np.eye(3)
     if not noise.joint_sigma:
         return np.tile(measured, (len(m), 1, 1))
@@ -75,7 +80,7 @@ def whitened(J: Array, covariance: Array) -> Array:
 def independent(
     robot: Robot, names: Sequence[str], m: Measurements, poses: float, noise: Noise
 ) -> tuple[tuple[str, ...], tuple[Unidentifiable, ...]]:
-    """Names that an identification from so many poses like these would keep, and the others with the reason.
+    """Names that an identification from this many poses like these would keep, and the others with the reason.
 
     First the independent ones; then, one by one, those are held that the data would determine less accurately than the
     prior (as in `least_squares.reduce_and_solve`). Raises InputError where none is left.

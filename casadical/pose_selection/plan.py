@@ -95,7 +95,7 @@ def _below_the_base(plan: Selection) -> list[Words]:
     if not low:
         return []
     words = f"{low} of {len(plan)} poses lie below the base frame's plane, the lowest by {-1e3 * height.min():.0f} mm"
-    return [Words(f"{words}; no room was given, so nothing was checked for floor or obstacles: --room FILE.toml")]
+    return [Words(f"{words}; no workspace was given, so floor and obstacles were not checked: --room FILE.toml")]
 
 
 def _how_many(plan: Plan) -> str:

@@ -1,4 +1,4 @@
-"""The order in which poses are measured: pass by pass, payload by payload, and with little travel in between."""
+"""The order in which poses are measured: pass by pass, payload by payload, with short travel within each."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.candidates import Candidates, Circumstances, expected, timeline
 from casadical.robot.robot import Robot
 
-# Parts of a campaign within which poses that are meant for a time may change places.
+# Parts of a campaign within which poses planned for a certain time may be reordered.
 TIME_PARTS = 4
-# Tours that are tried, each from another first pose.
+# Number of tours that are tried, each from another first pose.
 STARTS = 12
 
 
 def distances(robot: Robot, q: Array) -> Array:
-    """Travel between readings, shape (n, n) [rad]: of the joint that turns most; a stroke counts as half a turn."""
+    """Travel between readings, shape (n, n) [rad]: of the joint that turns most; a full stroke is half a turn."""
     unit = np.array([1.0 if j.kind == "revolute" else np.pi / (j.upper - j.lower) for j in robot.joints])
     return np.asarray(np.abs(unit * (q[:, None] - q[None])).max(axis=2))
 
@@ -32,7 +32,10 @@ def travel(robot: Robot, q: Array) -> float:
 
 
 def short_path(D: Array, before: Array | None = None) -> Array:
-    """An order, shape (n,), of little total distance; D : shape (n, n); before : from where one comes, shape (n,).
+    """An order, shape (n,), of small total distance.
+
+    D : distances, shape (n, n); before : distances from the pose before, shape (n,)
+
 
     The best of networkx's greedy tours from several starts. Raises InputError where networkx is missing.
     """
@@ -58,15 +61,15 @@ def _networkx() -> Any:
         return importlib.import_module("networkx")
     except ImportError:
         raise InputError(
-            "an order of little travel needs networkx, which is not installed; pip install 'casadical[plan]', or keep "
+            "ordering for short travel needs networkx, which is not installed; pip install 'casadical[plan]', or keep "
             "the order in which poses were chosen (--no-order)"
         ) from None
 
 
 def arranged(robot: Robot, chosen: Candidates, circumstances: Circumstances, *, travel: bool) -> Measurements:
-    """The measurements that the chosen poses mean, in order; columns that follow from the order are made again.
+    """The chosen poses as measurements, in order; columns that depend on the order are computed again.
 
-    travel : whether poses of one pass, part of the time and payload are ordered for little travel
+    travel : whether poses of one pass, part of the campaign and payload are ordered for short travel
     """
     rows = {n: v.ravel() for n, v in chosen.conditions.items()}
     q = np.repeat(chosen.q, chosen.size, axis=0)
@@ -91,7 +94,7 @@ def arranged(robot: Robot, chosen: Candidates, circumstances: Circumstances, *, 
 
 
 def _timed(robot: Robot, q: Array, circumstances: Circumstances) -> dict[str, Array]:
-    """Columns of time in the order of measuring."""
+    """Columns that depend on time, in the order of measuring."""
     known = ("payload_kg",)
     names = [n for n in robot.conditions if n not in known and not n.startswith("approach")]
     if not names:

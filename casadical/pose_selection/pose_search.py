@@ -1,4 +1,4 @@
-"""Which poses to measure: `select_poses`, an exchange of candidates and, where new ones may be drawn, of neighbours."""
+"""Which poses to measure: `select_poses` exchanges candidates and, if new ones may be drawn, their neighbours."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from casadical.pose_selection.selection import Selection
 from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
 
-# Neighbours of every chosen pose, and how far off as a share of the joints' ranges, in each round of refinement.
+# Number of neighbours of every chosen pose, and their distances as shares of the joints' ranges, round by round.
 NEIGHBOURS = 12
 REFINEMENTS = (0.2, 0.08, 0.03)
 
@@ -45,21 +45,22 @@ def select_poses(
 ) -> Selection:
     """Choose n readings to measure, by an exchange of candidates.
 
-    robot : its values are what the Jacobians are taken at, so give the calibrated one when continuing; its effects
-        (`with_effect`) are parameters like any other
+    robot : Jacobians are taken at its values, so give the calibrated one when continuing; its effects (`with_effect`)
+        are parameters like any other
     among : readings to choose from, shape (N, joints) [rad or m]; or limits between which they are drawn, and then
         refined in the neighbourhood of the best: a tuple (lower, upper), shape (joints,) each [rad or m], or a
         workspace; None: the robot's own ranges
     criterion : V (the mean variance of the position over the task), D or O1, A, O2 to O5; see `criteria`
-    workspace, circumstances : what else keeps a pose from being measured; payloads, approaches, repeats
-    measured : poses that were measured already: the choice adds to them and keeps its distance
-    free : what will be identified, as of `identify`; by default geometry, frames, compliance and all effects
-    interest : parameters (names, groups or labels, patterns) that matter most: A then regards only these, V weighs
+    workspace : which poses can be measured; circumstances : payloads, approaches, repeats
+    measured : poses already measured: the choice adds to them and keeps its distance from them
+    free : parameters to identify, as of `identify`; by default geometry, frames, compliance and all effects
+    interest : parameters (names, groups or labels, patterns) that matter most: A then regards only these, V weights
         them, in units of their priors, as much as the task
     task : readings at which the robot is to be accurate, shape (T, joints) [rad or m]; None: all that is allowed
     noise : of coordinates and joints; min_distance : between any two poses, in the joint that differs most, as a share
-        of its range, None where a pose may be chosen more than once; pool : candidates to draw; restarts : searches, of
-        which the best counts; seed : of all chance
+        of its range, None if a pose may be chosen more than once
+    pool : number of candidates to draw; restarts : number of searches, of which the best counts; seed : of the
+        random generator
 
     Raises InputError where nothing can be chosen. Source: Mitchell (1974); Sun and Hollerbach (2008).
     """
@@ -88,19 +89,19 @@ def _sources(
         if workspace is not None:
             raise InputError("two workspaces were given; give one of them, or limits as a tuple (lower, upper)")
         return None, among
-    room = workspace or Workspace()
+    given = workspace or Workspace()
     if isinstance(among, tuple):
         if len(among) != 2:
-            raise InputError(f"limits of {len(among)} parts; allowed: (lower, upper), one reading a joint each")
+            raise InputError(f"limits of {len(among)} parts; allowed: (lower, upper), one reading per joint each")
         lower, upper = (np.asarray(side, dtype=float) for side in among)
-        return None, replace(room, lower=lower, upper=upper)
+        return None, replace(given, lower=lower, upper=upper)
     if among is not None and np.asarray(among).ndim == 0:
         raise InputError(f"poses chosen among {among!r}; allowed: candidates, (lower, upper), a Workspace, None")
-    return among, room
+    return among, given
 
 
 def selection(problem: DesignProblem, chosen: Candidates, criterion: Criterion) -> Selection:
-    """The result of a search."""
+    """The chosen candidates as the result of a search."""
     return Selection(
         robot=problem.robot,
         chosen=chosen,

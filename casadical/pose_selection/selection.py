@@ -1,4 +1,4 @@
-"""Poses to measure, and what they would tell: the result of a choice."""
+"""The result of a choice: poses to measure, and the expected accuracy of the parameters."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from casadical.robot.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """Poses to measure, in order, and what to expect of them.
+    """Poses to measure, in order, and the accuracy to expect of them.
 
     robot : with the values and effects that were planned for
-    chosen : readings and circumstances; m : one row a measurement, in order, at the positions that the model gives
-    measured : what was measured before and counts as well
+    chosen : readings and circumstances; m : one row per measurement, in order, at the positions that the model gives
+    measured : poses measured before, which count as well
     names, held : parameters that will be identified, and the others with the reason
     criterion, noise, task, circumstances : as asked for
     """
@@ -50,7 +50,7 @@ class Selection:
         return self.m.q
 
     def ordered(self) -> Selection:
-        """The same poses in an order of little travel. Raises InputError where networkx is missing."""
+        """The same poses in an order of short travel. Raises InputError where networkx is missing."""
         return replace(self, m=arranged(self.robot, self.chosen, self.circumstances, travel=True))
 
     @cached_property
@@ -59,7 +59,7 @@ class Selection:
 
     @cached_property
     def jacobian(self) -> Array:
-        """Of all poses, measured ones last, shape (n, 3, p) [mm per unit of scale]."""
+        """Scaled Jacobian of all poses, measured ones last, shape (n, 3, p) [mm per unit of scale]."""
         return np.concatenate([scaled_jacobian(self.robot, self.names, m) for m in self._sets])
 
     @cached_property
@@ -69,7 +69,7 @@ class Selection:
 
     @cached_property
     def _covariance(self) -> Array:
-        """Of the parameters in units of scale: J'J inverse, the noise of each pose between."""
+        """Covariance of the parameters in units of scale, by the noise of each pose: H J'N J H with H = (J'J)^-1."""
         J = self.jacobian
         noise = np.concatenate([noise_covariance(self.robot, m, self.noise) for m in self._sets])
         H = inverse(np.einsum("kip,kiq->pq", J, J))
@@ -82,16 +82,16 @@ class Selection:
 
     @property
     def covariance(self) -> Array:
-        """Expected, of the parameters, shape (p, p) [SI]."""
+        """Expected covariance of the parameters, shape (p, p) [SI]."""
         return np.asarray(self._covariance * np.outer(self.scale, self.scale))
 
     @property
     def standard_errors(self) -> Array:
-        """Expected, of the parameters, shape (p,) [SI]."""
+        """Expected standard errors of the parameters, shape (p,) [SI]."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def expected_error(self, m: Measurements | None = None) -> Array:
-        """Root mean square error of the calibrated robot's position to expect from noise, shape (n,) [m].
+        """Expected root mean square position error of the calibrated robot due to noise, shape (n,) [m].
 
         m : poses to predict; None: the task
         """
@@ -105,7 +105,7 @@ class Selection:
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """Expected standard errors in readable units (mm, deg), and what would not be identified and why."""
+        """Expected standard errors in readable units (mm, deg); parameters that would not be identified, and why."""
         rows = [
             (name, p.group, p.readable(error), p.readable_unit, "")
             for name, error in zip(self.names, self.standard_errors, strict=True)
@@ -124,9 +124,9 @@ class Selection:
 
     @property
     def table(self) -> pd.DataFrame:
-        """What goes to the robot: a row a measurement, with readings, circumstances and where the point will be.
+        """The table for the robot: one row per measurement, with readings, circumstances and the predicted position.
 
-        The columns nominal_x_mm ... are for finding the reflector; they are no measurements.
+        The columns nominal_x_mm ... help to find the reflector; they are not measurements.
         """
         assert self.m.position is not None
         table = pd.DataFrame({"pose": np.arange(1, len(self.m) + 1)})

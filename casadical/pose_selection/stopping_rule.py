@@ -1,4 +1,4 @@
-"""When to stop: the accuracy to expect against the number of poses, with what was measured so far."""
+"""When to stop measuring: the expected accuracy against the number of poses, given the poses measured so far."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ from casadical.robot.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """Accuracy to expect after so many poses, the best ones next.
+    """Expected accuracy against the number of poses, if the best ones are measured next.
 
-    poses : how many in all, measured ones counted, shape (k,); error : root mean square over the task [m], shape (k,)
+    poses : numbers of poses, measured ones included, shape (k,)
+    error : expected root mean square position error over the task [m], shape (k,)
     """
 
     poses: Array
@@ -61,12 +62,12 @@ def forecast(
 ) -> Forecast:
     """The expected error as poses are added one by one, each the best next one by V-optimality.
 
-    most : number of poses, measured ones counted, at which to end; other arguments as of `select_poses`
-    Begins with the measured poses or, without any, with a fifth more numbers than parameters. Raises InputError.
+    most : largest number of poses, measured ones included; other arguments as of `select_poses`
+    Starts with the measured poses or, without any, with a fifth more equations than parameters. Raises InputError.
     """
     before = 0 if measured is None else len(measured)
     if most <= before:
-        raise InputError(f"{before} poses were measured already; most is {most} and must be above")
+        raise InputError(f"{before} poses were measured already; most is {most} and must be greater")
     noise = noise or Noise()
     problem = prepare(
         robot, most - before, "V", candidates=None, workspace=workspace or Workspace(),
@@ -75,7 +76,7 @@ def forecast(
     )  # fmt: skip
     design = problem.design(problem.pool, "V", 0.0)
     each, p = problem.pool.size, len(problem.names)
-    # Measurements at one reading tell nearly the same: only the first of them counts here.
+    # Measurements at one reading hold nearly the same information: only the first of them counts here.
     if 3 * before < 1.2 * p:
         first = min(-(-(int(1.2 * p) - 3 * before) // 3), (most - before) // each)
         design.start(search(design, first, 1, seed).tolist())

@@ -17,7 +17,10 @@ from casadical.robot.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """An obstacle, its sides along the measuring frame's axes: corners low and high, shape (3,) [m]."""
+    """A box as an obstacle, parallel to the measuring frame's axes.
+
+    low, high : two corners, shape (3,) [m]. Raises InputError unless each coordinate of low is below that of high.
+    """
 
     low: Array
     high: Array
@@ -25,11 +28,11 @@ class Box:
     def __post_init__(self) -> None:
         if not (np.shape(self.low) == np.shape(self.high) == (3,) and (np.less(self.low, self.high)).all()):
             raise InputError(
-                f"box from {self.low} to {self.high} m; allowed: two corners (x, y, z), each of the first below"
+                f"box from {self.low} to {self.high} m; allowed: two corners (x, y, z), the first below the second"
             )
 
     def holds(self, points: Array, clearance: float = 0.0) -> Array:
-        """Whether points, shape (..., 3) [m], lie in the box or nearer to it than clearance [m] along its axes."""
+        """Which points, shape (..., 3) [m], are in the box or closer than clearance [m] to it: boolean, (...)."""
         inside = (points > np.asarray(self.low) - clearance) & (points < np.asarray(self.high) + clearance)
         return np.asarray(inside.all(axis=-1))
 
@@ -50,10 +53,10 @@ class Box:
 class Tracker:
     """A laser tracker in the measuring frame and the cone in which it sees.
 
-    station : its head [m]; towards : a point [m] on the axis of its cone, None for all around
-    half_angle : of the cone [rad]; nearest, farthest : distances at which it measures [m]
-    opening : direction of the reflector's opening in the tool frame, shape (3,), None for one that is seen from all
-        sides; acceptance : greatest angle between the beam and that direction [rad]
+    station : position of its head, shape (3,) [m]; towards : a point on the axis of its cone, shape (3,) [m], or None:
+        it sees all around; half_angle : half of the cone's angle [rad]; nearest, farthest : range of distances [m]
+    opening : direction of the reflector's opening in the tool frame, shape (3,), or None: it is visible from all sides
+    acceptance : largest angle between the beam and that direction [rad]
     """
 
     station: Array
@@ -65,7 +68,7 @@ class Tracker:
     acceptance: float = np.pi / 6
 
     def sees(self, points: Array, R: Array) -> Array:
-        """Mask, shape (n,), for reflectors at points, shape (n, 3) [m], tool orientations R, shape (n, 3, 3)."""
+        """Whether it sees reflectors at points, shape (n, 3) [m], tools turned by R, shape (n, 3, 3); boolean, (n,)."""
         beam = points - self.station
         distance = np.linalg.norm(beam, axis=1)
         seen = (distance >= self.nearest) & (distance <= self.farthest)
@@ -81,13 +84,13 @@ class Tracker:
 
 @dataclass(frozen=True, eq=False)
 class Workspace:
-    """What keeps a pose from being measured.
+    """Which poses can be measured.
 
-    lower, upper : readings, shape (joints,) [rad or m]; None: the robot's ranges
-    margin : least of every four-bar (see `fourbar.margin`)
-    floor : height in the measuring frame [m] under which no point may lie
-    boxes : obstacles; clearance : distance that tool point and link origins keep from floor and boxes [m]
-    tracker : that must see the tool point, past the boxes
+    lower, upper : least and greatest readings, shape (joints,) [rad or m]; None: the robot's ranges
+    margin : least margin of every four-bar (see `fourbar.margin`)
+    floor : height in the measuring frame [m] below which no point may lie
+    boxes : obstacles; clearance : least distance of tool point and link origins from floor and boxes [m]
+    tracker : it must see the tool point, past the boxes
     """
 
     lower: Array | None = None
@@ -109,9 +112,9 @@ class Workspace:
         return lower, upper
 
     def refusals(self, robot: Robot, q: Array) -> dict[str, Array]:
-        """By reason, a mask, shape (n,), of the readings q, shape (n, joints) [rad or m], that it rules out.
+        """By reason, which of the readings q, shape (n, joints) [rad or m], are ruled out, boolean, shape (n,).
 
-        Links are judged by the origins of their frames and the tool by its point, not by their shapes.
+        Links are checked by the origins of their frames and the tool by its point, not by their shapes.
         """
         lower, upper = self.ranges(robot)
         found: dict[str, Array] = {"joint range": np.asarray(((q < lower - 1e-9) | (q > upper + 1e-9)).any(axis=1))}
@@ -130,7 +133,7 @@ class Workspace:
         return found
 
     def allows(self, robot: Robot, q: Array) -> Array:
-        """Mask, shape (n,), of the readings q, shape (n, joints) [rad or m], that may be measured."""
+        """Which of the readings q, shape (n, joints) [rad or m], may be measured, boolean, shape (n,)."""
         return np.asarray(~np.any(list(self.refusals(robot, q).values()), axis=0))
 
 
@@ -138,7 +141,7 @@ class Workspace:
 def _places_function(robot: Robot) -> ca.Function:
     """places:(q, w, phi)->(points[3, n], R, margin): origins of frames 2 to n, then the tool point.
 
-    Frame 1 stands still: nothing that moves can hit anything there.
+    Frame 1 does not move, so it cannot collide.
     """
     rigid = robot.with_only(())
     model = rigid.model

@@ -1,4 +1,4 @@
-"""A workspace file (`--given`): where poses may lie, as TOML with units in the keys; see docs/plan.md."""
+"""A workspace file (`--room`): where poses may lie, as TOML with units in the keys; see docs/plan.md."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def read_workspace(path: str | Path, robot: Robot) -> Workspace:
         if joint.number > robot.n:
             raise InputError(f"{path}: joint {joint.number}: {robot.name} has {robot.n} joints")
         k = joint.number - 1
-        # Inside of the robot's own range, whatever the file says.
+        # Within the robot's own range in any case.
         lower[k], upper[k] = max(lower[k], joint.limits[0]), min(upper[k], joint.limits[1])
         if lower[k] >= upper[k]:
             raise InputError(f"{path}: joint {joint.number}: nothing of its range is left between these limits")

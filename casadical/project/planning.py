@@ -1,4 +1,4 @@
-"""What `casadical plan` does: calibrate what was measured, choose the next poses, order them, look ahead, stop."""
+"""A plan of what to measure: the robot calibrated with what was measured, the next poses, their order, the forecast."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def planned_with(path: Path, measured: Path | None) -> str:
 
 
 def continued(robot: Robot, m: Measurements, noise: Noise | None) -> tuple[Robot, Measurements, Noise]:
-    """The robot calibrated by what was measured, that, and the noise it shows if none is given. Raises InputError."""
+    """The robot calibrated with m, m with derived columns, and the noise, estimated if not given. Raises InputError."""
     m, missing = derive(m, robot.conditions)
     lost = [name for name in missing if name != "payload_kg"]
     if lost:

@@ -90,7 +90,7 @@ def test_a_room_without_a_way_says_what_refuses() -> None:
         draw_uniform(elbow(), 20, Workspace(floor=5.0), np.random.default_rng(0))
     with pytest.raises(InputError, match="needs 6 readings"):
         Workspace(lower=np.zeros(5)).ranges(elbow())
-    with pytest.raises(InputError, match="each of the first below"):
+    with pytest.raises(InputError, match="the first below the second"):
         Box(np.zeros(3), np.array([1.0, -1, 1]))
 
 

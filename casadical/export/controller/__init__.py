@@ -1,1 +1,1 @@
-"""A calibrated robot and its controller: the correction as C, and joint targets of offline programs corrected."""
+"""The correction of joint commands: what the C export is made of, and corrected offline programs."""

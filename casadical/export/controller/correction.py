@@ -1,6 +1,6 @@
-"""Joint targets corrected row by row, and what moved by how much.
+"""An offline program with corrected joint targets, and how far joints and tool move.
 
-A row is corrected whole or not at all: with any status but OK it keeps its targets, and the summary names it.
+A row is corrected in all joints or in none: with a status other than OK it keeps its targets, and the summary lists it.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ _MEANINGS = {
 
 @dataclass(frozen=True, eq=False)
 class Corrector:
-    """Who corrects: an exported kernel or a model.
+    """A way to correct joint targets: the compiled C of an export, or a model.
 
-    joints : how many
+    joints : number of joints
     correct : q, shape (k, joints) [rad] -> corrections [rad] of the same shape, and status, shape (k,)
     position : q -> calibrated tool positions [m], shape (k, 3)
     target : q -> nominal tool positions [m], shape (k, 3); None where it is not known
@@ -54,8 +54,8 @@ class Corrector:
 class Corrected:
     """A corrected program.
 
-    q : targets, shape (rows, joints) [rad], as they were where a row was refused; status : of each row, in words
-    moved_mm : how far the real tool moves by it, shape (rows,)
+    q : corrected targets, shape (rows, joints) [rad]; refused rows keep theirs; status : name of each row's status
+    moved_mm : how far the correction moves the real tool, shape (rows,)
     rest_mm : distance of the real tool from the nominal one, before and after, shape (rows, 2); None: not known
     """
 
@@ -75,7 +75,7 @@ class Corrected:
         return self.program.text(self.q, self.fine, self.status)
 
     def report(self) -> str:
-        """The verdict, refused rows with their reasons, and what moved by how much."""
+        """The number of corrected rows, refused rows with their reasons, and how far joints and tool move."""
         return "\n".join([*_refused(self), *_moved(self)])
 
     def to_json(self) -> dict[str, Any]:
@@ -115,7 +115,7 @@ def kernel_corrector(folder: Path) -> Corrector:
 
 
 def model_corrector(command: Command) -> Corrector:
-    """Correction by the exporter's arithmetic in NumPy, the bits of the exported double C without a compiler."""
+    """Correction by the export's reference in NumPy: the same bits as the exported double C, without a compiler."""
     made = tape_program(command, "double")
     return Corrector(
         made.n,
@@ -126,7 +126,7 @@ def model_corrector(command: Command) -> Corrector:
 
 
 def corrected(corrector: Corrector, program: Program) -> Corrected:
-    """Correct every row of a program on its own."""
+    """Correct every row of a program independently."""
     dq, status = corrector.correct(program.q)
     names = [Status(int(s)).name for s in status]
     beyond = corrector.correct(program.q + dq)[1] == Status.CLAMPED
@@ -143,7 +143,7 @@ def corrected(corrector: Corrector, program: Program) -> Corrected:
 
 
 def _refused(result: Corrected) -> list[str]:
-    """The verdict, and each refused row with its reason."""
+    """The number of corrected rows, and each refused row with its reason."""
     rows = np.flatnonzero(~result.fine)
     lines = [f"{int(result.fine.sum())} of {len(result.status)} rows corrected"]
     if len(rows):
@@ -167,7 +167,7 @@ def _moved(result: Corrected) -> list[str]:
         lines.append(f"  {f'joint {i} [deg]':<20}{column.mean():>10.4f}{column.max():>10.4f}")
     lines.append(f"  {'tool [mm]':<20}{result.moved_mm[fine].mean():>10.4f}{result.moved_mm[fine].max():>10.4f}")
     if result.rest_mm is not None:
-        lines.append("tool off its nominal place, by the model")
+        lines.append("distance of the tool from its nominal position, by the model")
         for label, unit, column in zip(("before [mm]", "after [um]"), (1, 1e3), result.rest_mm[fine].T, strict=True):
             lines.append(f"  {label:<20}{unit * column.mean():>10.4f}{unit * column.max():>10.4f}")
     return lines

@@ -19,15 +19,15 @@ STATUS = "correction_status"
 
 _TARGET = re.compile(r"q(\d+)_(\w+)")
 _TO_RAD = {"deg": np.pi / 180, "rad": 1.0}
-_DIGITS = {"deg": 7, "rad": 9}  # behind the point: some nanometres at the tool
+_DIGITS = {"deg": 7, "rad": 9}  # decimals: some nanometres at the tool
 
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """Joint targets and the table that they stand in.
+    """Joint targets and the table that contains them.
 
     q : shape (rows, joints) [rad]; header, rows : the table's cells as text; line : of each row in the file
-    columns : where the joints' targets stand; units : "deg" or "rad" of each
+    columns : indices of the joints' columns; units : "deg" or "rad" of each
     """
 
     source: str
@@ -39,7 +39,7 @@ class Program:
     units: tuple[str, ...]
 
     def text(self, q: Array, moved: Array, status: Sequence[str]) -> str:
-        """The table as CSV with the targets of the rows that moved, and a column that says how each row fared.
+        """The table as CSV with new targets in some rows, and a column with each row's status.
 
         q : joint targets, shape (rows, joints) [rad or m]; moved : which rows take them, boolean, shape (rows,)
         """
@@ -87,7 +87,7 @@ def _columns(path: Path, header: tuple[str, ...], joints: int) -> tuple[tuple[in
         if unit not in _TO_RAD:
             raise InputError(f"{path}: column {name!r}: unit {unit!r} is not known; allowed: q{i}_deg, q{i}_rad")
         if i in found:
-            raise InputError(f"{path}: columns {header[found[i][0]]!r} and {name!r} say the same; keep one")
+            raise InputError(f"{path}: columns {header[found[i][0]]!r} and {name!r} are of the same joint; keep one")
         if not 1 <= i <= joints:
             raise InputError(f"{path}: column {name!r}: this robot has only {joints} joints")
         found[i] = (column, unit)

@@ -1,4 +1,4 @@
-"""A calibrated robot, and what a diagnosis found of it, as a model for a simulator (MJCF, URDF), and its replay there.
+"""A calibrated robot with its diagnosed effects as a MuJoCo model (MJCF), and measured poses replayed in it.
 
 MuJoCo itself is needed only to replay: `pip install 'casadical[mujoco]'`.
 """

@@ -1,4 +1,4 @@
-"""A balancing spring as MuJoCo knows one: a tendon between two sites, a zero-length spring and a constant pull.
+"""A balancing spring in MuJoCo: a tendon between two sites with a zero-length spring and a constant pull.
 
 The torque of `GravityCompensator`, T (S sin t + C cos t + P sin t / l), is that of a spring without rest length, k a b
 sin(t + phase), and that of a constant pull F along the line from anchor to lever, F a b sin t / length.
@@ -17,12 +17,12 @@ from casadical.export.mjcf.elements import numbers
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Joint
 
-# Length of the lever [m]: any will do, stiffness and pull follow it.
+# Length of the lever [m]: arbitrary, as stiffness and pull are scaled by it.
 LEVER = 0.3
 
 
 def add_sites(balancer: Balancer, before: ET.Element, behind: Array, link: ET.Element, row: Joint) -> None:
-    """The ends of its tendons: anchors on the body before the joint (link frame at `behind`), the lever on the link."""
+    """The ends of the tendons: anchors on the body before the joint (link frame at `behind`), the lever on the link."""
     name, b = f"balancer{balancer.joint}", balancer.anchor * LEVER
     T = behind @ row_matrix(replace(row, theta=0.0))
     for suffix, angle in (("spring", balancer.phase - balancer.ahead + np.pi), ("pull", balancer.phase + np.pi)):

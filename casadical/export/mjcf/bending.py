@@ -1,8 +1,8 @@
 """A link that bends: three pieces with springs at the two Gauss points of its length.
 
-The moment runs linearly from root to end; slope and deflection of the end are integrals of the moment times at most
-the length left, a square, which two Gauss points integrate exactly. The link's own mass is laid on the pieces so that
-each spring sees the moment of the beam, and the whole the mass and mass centre of the link.
+The moment is linear from root to end; slope and deflection of the end are integrals of the moment times at most the
+remaining length, a quadratic function, which two Gauss points integrate exactly. The link's own mass is distributed
+over the pieces so that each spring has the moment of the beam, and all together the link's mass and mass centre.
 """
 
 from __future__ import annotations

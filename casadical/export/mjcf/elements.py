@@ -1,4 +1,4 @@
-"""MJCF's elements from numbers: frames, joints on springs, bodies; every number to its last bit."""
+"""Elements of MJCF: frames, joints on springs, bodies; every number with all its digits."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 
 from casadical.core.arrays import Array
 
-# s: every spring alone would come to rest with this time constant. Statics know neither inertia nor damping.
+# Time constant [s] with which every spring alone comes to rest; statics depend neither on inertia nor on damping.
 SLOW = 0.02
-# Of a body that has none [kg]: the engine moves no body without mass.
+# Mass [kg] of a body that has none: MuJoCo moves no body without mass.
 LEAST_MASS = 1e-6
 
 
@@ -21,7 +21,7 @@ def numbers(*values: float) -> str:
 
 def quaternion(R: Array) -> Array:
     """Unit quaternion, shape (4,), scalar first and not negative, of a rotation, shape (3, 3)."""
-    # The greatest eigenvector of a symmetric matrix (Bar-Itzhack 2000), which knows no special cases.
+    # The greatest eigenvector of a symmetric matrix (Bar-Itzhack 2000), which needs no case distinctions.
     K = np.zeros((4, 4))
     K[0, 1:] = K[1:, 0] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
     K[1:, 1:] = R + R.T - np.trace(R) * np.eye(3)

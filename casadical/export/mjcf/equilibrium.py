@@ -1,7 +1,7 @@
 """Equilibrium of an exported model in MuJoCo at many commands, found by Newton steps.
 
-Weights, springs, actuators, loops and play are MuJoCo's own: it evaluates every force and constraint; the steps only
-divide them by the stiffness of the coordinate, which converges fast because weights change little over a deflection.
+MuJoCo evaluates every force and constraint (weights, springs, actuators, loops, play); the steps only divide them by
+the stiffness of the coordinate, which converges fast because weights change little over a deflection.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ AT_MOST = 100
 
 
 def positions(xml: str, m: Measurements, payload_factor: float = 1.0) -> Array:
-    """Where the site `measured` rests at the readings and circumstances of m, shape (n, 3) [m].
+    """Equilibrium position of the site `measured` at the readings and conditions of m, shape (n, 3) [m].
 
     xml : as `mjcf` writes it; of m are taken q, payload_kg and approach1 .. where they were logged
     Raises InputError without MuJoCo or for readings of another robot, ConvergenceError where a loop cannot close.
@@ -46,7 +46,7 @@ class _Model:
         self.mujoco: Any = load_mujoco()
         self.m = self.mujoco.MjModel.from_xml_string(xml)
         self.m.opt.jacobian = self.mujoco.mjtJacobian.mjJAC_DENSE
-        # Friction, limits and contacts are settled here, by the way the joint came.
+        # Friction and limits are computed here, from the direction of approach.
         self.m.opt.disableflags |= int(self.mujoco.mjtDisableBit.mjDSBL_LIMIT)
         self.m.opt.disableflags |= int(self.mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
         self.d = self.mujoco.MjData(self.m)
@@ -59,7 +59,7 @@ class _Model:
         self.free = [k for k, n in enumerate(names) if n.startswith(loose) or n.endswith("_driven")]
         self.play = [k for k, n in enumerate(names) if n.endswith("_play")]
         self.stopped = [k for k, n in enumerate(names) if n.endswith("_bed")]
-        # Which drive's last motion a joint feels.
+        # The drive whose direction of approach acts on each joint.
         self.way = {k: i for i, j in enumerate(self.drives) for k, n in enumerate(names) if n.startswith(names[j])}
         self.sprung = [k for k in range(self.m.njnt) if k not in (*self.free, *self.play)]
         self._payload = next((b for b in range(self.m.nbody) if self.m.body(b).name == "payload"), None)
@@ -99,13 +99,15 @@ class _Model:
             if np.abs(step).max() < STILL:
                 self.mujoco.mj_kinematics(m, d)
                 return np.array(d.site(POINT).xpos)
-        raise ConvergenceError(f"no rest after {AT_MOST} steps, the last one of {np.abs(step).max():.1e} rad or m")
+        raise ConvergenceError(
+            f"no equilibrium after {AT_MOST} steps, the last one of {np.abs(step).max():.1e} rad or m"
+        )
 
     def _way(self, approach: Array, joint: int) -> float:
         return float(approach[self.way[joint]]) if joint in self.way else 0.0
 
     def _force(self) -> Array:
-        """Generalized forces, shape (nv,), what the loops carry over to the cranks included."""
+        """Generalized forces, shape (nv,), including those that the loops transmit to the cranks."""
         self.mujoco.mj_fwdPosition(self.m, self.d)
         self.mujoco.mj_fwdVelocity(self.m, self.d)
         self.mujoco.mj_fwdActuation(self.m, self.d)
@@ -131,7 +133,7 @@ class _Model:
         return self.d.efc_J.reshape(n, self.m.nv).copy(), self.d.efc_pos[:n].copy()
 
     def _assemble(self, command: Array) -> None:
-        """Close the loops as they are assembled: on the side on which they stand uncrossed at mid range."""
+        """Close the loops in the configuration in which they are assembled: uncrossed at the middle of the ranges."""
         if self._sides is None:
             lower, upper = self.m.actuator_ctrlrange[self.servos].T
             self.d.qpos[self.drives] = (lower + upper) / 2
@@ -148,7 +150,7 @@ class _Model:
         raise ConvergenceError(f"the four-bar does not close at the readings {np.round(command, 4).tolist()} rad")
 
     def _closures(self) -> Iterator[Array]:
-        """Free hinges to start from: those of the last pose, then any."""
+        """Angles of the free hinges to start from: those of the last pose, then random ones."""
         if self._start is not None:
             yield self._start
         rng = np.random.default_rng(0)

@@ -1,7 +1,7 @@
-"""The calibrated geometry written into a user's own MuJoCo model: bodies move, meshes, comments, everything else stays.
+"""The calibrated geometry written into a user's own MuJoCo model: bodies move; meshes, comments and the rest stay.
 
-The user's link frames need not be ours: at zero reading each body stands somewhere against our frame of the same link,
-and goes on standing so. Only the joints' axes must be those of the nominal robot; that is checked.
+The user's link frames may differ from ours: each body keeps its pose relative to our frame of the same link. Only the
+joints' axes must be those of the nominal robot; that is checked.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ def into_mjcf(nominal: Robot, calibrated: Robot, path: Path, joints: Sequence[st
 
     nominal, calibrated : the robot before and after; joints : names of the arm's joints in the model, from the base on
     springs : whether each compliant joint also gets a hinge `NAME_spring` beside it, in the same body
-    The foot stays where it is; the site `casadical_measured` is the measured point. Relative paths of meshes stay too.
+    The base stays where it is; the site `casadical_measured` is the measured point. Relative paths of meshes stay too.
     Raises InputError: a closed loop, no such joint, or a joint whose axis is not the nominal robot's.
     """
     if nominal.loops:
-        raise InputError(f"{nominal.name!r} has a closed loop; write a model of its own (leave --into out)")
+        raise InputError(f"{nominal.name!r} has a closed loop; write a new model (without --into)")
     if len(joints) != nominal.n:
         raise InputError(f"--joints: {len(joints)} names for the {nominal.n} joints of {nominal.name}")
     spec = _read(path)
@@ -74,12 +74,12 @@ def _parsed(path: Path) -> minidom.Document:
 def _element(document: minidom.Document, tag: str, name: str, source: str) -> minidom.Element:
     found = [e for e in document.getElementsByTagName(tag) if e.getAttribute("name") == name]
     if len(found) != 1:
-        raise InputError(f"{source}: {tag} {name!r} does not stand in this file itself; is it in an <include>?")
+        raise InputError(f"{source}: {tag} {name!r} is not in this file itself; is it in an <include>?")
     return found[0]
 
 
 def _write_pose(element: minidom.Element, T: Array) -> None:
-    """Position and quaternion, in place of any other way to say it."""
+    """Position and quaternion, in place of any other attribute of orientation."""
     for other in ("axisangle", "euler", "xyaxes", "zaxis"):
         if element.hasAttribute(other):
             element.removeAttribute(other)
@@ -151,7 +151,7 @@ def _frames(robot: Robot) -> list[Array]:
 
 
 def _foot(N: Sequence[Array], axes: Array, points: Array, joints: Sequence[str], source: str) -> Array:
-    """Where our base frame is in the model's world, so that all joints' axes coincide, shape (4, 4)."""
+    """Pose of our base frame in the model's world at which all joint axes coincide, shape (4, 4)."""
     z = np.array([T[:3, 2] for T in N])
     p = np.array([T[:3, 3] for T in N])
     if np.linalg.svd(z, compute_uv=False)[1] < 1e-3:
@@ -172,13 +172,13 @@ def _foot(N: Sequence[Array], axes: Array, points: Array, joints: Sequence[str],
 
 
 def _refuse_unmoved(spec: Any, joints: Sequence[str], new: Sequence[Array], source: str) -> None:
-    """Whether the bodies stand where they should; they do not where a model nests them in frames."""
+    """Raises InputError if a body is not where it should be, as in a model that nests bodies in frames."""
     model, data = _at_zero(spec, joints)
     for name, target in zip(joints, new, strict=True):
         body = data.body(model.joint(name).bodyid[0])
         off = float(np.abs(_pose(body) - target).max())
         if off > HELD:
             raise InputError(
-                f"{source}: body {body.name!r} does not go where it should ({off:.3g} m or rad off); is it inside of a "
+                f"{source}: body {body.name!r} does not move to its target ({off:.3g} m or rad off); is it inside of a "
                 "<frame>, or does it hold two joints? write it as a plain body"
             )

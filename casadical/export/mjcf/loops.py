@@ -1,7 +1,7 @@
 """A four-bar as a closed chain: crank, coupler and rocker with the robot's lengths, closed by equality constraints.
 
 The loop lies in the plane of the carrier's axis, as in `casadical.robot.fourbar`; the driven link turns with the rocker
-(a second equality), so that a driven axis that is not quite parallel to the carrier's is what the robot says it is.
+(a second equality), so that a driven axis that is not exactly parallel to the carrier's is as in the robot.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from casadical.export.mjcf.elements import SLOW, add_body, add_mass, numbers
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import FourBar, Joint, Robot
 
-# Armature of a bar as a share of the drive's: less would make the constraints soft. Bars carry no weight.
+# Armature of a bar as a share of the drive's; a smaller one makes the constraints soft. Bars have no weight.
 BAR = 0.1
 
 

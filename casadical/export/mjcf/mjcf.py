@@ -1,8 +1,8 @@
 """MJCF, the XML of MuJoCo, of a robot: geometry, masses, joint springs, four-bars as closed loops, effects.
 
 Drives are position actuators whose gain is the joint's stiffness: the link comes to rest where the spring carries its
-weight. A row's links and bars are those of the robot to the last bit; inertias, damping and armature are placeholders,
-so that the model says where the arm stands, not how it gets there.
+weight. Links and bars have the robot's exact lengths and angles; inertias, damping and armature are placeholders: the
+model is right about positions at rest, not about motion.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Body, Joint, Robot
 
 STEP = 0.002
-# The hardest impedance that MuJoCo knows.
+# The hardest impedance that MuJoCo allows.
 HARD = {"solref": numbers(2 * STEP, 1), "solimp": "0.9999 0.9999 0.001 0.5 2"}
 POINT = "measured"
 
 
 @dataclass(frozen=True, eq=False)
 class MjcfExport:
-    """What was written: the XML, what became of each effect, and what has no counterpart."""
+    """A MuJoCo model: its XML, how each effect was written, and what has no counterpart."""
 
     text: str
     written: tuple[str, ...]
@@ -153,7 +153,7 @@ def _tool(last: ET.Element, robot: Robot, payload: Body | None) -> None:
 
 
 def _actuator(actuators: ET.Element, i: int, joint: Joint, drive: Drive) -> None:
-    """A position servo: force = kp (ctrl - gear q), so that q = ratio ctrl where nothing pulls."""
+    """A position servo: force = kp (ctrl - gear q), so that q = ratio ctrl without load."""
     servo = ET.SubElement(actuators, "position", name=f"drive{i}", joint=f"joint{i}")
     servo.set("kp", numbers(drive.stiffness * drive.ratio**2))
     if drive.ratio != 1:

@@ -1,7 +1,7 @@
-"""Closing the loop: measured poses driven again in MuJoCo, and how far the model's point is from the measured one.
+"""Measured poses replayed in MuJoCo: how far the model's point is from the measured one.
 
-Three models: the nominal robot, only base and tool placed; the calibrated one; the calibrated one with what a diagnosis
-found. All are identified from one part of the poses and replayed on the others.
+Three models: the nominal robot with fitted base and tool, the calibrated one, and the calibrated one with the diagnosed
+causes. All are identified from one part of the poses and replayed at the others.
 """
 
 from __future__ import annotations
@@ -80,10 +80,10 @@ class Replay:
 
 
 def replay(robot: Robot, m: Measurements, name: str = "model") -> ReplayedModel:
-    """Drive a robot's model to measured poses in MuJoCo.
+    """Replay measured poses with a robot's model in MuJoCo.
 
-    Effects of the measurement (a frame that drifts, a reflector's offset) are no part of the model: they are added to
-    the point that MuJoCo finds, as the instrument would. Raises InputError, ConvergenceError.
+    Effects of the measurement (a frame that drifts, a reflector's offset) are not in the model: they are added to the
+    point that MuJoCo finds. Raises InputError, ConvergenceError.
     """
     if m.position is None:
         raise InputError(f"{m.source}: of kind {m.kind}; positions are needed to replay")

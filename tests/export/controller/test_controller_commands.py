@@ -172,7 +172,7 @@ def test_the_robot_file_corrects_as_its_export_does(files, exported, tmp_path, m
     model = ("correct", files / "hh800.toml", "--nominal", nominal_path("hh800"), job, "--out", tmp_path / "b.csv")
     assert run(monkeypatch, *model) == 0
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
-    assert "tool off its nominal place" in capfd.readouterr().out
+    assert "distance of the tool from its nominal position" in capfd.readouterr().out
     assert run(monkeypatch, *model) == 2
     assert "is there already" in capfd.readouterr().err
     assert run(monkeypatch, *model, "--overwrite") == 0
@@ -186,7 +186,7 @@ BAD = {
     "short row": (f"{HEAD}\n1,90,180,0,0,0\n1,90,180\n", ["row 3 has 3 cells, the header 6"]),
     "after a blank row": (f"{HEAD}\n\n1,90,180,0,0,0\n1,90\n", ["row 4 has 2 cells"]),
     "missing joint": ("q1_deg,q2_deg\n1,2\n", ["q3_deg or q3_rad is missing"]),
-    "joint twice": (f"{HEAD},q1_rad\n1,90,180,0,0,0,0\n", ["'q1_deg' and 'q1_rad' say the same"]),
+    "joint twice": (f"{HEAD},q1_rad\n1,90,180,0,0,0,0\n", ["'q1_deg' and 'q1_rad' are of the same joint"]),
     "seventh joint": (f"{HEAD},q7_deg\n1,90,180,0,0,0,0\n", ["'q7_deg': this robot has only 6 joints"]),
     "wrong unit": ("q1_mm\n1\n", ["'q1_mm'", "allowed: q1_deg, q1_rad"]),
     "corrected before": (f"{HEAD},correction_status\n1,90,180,0,0,0,OK\n", ["corrected before"]),
