@@ -1,4 +1,4 @@
-"""Make a blind check: campaigns for everyone to see, and apart from them the key, whose hash is published with them."""
+"""Make a blind check: public campaigns, and in another folder the key, whose hash is published with them."""
 
 from __future__ import annotations
 

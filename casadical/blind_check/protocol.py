@@ -1,4 +1,4 @@
-"""The two sides of the check on disk: the folder that everyone sees, and the key whose hash is in that folder.
+"""The check on disk: the public folder, and the key whose hash is in that folder.
 
 The folder holds withheld.json, the nominal robots, and for each campaign NAME.csv (measured poses) and NAME.unseen.csv
 (further readings, without positions). The key is one file, key.json; its first entry is a salt, so its SHA-256 reveals

@@ -25,7 +25,7 @@ def check(
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """Say what is wrong with a problem and its data before a solve, and what accuracy to expect.
+    """Check a problem and its data before a solve, and predict the accuracy.
 
     Looks for faults of the files, units, signs and zeros that the nominal model contradicts, joints that hardly move,
     too few poses, a four-bar near its end; shows which parameters the poses determine and how well.

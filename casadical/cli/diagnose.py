@@ -49,7 +49,7 @@ def diagnose(
     ] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Say why there is still a gap: where it lies, which effect causes it, how far it shrinks without it.
+    """Explain the error that is left: where it lies, which effect causes it, how far it shrinks with the effect modelled.
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """

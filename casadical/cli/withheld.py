@@ -14,7 +14,7 @@ from casadical.cli.terminal import Show, keep_json, working
 from casadical.core.errors import InputError
 
 withheld_app = typer.Typer(
-    help="Check the diagnosis blindly: on campaigns of another physics engine, whose hidden effect is kept apart.",
+    help="Blind check of the diagnosis on campaigns of another physics engine, whose hidden effects are kept in a key.",
     no_args_is_help=True,
     rich_markup_mode="markdown",
 )

@@ -1,4 +1,4 @@
-"""A small network that learns what calibration leaves. Stands alone: it loads no kinematics."""
+"""A small network that learns the error left after calibration. It can be used alone: it loads no kinematics."""
 
 from casadical.compensator.compensator import Compensator
 from casadical.compensator.iwo import InvasiveWeeds, IwoHistory, IwoResult, IwoSettings, iwo_minimise

@@ -1,4 +1,4 @@
-"""Checks of the arrays a user hands in."""
+"""Checks of a user's arrays."""
 
 import numpy as np
 from numpy.typing import ArrayLike

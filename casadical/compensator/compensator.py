@@ -1,4 +1,4 @@
-"""The compensator of what calibration leaves (paper, section 4), which refuses to help where it does not help.
+"""The compensator of the error left after calibration (paper, section 4); it is kept only if it helps.
 
 Sign: the residual is measured minus computed position (paper, eq. 9), and the correction is added to the computed one.
 """

@@ -1,4 +1,4 @@
-"""Trainings run to their end, with progress, checkpoints and resume."""
+"""Run trainings to their end, with progress, checkpoints and resume."""
 
 import hashlib
 import os

@@ -1,1 +1,1 @@
-"""What every room may use and that knows of none: errors, frames, files, parameters, parts of a robot as plain data."""
+"""What every room may use: errors, frames, files, parameters, parts of a robot as plain data. It imports no room."""

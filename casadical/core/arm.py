@@ -1,4 +1,4 @@
-"""What a robot is, as plain data: rows, closed loops, frames, payload and gravity; no model and no parameters."""
+"""A robot as plain data: rows, closed loops, frames, payload and gravity; no model and no parameters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a report consists of, as plain data: words and tables, which a terminal and a page of HTML show alike."""
+"""The blocks of a report as plain data: words and tables, for the terminal and for HTML."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Why is there still a gap between the model and the robot: where it lies, which effect, how far it shrinks."""
+"""Why the calibrated model still differs from the robot: where, which effect, and how far the gap shrinks with it."""
 
 from casadical.core.lazy import attach
 

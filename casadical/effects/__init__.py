@@ -1,4 +1,4 @@
-"""Effects that a base model leaves out: one symbolic term each, at a named seam of the model."""
+"""Effects that a base model leaves out: one symbolic term each, entering the model at one method."""
 
 from casadical.effects.base import Context, Effect
 from casadical.effects.plugins import find_effect

@@ -1,4 +1,4 @@
-"""CasADi functions to guarded, deterministic C99 without a mathematical library; knows no robot.
+"""CasADi functions as guarded, deterministic C99 without a mathematical library, and models for simulators.
 
 from casadical.export import NetworkFunction, write_c
 export = write_c(NetworkFunction(function, lower, upper), "out", name="arm", real="float")

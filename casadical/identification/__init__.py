@@ -1,4 +1,4 @@
-"""Identification: bounded least squares on the symbolic model, and what its result is worth."""
+"""Identification: bounded least squares on the symbolic model, and the accuracy of the result."""
 
 from casadical.core.lazy import attach
 

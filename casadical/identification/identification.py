@@ -1,4 +1,4 @@
-"""Identify a robot's parameters from measurements: bounded least squares, and what the result is worth."""
+"""Identify a robot's parameters from measurements: bounded least squares, and the accuracy of the result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Refuse measurements that a robot cannot have made, before any solve."""
+"""Refuse measurements that contradict the nominal robot, before a solve."""
 
 from __future__ import annotations
 

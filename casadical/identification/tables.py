@@ -1,4 +1,4 @@
-"""What an identification found, as tables and sentences."""
+"""The result of an identification, as tables and sentences."""
 
 from __future__ import annotations
 

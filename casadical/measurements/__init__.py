@@ -1,4 +1,4 @@
-"""Measured poses: tables in, one immutable checked object in SI out."""
+"""Measured poses: tables become one immutable, checked object in SI units."""
 
 from casadical.core.lazy import attach
 

@@ -1,4 +1,4 @@
-"""The one reader of CSV files: what stands in the file, checked for its form alone, not for what the columns mean."""
+"""The reader of CSV files: the content of a file, checked for its form only, not for the meaning of its columns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which poses to measure, how many are enough, and what accuracy to expect before and while measuring."""
+"""Which poses to measure, how many are enough, and the predicted accuracy."""
 
 from casadical.pose_selection.candidates import Circumstances
 from casadical.pose_selection.criteria import CRITERIA, Criterion, observability

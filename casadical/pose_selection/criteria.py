@@ -1,4 +1,4 @@
-"""What makes one set of poses better than another: observability indices O1-O5, D-, A- and V-optimality.
+"""Criteria for sets of poses: observability indices O1-O5, D-, A- and V-optimality.
 
 All are functions of the scaled Jacobian's singular values s_1 >= ... >= s_p, or of the information matrix J'J. Sun and
 Hollerbach (2008), "Observability index selection for robot calibration", eqs. 9-17; Atkinson, Donev and Tobias (2007),

@@ -1,4 +1,4 @@
-"""Experimental designs: a set of poses that grows and shrinks by one, and what each possible step would gain.
+"""Experimental designs: a set of poses, and the gain of adding or removing each pose.
 
 For D-optimality (and O1, the same order) and for all criteria of the form trace(W C), C the inverse of the information
 matrix (A, V, chosen parameters), a step changes C by a matrix of as many ranks as a candidate has rows (Woodbury's

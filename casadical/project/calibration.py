@@ -1,4 +1,4 @@
-"""A problem calibrated with its methods: one result, what it is worth, and the files that are kept of it."""
+"""A problem calibrated with its methods: one result, its accuracy, and its files."""
 
 from __future__ import annotations
 

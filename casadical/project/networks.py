@@ -1,4 +1,4 @@
-"""The paper's network methods on a problem: what SKCM leaves, learnt by a network, chosen and reported (section 5)."""
+"""The paper's network methods on a problem: a network learns the error left by SKCM (section 5)."""
 
 from __future__ import annotations
 

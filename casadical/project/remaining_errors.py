@@ -1,4 +1,4 @@
-"""What a calibration leaves: the error of every model at every pose, and where it lies."""
+"""The errors left after a calibration: of every model at every pose."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a calibration is worth, as tables and sentences."""
+"""The accuracy of a calibration, as tables and sentences."""
 
 from __future__ import annotations
 

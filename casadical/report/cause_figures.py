@@ -1,4 +1,4 @@
-"""Which causes and how sure: what the data say of each candidate, and how far the gap shrinks."""
+"""Figures of the causes: probability of each candidate, and how far the gap shrinks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far each parameter lies from its nominal value, with what it is sure to."""
+"""Difference of each parameter from its nominal value, with its interval."""
 
 from __future__ import annotations
 

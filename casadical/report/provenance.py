@@ -1,4 +1,4 @@
-"""Where a report comes from: which files with which SHA-256, which versions, which command, when."""
+"""Provenance of a report: files with SHA-256, versions, command, date."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a physics engine says: measured poses driven again in MuJoCo, before and after geometry and causes."""
+"""Measured poses simulated in MuJoCo: nominal, with geometry, and with the causes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How figures look: one palette that the colour-blind can read, light and dark, and what all figures share.
+"""Style of the figures: one palette for colour-blind readers, light and dark, and common settings.
 
 A figure is made in light colours; the dark ones stand for them one by one (`dark`, and the page's script).
 """

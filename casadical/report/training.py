@@ -1,4 +1,4 @@
-"""How the networks learnt: the loss of the best weights so far, step by step."""
+"""Training of the networks: the loss of the best weights so far, step by step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is known of a robot's parameters besides their values: covariances, and the range they were learnt on."""
+"""Knowledge of a robot's parameters besides their values: covariances, and the range of the data."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a mechanism comes to rest in MuJoCo: the engine moves it there, step by step, until nothing moves.
+"""Equilibrium of a mechanism in MuJoCo, found by a simulation until it is at rest.
 
 Time is slowed down: the joints' own inertia and damping (``robot.spring``) make every joint come to rest in a second
 or so, whatever its stiffness, so that steps of 20 ms suffice. The equilibrium of

@@ -1,4 +1,4 @@
-"""Where the bodies are and what the weights do there: the moments of weights about the axes where they really are.
+"""The state of the machine: poses of the bodies, and moments of their weights about the true axes.
 
 A four-bar passes its moments on through the force in its coupler.
 """

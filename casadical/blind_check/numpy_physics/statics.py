@@ -1,4 +1,4 @@
-"""Static equilibrium: a fixed point, in which the torques turn the joints to the pose that has these torques.
+"""Static equilibrium by fixed-point iteration of torques and joint deflections.
 
 The bodies are followed as motions from their places at zero readings (products of turns about the axes as they lie
 then), not as products of link transforms.

@@ -1,4 +1,4 @@
-"""Back-propagation, the paper's rival: one gradient run from one random start."""
+"""Back-propagation, the paper's baseline: one gradient run from one random start."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar

@@ -1,4 +1,4 @@
-"""What every trainer offers: a training that goes step by step and can be taken up again from its state."""
+"""The interface of a trainer: a training step by step, which can be continued from its state."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass

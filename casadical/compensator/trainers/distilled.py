@@ -1,4 +1,4 @@
-"""A network taught by a Gaussian process: the process learns from the few measured poses, the network from many of its.
+"""A network distilled from a Gaussian process, which is fitted to the measured poses and predicts many others.
 
 Fifty poses do not tell a network with one ridge for all weights which joints matter; a process with a length for each
 joint they do (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, ch. 5). Its mean at poses drawn in

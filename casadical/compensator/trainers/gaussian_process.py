@@ -1,4 +1,4 @@
-"""Gaussian process of small residuals: a length for each input, so that it finds out which joints matter.
+"""Gaussian process of small residuals, with a length scale for each input, which adapts to the joints that matter.
 
 Squared exponential kernel, noise, zero mean; all by the largest likelihood (Rasmussen and Williams 2006, chapter 5),
 climbed by sign steps (Rprop, Riedmiller and Braun 1993).

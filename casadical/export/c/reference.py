@@ -1,4 +1,4 @@
-"""What the exported functions must return, computed in NumPy on many inputs at once, bit for bit.
+"""Reference results of the exported functions, computed in NumPy on many inputs at once, bit for bit.
 
 Each function follows the C template of the same name, statuses included.
 """

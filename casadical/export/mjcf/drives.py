@@ -1,4 +1,4 @@
-"""What stands between a joint's command and its link in MuJoCo: of compliances, and of each effect its counterpart."""
+"""Elements between a joint's command and its link in MuJoCo: springs for compliances, counterparts of effects."""
 
 from __future__ import annotations
 

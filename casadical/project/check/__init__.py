@@ -1,4 +1,4 @@
-"""What is wrong with a problem and its data, and what to expect of them, before anything is solved."""
+"""Faults of a problem and its data, and the expected accuracy, before a solve."""
 
 from casadical.project.check.check import Precheck, precheck
 

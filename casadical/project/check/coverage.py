@@ -1,4 +1,4 @@
-"""How far the poses go: ranges of the joints, readings measured again and what their scatter shows, four-bar margin."""
+"""Coverage of the poses: ranges of the joints, repeated readings and their scatter, four-bar margin."""
 
 from __future__ import annotations
 

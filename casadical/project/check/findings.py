@@ -1,4 +1,4 @@
-"""One thing that was found: how bad, about what, in words that say what to do."""
+"""A finding: its level, its topic, and what to do."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether the nominal model can have made the data: after base and tool are placed, centimetres must not be left.
+"""Whether the data are plausible for the nominal model: with base and tool fitted, no centimetres may be left.
 
 The usual mistakes are tried one by one (another unit, of one joint too, a joint counted the other way, a zero a quarter
 turn off, a left-handed measuring frame, DH rows of the other convention), and one that explains far more is named.

@@ -1,4 +1,4 @@
-"""A new problem folder that runs: from a URDF, from a DH table, or as an example to be read and changed."""
+"""A new problem folder that runs: from a URDF, from a DH table, or as a commented example."""
 
 from casadical.project.new.new import new_problem
 

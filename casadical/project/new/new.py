@@ -1,4 +1,4 @@
-"""Put the files of a new problem together, try whether they read, and only then write them."""
+"""Compose the files of a new problem, check that they can be read, and then write them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Poses that a robot's own model makes up, for a first run before anything is measured: not real, and said to be so."""
+"""Poses simulated with the robot's own model, for a first run before anything is measured; marked as synthetic."""
 
 from __future__ import annotations
 
