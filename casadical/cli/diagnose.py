@@ -49,7 +49,7 @@ def diagnose(
     ] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Explain the error that is left: where it lies, which effect causes it, how far it shrinks with the effect modelled.
+    """Explain the error that is left: where it lies, which effect causes it, and how far it shrinks with the effect.
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
