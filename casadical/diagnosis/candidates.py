@@ -57,7 +57,8 @@ def choose(
     possible, without = [], {}
     for candidate in candidates:
         lacking = [tuple(c for e in v for c in e.conditions if c in missing) for v in candidate.variants]
-        variants = tuple(v for v, lack in zip(candidate.variants, lacking, strict=True) if not lack)
+        known = (v for v, lack in zip(candidate.variants, lacking, strict=True) if not lack)
+        variants = tuple(tuple(e.for_poses(len(m)) for e in v) for v in known)
         if variants:
             possible.append(Candidate(candidate.label, candidate.name, candidate.joint, variants, candidate.listed))
         else:

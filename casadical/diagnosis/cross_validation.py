@@ -18,8 +18,12 @@ from casadical.diagnosis.thresholds import PARTITIONS
 FOLDS = 5
 # Parts in which the poses are gone through one by one.
 BLOCKS = 20
+# Poses from which on one partition is enough.
+MANY = 400
 # Up to so many numbers, leaving some out is worked out among the observations instead of the parameters.
 MOST_ROWS = 1500
+# Up to so many bytes, columns are kept in a second form that leaves some poses out at little cost.
+MOST_BYTES = 250_000_000
 
 
 @dataclass(frozen=True)
@@ -72,8 +76,16 @@ class Fit:
         return np.linalg.inv(np.linalg.cholesky(normal / np.outer(scale, scale))), scale
 
     def _solution(self, H: Array, g: Array) -> Array:
-        root, scale = self._normal(H)
-        return np.asarray(root.T @ (root @ ((g + self.mean / self.prior**2) / scale)) / scale)
+        normal = H + np.diag(self.prior**-2)
+        scale = np.sqrt(np.diag(normal))
+        right = (g + self.mean / self.prior**2) / scale
+        return np.asarray(np.linalg.solve(normal / np.outer(scale, scale), right) / scale)
+
+    @cached_property
+    def _pulled(self) -> Array:
+        """Columns in which the inverse of the normal matrix is one, shape (3 n, p)."""
+        root, scale = self._normal(self.H)
+        return np.asarray(self.A / scale @ root.T)
 
     @cached_property
     def x(self) -> Array:
@@ -112,9 +124,7 @@ class Fit:
         if rows > MOST_ROWS:
             return None
         if rows > p:
-            root, scale = self._normal(self.H)
-            B = self.A / scale @ root.T
-            return np.asarray(np.eye(rows) - B @ B.T)
+            return np.asarray(np.eye(rows) - self._pulled @ self._pulled.T)
         wide = self.A * self.prior
         return np.linalg.inv(np.eye(rows) + wide @ wide.T)
 
@@ -124,6 +134,9 @@ class Fit:
         whole = self._left_of
         if whole is not None:  # what all poses leave, freed of these poses' own pull on the fit
             left = np.linalg.solve(whole[np.ix_(rows, rows)], whole[rows] @ (self.y - self.A @ self.mean))
+        elif len(rows) < len(self.prior) and self.A.nbytes < MOST_BYTES:
+            B = self._pulled[rows]
+            left = np.linalg.solve(np.eye(len(rows)) - B @ B.T, self.y[rows] - self.A[rows] @ self.x)
         else:
             A, y = self.A[rows], self.y[rows]
             left = y - A @ self._solution(self.H - A.T @ A, self.g - A.T @ y)
@@ -168,8 +181,8 @@ def fold_errors(fit: Fit, folds: Array) -> Array:
 
 
 def partitions(n: int, seed: int) -> list[Array]:
-    """Several partitions of n poses into folds."""
-    return [random_folds(n, seed + k) for k in range(PARTITIONS)]
+    """Several partitions of n poses into folds; one of many poses, whose mean hardly depends on it."""
+    return [random_folds(n, seed + k) for k in range(PARTITIONS if n < MANY else 1)]
 
 
 def partitioned_errors(e: Evidence, columns: Array, noise: Noise, seed: int) -> Array:

@@ -309,11 +309,13 @@ class Sums:
         """The same with what is needed to judge all columns, the first of which may be known."""
         P, V, b = self.e.J.shape[2], {}, {}
         cross = self._with(beside.chosen) if len(beside.chosen) else None
+        judged = np.setdiff1d(np.arange(known, self.e.width), beside.chosen)
         for i, k in enumerate(self.e.near):
-            EJ = self.columns[known:, k, :P]
+            EJ = self.columns[judged, k, :P]
             if cross is not None:
-                EJ = np.concatenate([EJ, cross[known:, i]], axis=1)
-            V[k] = beside.root[k] @ EJ.T
+                EJ = np.concatenate([EJ, cross[judged, i]], axis=1)
+            V[k] = np.zeros((len(beside.root[k]), self.e.width - known))
+            V[k][:, judged - known] = beside.root[k] @ EJ.T
             b[k] = self.columns[known:, k, P] - beside.z[k] @ V[k]
             if known:
                 V[k] = np.concatenate([beside.V[k], V[k]], axis=1)

@@ -14,7 +14,7 @@ from casadical.core.arrays import Array
 from casadical.diagnosis.cross_validation import Fit, Noise
 from casadical.diagnosis.evidence import Evidence
 
-ROUNDS, SETTLED = 12, 0.02
+ROUNDS, SETTLED = 8, 0.05
 # A part of which the data determine less than this many parameters is left as it is.
 LEAST = 1.0
 LEAST_FACTOR, MOST_FACTOR = 0.05, 8.0

@@ -171,6 +171,10 @@ class Effect:
         """Values of its parameters [SI] by their short names, out of those of a model; zero where there is none."""
         return {name: values.get(f"{self.label}.{name}", 0.0) for name in self.sizes()}
 
+    def for_poses(self, count: int) -> Self:
+        """The effect as it is judged in a campaign of so many poses."""
+        return self
+
     @property
     def parts(self) -> Mapping[int, Array]:
         """Indices, shape (k,), of the parameters of each part whose prior size is estimated, by part; {} by default."""

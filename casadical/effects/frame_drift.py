@@ -33,8 +33,12 @@ class FrameDrift(Effect):
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return dict.fromkeys("xyz", (6e-05, "m")) | {f"r{c}": (25e-6, "rad") for c in "xyz"}
 
+    def course(self, context: Context) -> Symbolic:
+        """Share of the whole drift that has happened, 0 to 1."""
+        return (context.conditions["progress"] + 1e-6) ** self.shape
+
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
-        when = (context.conditions["progress"] + 1e-6) ** self.shape
+        when = self.course(context)
         creep = ca.vertcat(*(self.value(context, c) for c in "xyz"))
         turn = ca.vertcat(*(self.value(context, f"r{c}") for c in "xyz"))
         return point + when * (creep + ca.cross(turn, point))

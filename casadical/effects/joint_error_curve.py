@@ -17,6 +17,8 @@ from casadical.effects.base import Context, Effect
 USUAL = 60e-6
 # Up to this order harmonics are alike in size; beyond it they fall with the order.
 KNEE = 17
+# Harmonics of each curve; from so many poses on there are enough readings for more.
+ORDERS, MANY, DENSE = 60, 400, 90
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class JointErrorCurve(Effect):
     """
 
     spread: tuple[float, ...] = (USUAL,) * 6
-    orders: int = 60
+    orders: int = ORDERS
     knee: int = KNEE
 
     name = "joint_error_curve"
@@ -57,6 +59,9 @@ class JointErrorCurve(Effect):
             for order in range(1, self.orders + 1)
             for wave in "sc"
         }
+
+    def for_poses(self, count: int) -> JointErrorCurve:
+        return replace(self, orders=DENSE) if count >= MANY and self.orders == ORDERS else self
 
     @property
     def parts(self) -> dict[int, Array]:

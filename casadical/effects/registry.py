@@ -16,6 +16,7 @@ from casadical.effects.payload_error import PayloadError as PayloadError
 from casadical.effects.gravity_compensator import GravityCompensator as GravityCompensator
 from casadical.effects.base_compliance import BaseCompliance as BaseCompliance
 from casadical.effects.frame_drift import FrameDrift as FrameDrift
+from casadical.effects.frame_settling import FrameSettling as FrameSettling
 from casadical.effects.joint_error_curve import JointErrorCurve as JointErrorCurve
 from casadical.effects.nonlinear_stiffness import NonlinearStiffness as NonlinearStiffness
 from casadical.effects.cubic_stiffness import CubicStiffness as CubicStiffness

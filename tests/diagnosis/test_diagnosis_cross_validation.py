@@ -5,6 +5,7 @@ import pytest
 from cases import small_problem
 from scipy.optimize import lsq_linear
 
+from casadical.diagnosis import cross_validation
 from casadical.diagnosis.cross_validation import (
     Noise,
     covariance,
@@ -55,10 +56,25 @@ def test_estimates_and_remainders_are_those_of_a_refit() -> None:
     np.testing.assert_allclose(error, np.sqrt(np.diag(cov))[5:], rtol=1e-7)
     kept = np.arange(14) != 4
     x, _ = refit(e, columns, kept)
-    left = e.r[4] - np.hstack([e.J[4], e.E[4][:, columns]]) @ x
     length, distance = remainders(e, columns, NOISE, kept)
-    assert length[4] == pytest.approx(np.linalg.norm(left))
-    assert distance[4] == pytest.approx(left @ np.linalg.solve(covariance(e, NOISE)[4], left))
+    for k in (4, 7):  # one that was left out anyway, and one that is now
+        A = np.hstack([e.J[k], e.E[k][:, columns]])
+        assert length[k] == pytest.approx(np.linalg.norm(e.r[k] - A @ x))
+        alone, cov = refit(e, columns, kept & (np.arange(14) != k))
+        left, spread = e.r[k] - A @ alone, covariance(e, NOISE)[k] + A @ cov @ A.T
+        assert distance[k] == pytest.approx(left @ np.linalg.solve(spread, left))
+
+
+def test_many_poses_and_few_are_left_out_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The three ways of leaving poses out, among observations, in a second form, by refitting, agree."""
+    e, columns = small_problem(n=40), np.array([0, 2])
+    folds, alone = random_folds(40, 3), np.arange(40)
+    expected = held_out_errors(e, columns, NOISE, folds), held_out_errors(e, columns, NOISE, alone)
+    monkeypatch.setattr(cross_validation, "MOST_ROWS", 0)
+    for most in (cross_validation.MOST_BYTES, 0):
+        monkeypatch.setattr(cross_validation, "MOST_BYTES", most)
+        np.testing.assert_allclose(held_out_errors(e, columns, NOISE, folds), expected[0], rtol=1e-7)
+        np.testing.assert_allclose(held_out_errors(e, columns, NOISE, alone), expected[1], rtol=1e-7)
 
 
 def test_folds_are_even_and_seeded() -> None:
