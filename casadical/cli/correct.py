@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from casadical.cli.options import Compensator, Json, Nominal, Overwrite, Payload, Quiet
+from casadical.cli.options import Compensator, Json, LeaveOut, Nominal, Overwrite, Payload, Quiet
 from casadical.cli.terminal import keep_json, plain, refuse_taken
 from casadical.core.errors import InputError
 
@@ -30,6 +30,7 @@ def correct(
     tool: Annotated[
         str | None, typer.Option(metavar="shared|own", help="As in `casadical export c`; default: shared.")
     ] = None,
+    leave_out: LeaveOut = False,
     overwrite: Overwrite = False,
     json_file: Json = None,
     quiet: Quiet = False,
@@ -43,12 +44,13 @@ def correct(
     """
     from casadical.core.files import write_whole
     from casadical.export.controller.correction import corrected, kernel_corrector, model_corrector
-    from casadical.export.controller.models import Sources, command_of
+    from casadical.export.controller.models import Sources, command_of, followed
     from casadical.export.controller.offline_program import read_program
 
     refuse_taken(out, overwrite)
     if not model.exists():
         raise InputError(f"{model}: no such folder or robot file")
+    lines: tuple[str, ...] = ()
     if model.is_dir():
         given = {
             "--nominal": nominal,
@@ -56,18 +58,21 @@ def correct(
             "--payload": payload,
             "--steps": steps,
             "--tool": tool,
+            "--leave-out": leave_out or None,
         }
         for option, value in given.items():
             if value is not None:
                 raise InputError(f"{option} was decided when {model} was exported; give it with a robot file only")
         corrector = kernel_corrector(model)
     else:
-        sources = Sources(model, nominal, compensator, payload, tool or "shared")  # type: ignore[arg-type]
-        corrector = model_corrector(command_of(sources, steps or 2))
+        sources = Sources(model, nominal, compensator, payload, tool or "shared", leave_out)  # type: ignore[arg-type]
+        corrector, (_, lines) = model_corrector(command_of(sources, steps or 2)), followed(sources)
     result = corrected(corrector, read_program(program, corrector.joints))
     write_whole(out, result.to_csv())
     console = plain(quiet)
     console.print(result.report())
+    for line in lines:
+        console.print(f"LEFT OUT {line}")
     if model.is_dir():
         console.print(_stated(model))
     console.print(f"wrote {out}")

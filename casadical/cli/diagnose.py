@@ -70,6 +70,8 @@ def diagnose(
     if isolability:
         _print_isolability(problem, robot, campaigns, effects, json_file, console)
         return
+    if robot.effects:
+        console.print(f"Effects of the robot file are in the model, held at their values: {robot.effects_in_words}.")
     workspace = read_workspace(room, robot) if room else None
     answers, answered = [], []
     for path in campaigns:

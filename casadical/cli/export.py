@@ -11,7 +11,7 @@ import typer
 
 from casadical.cli import completion as words
 from casadical.cli.export_model import export_mjcf, export_urdf
-from casadical.cli.options import Compensator, Json, Nominal, Payload, Quiet, Tool
+from casadical.cli.options import Compensator, Json, LeaveOut, Nominal, Payload, Quiet, Tool
 from casadical.cli.terminal import keep_json, plain
 from casadical.core.errors import InputError
 
@@ -45,6 +45,7 @@ def export_c(
     steps: _Steps = 2,
     payload: Payload = None,
     tool: Tool = "shared",
+    leave_out: LeaveOut = False,
     name: Annotated[
         str | None,
         typer.Option(metavar="PREFIX", help="Prefix of C functions and files; default: from the robot's name."),
@@ -79,7 +80,7 @@ def export_c(
         raise InputError(f"--real {real}: not known; allowed: float, double")
     if what == "network" and (nominal or payload is not None):
         raise InputError("--nominal and --payload have no part in a network alone; remove them, or give --what command")
-    sources = Sources(robot, nominal, compensator, payload, tool)  # type: ignore[arg-type]
+    sources = Sources(robot, nominal, compensator, payload, tool, leave_out)  # type: ignore[arg-type]
     product = command_of(sources, steps) if what == "command" else network_of(sources)
     try:
         written = write_c(
@@ -114,7 +115,9 @@ def _sha256(path: Path) -> str:
 
 
 def _about(sources: Sources, what: str, networked: bool) -> list[str]:
-    """The files that the export was made from, with hashes."""
+    """The files that the export was made from, with hashes, and the effects that are not in it."""
+    from casadical.export.controller.models import followed
+
     files = {"robot": sources.robot, "nominal": sources.nominal, "compensator": sources.compensator}
     used = ["robot", "compensator"] if what == "network" else list(files)
     lines = [
@@ -126,6 +129,7 @@ def _about(sources: Sources, what: str, networked: bool) -> list[str]:
         lines.append("the compensator was refused when it was trained: it corrects nothing and is left out")
     if what == "command":
         mass = "as declared" if sources.payload_kg is None else f"{sources.payload_kg:g} kg"
+        lines += [f"LEFT OUT {line}" for line in followed(sources)[1]]
         lines.append(f"payload: {mass}; tool: {sources.tool}; positions in the robot's own base frame")
     return lines
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from casadical.cli.options import Effects, Json, Nominal, Overwrite, Quiet
+from casadical.cli.options import Effects, Json, LeaveOut, Nominal, Overwrite, Quiet
 from casadical.cli.terminal import keep_json, plain, refuse_taken, working
 from casadical.core.errors import InputError
 
@@ -50,6 +50,7 @@ def export_mjcf(
         bool, typer.Option("--springs", help="With --into: a spring beside each compliant joint, NAME_spring.")
     ] = False,
     nominal: Nominal = None,
+    leave_out: LeaveOut = False,
     overwrite: Overwrite = False,
     json_file: Json = None,
     quiet: Quiet = False,
@@ -61,6 +62,7 @@ def export_mjcf(
     from casadical.core.files import write_whole
     from casadical.export.mjcf.mjcf import mjcf
     from casadical.export.mjcf.sources import into_users, robot_to_write
+    from casadical.export.omission import left_out
 
     refuse_taken(out, overwrite)
     if (into is None) != (joints is None) or (into is None and (springs or nominal)):
@@ -68,20 +70,22 @@ def export_mjcf(
     with working(quiet, "calibrating") as show:
         robot, _ = robot_to_write(source, campaign, effects, show)
     made = mjcf(robot) if into is None else into_users(source, campaign, nominal, robot, into, joints or "", springs)
+    lines = (*left_out(robot, made.omitted, "a MuJoCo model", leave_out), *made.notes)
     write_whole(out, made.text)
     console = plain(quiet)
     for text in made.written:
         console.print(f"effect {text}")
-    for text in made.left_out:
+    for text in lines:
         console.print(f"LEFT OUT {text}")
     console.print(f"wrote {out}: {robot.name}, {robot.n} joints")
-    kept = {"file": str(out), "robot": robot.name, "written": list(made.written), "left_out": list(made.left_out)}
+    kept = {"file": str(out), "robot": robot.name, "written": list(made.written), "left_out": list(lines)}
     keep_json(json_file, kept, console)
 
 
 def export_urdf(
     source: _Source,
     out: _Out,
+    leave_out: LeaveOut = False,
     overwrite: Overwrite = False,
     json_file: Json = None,
     quiet: Quiet = False,
@@ -93,7 +97,9 @@ def export_urdf(
     Exit codes: 0 written, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
     from casadical.core.files import write_whole
+    from casadical.effects.counterparts import Omission
     from casadical.export.mjcf.sources import calibrated, robot_to_write
+    from casadical.export.omission import left_out
     from casadical.robot.urdf import new_urdf
 
     refuse_taken(out, overwrite)
@@ -104,8 +110,13 @@ def export_urdf(
             robot, into = calibration.robot, calibration.problem.urdf
         else:
             robot, _ = robot_to_write(source)
+    omissions = [Omission(e.label, "a URDF holds geometry and masses only") for e in robot.effects]
+    lines = left_out(robot, omissions, "a URDF", leave_out)
     text = calibration.problem.calibrated_urdf(robot) if into else new_urdf(robot)
     write_whole(out, text)
     console = plain(quiet)
+    for line in lines:
+        console.print(f"LEFT OUT {line}")
     console.print(f"wrote {out}: {robot.name}, {robot.n} joints" + (f", after {into[0].name}" if into else ""))
-    keep_json(json_file, {"file": str(out), "robot": robot.name, "into": into[0].name if into else None}, console)
+    kept = {"file": str(out), "robot": robot.name, "into": into[0].name if into else None, "left_out": list(lines)}
+    keep_json(json_file, kept, console)

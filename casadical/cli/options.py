@@ -22,6 +22,14 @@ Compensator = Annotated[
 Payload = Annotated[
     float | None, typer.Option(metavar="KG", help="Mass on the flange; default: as the robot file declares.")
 ]
+LeaveOut = Annotated[
+    bool,
+    typer.Option(
+        "--leave-out",
+        help="Leave out effects of the robot that cannot be written there; otherwise they are refused, with what "
+        "would be lost in millimetres.",
+    ),
+]
 Tool = Annotated[
     str,
     typer.Option(
@@ -42,7 +50,7 @@ Report = Annotated[
     typer.Option("--report", metavar="FILE.html", help="Write an HTML report in one file (needs plotly and jinja2)."),
 ]
 Problems = Annotated[list[Path], typer.Argument(metavar="PROBLEM_DIR...", help="One or more problem folders.")]
-Problem = Annotated[Path, typer.Argument(metavar="PROBLEM_DIR", help="Folder with the robot.")]
+Problem = Annotated[Path, typer.Argument(metavar="PROBLEM_DIR", help="Folder with the robot, or a robot file.")]
 Campaigns = Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.csv...", help="Measured positions.")]
 Effects = Annotated[
     str | None,

@@ -43,10 +43,23 @@ def extended_candidates(robot: Robot) -> list[Candidate]:
 def candidates_of(robot: Robot, effects: str | Sequence[str | Effect]) -> list[Candidate]:
     """Candidates of a choice of effects: "standard", "extended", or a sequence of names, labels and own effects.
 
-    Raises InputError for a name that is no effect.
+    Raises InputError for a name that is no effect, and where the robot has all of them already.
     """
     chosen = [effects] if isinstance(effects, str) else list(effects)
-    return named(robot, [e for e in chosen if isinstance(e, str)], [e for e in chosen if isinstance(e, Effect)])
+    found = named(robot, [e for e in chosen if isinstance(e, str)], [e for e in chosen if isinstance(e, Effect)])
+    if not robot.effects:
+        return found
+    # What the robot has already is held at its value.
+    own = set(robot.parameters.names)
+    new = {c.label: tuple(v for v in c.variants if own.isdisjoint(_parameters(v))) for c in found}
+    if not any(new[c.label] for c in found if c.listed):
+        words = ", ".join(e if isinstance(e, str) else e.label for e in chosen)
+        raise InputError(f"{words}: robot {robot.name!r} has it already, held at its value; name other effects")
+    return [replace(c, variants=new[c.label]) for c in found if new[c.label]]
+
+
+def _parameters(variant: tuple[Effect, ...]) -> list[str]:
+    return [p.name for effect in variant for p in effect.parameters()]
 
 
 def choose(

@@ -10,6 +10,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.parameters import Parameter
 from casadical.diagnosis.candidates import Candidate, choose
 from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.evidence import RHOS, Evidence, Sums
@@ -27,6 +28,8 @@ from casadical.robot.robot import Robot
 COMPLIANCE_SHARE = 1.0
 # A pose is left out at first if its residual is beyond so many spreads (scaled median absolute deviations).
 GROSS = 5.0
+# One sigma, in sizes, of parameters of effects that the robot has: as good as fixed.
+HELD = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +171,12 @@ def _prior_mean(identification: Identification) -> Array:
 
 
 def base_prior(robot: Robot) -> Array:
-    """One sigma of every parameter of the base model, shape (P,) [SI]."""
-    return np.array(
-        [COMPLIANCE_SHARE * p.value if p.group == "compliance" and p.value > 0 else p.prior for p in robot.parameters]
-    )
+    """One sigma of every parameter of the base model, shape (P,) [SI]; effects that the robot has are held."""
+    held = {e.label for e in robot.effects}
+
+    def sigma(p: Parameter) -> float:
+        if p.group in held:
+            return HELD * p.scale
+        return COMPLIANCE_SHARE * p.value if p.group == "compliance" and p.value > 0 else p.prior
+
+    return np.array([sigma(p) for p in robot.parameters])

@@ -224,4 +224,4 @@ class Effect:
     def counterpart(self, found: Counterparts, v: Mapping[str, float]) -> Counterparts:
         """What a simulator has in its place, added to what was found before; v : its values (see `own_values`)."""
         why = "an effect of the measurement, not of the robot" if self.of_measurement else "no counterpart in MuJoCo"
-        return found.without(f"{self.label}: {why}")
+        return found.without(self.label, why)

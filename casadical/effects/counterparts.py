@@ -57,6 +57,18 @@ class Balancer:
     pull: float
 
 
+@dataclass(frozen=True)
+class Omission:
+    """An effect that has no counterpart, and why; parts : short names of the parameters that have none, empty: all."""
+
+    label: str
+    why: str
+    parts: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return f"{self.label}: {self.why}"
+
+
 @dataclass(frozen=True, eq=False)
 class Counterparts:
     """A robot's compliances and effects as a simulator knows them.
@@ -78,7 +90,7 @@ class Counterparts:
     flexures: Mapping[int, tuple[float, float, float]] = field(default_factory=dict)
     balancers: tuple[Balancer, ...] = ()
     written: tuple[str, ...] = ()
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[Omission, ...] = ()
 
     def drive(self, joint: int | None) -> Drive:
         """Of a joint (1-based)."""
@@ -102,9 +114,9 @@ class Counterparts:
         """
         found, great = self, self.great(None)
         k = tuple(great / size if size > 0 else np.inf for size in sizes.values())
-        wrong = [name for name, size in sizes.items() if size < 0]
+        wrong = tuple(name for name, size in sizes.items() if size < 0)
         if wrong:
-            found = found.without(f"{label}: {', '.join(wrong)} came out negative: rigid there")
+            found = found.without(label, f"{', '.join(wrong)} came out negative: rigid there", wrong)
         if all(np.isinf(k)):
             return found
         stiff = ", ".join(f"{s:.4g}" for s in k)
@@ -118,10 +130,10 @@ class Counterparts:
         """With a line on what became of an effect."""
         return replace(self, written=(*self.written, text))
 
-    def without(self, text: str) -> Counterparts:
-        """With a line on why an effect has no counterpart."""
-        return replace(self, left_out=(*self.left_out, text))
+    def without(self, label: str, why: str, parts: tuple[str, ...] = ()) -> Counterparts:
+        """With an effect that has no counterpart (see `Omission`)."""
+        return replace(self, left_out=(*self.left_out, Omission(label, why, parts)))
 
     def without_sign(self, label: str) -> Counterparts:
         """With the line on an effect whose counterpart would need a negative stiffness."""
-        return self.without(f"{label}: no counterpart, for its value or its spring has the wrong sign")
+        return self.without(label, "no counterpart, for its value or its spring has the wrong sign")

@@ -33,7 +33,7 @@ class CubicStiffness(Effect):
         great, load = found.great(self.joint), np.linspace(-1.2, 1.2, 97)
         d = found.drive(self.joint).compliance * great * load - v["bend"] * load**3
         if (np.diff(d) <= 0).any():
-            return found.without(f"{self.label}: the deflection would decrease with the load")
+            return found.without(self.label, "the deflection would decrease with the load")
         scale = np.array([np.abs(d).max(), np.abs(d).max() ** 3])
         k1, k3 = np.linalg.lstsq(np.column_stack([d, d**3]) / scale, great * load, rcond=None)[0] / scale
         off = 1e6 * float(np.abs(great * load - k1 * d - k3 * d**3).max() / k1)

@@ -43,6 +43,6 @@ class FrictionWindup(Effect):
         assert self.joint is not None
         wound = v["constant"] + v["load"] * float(found.mean_load[self.joint - 1])
         if wound <= 0:
-            return found.without(f"{self.label}: its friction came out negative")
+            return found.without(self.label, "its friction came out negative")
         found = found.with_drive(self.joint, friction=wound / soft)
         return found.noted(f"{self.label}: dry friction of {wound / soft:.4g} N m, at its mean load")

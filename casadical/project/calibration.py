@@ -59,6 +59,7 @@ class Calibration:
             Words(problem.title, "title"),
             Words(f"{problem.robot.name}; {problem.origin}"),
             *(Words(f"note: {note}", "note") for note in problem.robot.notes),
+            *_held_effects(problem.robot),
             *verdict(problem, self.accuracies),
             *(Words(result.verdict) for result in self.identifications.values()),
             how_sure(last),
@@ -178,6 +179,11 @@ def calibrate(
         trained = train_networks(problem, results["SKCM"], problem.networks, seed=problem.seed, show=show)
     accuracies = {k: {name: result.accuracy(m) for name, m in problem.parts()} for k, result in results.items()}
     return Calibration(problem, results, accuracies, trained)
+
+
+def _held_effects(robot: Robot) -> list[Words]:
+    text = "Effects of the robot file are in the model, held at their values:"
+    return [Words(f"{text} {robot.effects_in_words}.", "note")] if robot.effects else []
 
 
 def _network(result: NetworkResult) -> dict[str, Any]:

@@ -50,13 +50,15 @@ def planned_with(path: Path, measured: Path | None) -> str:
     )
 
 
-def continued(robot: Robot, m: Measurements, noise: Noise | None) -> tuple[Robot, Measurements, Noise]:
+def continued(
+    robot: Robot, m: Measurements, noise: Noise | None, free: Sequence[str]
+) -> tuple[Robot, Measurements, Noise]:
     """The robot calibrated with m, m with derived columns, and the noise, estimated if not given. Raises InputError."""
     m, missing = derive(m, robot.conditions)
     lost = [name for name in missing if name != "payload_kg"]
     if lost:
         raise InputError(f"{m.source}: column {lost[0]!r} is missing, which the effects to plan for need")
-    result = identify(robot, m, ("kinematic", "compliance", *(e.label for e in robot.effects)))
+    result = identify(robot, m, free)
     return result.robot, m, noise or Noise(result.sigmas[0][0])
 
 
@@ -91,19 +93,22 @@ def plan(
     known = {e.label for e in robot.effects}
     if effects:
         robot = robot.with_effect(*(e for e in effects if e.label not in known))
+    # Other effects that the robot has are held at their values.
+    free = ("kinematic", "compliance", *dict.fromkeys(e.label for e in effects))
     if measured is not None:
-        robot, measured, noise = continued(robot, measured, noise)
+        robot, measured, noise = continued(robot, measured, noise, free)
     circumstances = _mounted(circumstances, effects, measured)
     total = 0 if measured is None else len(measured)
     found = None
     if n is not None:
         found = select_poses(
             robot, workspace, n, criterion, circumstances=circumstances, measured=measured,
-            interest=tuple(e.label for e in effects), noise=noise, min_distance=min_distance, seed=seed,
+            interest=tuple(e.label for e in effects), noise=noise, free=free, min_distance=min_distance, seed=seed,
         )  # fmt: skip
         total += len(found)
     most = total + (100 if n is None else max(20, total // 2))
     ahead = forecast(
-        robot, most, workspace=workspace, circumstances=circumstances, measured=measured, noise=noise, seed=seed
-    )
+        robot, most, workspace=workspace, circumstances=circumstances, measured=measured, noise=noise,
+        free=free, seed=seed,
+    )  # fmt: skip
     return Plan(ahead, found.ordered() if found and order else found, target, workspace is not None)

@@ -15,6 +15,7 @@ from casadical.core.errors import InputError
 from casadical.core.schema import FaultError, check, load_toml
 from casadical.identification.residuals import Loss
 from casadical.measurements.columns import Columns
+from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.measurements import SETS, Measurements
 from casadical.measurements.raw_table import RawTable, read_table
@@ -238,11 +239,11 @@ def read_problem_robot(folder: str | Path) -> Robot:
 
 
 def read_campaign_robot(folder: str | Path) -> Robot:
-    """The robot of a problem folder as a diagnosis takes it: its `campaign_robot`, else its robot.
+    """The robot of a problem folder as a diagnosis takes it: its `campaign_robot`, else its robot; or of a robot file.
 
     Raises InputError.
     """
-    return _robot_of(Path(folder), campaign=True)
+    return read_robot(folder) if Path(folder).is_file() else _robot_of(Path(folder), campaign=True)
 
 
 def _robot_of(folder: Path, campaign: bool) -> Robot:
@@ -284,7 +285,8 @@ def read_campaign(folder: str | Path, path: str | Path, robot: Robot, *, reading
     tables = _problem_file(folder).measurements if (folder / "problem.toml").exists() else []
     data = _fitting(folder, raw, tables)
     columns, joints = Columns.of_file(raw).mapped(data.columns, data.point_from), [j.kind for j in robot.joints]
-    return readings_alone(columns, joints) if readings_only else from_columns(columns, joints, data.kind)
+    found = readings_alone(columns, joints) if readings_only else from_columns(columns, joints, data.kind)
+    return _with_conditions(found, robot)
 
 
 def _fitting(folder: Path, raw: RawTable, tables: Sequence[_Data]) -> _Data:
@@ -306,8 +308,26 @@ def _read(folder: Path, data: _Data, robot: Robot, sets: _Sets) -> dict[str, Mea
     columns = Columns.of_file(read_table(path)).mapped(data.columns, data.point_from)
     joints = [j.kind for j in robot.joints]
     found = from_columns(columns, joints, data.kind, sigma_mm=data.sigma_mm, sigma_deg=data.sigma_deg)
-    found = found.with_separations((s.between[0], s.between[1], s.distance_mm * 1e-3) for s in data.separation)
+    # Before the split: progress and the direction of approach follow from the order of all poses.
+    known = ((s.between[0], s.between[1], s.distance_mm * 1e-3) for s in data.separation)
+    found = _with_conditions(found, robot).with_separations(known)
     return found.split(sets.sizes(), sets.seed) if sets.column is None else _by_column(found, columns, sets.column)
+
+
+def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
+    """With the columns that a robot's effects follow. Raises InputError where it lacks what they are derived from."""
+    if not robot.effects:
+        return m
+    found, missing = derive(m, robot.conditions)
+    for effect in robot.effects:
+        lost = [c for c in effect.conditions if c in missing and not (c == "payload_kg" and robot.payload)]
+        if lost:
+            raise InputError(
+                f"{m.source}: {effect.label} of robot {robot.name!r} follows {lost[0]}, which its columns do not tell "
+                f"({', '.join(effect.needs) or 'see docs/measurements.md'}); log it, or take the effect out of the "
+                "robot file"
+            )
+    return found
 
 
 def _by_column(found: Measurements, columns: Columns, column: str) -> dict[str, Measurements]:

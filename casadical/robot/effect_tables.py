@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -97,10 +97,15 @@ def reading_keys(arm: Arm) -> dict[str, float]:
 
 
 def knowledge_of(
-    arm: Arm, learnt: LearntTable, covariance: Sequence[CovarianceTable], errors: Mapping[str, float]
+    arm: Arm,
+    names: Collection[str],
+    learnt: LearntTable,
+    covariance: Sequence[CovarianceTable],
+    errors: Mapping[str, float],
 ) -> Knowledge | None:
     """What the tables say, None if they say nothing.
 
+    names : of the robot's parameters
     errors : standard errors beside values, by parameter; one that is in no covariance makes a block of its own
     Raises InputError by key.
     """
@@ -110,6 +115,10 @@ def knowledge_of(
             found.append(table.covariance())
         except InputError as error:
             raise InputError(f"covariance[{k}].{error}") from None
+    for block in found:
+        for name in block.names:
+            if name not in names:
+                raise InputError(f"covariance: no parameter {name!r}; there are {', '.join(names)}")
     known = {name: float(np.sqrt(v)) for c in found for name, v in zip(c.names, np.diag(c.matrix), strict=True)}
     for name, given in errors.items():
         if abs(known.setdefault(name, given) - given) > SAME * given:

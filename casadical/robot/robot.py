@@ -68,9 +68,6 @@ class Robot(Arm):
         super().__post_init__()
         for effect in self.effects:
             effect.refuse_joints(self)
-        if self.knowledge:
-            for name in self.knowledge.std_errors:
-                self.parameters.index_of(name)
 
     @cached_property
     def conditions(self) -> tuple[str, ...]:
@@ -130,6 +127,16 @@ class Robot(Arm):
     def with_effect(self, *effects: Effect) -> Robot:
         """A robot whose model holds these effects too."""
         return replace(self, effects=(*self.effects, *effects))
+
+    @property
+    def effects_in_words(self) -> str:
+        """Every effect with its values, empty without effects."""
+        texts = []
+        for effect in self.effects:
+            sizes, values = effect.sizes(), effect.own_values(self.effect_values)
+            given = [f"{name} {value:.3g} {sizes[name][1]}".rstrip() for name, value in list(values.items())[:6]]
+            texts.append(f"{effect.label} ({', '.join([*given, *(['...'] if len(sizes) > len(given) else [])])})")
+        return ", ".join(texts)
 
     def with_only(self, effects: Iterable[Effect]) -> Robot:
         """A robot whose model holds only these of its effects."""

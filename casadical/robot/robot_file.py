@@ -199,7 +199,8 @@ class _RobotFile(TomlTable):
             effect_values=values,
             notes=tuple(self.notes),
         )
-        return replace(robot, knowledge=knowledge_of(robot, self.learnt, self.covariance, errors))
+        names = robot.parameters.names
+        return replace(robot, knowledge=knowledge_of(robot, names, self.learnt, self.covariance, errors))
 
     def _effects(self, own: Sequence[type[Effect]]) -> tuple[tuple[Effect, ...], dict[str, float], dict[str, float]]:
         """Effects, values and standard errors of their parameters. Raises InputError by key."""
@@ -310,7 +311,10 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
     text = tomlkit.dumps(document)
     if not more:
         return text
-    tables = text_of(robot, robot.effects, robot.effect_values, robot.knowledge)
+    known = robot.knowledge
+    if known:  # of parameters that it had before a change, nothing is kept
+        known = known.without(set(known.std_errors) - set(robot.parameters.names))
+    tables = text_of(robot, robot.effects, robot.effect_values, known)
     return "\n".join([text.rstrip("\n"), *tables, ""])
 
 

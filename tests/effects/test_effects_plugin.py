@@ -67,10 +67,10 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-def run(site: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
+def run(site: Path, *arguments: object, program: str = "casadical") -> subprocess.CompletedProcess[str]:
     """The command in a fresh process that finds packages in `site`."""
     path = os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
-    command = [Path(sys.executable).parent / "casadical", *map(str, arguments)]
+    command = [Path(sys.executable).parent / program, *map(str, arguments)]
     environment = {**os.environ, "PYTHONPATH": path}
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, env=environment)
 
@@ -86,6 +86,39 @@ def test_a_plug_in_is_diagnosed_by_its_name(site: Path, campaign: Path, tmp_path
     assert abs(pull["value"] - 60e-6) < 4 * pull["std_error"] + 3e-6
     assert cause["settings"][0]["power"] == pytest.approx(3, abs=0.2)
     assert "a pull that grows towards the ends" in done.stdout
+
+
+KEEP = """
+import sys
+from casadical import diagnose, read_campaign_robot, read_measurements, read_robot, write_robot
+from casadical.identification.accuracy import predicted
+
+m = read_measurements(sys.argv[1], 6)
+whole = diagnose(read_campaign_robot("problems/ur10e"), m, ["toy_cable"]).apply()
+write_robot(whole, sys.argv[2])
+again = read_robot(sys.argv[2])
+assert [type(e).__module__ for e in again.effects] == ["toy_effects"]
+assert abs(predicted(again, m)[0] - predicted(whole, m)[0]).max() < 1e-12
+assert again.knowledge.std_errors["toy_cable@5.pull"] > 0
+"""
+
+
+def test_a_plug_in_is_kept_in_a_robot_file_and_exported(site: Path, campaign: Path, tmp_path: Path) -> None:
+    kept, model, folder = tmp_path / "kept.toml", tmp_path / "a.xml", tmp_path / "c"
+    done = run(site, "-c", KEEP, campaign, kept, program="python")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert 'name = "toy_cable"' in kept.read_text()
+    refused = run(site, "export", "mjcf", kept, "--out", model)
+    assert refused.returncode == 2
+    assert "toy_cable@5: no counterpart in MuJoCo; lost without it: 0." in " ".join(refused.stderr.split())
+    assert run(site, "export", "mjcf", kept, "--out", model, "--leave-out").returncode == 0
+    given = ["export", "c", kept, "--nominal", f"problems/{NAME}/robot.toml", "--out", folder]
+    written = run(site, *given)
+    assert (written.returncode, written.stderr) == (0, "")
+    assert "LEFT OUT" not in written.stdout
+    gone = run(Path("nowhere"), *given, "--overwrite")
+    assert gone.returncode == 2
+    assert "effect[1].no effect 'toy_cable' is installed" in " ".join(gone.stderr.split())
 
 
 def test_without_the_package_its_name_is_unknown(campaign: Path) -> None:

@@ -18,7 +18,10 @@ import numpy as np
 from casadical.compensator import Compensator, load_compensator
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.effects import Effect
+from casadical.effects.counterparts import Omission
 from casadical.export.c.products import Command, Limits, NetworkFunction, mapped
+from casadical.export.omission import left_out
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Body, Placement, Robot
 from casadical.robot.robot_file import read_robot
@@ -38,6 +41,7 @@ class Sources:
         `diagnosis.apply()` with its causes in the model
     compensator : the network trained on the calibrated robot's residuals; a file or a `Compensator`
     payload_kg : mass on the flange [kg]; None: as declared
+    leave_out : whether effects that a controller cannot follow are left out of the robot; else they are refused
     tool : "shared": both robots carry the calibrated robot's tool. "own": each its own, so that the difference is
         corrected too, for a measured point that is the controller's tool centre point itself.
 
@@ -49,6 +53,7 @@ class Sources:
     compensator: Path | Compensator | None = None
     payload_kg: float | None = None
     tool: Tool = "shared"
+    leave_out: bool = False
 
     def __post_init__(self) -> None:
         if self.tool not in get_args(Tool):
@@ -58,23 +63,22 @@ class Sources:
 def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -> Command:
     """The correction that brings the real tool to where the nominal robot's would be, in the robot's own base frame.
 
-    The nominal robot is rigid, as a controller computes. The box is the calibrated robot's joint limits [rad], within
-    the angles that the compensator's training saw.
+    The nominal robot is rigid and without effects, as a controller computes. The box is the calibrated robot's joint
+    limits [rad], within the angles that the compensator's training saw.
 
     steps : least-squares steps, 1 to 10; orientation : whether the tool's orientation is to be reached as well, which
     needs six joints; without it the joints change by the least that reaches the position
 
-    Raises InputError where the files are not of one robot, or the robot cannot be corrected.
+    Raises InputError where the files are not of one robot, or the robot cannot be corrected; see `followed`.
     """
     if sources.nominal is None:
         raise InputError(
             "a command needs the robot as its controller computes it: give --nominal NOMINAL.toml, "
             "the robot file from before the calibration"
         )
-    real = _loaded(_robot(sources.robot), sources.payload_kg)
-    nominal = _rigid(_robot(sources.nominal))
+    real, _ = followed(sources)
+    nominal = _rigid(_robot(sources.nominal).with_only(()))
     _refuse_other_robot(real, nominal, sources)
-    _refuse_circumstances(real)
     if sources.tool == "shared":
         nominal = replace(nominal, tool=real.tool)
     real, turn = in_own_frame(real, nominal)
@@ -145,14 +149,23 @@ def _word(source: Path | Robot | Compensator | None) -> str:
     return source.name if isinstance(source, Robot) else str(source)
 
 
-def _refuse_circumstances(robot: Robot) -> None:
-    for effect in robot.effects:
-        lost = [c for c in effect.conditions if c != "payload_kg"]
-        if lost:
-            raise InputError(
-                f"{effect.label} follows {', '.join(lost)}, which the correction of a joint command does not know; "
-                "leave this effect out of the robot"
-            )
+def followed(sources: Sources) -> tuple[Robot, tuple[str, ...]]:
+    """The real robot with the effects that joints and payload decide, and a line on each effect that is left out.
+
+    Effects of the measurement always are. Raises InputError that says what would be lost, unless `leave_out` is given.
+    """
+    robot = _loaded(_robot(sources.robot), sources.payload_kg)
+    omissions = [o for e in robot.effects if (o := _not_followed(e))]
+    lines = left_out(robot, omissions, "the correction of a joint command", sources.leave_out)
+    gone = {o.label for o in omissions}
+    return robot.with_only(e for e in robot.effects if e.label not in gone), lines
+
+
+def _not_followed(effect: Effect) -> Omission | None:
+    lost = [c for c in effect.conditions if c != "payload_kg"]
+    if effect.of_measurement:
+        return Omission(effect.label, "an effect of the measurement, not of the robot")
+    return Omission(effect.label, f"follows {', '.join(lost)}, which a controller does not know") if lost else None
 
 
 def _loaded(robot: Robot, payload_kg: float | None) -> Robot:

@@ -13,7 +13,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from casadical.core.transforms import frame, from_rpy
-from casadical.effects.counterparts import Counterparts, Drive
+from casadical.effects.counterparts import Counterparts, Drive, Omission
 from casadical.export.mjcf.balancer import add_sites, add_tendons
 from casadical.export.mjcf.bending import add_pieces
 from casadical.export.mjcf.drives import counterparts
@@ -34,7 +34,13 @@ class MjcfExport:
 
     text: str
     written: tuple[str, ...]
-    left_out: tuple[str, ...]
+    omitted: tuple[Omission, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """What is not in the model, a line each."""
+        return (*map(str, self.omitted), *self.notes)
 
 
 def mjcf(robot: Robot) -> MjcfExport:

@@ -91,7 +91,7 @@ def replay(robot: Robot, m: Measurements, name: str = "model") -> ReplayedModel:
     export = mjcf(robot)
     there = positions(export.text, m, counterparts(robot).payload_factor) + _of_the_measurement(robot, m)
     apart = np.linalg.norm(there - predicted(robot, m)[0], axis=1)
-    out = {text.partition(":")[0] for text in export.left_out}
+    out = {omission.label for omission in export.omitted}
     lacking = tuple(e.label for e in robot.effects if e.label in out and not e.of_measurement)
     return ReplayedModel(name, export, np.linalg.norm(there - m.position, axis=1), apart, lacking)
 

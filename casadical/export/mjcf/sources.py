@@ -7,6 +7,7 @@ from pathlib import Path
 
 from casadical.core.errors import InputError
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
+from casadical.effects.counterparts import Omission
 from casadical.export.mjcf.into_mjcf import into_mjcf
 from casadical.export.mjcf.mjcf import MjcfExport
 from casadical.project.calibration import Calibration, calibrate
@@ -61,7 +62,7 @@ def into_users(
     else:
         before = read_campaign_robot(source) if campaign else read_problem_robot(source)
     text = into_mjcf(before, robot, into, [name.strip() for name in joints.split(",")], springs)
-    left_out = [f"{e.label}: effects go into a model of casadical's own, not into {into.name}" for e in robot.effects]
-    if not springs and any(j.compliance for j in robot.joints):
-        left_out.append("springs of the joints; --springs adds them")
-    return MjcfExport(text, (), tuple(left_out))
+    why = f"effects go into a model of casadical's own, not into {into.name}"
+    omitted = tuple(Omission(label, why) for label in dict.fromkeys(e.label for e in robot.effects))
+    lacking = not springs and any(j.compliance for j in robot.joints)
+    return MjcfExport(text, (), omitted, ("springs of the joints; --springs adds them",) if lacking else ())

@@ -96,7 +96,7 @@ def test_a_robot_with_effects_in_its_model_is_corrected_like_its_file(files):
 
 def test_an_effect_of_what_the_controller_does_not_know_is_refused(files):
     robot = read_robot(files / "hh800.toml").with_effect(ThermalGrowth(None, 300.0))
-    with pytest.raises(InputError, match="thermal_growth follows warmth_300s"):
+    with pytest.raises(InputError, match="thermal_growth: follows warmth_300s"):
         command_of(Sources(robot, nominal_path("hh800")))
 
 

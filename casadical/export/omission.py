@@ -1,0 +1,80 @@
+"""Effects that an export cannot carry: refused with what would be lost in millimetres, or left out on request."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.effects.counterparts import Omission
+from casadical.robot.kinematics import LEAST_MARGIN
+from casadical.robot.robot import Robot
+
+POSES = 1000
+
+
+def left_out(robot: Robot, omissions: Iterable[Omission], target: str, leave_out: bool) -> tuple[str, ...]:
+    """A line on each omission with what is lost by it.
+
+    Effects of the measurement are no loss to the robot. Others raise InputError unless `leave_out` is given.
+    target : what is written, in words
+    """
+    lines, refused = [], []
+    for omission in omissions:
+        line = str(omission)
+        if not all(e.of_measurement for e in robot.effects if e.label == omission.label):
+            line += f"; {_loss(robot, omission)}"
+            refused.append(line)
+        lines.append(line)
+    if refused and not leave_out:
+        raise InputError(
+            f"{robot.name}: {target} cannot hold {len(refused)} of its effects:\n"
+            + "\n".join(f"  {line}" for line in refused)
+            + "\ngive --leave-out to write it without them"
+        )
+    return tuple(lines)
+
+
+def _loss(robot: Robot, omission: Omission) -> str:
+    """What is lost, in words."""
+    effects = [e for e in robot.effects if e.label == omission.label]
+    known = robot.knowledge.conditions if robot.knowledge else {}
+    for name in (c for e in effects for c in e.conditions):
+        if name not in known and not name.startswith(("approach", "progress", "payload_kg")):
+            return f"what would be lost is not known, for the robot file gives no range of {name}"
+    parts = [n for e in effects for n in e.sizes() if n in omission.parts or not omission.parts]
+    mean, greatest = lost(robot, [f"{omission.label}.{part}" for part in parts])
+    range_ = "learnt range" if robot.knowledge and len(robot.knowledge.readings) else "range of the joints"
+    return f"lost without it: {1e3 * mean:.4f} mm on average, {1e3 * greatest:.4f} mm at most over the {range_}"
+
+
+def lost(robot: Robot, parameters: Collection[str], seed: int = 0) -> tuple[float, float]:
+    """How far the measured point moves if these parameters are zero: mean and maximum [m] over the learnt range.
+
+    Readings and columns are drawn uniformly from the range on which the robot was learnt; where it is not known, from
+    the joints' ranges, either approach, all times, and the declared payload.
+    """
+    rng = np.random.default_rng(seed)
+    known = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
+    lower, upper = (known if len(known) else np.array([(j.lower, j.upper) for j in robot.joints])).T
+    q = rng.uniform(lower, upper, (POSES, robot.n))
+    w = np.column_stack([_drawn(robot, k, rng) for k in range(len(robot.conditions))] or [np.zeros((POSES, 0))])
+    whole = robot.parameters.values
+    without = whole.copy()
+    without[[robot.parameters.index_of(name) for name in parameters]] = 0.0
+    p, margin = robot.model.evaluate(("p", "margin"), q, w, whole)
+    (bare,) = robot.model.evaluate(("p",), q, w, without)
+    closed = (margin.reshape(-1, POSES) > LEAST_MARGIN).all(axis=0)
+    moved = np.linalg.norm(p - bare, axis=0)[closed]
+    return float(moved.mean()), float(moved.max())
+
+
+def _drawn(robot: Robot, column: int, rng: np.random.Generator) -> Array:
+    """Values of one condition, shape (POSES,)."""
+    name, declared = robot.conditions[column], robot.declared[column]
+    usual = (-1.0, 1.0) if name.startswith("approach") else (0.0, 1.0) if name == "progress" else (declared, declared)
+    ends = (robot.knowledge.conditions if robot.knowledge else {}).get(name, usual)
+    low, high = ends
+    return np.asarray(rng.choice(ends, POSES) if name.startswith("approach") else rng.uniform(low, high, POSES))

@@ -1,0 +1,154 @@
+"""Commands that are given a robot file with effects in it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from casadical import cli, diagnose, read_campaign_robot, read_measurements, read_robot, write_robot
+from casadical.effects import GearEccentricity, ThermalGrowth
+
+ROOT = Path(__file__).parents[2]
+PROBLEM = ROOT / "problems" / "ur10e"
+CAMPAIGN = ROOT / "data" / "campaigns" / "practice" / "ur10e-P06.csv"
+HELD = "held at their values: friction_windup@3 (constant"
+
+
+def main(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    """The command inside this process; its exit code."""
+    monkeypatch.setattr(sys, "argv", ["casadical", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    return int(stopped.value.code or 0)
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A robot with what a diagnosis found, and an eccentric gear of joint 5 besides."""
+    found = diagnose(read_campaign_robot(PROBLEM), read_measurements(CAMPAIGN, 6), ["friction_windup"])
+    file = tmp_path_factory.mktemp("kept") / "kept.toml"
+    write_robot(found.apply(), file)
+    more = found.apply().with_effect(GearEccentricity(5)).with_values({"gear_eccentricity@5.sin1": 5e-5})
+    write_robot(more, file.with_name("more.toml"))
+    return file
+
+
+def words(capfd: pytest.CaptureFixture[str]) -> str:
+    out, err = capfd.readouterr()
+    return " ".join((out + err).split())
+
+
+def test_calibrate_holds_them_and_keeps_them(
+    kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    problem = tmp_path / "problem"
+    problem.mkdir()
+    (problem / "robot.toml").write_text(kept.read_text())
+    (problem / "campaign.csv").write_text(CAMPAIGN.read_text())
+    text = 'casadical = 1\ntitle = "kept"\nmethods = ["SKCM"]\n[[measurements]]\nfile = "campaign.csv"\n'
+    (problem / "problem.toml").write_text(text)
+    assert main(monkeypatch, "calibrate", problem, "--out", tmp_path / "out") == 0
+    assert HELD in words(capfd)
+    before, after = read_robot(kept), read_robot(tmp_path / "out" / "SKCM.robot.toml")
+    assert after.effects == before.effects
+    assert after.effect_values == before.effect_values
+    assert after.knowledge.std_errors.keys() == before.knowledge.std_errors.keys()
+    assert after.joints[1].a != before.joints[1].a
+    errors = json.loads((tmp_path / "out" / "result.json").read_text())["methods"]["SKCM"]["sets"]["report"]
+    assert errors["mean_mm"] < 0.09  # 0.14 mm without what was diagnosed
+
+
+def test_a_diagnosis_looks_for_what_is_not_in_the_model_yet(
+    kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    chosen = ["--effects", "friction_windup,backlash", "--json", tmp_path / "d.json"]
+    assert main(monkeypatch, "diagnose", kept, CAMPAIGN, *chosen) == 0
+    assert HELD in words(capfd)
+    answer = json.loads((tmp_path / "d.json").read_text())
+    assert answer["gap_mm"]["before"] < 0.065  # 0.150 without it
+    assert "friction_windup@3" not in [f"{c['effect']}@{c['joint']}" for c in answer["causes"]]
+    assert main(monkeypatch, "diagnose", kept, CAMPAIGN, "--effects", "friction_windup@3") == 2
+    assert "friction_windup@3: robot" in words(capfd)
+
+
+def test_columns_that_an_effect_follows_must_be_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    write_robot(read_campaign_robot(PROBLEM).with_effect(ThermalGrowth()), tmp_path / "warm.toml")
+    table = pd.read_csv(CAMPAIGN).drop(columns="temperature_degC")
+    table.to_csv(tmp_path / "cold.csv", index=False)
+    assert main(monkeypatch, "diagnose", tmp_path / "warm.toml", tmp_path / "cold.csv") == 2
+    assert "thermal_growth of robot" in (said := words(capfd))
+    assert "warmth_600s" in said
+    assert "temperature_degC" in said
+
+
+def test_plan_takes_it_and_frees_what_it_is_asked_for(
+    kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    wanted = ["-n", 12, "--out", tmp_path / "plan.csv", "--no-order"]
+    assert main(monkeypatch, "plan", kept, *wanted) == 0
+    assert "friction_windup" not in words(capfd)
+    assert main(monkeypatch, "plan", kept, *wanted, "--for", "friction_windup@3") == 0
+    assert "friction_windup@3.constant" in words(capfd)
+
+
+def test_correct_refuses_what_a_controller_cannot_follow(
+    kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    program, out = tmp_path / "program.csv", tmp_path / "corrected.csv"
+    program.write_text("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n5,-80,80,-60,-80,10\n")
+    given = ["correct", kept, program, "--out", out, "--nominal", PROBLEM / "robot.toml"]
+    assert main(monkeypatch, *given) == 2
+    said = words(capfd)
+    assert "friction_windup@3: follows approach3, which a controller does not know; lost without it: 0." in said
+    assert "mm at most over the learnt range" in said
+    assert not out.exists()
+    assert main(monkeypatch, *given, "--leave-out") == 0
+    assert "LEFT OUT friction_windup@3" in words(capfd)
+    assert out.exists()
+
+
+def test_c_carries_what_joints_and_payload_decide(
+    kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    given = ["export", "c", kept.with_name("more.toml"), "--nominal", PROBLEM / "robot.toml", "--out", tmp_path / "c"]
+    assert main(monkeypatch, *given) == 2
+    said = words(capfd)
+    assert "cannot hold 1 of its effects" in said
+    assert "friction_windup@3" in said
+    assert "gear_eccentricity@5" not in said
+    assert not (tmp_path / "c").exists()
+    assert main(monkeypatch, *given, "--leave-out") == 0
+    assert "LEFT OUT friction_windup@3" in words(capfd)
+    assert (tmp_path / "c" / "manifest.json").exists()
+
+
+def test_models_refuse_what_has_no_place_there(
+    kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert main(monkeypatch, "export", "mjcf", kept, "--out", tmp_path / "a.xml") == 0
+    assert "effect friction_windup@3: dry friction" in words(capfd)
+    more = kept.with_name("more.toml")
+    for kind, held in (("mjcf", 1), ("urdf", 2)):
+        file = tmp_path / f"more.{kind}"
+        assert main(monkeypatch, "export", kind, more, "--out", file) == 2
+        assert f"cannot hold {held} of its effects" in (said := words(capfd))
+        assert "gear_eccentricity@5" in said
+        assert "mm at most" in said
+        assert not file.exists()
+        assert main(monkeypatch, "export", kind, more, "--out", file, "--leave-out", "--json", tmp_path / "k.json") == 0
+        assert words(capfd).count("LEFT OUT") == held
+        assert len(json.loads((tmp_path / "k.json").read_text())["left_out"]) == held
+
+
+def test_replay_takes_it(kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra mujoco)")
+    assert main(monkeypatch, "replay", kept, CAMPAIGN, "--effects", "backlash", "--json", tmp_path / "r.json") == 0
+    stages = json.loads((tmp_path / "r.json").read_text())["stages"]
+    assert [s["model"] for s in stages] == ["nominal", "geometry and stiffness"]
+    assert stages[1]["mean_mm"] < 0.09
