@@ -284,5 +284,10 @@ def test_a_covariance_is_refused_where_it_is_made() -> None:
         Covariance(("a",), np.eye(2))
     with pytest.raises(InputError, match="payload_kg"):
         Knowledge(conditions={"payload_kg": (3.0, 1.0)})
-    with pytest.raises(InputError, match="no parameter 'nothing'"):
-        replace(robot("ur10e"), knowledge=Knowledge((Covariance(("nothing",), np.eye(1)),)))
+
+
+def test_of_parameters_that_a_robot_no_longer_has_nothing_is_written() -> None:
+    known = Knowledge((Covariance(("a2", "gone"), np.eye(2)),))
+    text = to_toml(replace(robot("ur10e"), knowledge=known))
+    assert 'names = ["a2"]' in text
+    assert "gone" not in text
