@@ -80,6 +80,17 @@ def test_imports_agree_with_import_linters_graph(architecture) -> None:
         assert {t.partition(".")[2] for t in theirs} <= house.imports[name], name
 
 
+def test_the_committed_page_is_up_to_date(architecture) -> None:
+    """If not: python docs/studies/architecture.py"""
+    assert architecture.out_of_date(architecture.House(ROOT / "casadical")) == []
+
+
+def test_a_new_import_makes_the_page_out_of_date(architecture, monkeypatch) -> None:
+    house = architecture.House(ROOT / "casadical")
+    monkeypatch.setitem(house.arrows, ("core", "cli"), 1)
+    assert {"the table of imports", "the picture"} <= set(architecture.out_of_date(house))
+
+
 def test_every_room_has_a_paragraph(architecture) -> None:
     page = architecture.PAGE.read_text(encoding="utf-8")
     rooms = [room for storey in architecture.floors() for room in storey]
