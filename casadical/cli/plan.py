@@ -84,9 +84,9 @@ def plan(
     """
     from casadical.core.files import json_text
     from casadical.diagnosis.candidates import named
+    from casadical.measurements.noise import Noise
     from casadical.pose_selection.candidates import Circumstances
     from casadical.pose_selection.criteria import checked
-    from casadical.pose_selection.information import Noise
     from casadical.pose_selection.workspace_file import read_workspace
     from casadical.project.planning import plan as run
     from casadical.project.planning import planned_with, robot_of

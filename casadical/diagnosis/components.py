@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadical.core.transforms import Array
-from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.linear_problem import Case
 from casadical.measurements.derived_columns import derive
+from casadical.measurements.noise import Noise
 
 # More poses sharpen the shares no further, and cost the third power of their number.
 MOST_POSES = 120

@@ -6,7 +6,6 @@ evidence uses; the errors are those of the poses left out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +13,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence
 from casadical.diagnosis.thresholds import PARTITIONS
+from casadical.measurements.noise import Noise
 
 FOLDS = 5
 # Parts in which the poses are gone through one by one.
@@ -24,14 +24,6 @@ MANY = 400
 MOST_ROWS = 1500
 # Up to so many bytes, columns are kept in a second form that leaves some poses out at little cost.
 MOST_BYTES = 250_000_000
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Instrument [m a coordinate] and joint repeatability [rad]."""
-
-    sigma: float
-    repeatability: float
 
 
 def likely_noise(log_grid: Array) -> Noise:

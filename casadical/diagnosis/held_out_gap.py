@@ -10,14 +10,7 @@ import pandas as pd
 
 from casadical.compensator import Compensator, Trainer
 from casadical.core.arrays import Array
-from casadical.diagnosis.cross_validation import (
-    FOLDS,
-    Noise,
-    covariance,
-    fitted_without,
-    held_out_errors,
-    random_folds,
-)
+from casadical.diagnosis.cross_validation import FOLDS, covariance, fitted_without, held_out_errors, random_folds
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.refit import refit, refit_measurements
@@ -25,6 +18,7 @@ from casadical.diagnosis.result import Diagnosis
 from casadical.effects import Effect
 from casadical.identification.accuracy import errors
 from casadical.measurements.derived_columns import derive
+from casadical.measurements.noise import Noise
 
 DRAWS = 1000
 COLUMNS = ("model", "gap_mm", "low_mm", "high_mm", "loo_mm", "blocks_mm", "model_mm", "model_low_mm", "model_high_mm")

@@ -18,7 +18,6 @@ import pandas as pd
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.diagnosis.candidates import Candidate, candidates_of, choose
-from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case, base_prior, column_numbers, widths
 from casadical.diagnosis.linearisation import signatures
@@ -26,6 +25,7 @@ from casadical.diagnosis.result import Diagnosis
 from casadical.effects import Effect
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
+from casadical.measurements.noise import Noise
 from casadical.robot.robot import Robot
 
 # Noncentrality at which one among a hundred or so candidates is found nine times in ten.

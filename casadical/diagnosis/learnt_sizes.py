@@ -11,8 +11,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.cross_validation import Fit, Noise
+from casadical.diagnosis.cross_validation import Fit
 from casadical.diagnosis.evidence import Evidence
+from casadical.measurements.noise import Noise
 
 ROUNDS, SETTLED = 8, 0.05
 # A part of which the data determine less than this many parameters is left as it is.

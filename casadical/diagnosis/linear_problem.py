@@ -12,7 +12,6 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.parameters import Parameter
 from casadical.diagnosis.candidates import Candidate, choose
-from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.evidence import RHOS, Evidence, Sums
 from casadical.diagnosis.linearisation import Columns, linearise
 from casadical.effects import Effect
@@ -21,6 +20,7 @@ from casadical.identification.identification import Identification
 from casadical.identification.least_squares import robust_std
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
+from casadical.measurements.noise import Noise
 from casadical.robot.robot import Robot
 
 # Compliances are known from data sheets to about themselves: a joint 2.5 times softer is no rarity; a narrower prior

@@ -12,11 +12,11 @@ import pandas as pd
 
 from casadical.core.transforms import Array
 from casadical.diagnosis.components import Components, components
-from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.result import Diagnosis
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
+from casadical.measurements.noise import Noise
 
 DRAWS = 500
 ELSEWHERE = "elsewhere"

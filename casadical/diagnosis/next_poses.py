@@ -19,7 +19,7 @@ import pandas as pd
 
 from casadical.core.errors import InputError
 from casadical.core.transforms import Array
-from casadical.diagnosis.cross_validation import Noise, covariance, likely_noise
+from casadical.diagnosis.cross_validation import covariance, likely_noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence, log_sum
 from casadical.diagnosis.linear_problem import Case, widths
 from casadical.diagnosis.linearisation import signatures
@@ -27,6 +27,7 @@ from casadical.diagnosis.pose_pool import Pool, draw_pool, news
 from casadical.diagnosis.result import Diagnosis
 from casadical.effects import Effect
 from casadical.measurements.measurements import Measurements
+from casadical.measurements.noise import Noise
 from casadical.pose_selection.workspace import Workspace
 
 POOL = 800

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.cross_validation import Noise, likely_noise
+from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
 from casadical.diagnosis.linear_problem import Case
+from casadical.measurements.noise import Noise
 
 # Before any data: nothing, one of the listed effects, something on no list; and the same once causes were found.
 PRIOR_FIRST = {"none": 0.25, "listed": 0.60, "unknown": 0.15}

@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from casadical.core.transforms import Array
-from casadical.diagnosis.cross_validation import Noise, covariance
+from casadical.diagnosis.cross_validation import covariance
 from casadical.diagnosis.linear_problem import Case
 from casadical.effects import Effect
 from casadical.identification.identification import Identification, identify
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.position_covariance import PositionCovariance, typical_sigma, whitening
 from casadical.measurements.measurements import Measurements
+from casadical.measurements.noise import Noise
 
 
 def refit(case: Case, effects: Sequence[Effect], noise: Noise, use: Array | None = None) -> Identification:

@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import Ranking
 from casadical.diagnosis.replicates import Replicates
 from casadical.effects import Effect
 from casadical.identification.identification import Identification
+from casadical.measurements.noise import Noise
 from casadical.robot.robot import Robot
 
 # Two forms are not in question where one has this share of what both have.

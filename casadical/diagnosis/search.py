@@ -12,7 +12,6 @@ from casadical.core.arrays import Array
 from casadical.diagnosis.bootstrap import p_value
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import (
-    Noise,
     estimates,
     held_out_errors,
     partitioned_errors,
@@ -44,6 +43,7 @@ from casadical.diagnosis.thresholds import (
 )
 from casadical.effects import Effect
 from casadical.identification.identification import Identification
+from casadical.measurements.noise import Noise
 
 Show = Callable[[str], None]
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
 from casadical.diagnosis.learnt_sizes import learnt_sizes
 from casadical.diagnosis.linear_problem import Case
 from casadical.effects import Effect
+from casadical.measurements.noise import Noise
 
 # Steps are halved once none of them helps, so often at most; a gain of log evidence below the second is none.
 HALVINGS, GAIN, MOST_ROUNDS = 2, 0.3, 10

@@ -9,12 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from casadical.core.transforms import Array
-from casadical.diagnosis.cross_validation import Noise, partitioned_errors, shrink_interval
+from casadical.diagnosis.cross_validation import partitioned_errors, shrink_interval
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import Ranking, rank
 from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.diagnosis.thresholds import DETECT_FURTHER
 from casadical.effects import Effect
+from casadical.measurements.noise import Noise
 
 MOST_FORMS = 4
 

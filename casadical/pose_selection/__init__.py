@@ -1,8 +1,8 @@
 """Which poses to measure, how many are enough, and the predicted accuracy."""
 
+from casadical.measurements.noise import Noise
 from casadical.pose_selection.candidates import Circumstances
 from casadical.pose_selection.criteria import CRITERIA, Criterion, observability
-from casadical.pose_selection.information import Noise
 from casadical.pose_selection.pose_search import select_poses
 from casadical.pose_selection.selection import Selection
 from casadical.pose_selection.stopping_rule import Forecast, forecast

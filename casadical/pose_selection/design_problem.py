@@ -12,10 +12,11 @@ from casadical.core.errors import InputError
 from casadical.identification.identifiability import Unidentifiable
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
+from casadical.measurements.noise import Noise
 from casadical.pose_selection.candidates import Candidates, Circumstances, candidates_at, draw, draw_uniform
 from casadical.pose_selection.criteria import Criterion, checked
 from casadical.pose_selection.experimental_design import Design, Determinant, Linear, Spectral, inverse
-from casadical.pose_selection.information import Noise, independent, noise_covariance, scaled_jacobian, whitened
+from casadical.pose_selection.information import independent, noise_covariance, scaled_jacobian, whitened
 from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
 

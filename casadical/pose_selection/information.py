@@ -7,7 +7,6 @@ computes with.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 import casadi as ca
@@ -18,28 +17,12 @@ from casadical.core.errors import InputError
 from casadical.identification.identifiability import Unidentifiable, drop_poor
 from casadical.identification.least_squares import LeastSquares
 from casadical.measurements.measurements import Measurements
+from casadical.measurements.noise import Noise
 from casadical.robot.robot import Robot
 
 MM = 1e-3
 # Jacobians of more poses than this are computed in parts, which keeps them from being compiled for one use.
 _PART = 1000
-
-
-@dataclass(frozen=True)
-class Noise:
-    """One sigma each: sigma of a measured coordinate [m], joint_sigma of a joint's repeatability [rad or m].
-
-    Raises InputError for a sigma that is not positive and for a negative joint_sigma.
-    """
-
-    sigma: float = 2e-5
-    joint_sigma: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not (self.sigma > 0 and self.joint_sigma >= 0):
-            raise InputError(
-                f"noise of {self.sigma} m and {self.joint_sigma} rad; allowed: above zero, and zero or more"
-            )
 
 
 def scaled_jacobian(robot: Robot, names: Sequence[str], m: Measurements) -> Array:
@@ -64,11 +47,11 @@ def _by_joints(robot: Robot) -> ca.Function:
 def noise_covariance(robot: Robot, m: Measurements, noise: Noise) -> Array:
     """Covariance of each measured point, shape (n, 3, 3) [mm^2], from the instrument and the joints' repeatability."""
     measured = (noise.sigma / MM) ** 2 * np.eye(3)
-    if not noise.joint_sigma:
+    if not noise.repeatability:
         return np.tile(measured, (len(m), 1, 1))
     w = m.condition_matrix(robot.conditions, robot.declared)
     J = _by_joints(robot).map(len(m))(m.q.T, w.T, robot.parameters.values).full()
-    J = J.reshape(3, len(m), robot.n).transpose(1, 0, 2) * (noise.joint_sigma / MM)
+    J = J.reshape(3, len(m), robot.n).transpose(1, 0, 2) * (noise.repeatability / MM)
     return np.asarray(measured + J @ J.transpose(0, 2, 1))
 
 

@@ -20,7 +20,7 @@ _HEIGHTS, _DISTANCES = ("low", "middle", "high"), ("near", "middle", "far")
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class MeasurementPlan:
     """Poses to measure, and the accuracy to expect of them and of further ones.
 
     forecast : expected error against the number of poses; selection : the poses in order, None for the forecast alone
@@ -78,8 +78,8 @@ class Plan:
 def _verdict(plan: Selection) -> str:
     before = 0 if plan.measured is None else len(plan.measured)
     noise = f"{1e3 * plan.noise.sigma:.3g} mm a coordinate"
-    if plan.noise.joint_sigma:
-        noise += f", {1e6 * plan.noise.joint_sigma:.3g} urad a joint"
+    if plan.noise.repeatability:
+        noise += f", {1e6 * plan.noise.repeatability:.3g} urad a joint"
     return (
         f"{len(plan)} measurements for {plan.robot.name}" + (f", after {before} measured ones" if before else "") + ": "
         f"{1e3 * plan.accuracy:.4f} mm rms position error to expect of the calibrated model over the task, "
@@ -98,7 +98,7 @@ def _below_the_base(plan: Selection) -> list[Words]:
     return [Words(f"{words}; no workspace was given, so floor and obstacles were not checked: --room FILE.toml")]
 
 
-def _how_many(plan: Plan) -> str:
+def _how_many(plan: MeasurementPlan) -> str:
     """How many poses are enough, in sentences."""
     forecast, target = plan.forecast, plan.target
     at = np.unique(np.linspace(0, len(forecast.poses) - 1, 6).astype(int))

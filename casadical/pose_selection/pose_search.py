@@ -10,11 +10,11 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.measurements.measurements import Measurements
+from casadical.measurements.noise import Noise
 from casadical.pose_selection.candidates import Candidates, Circumstances, candidates_at
 from casadical.pose_selection.criteria import Criterion
 from casadical.pose_selection.design_problem import DesignProblem, prepare
 from casadical.pose_selection.exchange import improve, search
-from casadical.pose_selection.information import Noise
 from casadical.pose_selection.pose_order import arranged
 from casadical.pose_selection.selection import Selection
 from casadical.pose_selection.workspace import Workspace

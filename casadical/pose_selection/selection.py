@@ -11,10 +11,11 @@ import pandas as pd
 from casadical.core.arrays import Array
 from casadical.identification.identifiability import Unidentifiable
 from casadical.measurements.measurements import Measurements
+from casadical.measurements.noise import Noise
 from casadical.pose_selection.candidates import Candidates, Circumstances
 from casadical.pose_selection.criteria import Criterion, observability
 from casadical.pose_selection.experimental_design import inverse
-from casadical.pose_selection.information import MM, Noise, noise_covariance, scaled_jacobian
+from casadical.pose_selection.information import MM, noise_covariance, scaled_jacobian
 from casadical.pose_selection.pose_order import arranged
 from casadical.robot.robot import Robot
 

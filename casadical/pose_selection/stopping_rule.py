@@ -11,11 +11,12 @@ import pandas as pd
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.measurements.measurements import Measurements
+from casadical.measurements.noise import Noise
 from casadical.pose_selection.candidates import Circumstances
 from casadical.pose_selection.design_problem import prepare
 from casadical.pose_selection.exchange import search
 from casadical.pose_selection.experimental_design import inverse
-from casadical.pose_selection.information import MM, Noise, scaled_jacobian
+from casadical.pose_selection.information import MM, scaled_jacobian
 from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
 

@@ -13,10 +13,10 @@ from casadical.effects import Effect
 from casadical.identification.identification import identify
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
+from casadical.measurements.noise import Noise
 from casadical.pose_selection.candidates import Circumstances
 from casadical.pose_selection.criteria import Criterion
-from casadical.pose_selection.information import Noise
-from casadical.pose_selection.plan import Plan
+from casadical.pose_selection.plan import MeasurementPlan
 from casadical.pose_selection.pose_search import select_poses
 from casadical.pose_selection.stopping_rule import forecast
 from casadical.pose_selection.workspace import Workspace
@@ -83,7 +83,7 @@ def plan(
     order: bool = True,
     target: float | None = None,
     seed: int = 0,
-) -> Plan:
+) -> MeasurementPlan:
     """Poses in order and the forecast beyond them.
 
     n : how many; None: the stopping rule alone, the accuracy to expect of up to 100 poses more
@@ -111,4 +111,4 @@ def plan(
         robot, most, workspace=workspace, circumstances=circumstances, measured=measured, noise=noise,
         free=free, seed=seed,
     )  # fmt: skip
-    return Plan(ahead, found.ordered() if found and order else found, target, workspace is not None)
+    return MeasurementPlan(ahead, found.ordered() if found and order else found, target, workspace is not None)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadical.core.transforms import Array
-from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.localisation import Where, localise_residual
 from casadical.identification.accuracy import errors, residual_mm
 from casadical.measurements.measurements import Measurements
+from casadical.measurements.noise import Noise
 from casadical.project.calibration import Calibration
 from casadical.robot.robot import Robot
 

@@ -27,12 +27,13 @@ from diagnosis_scores import Trial, near_rival, table, visible
 from casadical.blind_check.numpy_physics import Disturbance, Plant, campaign, draw_disturbance, perturb
 from casadical.blind_check.numpy_physics.disturbances import LISTED, UNLISTED
 from casadical.diagnosis.candidates import standard_candidates
-from casadical.diagnosis.cross_validation import Noise, held_out_errors, likely_noise, random_folds
+from casadical.diagnosis.cross_validation import held_out_errors, likely_noise, random_folds
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.thresholds import PARTITIONS
 from casadical.identification.identification import Identification, identify
 from casadical.measurements.measurements import Measurements
+from casadical.measurements.noise import Noise
 from casadical.measurements.reading import from_table
 from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot import Robot

@@ -11,9 +11,9 @@ from scipy import stats
 
 from casadical.blind_check import metrics, outcomes
 from casadical.blind_check.confidence_intervals import Estimate, quantile, share
-from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.evidence import Evidence, Whitened
 from casadical.diagnosis.linear_problem import Case
+from casadical.measurements.noise import Noise
 
 # Name, value, target, theoretical limit.
 Row = tuple[str, Estimate, str, str]

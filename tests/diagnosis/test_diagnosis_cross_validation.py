@@ -7,7 +7,6 @@ from scipy.optimize import lsq_linear
 
 from casadical.diagnosis import cross_validation
 from casadical.diagnosis.cross_validation import (
-    Noise,
     covariance,
     estimates,
     held_out_errors,
@@ -18,6 +17,7 @@ from casadical.diagnosis.cross_validation import (
 )
 from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence
 from casadical.effects.base import CHOSEN
+from casadical.measurements.noise import Noise
 
 NOISE = Noise(2e-5, 8e-6)
 

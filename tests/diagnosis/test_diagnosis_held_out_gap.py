@@ -10,7 +10,7 @@ from test_diagnosis_cross_validation import NOISE, refit
 from casadical import InputError
 from casadical.blind_check.numpy_physics import disturbances
 from casadical.compensator import LevenbergMarquardt
-from casadical.diagnosis.cross_validation import Noise, held_out_errors, random_folds
+from casadical.diagnosis.cross_validation import held_out_errors, random_folds
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.diagnosis.held_out_gap import Stage, check_refit, course, network_gap, of_time, time_blocks
 from casadical.diagnosis.linear_problem import Case
@@ -20,6 +20,7 @@ from casadical.identification.accuracy import errors, predicted
 from casadical.identification.identification import identify
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
+from casadical.measurements.noise import Noise
 
 FEW = ["friction_windup", "backlash"]
 NOTHING = np.zeros(0, dtype=np.int64)

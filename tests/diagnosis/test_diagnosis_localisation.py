@@ -9,7 +9,6 @@ from cases import case, diagnosed, robot, simulated
 
 from casadical.blind_check.numpy_physics import Disturbance, disturbances
 from casadical.diagnosis.candidates import candidates_of
-from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.localisation import (
     BINS,
@@ -23,6 +22,7 @@ from casadical.diagnosis.localisation import (
     localise_residual,
 )
 from casadical.identification.identification import identify
+from casadical.measurements.noise import Noise
 
 NOISE = Noise(15e-6, 6e-6)
 

@@ -6,13 +6,13 @@ from cases import case, robot, simulated
 
 from casadical.blind_check.numpy_physics import disturbances
 from casadical.diagnosis.candidates import candidates_of
-from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.settings_search import neighbours, refined
 from casadical.effects import Backlash, Effect, FrictionWindup, TransmissionRipple
 from casadical.identification.identification import identify
+from casadical.measurements.noise import Noise
 
 NOTHING = np.zeros(0, dtype=np.int64)
 

@@ -8,7 +8,6 @@ import pandas as pd
 import pytest
 from cases import practice, robot
 
-from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.diagnosis.held_out_gap import COLUMNS, Check, NetworkGap
@@ -22,6 +21,7 @@ from casadical.diagnosis.result import Cause, Gap, Outlier
 from casadical.diagnosis.statements import missing_columns, not_logged
 from casadical.diagnosis.text import WIDTH, page_of
 from casadical.effects import Backlash, ThermalZeroDrift
+from casadical.measurements.noise import Noise
 
 GOLDEN = Path(__file__).parent / "golden"
 
