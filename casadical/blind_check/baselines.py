@@ -16,8 +16,8 @@ import numpy as np
 
 from casadical.blind_check.predictor import Session, rounded, unseen_positions
 from casadical.blind_check.signal_size import RANK, column_space
+from casadical.core.arrays import Array
 from casadical.core.errors import ConvergenceError, InputError
-from casadical.core.transforms import Array
 from casadical.diagnosis.candidates import Candidate, standard_candidates
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.effects import Effect

@@ -11,7 +11,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 
 _Z = NormalDist().inv_cdf(0.975)
 DRAWS = 2000

@@ -14,8 +14,8 @@ import numpy as np
 from casadical.blind_check.marginal_likelihood import optimizer
 from casadical.blind_check.outcomes import outlying
 from casadical.blind_check.predictor import Session, in_mm
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Array
 from casadical.diagnosis.cross_validation import random_folds, shrink_interval
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive

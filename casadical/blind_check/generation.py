@@ -32,9 +32,9 @@ from casadical.blind_check.protocol import (
 from casadical.blind_check.signal_size import base_jacobian, unabsorbed_rms
 from casadical.blind_check.synthetic.campaigns import APPROACHES, MEASURED, TRUE
 from casadical.blind_check.worker_pool import completed, workers
+from casadical.core.arrays import Array
 from casadical.core.errors import ConvergenceError, InputError
 from casadical.core.files import write_together
-from casadical.core.transforms import Array
 from casadical.measurements.reading import from_table
 from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot_file import to_toml

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 
 _JITTER = 1e-10
 

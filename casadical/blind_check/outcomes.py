@@ -8,7 +8,7 @@ import numpy as np
 
 from casadical.blind_check.answers import Answer
 from casadical.blind_check.protocol import Kind, Secret
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 
 # A coordinate farther from the truth than so many robust standard deviations is an outlier of the instrument.
 FAR = 8.0

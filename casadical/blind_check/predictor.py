@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from casadical.core.arrays import Array
 from casadical.core.errors import ConvergenceError, InputError
-from casadical.core.transforms import Array
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
 from casadical.measurements.derived_columns import derive

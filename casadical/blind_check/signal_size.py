@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 from casadical.diagnosis.linearisation import signatures
 from casadical.identification.identification import identify
 from casadical.measurements.derived_columns import derive

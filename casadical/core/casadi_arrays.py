@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 
 _UNARY: dict[int, Callable[[Any], Any]] = {
     ca.OP_ASSIGN: lambda a: a,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, Evidence, Whitened, log_sum
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, prior_weights

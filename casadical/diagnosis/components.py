@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 from casadical.diagnosis.linear_problem import Case
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.noise import Noise

@@ -16,9 +16,10 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.casadi_arrays import ArrayFunction
 from casadical.core.casadi_buffers import call
-from casadical.core.transforms import Array, Symbolic, small_frame
+from casadical.core.transforms import Symbolic, small_frame
 from casadical.effects import Context, Effect
 from casadical.measurements.measurements import Measurements
 from casadical.robot.model import Structure, expressions, frame_numbers, rigid_context

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import pandas as pd
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 from casadical.diagnosis.components import Components, components
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.result import Diagnosis

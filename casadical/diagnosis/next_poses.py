@@ -17,8 +17,8 @@ from math import erf, log, sqrt
 import numpy as np
 import pandas as pd
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Array
 from casadical.diagnosis.cross_validation import covariance, likely_noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence, log_sum
 from casadical.diagnosis.linear_problem import Case, widths

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 from casadical.diagnosis.linear_problem import Case
 from casadical.effects import Effect
 from casadical.measurements.measurements import Measurements, unmeasured

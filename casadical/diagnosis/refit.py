@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 from casadical.diagnosis.cross_validation import covariance
 from casadical.diagnosis.linear_problem import Case
 from casadical.effects import Effect

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 from casadical.measurements.measurements import Measurements
 
 # Readings that differ by less than this [rad or m] are one pose; the model's own small difference is taken off.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 from casadical.diagnosis.cross_validation import partitioned_errors, shrink_interval
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import Ranking, rank

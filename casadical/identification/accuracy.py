@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Array
 from casadical.measurements.kinds.base import PositionsAt
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements

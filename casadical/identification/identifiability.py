@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.parameters import Parameter
-from casadical.core.transforms import Array
 
 DEPENDENT = 1e-6
 INVISIBLE = 1e-9

@@ -10,9 +10,9 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.statistics import student_t
-from casadical.core.transforms import Array
 from casadical.identification.accuracy import Accuracy, errors, predicted, summarise
 from casadical.identification.identifiability import Identifiability
 from casadical.identification.least_squares import (

@@ -15,8 +15,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import ConvergenceError, InputError
-from casadical.core.transforms import Array
 from casadical.identification.accuracy import predicted
 from casadical.identification.identifiability import (
     Identifiability,

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.core.transforms import Array, frame, nearest_rotation, to_xyz
+from casadical.core.arrays import Array
+from casadical.core.transforms import frame, nearest_rotation, to_xyz
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Array
 from casadical.identification.accuracy import positions_at, predicted
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements

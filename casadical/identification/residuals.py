@@ -15,10 +15,10 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.casadi_buffers import call
 from casadical.core.compile_cache import compiled
 from casadical.core.errors import InputError
-from casadical.core.transforms import Array
 from casadical.measurements.kinds.base import MeasurementKind, PoseExpression
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements

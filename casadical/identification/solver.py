@@ -9,8 +9,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import ConvergenceError
-from casadical.core.transforms import Array
 
 Progress = Callable[[int, float], None]
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from casadical.compensator import Compensator, Trainer, network_methods
 from casadical.compensator.training import Progress
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 from casadical.identification.accuracy import Accuracy, residual_mm, summarise
 from casadical.identification.identification import Identification
 from casadical.measurements.measurements import Measurements

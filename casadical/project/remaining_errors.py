@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.localisation import Where, localise_residual
 from casadical.identification.accuracy import errors, residual_mm

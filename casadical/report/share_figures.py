@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 from casadical.report.page import Drawing
 from casadical.report.style import BLUE, GREY, MUTED, new_figure, plain
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 from casadical.project.remaining_errors import Left, PoseErrors
 from casadical.report.style import COLOURS, GRID, INK, LINE, MUTED, STYLES, new_figure, plain, style
 from casadical.robot.kinematics import link_frames

@@ -15,9 +15,10 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.arm import Arm
+from casadical.core.arrays import Array
 from casadical.core.casadi_buffers import call
 from casadical.core.parameters import Parameters
-from casadical.core.transforms import Array, Symbolic, carry, product, rot_x, rot_y, rot_z, small_frame, translate
+from casadical.core.transforms import Symbolic, carry, product, rot_x, rot_y, rot_z, small_frame, translate
 from casadical.effects import Context, Effect
 from casadical.robot.kinematics import Values, assembly_sides, chain_factors, link_frames, loop_margins
 from casadical.robot.statics import deflections, gravity_torques

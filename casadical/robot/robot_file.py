@@ -16,6 +16,7 @@ import tomlkit
 from pydantic import Field, model_validator
 
 from casadical import __version__
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.files import write_whole
 from casadical.core.schema import (
@@ -31,7 +32,7 @@ from casadical.core.schema import (
     check,
     load_toml,
 )
-from casadical.core.transforms import Array, frame, from_rpy, to_rpy
+from casadical.core.transforms import frame, from_rpy, to_rpy
 from casadical.effects import Effect, find_effect
 from casadical.robot.effect_tables import CovarianceTable, EffectTable, LearntTable, knowledge_of, text_of
 from casadical.robot.robot import STANDARD_GRAVITY, WIDTHS, Body, FourBar, Joint, Placement, Robot, Width

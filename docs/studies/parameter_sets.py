@@ -13,7 +13,7 @@ from synthetic import NOISE, correct_set, measured, planted, random_robot, readi
 
 import casadical.identification.residuals
 from casadical import identify
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 from casadical.identification.accuracy import errors
 from casadical.identification.least_squares import LeastSquares
 from casadical.robot.robot import Robot

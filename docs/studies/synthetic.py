@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from casadical import Joint, Measurements, Placement, Robot
-from casadical.core.transforms import Array, frame, from_rpy
+from casadical.core.arrays import Array
+from casadical.core.transforms import frame, from_rpy
 from casadical.identification.accuracy import predicted
 
 RIGHT = np.pi / 2

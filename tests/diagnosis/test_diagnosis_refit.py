@@ -10,7 +10,7 @@ import pytest
 from cases import PRACTICE, ROOT, diagnosed, practice, robot
 
 from casadical.blind_check import predictor
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 from casadical.diagnosis.refit import refit
 from casadical.export.mjcf.sources import robot_to_write
 from casadical.identification.accuracy import predicted

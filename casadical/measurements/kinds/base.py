@@ -8,7 +8,8 @@ from typing import ClassVar
 
 import casadi as ca
 
-from casadical.core.transforms import Array, Symbolic
+from casadical.core.arrays import Array
+from casadical.core.transforms import Symbolic
 from casadical.measurements.columns import Columns
 
 # Observed arrays by name, the first dimension of each over the poses.

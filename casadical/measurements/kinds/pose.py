@@ -7,8 +7,9 @@ from collections.abc import Set
 import casadi as ca
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Array, Symbolic, from_rpy
+from casadical.core.transforms import Symbolic, from_rpy
 from casadical.measurements.columns import Columns
 from casadical.measurements.kinds.base import PoseExpression
 from casadical.measurements.kinds.position import Position

@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from casadical.core.transforms import Array, Symbolic
+from casadical.core.arrays import Array
+from casadical.core.transforms import Symbolic
 from casadical.measurements.columns import Columns
 from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpression, PositionsAt
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.core.transforms import Array
+from casadical.core.arrays import Array
 from casadical.identification.identifiability import Unidentifiable, drop_poor
 from casadical.identification.least_squares import SIGMA_ANGLE_GUESS, SIGMA_GUESS, LeastSquares
 from casadical.measurements.kinds.registry import find_kind

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.core.transforms import Array, frame, from_rpy
+from casadical.core.arrays import Array
+from casadical.core.transforms import frame, from_rpy
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection import Workspace
 from casadical.pose_selection.candidates import draw_uniform, expected

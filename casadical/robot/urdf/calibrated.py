@@ -8,9 +8,10 @@ from xml.dom import minidom
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.files import write_whole
-from casadical.core.transforms import Array, from_rpy, to_rpy
+from casadical.core.transforms import from_rpy, to_rpy
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
 from casadical.robot.urdf.reading import UrdfChain, read_chain

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Array
 from casadical.robot.axes import Axis, Chain, rows_from_axes
 from casadical.robot.robot import STANDARD_GRAVITY, Body, Joint, Placement, Robot
 from casadical.robot.urdf.tree import Tree, parse_urdf

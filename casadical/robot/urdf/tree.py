@@ -10,8 +10,8 @@ from xml.parsers.expat import ExpatError
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Array
 
 
 def parse_xml(path: Path) -> minidom.Document:
