@@ -34,17 +34,17 @@ REPEATED = 6  # lines
 # What a room is for, as short as a box in the picture wants it.
 PURPOSE = {
     "cli": "commands, exit codes",
-    "report": "text, JSON, HTML, figures",
+    "report": "HTML reports, figures",
     "project": "problem folders, Calibration",
     "blind_check": "diagnosis judged by simulators",
     "export": "C, MJCF, corrected programs",
-    "diagnosis": "why a gap is left",
+    "diagnosis": "causes of the remaining error",
     "pose_selection": "which poses to measure",
     "identification": "parameters from measurements",
     "measurements": "tables of measured poses",
     "robot": "model of an arm, its files",
-    "effects": "what the base model leaves out",
-    "compensator": "a network on what is left",
+    "effects": "physics beyond the base model",
+    "compensator": "a network for the remaining error",
     "core": "errors, types, frames, files",
 }
 
@@ -337,23 +337,22 @@ def floors() -> list[list[str]]:
 
 INK, SOFT, FAINT, PAPER, WALL = "#23262b", "#5c6068", "#e7e3da", "#fdfcf9", "#8a8272"
 DOWN, UP = "#0f766e", "#c2410c"
-FLOOR, WIDTH, CELL = 56, 600, 32
+FLOOR, WIDTH, CELL = 56, 660, 34
 
 
 def picture(house: House) -> str:
-    """The house in section, floor above floor, and beside it which room imports which."""
+    """The house in section, floor above floor, and below it which room imports which."""
     storeys = floors()
     order = [room for storey in storeys for room in storey]
     left, top = 24, 108
-    height = top + FLOOR * len(storeys) + 56
-    grid = left + WIDTH + 150
-    width = grid + CELL * len(order) + 40
+    grid = top + FLOOR * len(storeys) + 160
+    width, height = WIDTH + 2 * left, grid + CELL * len(order) + 66
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" height="{height}" '
         'font-family="Helvetica, Arial, sans-serif" role="img" aria-label="Floor plan of the package casadical">',
         f'<rect width="{width}" height="{height}" fill="{PAPER}"/>',
         *_section(storeys, left, top),
-        *_matrix(house, order, grid, top),
+        *_matrix(house, order, left + 170, grid),
         "</svg>",
     ]
     return "\n".join(parts) + "\n"
