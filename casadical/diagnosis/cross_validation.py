@@ -43,7 +43,9 @@ class Fit:
     def __init__(self, e: Evidence, columns: Array, noise: Noise) -> None:
         self.W = np.linalg.inv(np.linalg.cholesky(covariance(e, noise)))
         whole = np.concatenate([e.J, e.take(columns)], axis=2)
-        self.A = (self.W @ whole).reshape(e.r.size, -1)
+        for some in np.array_split(np.arange(len(whole)), BLOCKS):  # in place: there may be many columns
+            whole[some] = self.W[some] @ whole[some]
+        self.A = whole.reshape(e.r.size, -1)
         self.y = (self.W @ e.r[:, :, None]).ravel()
         self.prior = np.concatenate([e.prior, e.width_in_model(columns)])
         self.mean = np.concatenate([e.delta0, np.zeros(len(columns))])

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.linearisation import KEPT, Columns
+from casadical.diagnosis.linearisation import Columns
 from casadical.effects.base import CHOSEN
 
 SIGMAS = np.geomspace(3e-6, 300e-6, 33)
@@ -61,6 +61,7 @@ class Evidence:
     reference : sigma at which the priors of what is in the model are as given [m]; they grow with the noise
     held : one sigma of each column's parameter once it is in the model, in sizes, shape (columns,); CHOSEN by default
     near : numbers of the rhos that are looked at; all of them until an effect of many parameters is in the model
+    repeats : scatter of a coordinate over repeated poses [m], and its degrees of freedom; none without them
     """
 
     r: Array
@@ -72,6 +73,7 @@ class Evidence:
     reference: float = 20e-6
     held: Array | None = None
     near: tuple[int, ...] = tuple(range(len(RHOS)))
+    repeats: tuple[float, int] = (0.0, 0)
 
     @property
     def width(self) -> int:
@@ -81,6 +83,10 @@ class Evidence:
     def take(self, columns: Array) -> Array:
         """Some of the candidates' columns, shape (n, 3, len(columns)) [m per unit of size]."""
         return self.E[:, :, columns] if isinstance(self.E, np.ndarray) else self.E.take(columns)
+
+    def only(self, columns: Array) -> Array | Columns:
+        """Some of the candidates' columns, all those of an effect or none, made when asked for."""
+        return self.E[:, :, columns] if isinstance(self.E, np.ndarray) else self.E.only(columns)
 
     def width_in_model(self, columns: Array) -> Array:
         """One sigma of these columns' parameters once they are in the model, in sizes, shape (len(columns),)."""
@@ -242,28 +248,34 @@ class Sums:
         new = {g.tobytes(): g for g in groups if g.tobytes() not in self._own}
         by_width: dict[int, list[Array]] = {}
         for g in new.values():
-            if not self._on_rows(len(g)):
+            if len(g) <= WIDE:
                 by_width.setdefault(len(g), []).append(g)
         stacks = {w: np.stack(gs) for w, gs in by_width.items()}
         totals = {w: np.zeros((len(RHOS), len(s), w, w)) for w, s in stacks.items()}
         if not stacks:
             return
         used = np.unique(np.concatenate([which.ravel() for which in stacks.values()]))
-        few = 8 * self.e.r.size * len(used) < KEPT
-        for E, rows in self._blocks(self.e.take(used) if few else self.e.E):
+        for E, rows in self._blocks(self.e.only(used)):
             by_column = np.ascontiguousarray(E.T)
             for w, which in stacks.items():
-                part = by_column[np.searchsorted(used, which) if few else which]
+                part = by_column[np.searchsorted(used, which)]
                 for k, weight in enumerate(self._weight[:, rows]):
                     scaled = part * np.sqrt(weight)
-                    if w > WIDE:  # one group at a time: half the work for a product with itself
-                        for i, own in enumerate(scaled):
-                            totals[w][k, i] += own @ own.T
-                    else:
-                        totals[w][k] += scaled @ scaled.transpose(0, 2, 1)
+                    totals[w][k] += scaled @ scaled.transpose(0, 2, 1)
         for w, which in stacks.items():
             for i, g in enumerate(which):
                 self._own[g.tobytes()] = totals[w][:, i]
+
+    def _wide_own(self, group: Array, k: int) -> Array:
+        """Products of a wide group's columns among themselves at one rho, shape (width, width)."""
+        key = group.tobytes() + bytes([k])
+        if key not in self._own:
+            total = np.zeros((len(group), len(group)))
+            for E, rows in self._blocks(self.e.only(group)):
+                scaled = E * np.sqrt(self._weight[k, rows])[:, None]
+                total += scaled.T @ scaled
+            self._own[key] = total
+        return self._own[key]
 
     def _on_rows(self, width: int) -> bool:
         """Whether a group is judged on the rows, of which there are fewer than columns."""
@@ -302,8 +314,15 @@ class Sums:
             fitted[k] = root[k] @ right
             square = float(self.base[k, P, P] + (weights * mean) @ (weights * mean) - fitted[k] @ fitted[k])
             log_norm = -0.5 * self.log_det[k] - float((np.log(np.diag(L)) - np.log(scale)).sum())
-            log_base[k] = log_norm - e.r.size * np.log(SIGMAS) - 0.5 * square / SIGMAS**2
+            log_base[k] = log_norm - e.r.size * np.log(SIGMAS) - 0.5 * square / SIGMAS**2 + self._log_repeats(k)
         return Beside(log_base, chosen, root, fitted, {}, {})
+
+    def _log_repeats(self, k: int) -> Array:
+        """Log likelihood of the scatter of repeated poses at a rho, shape (sigmas,)."""
+        scatter, freedom = self.e.repeats
+        # Mean over coordinates of the noise's variance in units of sigma^2.
+        total = float(1 + RHOS[k] ** 2 * (self.e.Jq**2).sum(axis=2).mean()) * SIGMAS**2
+        return np.asarray(-0.5 * freedom * (np.log(total / SIGMAS[-1] ** 2) + scatter**2 / total))
 
     def _judging(self, beside: Beside, known: int = 0) -> Beside:
         """The same with what is needed to judge all columns, the first of which may be known."""
@@ -367,7 +386,7 @@ class Sums:
             value, vector = np.linalg.eigh(w.E @ w.E.T)
             return value, np.sqrt(np.maximum(value, 0.0)) * (vector.T @ w.y)
         V = beside.V[k][:, group]
-        value, vector = np.linalg.eigh(self._own[group.tobytes()][k] - V.T @ V)
+        value, vector = np.linalg.eigh(self._wide_own(group, k) - V.T @ V)
         return value, vector.T @ beside.b[k][group]
 
 

@@ -14,6 +14,7 @@ from casadical.core.parameters import Parameter
 from casadical.diagnosis.candidates import Candidate, choose
 from casadical.diagnosis.evidence import RHOS, Evidence, Sums
 from casadical.diagnosis.linearisation import Columns, linearise
+from casadical.diagnosis.replicates import replicates
 from casadical.effects import Effect
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import Identification
@@ -28,6 +29,8 @@ from casadical.robot.robot import Robot
 COMPLIANCE_SHARE = 1.0
 # A pose is left out at first if its residual is beyond so many spreads (scaled median absolute deviations).
 GROSS = 5.0
+# Repeated poses count for no more degrees of freedom than this: those measured one after the other share slow errors.
+MOST_FREEDOM = 60
 # One sigma, in sizes, of parameters of effects that the robot has: as good as fixed.
 HELD = 1e-3
 
@@ -143,7 +146,9 @@ def make_case(identification: Identification, candidates: Sequence[Candidate]) -
     # Gross only: an effect that leaves the points in two clouds must not lose one of them as outliers.
     kept = np.linalg.norm(r, axis=1) / np.sqrt(3) <= GROSS * robust_std(r)
     E = Columns(linear, effects)
-    whole = Evidence(r, linear.J, linear.Jq, delta0, base_prior(robot), E, held=E.held)
+    again = replicates(m, r, kept)
+    repeats = (again.sigma, min(again.freedom, MOST_FREEDOM)) if again.enough else (0.0, 0)
+    whole = Evidence(r, linear.J, linear.Jq, delta0, base_prior(robot), E, held=E.held, repeats=repeats)
     columns = column_numbers(effects, 0)
     return Case(identification.robot, robot, values, m, possible, missing, whole, kept, columns)
 

@@ -299,7 +299,7 @@ def signatures(robot: Robot, effects: Sequence[Effect], m: Measurements, values:
 
 
 # Columns of up to so many bytes are kept once they were made.
-KEPT = 160_000_000
+KEPT = 60_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -348,6 +348,15 @@ class Columns:
         starts = self._edges[owners] - some._edges[:-1]
         place = np.searchsorted(owners, np.searchsorted(self._edges, columns, side="right") - 1)
         return np.asarray((some.linear.columns(some.effects) * some.sizes)[:, :, columns - starts[place]])
+
+    def only(self, columns: Array) -> Columns:
+        """Some of the columns, in rising order, all those of an effect or none."""
+        owners = np.unique(np.searchsorted(self._edges, columns, side="right") - 1)
+        some = replace(self, effects=tuple(self.effects[k] for k in owners))
+        assert some.shape[2] == len(columns)
+        if self._few:
+            some.__dict__["_all"] = self._all[:, :, columns]
+        return some
 
     def block(self, poses: slice) -> Array:
         """All columns at some poses, shape (poses, 3, columns) [m per unit of size]."""

@@ -39,6 +39,7 @@ from casadical.diagnosis.thresholds import (
     OUT,
     SET_SHARE,
     SET_SIZE,
+    WORSE,
     detection,
 )
 from casadical.effects import Effect
@@ -174,7 +175,7 @@ class Investigation:
         causes.sort(key=lambda c: -c.shrink)
         course = self._course(noise)
         gap = Gap(float(before_all.mean()), float(after.mean()), floor)
-        verdict, rest = self._verdict(end, gap, bool(causes))
+        verdict, rest = self._verdict(end, gap, bool(causes), course)
         return Diagnosis(
             verdict=verdict,
             causes=tuple(causes),
@@ -285,7 +286,7 @@ class Investigation:
         last = self.rankings[-1]
         return last.log_factor[last.order[0]] / claimed if claimed > 0 else 0.0
 
-    def _verdict(self, end: str, gap: Gap, found: bool) -> tuple[Verdict, float]:
+    def _verdict(self, end: str, gap: Gap, found: bool, course: pd.DataFrame) -> tuple[Verdict, float]:
         """The verdict, and the share of the gap that no named cause explains."""
         rest = max(0.0, (gap.after - gap.floor) / gap.before)
         if not found or (end == "unknown" and not self.steps):
@@ -297,4 +298,7 @@ class Investigation:
             return "unknown", rest
         if self.steps and len(self.steps[0].labels) > 1:
             return "ambiguous", rest
+        blocks = course["blocks_mm"].to_numpy()
+        if blocks[-1] > WORSE * blocks[0]:  # what does not hold over time explains nothing
+            return "unknown", rest
         return "explained", rest

@@ -23,6 +23,8 @@ LEAST_SHARE, MUCH = 0.5, 0.2
 # A flaw of a listed effect's equation leaves less than this share of its evidence: no such remainder was
 # found in 44 right claims of mismatched truth; loose anchors and hoses leave 0.08 and 0.11 (docs/studies, seeds 77).
 MISMATCH = 0.05
+# Causes with which blocks of time left out are predicted worse by this factor explain nothing.
+WORSE = 1.05
 
 
 def detection(poses: int) -> float:

@@ -77,8 +77,12 @@ class Robot(Arm):
 
     @cached_property
     def declared(self) -> Array:
-        """Values of `conditions` where nothing was logged, shape (k,) [of the column]: declared payload, else zero."""
-        return np.array([self.payload.mass if c == "payload_kg" and self.payload else 0.0 for c in self.conditions])
+        """Values of `conditions` where nothing was logged, shape (k,) [of the column].
+
+        The declared payload; progress 1, as the robot stands after its campaign; else zero.
+        """
+        known = {"payload_kg": self.payload.mass if self.payload else 0.0, "progress": 1.0}
+        return np.array([known.get(c, 0.0) for c in self.conditions])
 
     @cached_property
     def parameters(self) -> Parameters:
