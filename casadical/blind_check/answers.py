@@ -1,7 +1,5 @@
 """Answers on disk: a line of JSON for each campaign, added when it is answered, so that a killed run loses nothing."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

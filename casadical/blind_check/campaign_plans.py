@@ -1,7 +1,5 @@
 """Plans of campaigns: shares of none, one, several and unlisted effects; poses, robots, columns left out."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice

@@ -3,8 +3,6 @@
 The score has statistics of its own: the bootstrap of the diagnosis is part of what it judges.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import NormalDist

@@ -4,8 +4,6 @@ Its inputs are sines and cosines of all joints and everything else that was logg
 by the marginal likelihood (Rasmussen and Williams 2006, chapter 5; by scikit-learn).
 """
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 

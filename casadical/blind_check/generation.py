@@ -1,7 +1,5 @@
 """Make a blind check: public campaigns, and in another folder the key, whose hash is published with them."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import secrets

@@ -4,8 +4,6 @@ The squared differences that the gradient needs are sums over rows: for symmetri
 2 (sum x_i^2 (S 1)_i - x' S x), so that no array of shape (n, n, inputs) is made. (Rasmussen and Williams 2006, 5.4.)
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -4,8 +4,6 @@ Signal is the rms of a coordinate that the hidden effects add and the base model
 noise. Detection, false alarms and FIA are counted as in the DX diagnosis competitions; the others are ours.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The outcome of one campaign: what was hidden beside what was answered, reduced to what the metrics count."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ There are two: MuJoCo (`mujoco_physics`), and the project's own independent simu
 further package. Neither shares a formula with the effects, and `predict` loads neither.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from importlib.metadata import PackageNotFoundError, version

@@ -1,7 +1,5 @@
 """Answer a blind check: diagnose each campaign from its folder alone, and predict positions at its unseen poses."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from concurrent.futures import Executor

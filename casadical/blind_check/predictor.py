@@ -1,7 +1,5 @@
 """One answer to one campaign, from its tables and its nominal robot alone; what a worker runs."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace

@@ -6,8 +6,6 @@ nothing of its content, and `sha256sum key.json` is all that a sceptical reader 
 may be packed by xz; what is hashed and read is their content.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import lzma

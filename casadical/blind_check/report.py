@@ -1,7 +1,5 @@
 """A score as text: metrics beside their targets, the same by parts, the confusion matrix, and every wrong claim."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

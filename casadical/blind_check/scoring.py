@@ -1,7 +1,5 @@
 """Score answers: open the key, check that it is the one whose hash was published, and count."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -4,8 +4,6 @@ Campaigns on which both are right, or neither, do not count; of the others each 
 McNemar 1947).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import comb

@@ -1,7 +1,5 @@
 """The size of an effect's signal: the part of its shifts that no change of the base model can reproduce."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from casadical.core.arrays import Array

@@ -3,8 +3,6 @@
 This module loads nothing heavy, so that a fresh worker can be set to one thread before it loads numpy.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed

@@ -3,8 +3,6 @@
 Exit codes: 0 done; 2 bad input; 3 the solver found no optimum; 70 a bug in casadical.
 """
 
-from __future__ import annotations
-
 import sys
 import traceback
 

@@ -1,7 +1,5 @@
 """Values of options for the shell's completion; looked up only when the shell asks."""
 
-from __future__ import annotations
-
 
 def _begun(words: tuple[str, ...], incomplete: str) -> list[str]:
     return [word for word in words if word.lower().startswith(incomplete.lower())]

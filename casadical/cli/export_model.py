@@ -1,7 +1,5 @@
 """The commands `casadical export mjcf` and `casadical export urdf`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """The command line as one tree: each command from its own module."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

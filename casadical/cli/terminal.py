@@ -1,7 +1,5 @@
 """What all commands share on a terminal: exit codes, lines and JSON, progress where a person watches."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager

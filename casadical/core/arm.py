@@ -1,7 +1,5 @@
 """A robot as plain data: rows, closed loops, frames, payload and gravity; no model and no parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -4,8 +4,6 @@ CasADi's own evaluation goes through a function's instructions pose by pose. Whe
 poses and for many settings, going through the instructions once, each on a whole array, is many times faster.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any

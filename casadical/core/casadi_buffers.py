@@ -1,7 +1,5 @@
 """CasADi functions called with numpy arrays, without a copy through Python lists."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import casadi as ca

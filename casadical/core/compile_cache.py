@@ -1,7 +1,5 @@
 """CasADi functions compiled with the machine's C compiler, where there is one; kept in the user's cache."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Results are written whole or not at all."""
 
-from __future__ import annotations
-
 import json
 import os
 import tempfile

@@ -1,7 +1,5 @@
 """What a robot is made of: rows with their joints and bodies, four-bars, base and tool, how far each may be off."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal

@@ -1,7 +1,5 @@
 """Classes that other installed packages add to one of our families, by entry points."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from importlib.metadata import EntryPoint, entry_points
 from typing import TypeVar

@@ -1,7 +1,5 @@
 """TOML tables checked key by key: units in the keys, and messages that name file, key, value and what is allowed."""
 
-from __future__ import annotations
-
 import difflib
 import tomllib
 from collections.abc import Mapping

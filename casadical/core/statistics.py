@@ -1,7 +1,5 @@
 """Quantiles that the standard library does not have."""
 
-from __future__ import annotations
-
 from statistics import NormalDist
 
 

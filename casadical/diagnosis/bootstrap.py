@@ -5,8 +5,6 @@ has it, freed of what the base parameters take up, and judged by the statistic t
 listed or not, against none. (Davison and Hinkley, Bootstrap Methods and their Application, 1997, ch. 4.)
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The candidates: every listed effect, whole and per joint, with its settings on a grid; and the unknown."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import groupby

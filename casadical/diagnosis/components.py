@@ -6,8 +6,6 @@ by maximum likelihood (y ~ N(0, sigma^2 I + sum v_k E_k E_k'), monotone updates 
 which the data do not need fall to nothing; shares and their spread are those of draws from the posterior.
 """
 
-from __future__ import annotations
-
 import itertools
 import re
 from dataclasses import dataclass

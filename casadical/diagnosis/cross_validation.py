@@ -4,8 +4,6 @@ Each fold is fitted in closed form from the residual, base model and causes toge
 evidence uses; the errors are those of the poses left out.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What is computed from a diagnosis to be reported: where the gap lies, what the poses show, what to measure next."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Diagnose what is left after calibration: the verdict, its causes, and how far the gap shrinks without them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """How far the gap shrinks on held-out poses: cause by cause, in the nonlinear refit, with networks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ with every cause, in the noise's metric; an effect of n poses and visible signal
 noise, has noncentrality 3 n r^2.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal

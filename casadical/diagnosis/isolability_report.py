@@ -1,7 +1,5 @@
 """What a design can tell, as a table to read."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """A diagnosis as plain data to keep."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pandas as pd

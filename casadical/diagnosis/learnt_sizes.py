@@ -4,8 +4,6 @@ A part's variance is set to the mean square of its parameters over the share of 
 variance too. A part that the data do not determine keeps its size. (MacKay 1992, Bayesian interpolation, sec. 4.)
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

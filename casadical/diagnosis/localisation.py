@@ -1,8 +1,6 @@
 """Where the gap lies: shares by joint, link, direction, region, payload, temperature, time and approach, each with a
 95 % interval."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, fields

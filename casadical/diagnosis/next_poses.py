@@ -7,8 +7,6 @@ learning from the poses picked before (Box and Hill 1967; where the base is well
 Fedorov 1975). The truth that is told least so far counts most.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations

@@ -1,7 +1,5 @@
 """Two causes at once, where no single one explains: mixtures look like the unknown until both are in the model."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from casadical.diagnosis.evidence import log_sum

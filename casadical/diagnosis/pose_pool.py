@@ -1,7 +1,5 @@
 """What could be measured next: poses within given limits under every payload, approach and thermal state."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Which cause: posteriors over none, every listed cause and the unknown, step by step while the gap shrinks."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The robot with its causes: base model and causes identified together by Ipopt, from the data of the evidence."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

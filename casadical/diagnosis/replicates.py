@@ -1,7 +1,5 @@
 """Noise from poses that were measured more than once: no model can explain their differences."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What a diagnosis found: verdict, causes, the gap before and after. Results only: nothing here is computed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """The steps of one diagnosis: causes are added one by one until no further one can be claimed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 

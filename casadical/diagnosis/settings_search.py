@@ -1,7 +1,5 @@
 """Settings in which a cause is not linear (knee, lag, cycles, time of a step), between the grid's points."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from typing import Any
 

@@ -4,8 +4,6 @@ A form on no list (any function of a joint's own angle, smooth in time, ...) nam
 beside it. Together they are a description all the same, and where it predicts poses held out it can be corrected.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from casadical.core.arrays import Array

@@ -1,7 +1,5 @@
 """What a diagnosis says: the statements and rows that the terminal and the page of HTML both show."""
 
-from __future__ import annotations
-
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 

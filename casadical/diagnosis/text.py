@@ -1,7 +1,5 @@
 """The statements of a diagnosis as a page of plain text, for a terminal."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Iterator
 

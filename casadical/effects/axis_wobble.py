@@ -1,7 +1,5 @@
 """A joint's axis tilts and shifts as it turns."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Play in a gear, taken up by the gravity torque, or by the approach where there is little torque."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The pedestal tilts under the overturning moment."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Play of a bearing across its axis: it tilts under the moment of the weight beyond it and moves along the load."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A joint is deflected by the torque of another one."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """A joint's torque is a polynomial of its deflection: linear and cubic (the paper's outlook)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

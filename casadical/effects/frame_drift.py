@@ -1,7 +1,5 @@
 """The measuring frame creeps against the robot with time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 

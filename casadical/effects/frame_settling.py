@@ -1,7 +1,5 @@
 """The measuring frame moves against the robot after the start, ever more slowly, until it rests."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The joint stays wound up against its last motion."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Once-per-turn error of a joint's gear or encoder, with some second harmonic."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Errors of a gear of known ratio: one and two cycles a turn of its fast side."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """An unmodelled balancing spring on joint 2."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 

@@ -1,7 +1,5 @@
 """A hose or cable from the forearm to the tool pulls at the wrist."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A joint turns by a fraction of another joint's reading."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """A joint's gear ratio is wrong by a small factor."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A joint's zero jumps once during the campaign."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 

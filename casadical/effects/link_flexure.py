@@ -1,7 +1,5 @@
 """A link bends and twists under the weight beyond it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """A joint's spring holds back part of its deflection against the last motion, the more the higher the load."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Compliance of a joint that the model takes as rigid."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A joint is softer at small torque than at large."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 

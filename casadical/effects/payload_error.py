@@ -1,7 +1,5 @@
 """The declared payload has another mass and mass centre."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 

@@ -6,8 +6,6 @@ A plug-in is a class in another package, under the entry point group `casadical.
     soft_stop = "my_package:SoftStop"
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from functools import cache
 

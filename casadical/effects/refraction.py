@@ -1,7 +1,5 @@
 """The instrument's beam is bent by air that is warmer above than below."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

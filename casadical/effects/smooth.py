@@ -4,8 +4,6 @@ Each is a Gaussian process written as harmonics whose size falls with their orde
 other and its marginal likelihood competes with those of named causes on equal terms.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations

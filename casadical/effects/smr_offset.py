@@ -1,7 +1,5 @@
 """The optical centre of the reflector lies beside the centre of its sphere."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

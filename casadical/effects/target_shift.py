@@ -1,7 +1,5 @@
 """The reflector moves once in its nest."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 

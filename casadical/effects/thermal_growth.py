@@ -1,7 +1,5 @@
 """Links lengthen with temperature, which follows the sensor with a lag."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A joint's zero drifts with temperature."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Periodic transmission error: gear mesh, wave generator or cycloid, many cycles a joint turn."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Effects that an export cannot carry: refused with what would be lost in millimetres, or left out on request."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Position errors of a model against measurements, and the figures that sum them up."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

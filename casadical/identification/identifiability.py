@@ -5,8 +5,6 @@ identifiable; the columns that reproduce it are named. Exact dependences come ou
 parameters far above, so one tolerance serves where the columns are scaled (compare Khalil and Dombre 2002, ch. 5).
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Identify a robot's parameters from measurements: bounded least squares, and the accuracy of the result."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 """A closed-form start for the base and tool frames, from positions or full poses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Refuse measurements that contradict the nominal robot, before a solve."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from casadical.core.arrays import Array

@@ -5,8 +5,6 @@ values in units of their scale (mm, mrad) and, where the kind has an unknown poi
 residual is in units of sigma. `Function.map` sums the kernel over the poses, so that graphs do not grow with them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache

@@ -1,7 +1,5 @@
 """Bounded nonlinear least squares by Ipopt with the Gauss-Newton Hessian."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any

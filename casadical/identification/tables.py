@@ -1,7 +1,5 @@
 """The result of an identification, as tables and sentences."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The noise of measured positions: the instrument's, and the repeatability of the joints."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from casadical.core.errors import InputError

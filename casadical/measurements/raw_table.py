@@ -1,7 +1,5 @@
 """The reader of CSV files: the content of a file, checked for its form only, not for the meaning of its columns."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Iterable

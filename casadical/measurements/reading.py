@@ -1,7 +1,5 @@
 """Measurements from CSV files and pandas tables."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

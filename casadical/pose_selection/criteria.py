@@ -5,8 +5,6 @@ Hollerbach (2008), "Observability index selection for robot calibration", eqs. 9
 "Optimum Experimental Designs", chapters 10 and 17.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Literal
 

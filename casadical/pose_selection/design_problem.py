@@ -1,7 +1,5 @@
 """The input of a search for poses: candidates, independent parameters, information already there, weights."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 

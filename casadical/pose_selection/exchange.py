@@ -1,7 +1,5 @@
 """Exchange of poses: DETMAX with excursions and restarts (Mitchell 1974, Technometrics 16, 203-210)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from casadical.core.arrays import Array

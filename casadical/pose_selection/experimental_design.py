@@ -7,8 +7,6 @@ are updated too, so that a step costs a few products of tall, thin matrices. O2 
 derivative makes a shortlist, and the eigenvalues of the shortlist decide.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar
 

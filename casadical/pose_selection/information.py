@@ -4,8 +4,6 @@ Scaled means millimetres per unit of a parameter's scale (1 mm, 1 mrad, or the d
 computes with.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 

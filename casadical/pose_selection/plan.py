@@ -1,7 +1,5 @@
 """A plan: poses to measure with the accuracy to expect, as text, as data and as files."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The order in which poses are measured: pass by pass, payload by payload, with short travel within each."""
 
-from __future__ import annotations
-
 import importlib
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Which poses to measure: `select_poses` exchanges candidates and, if new ones may be drawn, their neighbours."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 

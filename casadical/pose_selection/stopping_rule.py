@@ -1,7 +1,5 @@
 """When to stop measuring: the expected accuracy against the number of poses, given the poses measured so far."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

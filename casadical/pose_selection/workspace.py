@@ -1,7 +1,5 @@
 """Where poses may lie: joint ranges, four-bar margin, floor, boxes, and what a laser tracker can see."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import lru_cache
 

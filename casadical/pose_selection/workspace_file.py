@@ -1,7 +1,5 @@
 """A workspace file (`--room`): where poses may lie, as TOML with units in the keys; see docs/plan.md."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 

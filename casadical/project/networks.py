@@ -1,7 +1,5 @@
 """The paper's network methods on a problem: a network learns the error left by SKCM (section 5)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 

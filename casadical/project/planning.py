@@ -1,7 +1,5 @@
 """A plan of what to measure: the robot calibrated with what was measured, the next poses, their order, the forecast."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

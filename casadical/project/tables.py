@@ -1,7 +1,5 @@
 """The accuracy of a calibration, as tables and sentences."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 

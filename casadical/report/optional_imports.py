@@ -1,7 +1,5 @@
 """The libraries of the extra `report`, imported when they are first needed."""
 
-from __future__ import annotations
-
 import importlib
 from types import ModuleType
 from typing import Any

@@ -1,7 +1,5 @@
 """Provenance of a report: files with SHA-256, versions, command, date."""
 
-from __future__ import annotations
-
 import hashlib
 import platform
 import shlex

@@ -5,8 +5,6 @@ normal leaves a choice, the simpler table wins: d = 0 in front of a nearly paral
 like the base and the tip.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

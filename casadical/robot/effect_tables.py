@@ -1,7 +1,5 @@
 """Tables of a robot file that a robot with effects has: [[effect]], [learnt] and [[covariance]]; all in SI."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """The open chain with its loops: actuated joint variables to link frames (paper, eqs. 1-3)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import casadi as ca

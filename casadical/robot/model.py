@@ -5,8 +5,6 @@ paper's eq. 5. Torques are those at the pose after one deflection step: the rema
 third order in the compliance.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache

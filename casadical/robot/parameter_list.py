@@ -1,7 +1,5 @@
 """Every parameter of a robot's model, with its nominal value, bounds and prior, and why some are always held."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 

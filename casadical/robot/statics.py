@@ -1,7 +1,5 @@
 """Gravity torques on the actuated joints, as minus the gradient of the potential energy; compliance (paper, eq. 4)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import casadi as ca

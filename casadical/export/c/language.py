@@ -1,7 +1,5 @@
 """A language of a controller: it turns tapes into files. Each is one file, and one line in `registry.py`."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Languages of a controller: ours, a line each, and those of installed packages (entry points of `GROUP`)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from casadical.core.errors import InputError

@@ -3,8 +3,6 @@
 A row is corrected in all joints or in none: with a status other than OK it keeps its targets, and the summary lists it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -6,8 +6,6 @@ numbers over a base that is known stays: its joint offset is the robot's. Both c
 otherwise: the measured point is mostly a reflector's, and where it was screwed on is no error of the robot either.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args

@@ -1,7 +1,5 @@
 """An offline program as a CSV table: joint targets are read in SI, every other column is kept unchanged."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re

@@ -4,8 +4,6 @@ The torque of `GravityCompensator`, T (S sin t + C cos t + P sin t / l), is that
 sin(t + phase), and that of a constant pull F along the line from anchor to lever, F a b sin t / length.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from xml.etree import ElementTree as ET
 

@@ -5,8 +5,6 @@ remaining length, a quadratic function, which two Gauss points integrate exactly
 over the pieces so that each spring has the moment of the beam, and all together the link's mass and mass centre.
 """
 
-from __future__ import annotations
-
 from xml.etree import ElementTree as ET
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Elements between a joint's command and its link in MuJoCo: springs for compliances, counterparts of effects."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from casadical.core.arrays import Array

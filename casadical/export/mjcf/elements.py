@@ -1,7 +1,5 @@
 """Elements of MJCF: frames, joints on springs, bodies; every number with all its digits."""
 
-from __future__ import annotations
-
 from xml.etree import ElementTree as ET
 
 import numpy as np

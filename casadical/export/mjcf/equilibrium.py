@@ -4,8 +4,6 @@ MuJoCo evaluates every force and constraint (weights, springs, actuators, loops,
 the stiffness of the coordinate, which converges fast because weights change little over a deflection.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -4,8 +4,6 @@ The user's link frames may differ from ours: each body keeps its pose relative t
 joints' axes must be those of the nominal robot; that is checked.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ The loop lies in the plane of the carrier's axis, as in `casadical.robot.fourbar
 (a second equality), so that a driven axis that is not exactly parallel to the carrier's is as in the robot.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from xml.etree import ElementTree as ET

@@ -5,8 +5,6 @@ weight. Links and bars have the robot's exact lengths and angles; inertias, damp
 model is right about positions at rest, not about motion.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from xml.etree import ElementTree as ET
 

@@ -4,8 +4,6 @@ Three models: the nominal robot with fitted base and tool, the calibrated one, a
 causes. All are identified from one part of the poses and replayed at the others.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Which robot is written: a robot file's, a problem's calibrated one, or a campaign's with its diagnosed effects."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

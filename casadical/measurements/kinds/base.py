@@ -1,7 +1,5 @@
 """What a kind of measurement is: how it is read, what its residual is in CasADi, and its error in numbers."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence, Set
 from typing import ClassVar

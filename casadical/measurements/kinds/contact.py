@@ -1,7 +1,5 @@
 """Poses that hold the tool at one point, whose place is unknown."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence, Set
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Measured distances from the tool to a point at rest."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence, Set
 
 import casadi as ca

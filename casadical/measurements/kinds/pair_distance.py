@@ -1,7 +1,5 @@
 """Measured distances between the tool's positions at two poses."""
 
-from __future__ import annotations
-
 from collections.abc import Set
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """Measured positions and orientations of the tool."""
 
-from __future__ import annotations
-
 from collections.abc import Set
 
 import casadi as ca

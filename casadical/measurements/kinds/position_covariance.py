@@ -1,7 +1,5 @@
 """Measured positions of the tool whose noise has a covariance of its own at each pose."""
 
-from __future__ import annotations
-
 from collections.abc import Set
 from typing import ClassVar
 

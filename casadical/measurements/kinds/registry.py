@@ -1,7 +1,5 @@
 """All kinds of measurement: ours, and those of installed packages."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cache
 

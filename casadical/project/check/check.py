@@ -1,7 +1,5 @@
 """The check of a whole problem before a solve: its files, its data, and the accuracy to expect."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass

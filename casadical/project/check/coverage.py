@@ -1,7 +1,5 @@
 """Coverage of the poses: ranges of the joints, repeated readings and their scatter, four-bar margin."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

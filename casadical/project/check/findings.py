@@ -1,7 +1,5 @@
 """A finding: its level, its topic, and what to do."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -5,8 +5,6 @@ poses all over the joints' ranges (compare `pose_selection.forecast`): the accur
 the model lacks comes on top where it was measured, too.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

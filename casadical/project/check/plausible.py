@@ -4,8 +4,6 @@ The usual mistakes are tried one by one (another unit, of one joint too, a joint
 turn off, a left-handed measuring frame, DH rows of the other convention), and one that explains far more is named.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A precheck as text to read and as plain data to keep."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from typing import Any
 

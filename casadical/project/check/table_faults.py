@@ -1,7 +1,5 @@
 """Every fault of a measurement table at once: reading stops at the first, and a table often has several."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -10,8 +10,6 @@
 | `stiffness_Nm_per_rad` | its nominal value |
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Compose the files of a new problem, check that they can be read, and then write them."""
 
-from __future__ import annotations
-
 import tempfile
 import tomllib
 from pathlib import Path

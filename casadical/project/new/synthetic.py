@@ -1,7 +1,5 @@
 """Poses simulated with the robot's own model, for a first run before anything is measured; marked as synthetic."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The texts of a new problem folder, with comments that say what may be changed."""
 
-from __future__ import annotations
-
 EXAMPLE_ROBOT = """\
 # An example arm with six joints: change the numbers to those of yours. Every key: docs/robot-file.md.
 # Units stand in the keys (_mm or _m, _deg or _rad); a wrong or missing one is refused with a message.

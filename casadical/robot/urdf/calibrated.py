@@ -1,7 +1,5 @@
 """A calibrated robot written back into its URDF: joint origins and tip carry the identified geometry."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Literal
 from xml.dom import minidom

@@ -1,7 +1,5 @@
 """A new URDF of a robot that came from none: links, joints and masses of its rows, the measured point as a link."""
 
-from __future__ import annotations
-
 from xml.etree import ElementTree as ET
 
 import numpy as np

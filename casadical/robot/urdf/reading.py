@@ -1,7 +1,5 @@
 """A serial robot from a URDF, with its masses: the same object that a robot file gives."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Links and joints of a URDF file as a tree; every fault is an InputError that names the file."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
