@@ -41,8 +41,8 @@ def correct(
     Exit codes: 0 written, with or without refused rows; 2 bad input; 70 a bug in casadical.
     """
     from casadical.core.files import write_whole
+    from casadical.export.controller.commands import Sources, command_of, followed
     from casadical.export.controller.correction import corrected, kernel_corrector, model_corrector
-    from casadical.export.controller.models import Sources, command_of, followed
     from casadical.export.controller.offline_program import read_program
 
     refuse_taken(out, overwrite)

@@ -16,7 +16,7 @@ from casadical.cli.terminal import keep_json, plain
 from casadical.core.errors import InputError
 
 if TYPE_CHECKING:
-    from casadical.export.controller.models import Sources
+    from casadical.export.controller.commands import Sources
 
 export_app = typer.Typer(
     help="Turn a calibrated robot into code for its controller, or into a model for a simulator.",
@@ -71,7 +71,7 @@ def export_c(
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
     from casadical.export import write_c
-    from casadical.export.controller.models import Sources, command_of, network_of
+    from casadical.export.controller.commands import Sources, command_of, network_of
     from casadical.robot.robot_file import read_robot
 
     if what not in ("network", "command"):
@@ -116,7 +116,7 @@ def _sha256(path: Path) -> str:
 
 def _about(sources: Sources, what: str, networked: bool) -> list[str]:
     """The files that the export was made from, with hashes, and the effects that are not in it."""
-    from casadical.export.controller.models import followed
+    from casadical.export.controller.commands import followed
 
     files = {"robot": sources.robot, "nominal": sources.nominal, "compensator": sources.compensator}
     used = ["robot", "compensator"] if what == "network" else list(files)

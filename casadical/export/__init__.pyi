@@ -10,13 +10,13 @@ from casadical.export.c.tape import Tape as Tape
 from casadical.export.c.tape_program import TapeProgram as TapeProgram
 from casadical.export.c.write import Export as Export
 from casadical.export.c.write import write_c as write_c
+from casadical.export.controller.commands import Sources as Sources
+from casadical.export.controller.commands import command_of as command_of
+from casadical.export.controller.commands import network_of as network_of
 from casadical.export.controller.correction import Corrected as Corrected
 from casadical.export.controller.correction import Corrector as Corrector
 from casadical.export.controller.correction import corrected as corrected
 from casadical.export.controller.correction import kernel_corrector as kernel_corrector
 from casadical.export.controller.correction import model_corrector as model_corrector
-from casadical.export.controller.models import Sources as Sources
-from casadical.export.controller.models import command_of as command_of
-from casadical.export.controller.models import network_of as network_of
 from casadical.export.controller.offline_program import Program as Program
 from casadical.export.controller.offline_program import read_program as read_program

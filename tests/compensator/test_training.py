@@ -10,7 +10,7 @@ from casadical.compensator import Backprop, Iwo, IwoSettings, IwoThenLm, Levenbe
 from casadical.compensator.folds import training_masks
 from casadical.compensator.forward import forward
 from casadical.compensator.task import random_weights
-from casadical.compensator.trainers.levenberg import advance, begin_batch
+from casadical.compensator.trainers.damped_least_squares import advance, begin_batch
 from casadical.core.errors import InputError
 from problems import small_task
 

@@ -140,7 +140,10 @@ def test_methods_from_the_literature_name_their_source() -> None:
     modules = [
         *(f"robot.{name}" for name in ("fourbar", "kinematics", "statics", "robot")),
         *(f"identification.{name}" for name in ("identifiability", "identification", "placement")),
-        *(f"compensator.{name}" for name in ("iwo", "network", "task", "trainers.levenberg", "trainers.distilled")),
+        *(
+            f"compensator.{name}"
+            for name in ("iwo", "network", "task", "trainers.damped_least_squares", "trainers.distilled")
+        ),
         *("pose_selection.criteria", "pose_selection.exchange", "diagnosis.evidence", "core.statistics"),
     ]
     without = []

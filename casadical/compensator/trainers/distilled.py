@@ -13,7 +13,7 @@ import numpy as np
 from casadical.compensator.task import Task
 from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.gaussian_process import GaussianProcess
-from casadical.compensator.trainers.lm import LevenbergMarquardt, LmRun
+from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt, LmRun
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 

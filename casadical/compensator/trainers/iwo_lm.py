@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 from casadical.compensator.task import Task
 from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.iwo import Iwo, IwoRun
-from casadical.compensator.trainers.lm import LevenbergMarquardt, LmRun
+from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt, LmRun
 from casadical.core.arrays import Array
 
 

@@ -1,9 +1,9 @@
-"""A calibrated robot file as a product of the exporter: CasADi functions of the nominal and of the real robot.
+"""A calibrated robot as a product of the exporter: CasADi functions of the nominal and of the real robot.
 
-Both robots stand in the robot's own base frame. Where the instrument stood is no error of the robot: the identified
-base is taken off, and so is a first row with all six numbers, which is the base (paper, Table 1). A first row of four
-numbers over a base that is known stays: its joint offset is the robot's. Both carry the same tool unless told
-otherwise: the measured point is mostly a reflector's, and where it was screwed on is no error of the robot either.
+Both robots are given in the robot's own base frame. The position of the instrument is not an error of the robot: the
+identified base is removed, and so is a first row with all six numbers, which is the base (paper, Table 1). A first row
+of four numbers on a known base stays: its joint offset is the robot's. Both have the same tool unless told otherwise:
+the measured point is usually a reflector, and where it is mounted is not an error of the robot either.
 """
 
 from dataclasses import dataclass, replace
@@ -26,7 +26,7 @@ from casadical.robot.robot_file import read_robot
 
 Tool = Literal["shared", "own"]
 
-# With three more directions to hold, the weakest is always weaker: the bound beside which a pose counts as singular.
+# Below it a pose counts as singular where the orientation is corrected too: of six directions the weakest is weaker.
 SINGULAR_POSE = 0.02  # m/rad
 SAME_ROBOT = 0.1  # m between nominal and calibrated tool, median: above it the files are not of one robot
 
@@ -40,8 +40,8 @@ class Sources:
     compensator : the network trained on the calibrated robot's residuals; a file or a `Compensator`
     payload_kg : mass on the flange [kg]; None: as declared
     leave_out : whether effects that a controller cannot follow are left out of the robot; else they are refused
-    tool : "shared": both robots carry the calibrated robot's tool. "own": each its own, so that the difference is
-        corrected too, for a measured point that is the controller's tool centre point itself.
+    tool : "shared": both robots have the calibrated robot's tool. "own": each has its own, so that the difference is
+        corrected too, for a measured point that is the controller's tool centre point itself
 
     Raises InputError for another word as tool.
     """
@@ -59,7 +59,7 @@ class Sources:
 
 
 def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -> Command:
-    """The correction that brings the real tool to where the nominal robot's would be, in the robot's own base frame.
+    """The correction that moves the real tool to the position of the nominal robot's, in the robot's own base frame.
 
     The nominal robot is rigid and without effects, as a controller computes. The box is the calibrated robot's joint
     limits [rad], within the angles that the compensator's training saw.
@@ -71,7 +71,7 @@ def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -
     """
     if sources.nominal is None:
         raise InputError(
-            "a command needs the robot as its controller computes it: give --nominal NOMINAL.toml, "
+            "a command needs the controller's model of the robot: give --nominal NOMINAL.toml, "
             "the robot file from before the calibration"
         )
     real, _ = followed(sources)
@@ -106,7 +106,7 @@ def network_of(sources: Sources) -> NetworkFunction:
     Raises InputError where `sources` names no compensator, or one that was refused when it was trained.
     """
     if sources.compensator is None:
-        raise InputError("a network needs its file: give --compensator NET.json, as save_compensator wrote it")
+        raise InputError("a network needs its file: give --compensator NET.json, as calibrate --out wrote it")
     network = _network(sources, _robot(sources.robot).n)
     if network is None:
         raise InputError(
@@ -141,7 +141,7 @@ def _robot(source: Path | Robot) -> Robot:
 
 
 def _word(source: Path | Robot | Compensator | None) -> str:
-    """How messages name a source."""
+    """The name of a source in messages."""
     if isinstance(source, Compensator):
         return "the compensator"
     return source.name if isinstance(source, Robot) else str(source)

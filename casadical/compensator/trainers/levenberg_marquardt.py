@@ -17,7 +17,7 @@ from casadical.compensator.forward import forward
 from casadical.compensator.packing import pack, unpack
 from casadical.compensator.task import Task, random_weights
 from casadical.compensator.trainers.base import Trainer
-from casadical.compensator.trainers.levenberg import Batch, advance, begin_batch
+from casadical.compensator.trainers.damped_least_squares import Batch, advance, begin_batch
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 

@@ -15,8 +15,8 @@ from controller_arms import NAMES, nominal_path, planted, poses, positions, rigi
 from casadical.compensator import Compensator, save_compensator
 from casadical.core.errors import InputError
 from casadical.effects import GearEccentricity, PayloadError, ThermalGrowth
+from casadical.export.controller.commands import Sources, command_of, network_of
 from casadical.export.controller.correction import model_corrector
-from casadical.export.controller.models import Sources, command_of, network_of
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot_file import read_robot, write_robot
 
