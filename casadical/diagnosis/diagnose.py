@@ -5,10 +5,11 @@ from typing import Literal
 
 from casadical.core.errors import InputError
 from casadical.diagnosis.candidates import candidates_of
+from casadical.diagnosis.conclusion import conclude
 from casadical.diagnosis.evidence import SIGMAS
 from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.search import Investigation, Show
+from casadical.diagnosis.search import Show, search
 from casadical.effects import Effect
 from casadical.identification.identification import Identification, identify
 from casadical.identification.least_squares import robust_std
@@ -48,7 +49,8 @@ def diagnose(
         identification = _of(robot, m, show)
     show("signatures of the candidates")
     case = make_case(identification, candidates_of(identification.given, effects))
-    return _refuse_coarse(Investigation(identification, case, seed, bootstrap, show).conclude())
+    state, end, p_nothing = search(case, seed, bootstrap, show)
+    return _refuse_coarse(conclude(identification, state, end, seed, p_nothing))
 
 
 def _of(robot: Robot, m: Measurements, show: Show) -> Identification:

@@ -9,7 +9,6 @@ import pandas as pd
 from casadical.compensator import Compensator, Trainer
 from casadical.core.arrays import Array
 from casadical.diagnosis.cross_validation import FOLDS, covariance, fitted_without, held_out_errors, random_folds
-from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.refit import refit, refit_measurements
 from casadical.diagnosis.result import Diagnosis
@@ -63,11 +62,6 @@ def time_blocks(case: Case) -> Array:
 def of_time(effects: Sequence[Effect]) -> bool:
     """Whether any of the effects follows time or temperature, so that leaving out single poses flatters it."""
     return any(c == "progress" or c.startswith("warmth") for e in effects for c in e.conditions)
-
-
-def scatter(e: Evidence, noise: Noise) -> float:
-    """Of one measured coordinate about the truth, instrument and joint repeatability together [m]."""
-    return float(np.sqrt(np.trace(covariance(e, noise), axis1=1, axis2=2).mean() / 3))
 
 
 def _with_interval(error: Array, pick: Array) -> tuple[float, float, float]:

@@ -14,7 +14,7 @@ from casadical.core.parameters import Parameter
 from casadical.diagnosis.candidates import Candidate, choose
 from casadical.diagnosis.evidence import RHOS, Evidence, Sums
 from casadical.diagnosis.linearisation import Columns, linearise
-from casadical.diagnosis.replicates import replicates
+from casadical.diagnosis.noise_floor import replicates
 from casadical.effects import Effect
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import Identification

@@ -11,7 +11,7 @@ from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, p
 SEEDS, TWO = 6, 0.9
 
 
-def two_causes(case: Case, first: Ranking) -> tuple[str, str] | None:
+def most_probable_pair(case: Case, first: Ranking) -> tuple[str, str] | None:
     """Labels of the two listed causes that explain together what the ranking gives to the unknown, or None.
 
     first : without any cause in the model. The evidence of two is that of one, times that of the other beside it.

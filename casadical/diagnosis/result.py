@@ -8,8 +8,8 @@ import pandas as pd
 
 from casadical.core.arrays import Array
 from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.noise_floor import Replicates
 from casadical.diagnosis.posterior import Ranking
-from casadical.diagnosis.replicates import Replicates
 from casadical.effects import Effect
 from casadical.identification.identification import Identification
 from casadical.measurements.noise import Noise

@@ -14,7 +14,7 @@ from casadical.diagnosis.cross_validation import held_out_errors, random_folds
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.diagnosis.held_out_gap import Stage, check_refit, course, network_gap, of_time, time_blocks
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.replicates import replicates
+from casadical.diagnosis.noise_floor import replicates
 from casadical.effects import FrameDrift, FrictionWindup, ThermalGrowth
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.identification import identify

@@ -11,7 +11,7 @@ from casadical.diagnosis.details import Details
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.linear_problem import make_case
-from casadical.diagnosis.pair_search import two_causes
+from casadical.diagnosis.pair_search import most_probable_pair
 from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.diagnosis.text import page_of
@@ -21,7 +21,7 @@ from casadical.identification.identification import identify
 NOTHING = np.zeros(0, dtype=np.int64)
 
 
-def test_two_causes_are_found_though_their_mixture_looks_like_the_unknown() -> None:
+def test_most_probable_pair_are_found_though_their_mixture_looks_like_the_unknown() -> None:
     hidden = disturbances.JointZeroStep(3, 120e-6), disturbances.FrameDrift(150e-6, 60e-6)
     d = diagnose(robot("kr210"), simulated("kr210", 42, *hidden, n=60))
     assert d.rankings[0].order[0] == "smooth in time"  # no single cause explains
@@ -30,16 +30,19 @@ def test_two_causes_are_found_though_their_mixture_looks_like_the_unknown() -> N
     assert all(c.confidence > 0.9 for c in d.causes)
 
 
-def test_two_causes_are_not_made_of_one_that_is_on_no_list() -> None:
+def test_most_probable_pair_are_not_made_of_one_that_is_on_no_list() -> None:
     r = robot("ur10e")
     m = simulated("ur10e", 31, disturbances.HoseDrag(500e-6))
     case = make_case(identify(r, m, ("kinematic", "compliance"), priors=True), candidates_of(r, "standard"))
     first = rank(case, NOTHING)
     assert first.probability[first.order[0]] > 0.5
     assert not {c.label: c for c in case.candidates}[first.order[0]].listed
-    assert two_causes(case, first) is None
+    assert most_probable_pair(case, first) is None
     few = [c for c in case.candidates if c.label == "backlash@5" or not c.listed]
-    assert two_causes(replace(case, candidates=tuple(few)), rank(replace(case, candidates=tuple(few)), NOTHING)) is None
+    assert (
+        most_probable_pair(replace(case, candidates=tuple(few)), rank(replace(case, candidates=tuple(few)), NOTHING))
+        is None
+    )
 
 
 def test_a_bump_in_a_joints_own_angle_is_unknown_and_its_joint_named() -> None:

@@ -15,8 +15,8 @@ from casadical.diagnosis.isolability import Isolability
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.localisation import BINS, DIRECTIONS, PARTS, Where
 from casadical.diagnosis.next_poses import probability_after
+from casadical.diagnosis.noise_floor import Replicates
 from casadical.diagnosis.posterior import Ranking
-from casadical.diagnosis.replicates import Replicates
 from casadical.diagnosis.result import Cause, Gap, Outlier
 from casadical.diagnosis.statements import missing_columns, not_logged
 from casadical.diagnosis.text import WIDTH, page_of

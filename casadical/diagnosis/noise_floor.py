@@ -1,12 +1,15 @@
-"""Noise from poses that were measured more than once: no model can explain their differences."""
+"""What noise alone leaves: the scatter of repeated poses, and the held-out error that noise of a size gives."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.diagnosis.cross_validation import covariance, held_out_errors, partitions
+from casadical.diagnosis.evidence import Evidence
 from casadical.measurements.measurements import Measurements
+from casadical.measurements.noise import Noise
 
 # Readings that differ by less than this [rad or m] are one pose; the model's own small difference is taken off.
 SAME_POSE = 1e-3
@@ -47,3 +50,26 @@ def replicates(m: Measurements, r: Array, kept: Array) -> Replicates:
     freedom = 3 * int((several - 1).sum())
     sigma = float(np.sqrt((apart**2).sum() / freedom)) if freedom else 0.0
     return Replicates(sigma, int(several.sum()), len(several), freedom)
+
+
+def noise_floor(e: Evidence, noise: Noise, repeated: Replicates, seed: int) -> float:
+    """Mean held-out error [m] if only noise were left: simulated through the same fit.
+
+    noise : as the fit leaves it; repeated poses say its size where there are enough of them
+    """
+    if repeated.enough:
+        scale = repeated.sigma / _scatter(e, noise)
+        noise = Noise(scale * noise.sigma, scale * noise.repeatability)
+    rng = np.random.default_rng(seed)
+    draws = []
+    for folds in partitions(len(e.r), seed):
+        white = noise.sigma * rng.standard_normal(e.r.shape)
+        joints = noise.repeatability * rng.standard_normal((len(e.r), e.Jq.shape[2], 1))
+        fake = replace(e, r=white + (e.Jq @ joints)[:, :, 0], delta0=np.zeros_like(e.delta0))
+        draws.append(held_out_errors(fake, np.zeros(0, dtype=np.int64), noise, folds).mean())
+    return float(np.mean(draws))
+
+
+def _scatter(e: Evidence, noise: Noise) -> float:
+    """Of one measured coordinate about the truth, instrument and joint repeatability together [m]."""
+    return float(np.sqrt(np.trace(covariance(e, noise), axis1=1, axis2=2).mean() / 3))

@@ -1,0 +1,139 @@
+"""From the end of the search to the result: the gap before and after, each cause's share of it, outliers, verdict."""
+
+import numpy as np
+import pandas as pd
+
+from casadical.core.arrays import Array
+from casadical.diagnosis.cross_validation import estimates, partitioned_errors, partitions, remainders, shrink_interval
+from casadical.diagnosis.held_out_gap import Stage, course
+from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.noise_floor import noise_floor, replicates
+from casadical.diagnosis.result import Cause, Diagnosis, Gap, Outlier, Verdict
+from casadical.diagnosis.search import End, State, Step
+from casadical.diagnosis.thresholds import LEAST_SHARE, MISMATCH, MUCH, OUT, SET_SIZE, WORSE
+from casadical.identification.identification import Identification
+from casadical.measurements.noise import Noise
+
+# The screening of outliers has no probability; a cause needs one.
+OUTLIERS_CONFIDENCE = 0.99
+
+
+def conclude(
+    identification: Identification, state: State, end: End, seed: int, p_nothing: float | None = None
+) -> Diagnosis:
+    """The result of a search; end, p_nothing : as of `search`."""
+    case, columns = state.case, state.columns()
+    before = partitioned_errors(case.evidence, columns[:0], state.rankings[0].noise[""], seed)
+    noise = _final_noise(state, end)
+    after = partitioned_errors(case.evidence, columns, noise, seed) if state.steps else before
+    repeated = replicates(case.m, case.whole.r, case.kept)
+    left, distance = remainders(case.whole, columns, noise, case.kept)
+    causes = [_cause(state, step, before, seed) for step in state.steps]
+    before_all, outliers = _outliers_as_cause(case, before, left, distance, seed)
+    gap = Gap(float(before_all.mean()), float(after.mean()), noise_floor(case.evidence, noise, repeated, seed))
+    causes = sorted([*causes, *outliers], key=lambda c: -c.shrink)
+    shrinks = course(case, _stages(state, noise), partitions(int(case.kept.sum()), seed), noise, seed)
+    verdict, rest = _verdict(state, end, gap, bool(causes), shrinks)
+    return Diagnosis(
+        verdict=verdict,
+        causes=tuple(causes),
+        gap=gap,
+        noise=noise,
+        unknown_rest=rest,
+        course=shrinks,
+        replicates=repeated,
+        rankings=state.rankings,
+        outliers=_outliers(case, left, distance),
+        missing=case.missing,
+        case=case,
+        identification=identification,
+        seed=seed,
+        p_nothing=p_nothing,
+    )
+
+
+def _final_noise(state: State, end: End) -> Noise:
+    """The noise that the best model in sight leaves, the unknown included."""
+    last = state.rankings[-1]
+    return last.noise["" if end == "none" else last.order[0]]
+
+
+def _stages(state: State, noise: Noise) -> list[Stage]:
+    """The model as it grows cause by cause; each stage with the noise that it leaves."""
+    names = ["base", *(f"+ {step.labels[0]}" for step in state.steps)]
+    noises = [*(r.noise[""] for r in state.rankings[: len(state.steps)]), noise]
+    return [Stage(name, state.columns(state.steps[:k]), noises[k]) for k, name in enumerate(names)]
+
+
+def _cause(state: State, step: Step, before: Array, seed: int) -> Cause:
+    label, ranking = step.labels[0], step.ranking
+    candidate = state.by_label[label]
+    alone = partitioned_errors(state.case.evidence, state.case.group(step.effects), ranking.noise[label], seed)
+    rivals = [k for k in state.listed(ranking) if k != label and ranking.probability[k] > 0.02]
+    return Cause(
+        effect=candidate.name,
+        joint=candidate.joint,
+        confidence=ranking.probability[label],
+        shrink=float(1 - alone.mean() / before.mean()),
+        shrink_interval=shrink_interval(before, alone, seed),
+        indistinguishable=step.labels[1:] or tuple(rivals[: SET_SIZE - 1]),
+        effects=step.effects,
+        estimates=_estimates(state, step),
+    )
+
+
+def _estimates(state: State, step: Step) -> dict[str, tuple[float, float, str]]:
+    """Parameters of a cause, all causes fitted together."""
+    case, everything = state.case, state.columns()
+    value, error = estimates(case.evidence, everything, step.ranking.noise[step.labels[0]])
+    found = {}
+    for effect in step.effects:
+        places, sizes = np.searchsorted(everything, case.columns[effect]), case.sizes(case.columns[effect])
+        for place, size, (name, (_, unit)) in zip(places, sizes, effect.sizes().items(), strict=True):
+            found[name] = (float(value[place] * size), float(error[place] * size), unit)
+    return found
+
+
+def _outliers(case: Case, left: Array, distance: Array) -> tuple[Outlier, ...]:
+    """Poses left out, the farthest first; left, distance : as of `remainders`."""
+    out = sorted(np.flatnonzero(~case.kept), key=lambda i: -left[i])
+    return tuple(Outlier(int(case.m.row[i]), float(left[i]), float(np.sqrt(distance[i]))) for i in out)
+
+
+def _outliers_as_cause(
+    case: Case, before: Array, left: Array, distance: Array, seed: int
+) -> tuple[Array, tuple[Cause, ...]]:
+    """Errors of all poses, outliers included, and the outliers as a cause; a single one only if it is far out."""
+    out = ~case.kept
+    count = int(out.sum())
+    if count == 0 or (count == 1 and distance[out][0] < 2 * OUT):
+        return before, ()
+    whole = np.concatenate([before, left[out]])
+    shrink = float(1 - before.mean() / whole.mean())
+    interval = shrink_interval(whole, np.concatenate([before, np.full(count, before.mean())]), seed)
+    return whole, (Cause("outliers", None, OUTLIERS_CONFIDENCE, shrink, interval, ()),)
+
+
+def _verdict(state: State, end: End, gap: Gap, found: bool, shrinks: pd.DataFrame) -> tuple[Verdict, float]:
+    """The verdict, and the share of the gap that no named cause explains."""
+    rest = max(0.0, (gap.after - gap.floor) / gap.before)
+    if not found or (end == "unknown" and not state.steps):
+        return ("unknown" if end in ("unknown", "ambiguous") else "none"), rest
+    share = (gap.before - gap.after) / max(gap.before - gap.floor, 1e-9)
+    if share < LEAST_SHARE and (end == "unknown" or rest > MUCH):
+        return "unknown", rest
+    if end == "unknown" and _remainder(state) > MISMATCH:
+        return "unknown", rest
+    if state.steps and len(state.steps[0].labels) > 1:
+        return "ambiguous", rest
+    blocks = shrinks["blocks_mm"].to_numpy()
+    if blocks[-1] > WORSE * blocks[0]:  # what does not hold over time explains nothing
+        return "unknown", rest
+    return "explained", rest
+
+
+def _remainder(state: State) -> float:
+    """Evidence of the remainder, as a share of that of the causes."""
+    claimed = sum(s.ranking.log_factor[s.labels[0]] for s in state.steps)
+    last = state.rankings[-1]
+    return last.log_factor[last.order[0]] / claimed if claimed > 0 else 0.0
