@@ -23,8 +23,9 @@ def neighbours(effect: Effect, fineness: float) -> list[Effect]:
         value = getattr(effect, f.name)
         if not isinstance(value, float) or f.metadata.get("given"):
             continue
-        if "spacing" in f.metadata:
-            moved = [value + step * fineness * f.metadata["spacing"] for step in (-0.67, -0.33, 0.33, 0.67)]
+        if f.metadata.get("steps"):
+            first, second = f.metadata["grid"][:2]
+            moved = [value + step * fineness * (second - first) for step in (-0.67, -0.33, 0.33, 0.67)]
         else:
             moved = [value * float(np.exp(step * fineness)) for step in (-0.5, -0.25, 0.25, 0.5)]
         settings: list[dict[str, Any]] = [{f.name: v} for v in moved if v > 0 or f.metadata.get("signed")]

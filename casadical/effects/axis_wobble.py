@@ -1,13 +1,12 @@
 """A joint's axis tilts and shifts as it turns."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
 
-from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic, small_frame
-from casadical.effects.base import Context, Effect
+from casadical.effects.base import Context, Effect, setting
 
 
 @dataclass(frozen=True)
@@ -18,18 +17,15 @@ class AxisWobble(Effect):
     and one more as seen from the link behind it
     """
 
-    cycles: int = 1
-    still: bool = False
+    cycles: int = setting(1, (1, 2))
+    still: bool = setting(False, (False, True))
 
     name = "axis_wobble"
     on_list = "standard"
+    acts_at = "turning joints"
     signature = "an axis that tilts and shifts as it turns (bearing, eccentric flange)"
     physics = "Bearing run-out: the axis of rotation tilts and translates periodically (ISO 230-7)."
     confused_with = "base_compliance for joint 1; gear_eccentricity of neighbours"
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        return (cls(j, cycles, still) for j in arm.revolute for cycles in (1, 2) for still in (False, True))
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         parts = [f"{c}_{f}" for c in ("rx", "ry", "x", "y") for f in ("sin", "cos")]

@@ -8,8 +8,9 @@ needs; the defaults leave the model as it is.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from itertools import product
 from typing import Any, ClassVar, Self, get_type_hints
 
 import casadi as ca
@@ -76,15 +77,32 @@ CHOSEN = 8.0
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 
 
+def setting(
+    default: Any,
+    grid: Sequence[Any] = (),
+    *,
+    steps: bool = False,
+    signed: bool = False,
+    given: bool = False,
+    joint: bool = False,
+) -> Any:
+    """A field of an effect in which it is not linear.
+
+    grid : values of the candidates; between them the diagnosis refines a setting of type float, by factors
+    steps : rather by steps, shares of the grid's first one; signed : below zero too
+    given : only a user can know it (a gear ratio): it is not refined; joint : it is the number of a joint
+    """
+    how = {"grid": tuple(grid), "steps": steps, "signed": signed, "given": given, "joint": joint}
+    return field(default=default, metadata=how)
+
+
 @dataclass(frozen=True)
 class Effect:
     """One unmodelled effect. Subclass it, name it, give its parameters, and override the seams it acts at.
 
     joint : 1-based, of effects that belong to a joint
 
-    Further fields are settings, in which the effect is not linear. The diagnosis refines those of type float between
-    the points of the grid: by factors, or by steps where `metadata` give a "spacing" ("signed" allows negative ones);
-    none that is "given" (a known gear ratio). "joint" says that a setting is the number of a joint.
+    Further fields are settings, in which the effect is not linear (see `setting`).
     """
 
     joint: int | None = None
@@ -96,6 +114,8 @@ class Effect:
     on_list: ClassVar[str] = ""
     # Another effect's name under which it is a candidate and an answer, as one more law of the same cause.
     answers_as: ClassVar[str] = ""
+    # Where candidates of it may act: arm, joints, turning joints; if it is not said, joints where it adds an `angle`.
+    acts_at: ClassVar[str] = ""
     # Columns that must have been logged.
     needs: ClassVar[tuple[str, ...]] = ()
     # What the data show of it (in brackets: mechanical causes that share it), its physics and source, what looks alike.
@@ -109,8 +129,12 @@ class Effect:
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """The effect with its settings on a grid, for an arm; by default once, at every joint if it adds an `angle`."""
-        return (cls(j) for j in arm.numbers) if cls.angle is not Effect.angle else (cls(),)
+        """The effect with its settings on a grid, by default all combinations, wherever it may act (`acts_at`)."""
+        place = cls.acts_at or ("arm" if cls.angle is Effect.angle else "joints")
+        joints = {"arm": (None,), "joints": arm.numbers, "turning joints": arm.revolute}[place]
+        grids = {f.name: f.metadata["grid"] for f in fields(cls) if f.metadata.get("grid")}
+        points = [dict(zip(grids, point, strict=True)) for point in product(*grids.values())]
+        return (cls(joint, **point) for joint in joints for point in points)
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterable[tuple[Effect, ...]]:

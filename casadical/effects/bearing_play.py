@@ -1,13 +1,12 @@
 """Play of a bearing across its axis: it tilts under the moment of the weight beyond it and moves along the load."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
 
-from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic, small_frame, translate
-from casadical.effects.base import Context, Effect
+from casadical.effects.base import Context, Effect, setting
 
 
 @dataclass(frozen=True)
@@ -17,20 +16,17 @@ class BearingPlay(Effect):
     The last joint's bearing stands for the tool flange too.
     """
 
-    soft: float = 0.3
+    soft: float = setting(0.3, (0.1, 0.3))
 
     name = "bearing_play"
     on_list = "extended"
+    acts_at = "joints"
     signature = "a bearing or flange that rocks under the weight beyond it"
     physics = (
         "A bearing or a bolted flange holds the moment across its axis by its tilting stiffness, after play; its inner "
         "ring drops along the load by the radial play (ISO 5753-1; Harris, Rolling Bearing Analysis)."
     )
     confused_with = "link_flexure of the links beside it; axis_wobble; payload_error at the flange"
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        return (cls(j, soft) for j in arm.numbers for soft in (0.1, 0.3))
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {"rock": (60e-6, "rad"), "drop": (30e-6, "m")}

@@ -1,18 +1,18 @@
 """A joint is deflected by the torque of another one."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Context, Effect
+from casadical.effects.base import Context, Effect, setting
 
 
 @dataclass(frozen=True)
 class CrossCoupling(Effect):
     """source : the joint (1-based) whose torque moves this one."""
 
-    source: int = field(default=1, metadata={"joint": True})
+    source: int = setting(1, joint=True)
 
     name = "cross_coupling"
     on_list = "extended"

@@ -1,20 +1,19 @@
 """The measuring frame creeps against the robot with time."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import casadi as ca
 
-from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Context, Effect
+from casadical.effects.base import Context, Effect, setting
 
 
 @dataclass(frozen=True)
 class FrameDrift(Effect):
     """shape : power of time; 1 creeps steadily, less settles, more comes late."""
 
-    shape: float = field(default=1.0, metadata={"spacing": 0.5})
+    shape: float = setting(1.0, (0.5, 1.0, 2.0), steps=True)
 
     name = "frame_drift"
     on_list = "standard"
@@ -23,10 +22,6 @@ class FrameDrift(Effect):
     needs = ("progress",)
     physics = "Tripods settle and floors warm: the instrument's frame moves some tens of micrometres an hour."
     confused_with = "thermal_growth and thermal_zero_drift while the temperature only rises; a step in time"
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        return (cls(None, s) for s in (0.5, 1.0, 2.0))
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return dict.fromkeys("xyz", (6e-05, "m")) | {f"r{c}": (25e-6, "rad") for c in "xyz"}

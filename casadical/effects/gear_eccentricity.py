@@ -1,11 +1,10 @@
 """Once-per-turn error of a joint's gear or encoder, with some second harmonic."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
 
-from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect
 
@@ -14,16 +13,13 @@ from casadical.effects.base import Context, Effect
 class GearEccentricity(Effect):
     name = "gear_eccentricity"
     on_list = "standard"
+    acts_at = "turning joints"
     signature = "once-per-turn error (gear, encoder disc, coupling; balancer on joint 2)"
     physics = (
         "A wheel or code disc whose centre is off the axis by e reads e/r sin(q - phase) wrong (Mooring, Roth and "
         "Driels 1991, ch. 2); linear in the sine and cosine parts."
     )
     confused_with = "joint_scale over less than a turn; gravity_compensator on joint 2; axis_wobble"
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        return (cls(j) for j in arm.revolute)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {"sin1": (40e-6, "rad"), "cos1": (40e-6, "rad"), "sin2": (12e-6, "rad"), "cos2": (12e-6, "rad")}

@@ -1,13 +1,12 @@
 """Errors of a gear of known ratio: one and two cycles a turn of its fast side."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import casadi as ca
 
-from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Context, Effect
+from casadical.effects.base import Context, Effect, setting
 
 # Usual ratios of strain-wave and cycloid gears; a gear of another ratio is a candidate of its own, GearMesh(3, 171.5).
 RATIOS = (50.0, 80.0, 100.0, 120.0, 160.0)
@@ -17,20 +16,17 @@ RATIOS = (50.0, 80.0, 100.0, 120.0, 160.0)
 class GearMesh(Effect):
     """ratio : turns of the motor, wave generator or pinion a turn of the joint; from the data sheet, to 1 in 1000"""
 
-    ratio: float = field(default=100.0, metadata={"given": True})
+    ratio: float = setting(100.0, RATIOS, given=True)
 
     name = "gear_mesh"
     on_list = "extended"
+    acts_at = "turning joints"
     signature = "periodic error once and twice a turn of the motor or wave generator"
     physics = (
         "Run-out of the motor's shaft repeats N times a turn of the joint, the two lobes of a wave generator 2N times "
         "(Tuttle and Seering 1996). Joint readings must not be rounded to more than a hundredth of 1/N turn."
     )
     confused_with = "joint repeatability, if the ratio is not exact"
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        return (cls(j, ratio) for j in arm.revolute for ratio in RATIOS)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return dict.fromkeys(("sin1", "cos1", "sin2", "cos2"), (20e-6, "rad"))

@@ -1,14 +1,14 @@
 """An unmodelled balancing spring on joint 2."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 
 from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Context, Effect
+from casadical.effects.base import Context, Effect, setting
 from casadical.effects.counterparts import Balancer, Counterparts
 
 PHASES = tuple(float(p) for p in np.deg2rad(np.arange(0, 360, 30)))
@@ -21,8 +21,8 @@ class GravityCompensator(Effect):
     phase : reading at which spring, joint and lever lie in line [rad]
     """
 
-    anchor: float = 2.0
-    phase: float = field(default=0.0, metadata={"spacing": PHASES[1] - PHASES[0], "signed": True})
+    anchor: float = setting(2.0, (1.2, 2.0, 4.0))
+    phase: float = setting(0.0, PHASES, steps=True, signed=True)
 
     name = "gravity_compensator"
     on_list = "standard"
@@ -35,7 +35,7 @@ class GravityCompensator(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        return (cls(2, a, p) for a in (1.2, 2.0, 4.0) for p in PHASES) if arm.n >= 2 else ()
+        return (effect for effect in super().candidates(arm) if effect.joint == 2)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         # Shares of the joint's great torque.

@@ -8,7 +8,7 @@ import numpy as np
 
 from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic, apply
-from casadical.effects.base import Context, Effect
+from casadical.effects.base import Context, Effect, setting
 
 
 @dataclass(frozen=True)
@@ -18,8 +18,8 @@ class HoseDrag(Effect):
     side : how far beside the forearm, as a share of its length
     """
 
-    clip: float = 0.7
-    side: float = 0.1
+    clip: float = setting(0.7, (0.3, 0.6, 0.9))
+    side: float = setting(0.1, (0.0, 0.2))
 
     name = "hose_drag"
     on_list = "extended"
@@ -32,7 +32,7 @@ class HoseDrag(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        return (cls(None, clip, side) for clip in (0.3, 0.6, 0.9) for side in (0.0, 0.2)) if arm.n >= 6 else ()
+        return super().candidates(arm) if arm.n >= 6 else ()
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         # Torque at the last joint but one, as a share of its great torques.

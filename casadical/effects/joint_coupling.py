@@ -1,18 +1,18 @@
 """A joint turns by a fraction of another joint's reading."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Context, Effect
+from casadical.effects.base import Context, Effect, setting
 
 
 @dataclass(frozen=True)
 class JointCoupling(Effect):
     """source : the joint (1-based) whose reading moves this one."""
 
-    source: int = field(default=1, metadata={"joint": True})
+    source: int = setting(1, joint=True)
 
     name = "joint_coupling"
     on_list = "standard"

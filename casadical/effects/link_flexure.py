@@ -1,14 +1,14 @@
 """A link bends and twists under the weight beyond it."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
 from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic, small_frame, translate
-from casadical.effects.base import Context, Effect
+from casadical.effects.base import Context, Effect, setting
 from casadical.effects.counterparts import Counterparts
 
 # A link shorter than this share of the longest bends a thirtieth of it.
@@ -19,7 +19,7 @@ BEAM = 0.3
 class LinkFlexure(Effect):
     """member : the link (1-based) that bends."""
 
-    member: int = field(default=2, metadata={"joint": True})
+    member: int = setting(2, joint=True)
 
     name = "link_flexure"
     on_list = "standard"

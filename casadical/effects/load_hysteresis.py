@@ -1,20 +1,19 @@
 """A joint's spring holds back part of its deflection against the last motion, the more the higher the load."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
 
-from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Context, Effect
+from casadical.effects.base import Context, Effect, setting
 
 
 @dataclass(frozen=True)
 class LoadHysteresis(Effect):
     """power : of the load in the loop's half width; 1 dry friction in the teeth, 2 inner friction of the material"""
 
-    power: int = 1
+    power: int = setting(1, (1, 2))
 
     name = "load_hysteresis"
     on_list = "extended"
@@ -24,10 +23,6 @@ class LoadHysteresis(Effect):
         "with its square (inner friction, as in Rayleigh's law). Nothing of it is left at an idle joint."
     )
     confused_with = "friction_windup, its load-dependent part; both approaches without load distinguish them"
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        return (cls(j, power) for j in arm.numbers for power in (1, 2))
 
     @property
     def conditions(self) -> tuple[str, ...]:

@@ -1,13 +1,12 @@
 """A joint is softer at small torque than at large."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
 
-from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Context, Effect
+from casadical.effects.base import Context, Effect, setting
 from casadical.effects.counterparts import Counterparts
 
 # tanh(x) is nearest to SLOPE x that stops at STOP, off by OFF at most.
@@ -18,7 +17,7 @@ SLOPE, STOP, OFF = 0.76, 0.92, 0.083
 class NonlinearStiffness(Effect):
     """knee : torque at which the joint has stiffened, as a share of its great torques."""
 
-    knee: float = 0.3
+    knee: float = setting(0.3, (0.1, 0.2, 0.4, 0.7))
 
     name = "nonlinear_stiffness"
     on_list = "standard"
@@ -28,10 +27,6 @@ class NonlinearStiffness(Effect):
         "(Kircanski and Goldenberg 1997)."
     )
     confused_with = "backlash on the side of the gravity torque; cubic stiffness; payload_error"
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        return (cls(j, k) for j in arm.numbers for k in (0.1, 0.2, 0.4, 0.7))
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {"bend": (60e-6, "rad")}

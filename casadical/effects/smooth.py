@@ -5,14 +5,14 @@ other and its marginal likelihood competes with those of named causes on equal t
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import combinations
 
 import casadi as ca
 
 from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Context, Effect
+from casadical.effects.base import Context, Effect, setting
 
 SIZE = 30e-6
 SIZE_LENGTH = 30e-6
@@ -42,7 +42,7 @@ class _Series(Effect):
 class SmoothInJoint(_Series):
     """A smooth function of joint `driver`."""
 
-    driver: int = field(default=1, metadata={"joint": True})
+    driver: int = setting(1, joint=True)
 
     name = "unknown_in_joint"
     on_list = "unknown"
@@ -89,8 +89,8 @@ class AnyOfOwnAngle(Effect):
 class SmoothInJoints(_Series):
     """A smooth function of two joints together."""
 
-    first: int = field(default=1, metadata={"joint": True})
-    second: int = field(default=2, metadata={"joint": True})
+    first: int = setting(1, joint=True)
+    second: int = setting(2, joint=True)
 
     name = "unknown_in_joints"
     on_list = "unknown"

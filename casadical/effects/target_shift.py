@@ -1,13 +1,12 @@
 """The reflector moves once in its nest."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import casadi as ca
 
-from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Context, Effect
+from casadical.effects.base import Context, Effect, setting
 from casadical.effects.grids import TIMES
 
 
@@ -15,7 +14,7 @@ from casadical.effects.grids import TIMES
 class TargetShift(Effect):
     """at : when, as a share of the campaign."""
 
-    at: float = field(default=0.5, metadata={"spacing": TIMES[1] - TIMES[0]})
+    at: float = setting(0.5, TIMES, steps=True)
 
     name = "target_shift"
     on_list = "standard"
@@ -24,10 +23,6 @@ class TargetShift(Effect):
     needs = ("progress",)
     physics = "A reflector that is reseated or knocked sits elsewhere by tens of micrometres (ISO 10360-10)."
     confused_with = "joint_zero_step of the last joints at the same time"
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        return (cls(None, t) for t in TIMES)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return dict.fromkeys("xyz", (6e-05, "m"))

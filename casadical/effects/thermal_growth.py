@@ -1,13 +1,12 @@
 """Links lengthen with temperature, which follows the sensor with a lag."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
 
-from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Context, Effect
+from casadical.effects.base import Context, Effect, setting
 from casadical.effects.grids import LAGS
 
 
@@ -15,7 +14,7 @@ from casadical.effects.grids import LAGS
 class ThermalGrowth(Effect):
     """lag : time constant with which the links follow the sensor [s]."""
 
-    lag: float = 600.0
+    lag: float = setting(600.0, LAGS)
 
     name = "thermal_growth"
     on_list = "standard"
@@ -23,10 +22,6 @@ class ThermalGrowth(Effect):
     needs = ("temperature_degC",)
     physics = "Every link length grows by alpha dT: steel 11.5e-6, aluminium 23e-6 per K (ISO 230-3)."
     confused_with = "thermal_zero_drift; frame_drift while the temperature only rises"
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        return (cls(None, lag) for lag in LAGS)
 
     @property
     def conditions(self) -> tuple[str, ...]:

@@ -1,11 +1,10 @@
 """A joint's zero drifts with temperature."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
-from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Context, Effect
+from casadical.effects.base import Context, Effect, setting
 from casadical.effects.grids import LAGS
 
 
@@ -13,7 +12,7 @@ from casadical.effects.grids import LAGS
 class ThermalZeroDrift(Effect):
     """lag : time constant with which the joint follows the sensor [s]."""
 
-    lag: float = 600.0
+    lag: float = setting(600.0, LAGS)
 
     name = "thermal_zero_drift"
     on_list = "standard"
@@ -21,10 +20,6 @@ class ThermalZeroDrift(Effect):
     needs = ("temperature_degC",)
     physics = "Encoder mounts and gear housings turn with temperature by some urad per K (Gong, Yuan and Ni 2000)."
     confused_with = "thermal_growth; joint_zero_step and frame_drift while the temperature only rises"
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        return (cls(j, lag) for j in arm.numbers for lag in LAGS)
 
     @property
     def conditions(self) -> tuple[str, ...]:

@@ -1,14 +1,13 @@
 """Periodic transmission error: gear mesh, wave generator or cycloid, many cycles a joint turn."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Context, Effect
+from casadical.effects.base import Context, Effect, setting
 
 CYCLES = tuple(float(c) for c in np.arange(2, 32.01, 0.5))
 
@@ -17,19 +16,16 @@ CYCLES = tuple(float(c) for c in np.arange(2, 32.01, 0.5))
 class TransmissionRipple(Effect):
     """cycles : per turn of the joint; known from the gear ratio (N, 2N), else found on a grid."""
 
-    cycles: float = field(default=2.0, metadata={"spacing": CYCLES[1] - CYCLES[0]})
+    cycles: float = setting(2.0, CYCLES, steps=True)
 
     name = "transmission_ripple"
     on_list = "standard"
+    acts_at = "turning joints"
     signature = "periodic error at a fixed number of cycles a turn (mesh, wave generator)"
     physics = (
         "Meshing and wave-generator errors repeat N and 2N times a turn (Tuttle and Seering 1996, harmonic drives)."
     )
     confused_with = "gear_eccentricity at two cycles; any smooth periodic error of the same joint"
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        return (cls(j, c) for j in arm.revolute for c in CYCLES)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {"sin": (25e-6, "rad"), "cos": (25e-6, "rad")}

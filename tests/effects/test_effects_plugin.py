@@ -15,21 +15,17 @@ NAME = "ur10e"
 MODULE = '''
 from dataclasses import dataclass
 import casadi as ca
-from casadical.effects import Effect
+from casadical.effects import Effect, setting
 
 @dataclass(frozen=True)
 class Cable(Effect):
     """A cable pulls the joint towards its middle, stiffly at the ends of its range."""
 
-    power: float = 3.0
+    power: float = setting(3.0, (2.0, 3.0))
 
     name = "toy_cable"
     signature = "a pull that grows towards the ends of the range"
     physics = "A loop of cable is shortest in the middle of its range."
-
-    @classmethod
-    def candidates(cls, arm):
-        return (cls(j, power) for j in arm.revolute for power in (2.0, 3.0))
 
     def sizes(self):
         return {"pull": (20e-6, "rad")}
