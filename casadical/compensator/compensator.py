@@ -38,8 +38,8 @@ class Compensator:
     training, choice, validation : errors without and with the trained network, also when it was refused; ``choice`` are
     poses it was not trained on and that decided (see ``chosen_by``), ``validation`` had no part in any choice.
     trained_box : the joint angles seen in training [rad]. data_sha256 : of the training data.
-    trained, history : the network as trained, also when it was refused, and (step, loss [mm^2]) of its training; both
-    are of the fit and not kept in files.
+    trained, history : the network as trained, also when it was refused, and (step, loss [mm^2]) of its training; they
+    exist after a fit only and are not saved.
     """
 
     network: Network | None

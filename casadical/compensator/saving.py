@@ -41,7 +41,7 @@ def _body(compensator: Compensator) -> dict[str, Any]:
 def load_compensator(path: str | os.PathLike[str]) -> Compensator:
     """Read a compensator that `save_compensator` wrote.
 
-    Raises InputError when the file is missing, truncated, changed, of another kind or version, or does not fit itself.
+    Raises InputError when the file is missing, truncated, changed, of another kind or version, or inconsistent.
     """
     body = read_checksummed(path, KIND, VERSION)
     try:
@@ -49,7 +49,7 @@ def load_compensator(path: str | os.PathLike[str]) -> Compensator:
     except InputError as error:
         raise InputError(f"{path} does not hold a usable compensator: {error}") from None
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path} lacks or garbles a field of a compensator: {error!r}") from None
+        raise InputError(f"{path} lacks a field of a compensator, or has a wrong one: {error!r}") from None
 
 
 _PLAIN = ("chosen_by", "margin", "trainer", "settings", "note", "seed", "data_sha256")

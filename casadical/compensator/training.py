@@ -68,8 +68,8 @@ def train_all(
     """Train one network for each task, one after the other.
 
     every : steps between two calls of ``progress``, two checkpoints and two entries of the history.
-    checkpoint : file to write the state to. When it is there already the job goes on from it, and ends with bit for bit
-    the same weights as an uncut one (on the same machine and libraries). It stays when the job is done.
+    checkpoint : file to write the state to. If it exists, the job continues from it and ends with exactly the weights
+    of an uninterrupted one (on the same machine and libraries). It is kept when the job is done.
     Raises InputError when the checkpoint is damaged or belongs to other data, settings or seed.
     """
     if every < 1:
@@ -83,7 +83,7 @@ def train_all(
 
 
 class _Job:
-    """Trainings in progress: those done, and the run, with its history, of the one in hand."""
+    """Trainings in progress: those done, and the run of the current one with its history."""
 
     def __init__(self, tasks: list[Task], trainer: Trainer, seed: int, path: str | os.PathLike[str] | None, every: int):
         self.tasks, self.trainer, self.seed, self.path, self.every = tasks, trainer, seed, path, every
@@ -99,7 +99,7 @@ class _Job:
         return self.tasks[len(self.done)] if len(self.done) < len(self.tasks) else None
 
     def step(self) -> None:
-        """Go ``every`` steps on, or to the end of the training in hand, and write the checkpoint."""
+        """Do ``every`` steps, or those left of the current training, and write the checkpoint."""
         task = self.task
         assert task is not None
         if self.run is None:

@@ -1,8 +1,8 @@
-"""The errors a user can meet; each message says what was wrong, the value, what is allowed, and what to do."""
+"""The errors of the package; each message says what is wrong, the value, what is allowed, and what to do."""
 
 
 class CasadicalError(Exception):
-    """Base of every error that casadical raises on purpose."""
+    """Base class of all errors that casadical raises deliberately."""
 
 
 class InputError(CasadicalError, ValueError):

@@ -1,4 +1,4 @@
-"""Results are written whole or not at all."""
+"""Files are written completely or not at all."""
 
 import json
 import os
@@ -16,7 +16,7 @@ def json_text(data: Any) -> str:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write text to a file by way of a temporary one beside it, so that no half-written file is ever seen.
+    """Write text to a temporary file beside the target and rename it, so that no half-written file is ever seen.
 
     Raises InputError if it cannot be written there.
     """
@@ -48,7 +48,7 @@ def write_together(contents: Mapping[Path, str | bytes]) -> None:
 
 
 def _umask() -> int:
-    """The permissions that new files of this process lack; they can only be read by setting them."""
+    """The process's umask, which can only be read by setting it."""
     mask = os.umask(0)
     os.umask(mask)
     return mask

@@ -11,7 +11,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 
-# SI unit -> (unit people read, factor)
+# SI unit -> (unit of reports, factor)
 _READABLE = {"m": ("mm", 1e3), "rad": ("deg", 180 / np.pi), "rad/(N m)": ("urad/(N m)", 1e6), "": ("", 1.0)}
 
 # Words that stand for several groups.
@@ -29,10 +29,10 @@ class Parameter:
     group : base, geometry, loop, tool, compliance, or the name of an effect
     unit : SI unit
     value : nominal value [unit]
-    scale : the size that counts as one in the solver: 1 mm, 1 mrad [unit]
+    scale : unit of the solver's variable: 1 mm, 1 mrad [unit]
     lower, upper : bounds [unit]
-    prior : one sigma of what the value may depart from nominal [unit]
-    held : why it is never identified; empty if it may be
+    prior : one sigma of the deviation from nominal [unit]
+    held : why it is never identified; empty if it can be
     """
 
     name: str
@@ -50,7 +50,7 @@ class Parameter:
         return _READABLE.get(self.unit, (self.unit, 1.0))[0]
 
     def readable(self, value: float) -> float:
-        """A value [SI] in the unit people read (mm, deg, urad/(N m))."""
+        """A value [SI] in the unit of reports (mm, deg, urad/(N m))."""
         return value * _READABLE.get(self.unit, (self.unit, 1.0))[1]
 
 

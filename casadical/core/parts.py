@@ -1,4 +1,4 @@
-"""What a robot is made of: rows with their joints and bodies, four-bars, base and tool, how far each may be off."""
+"""The parts of a robot: rows with joints and bodies, four-bars, base and tool, and the sizes of their errors."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -79,7 +79,7 @@ class FourBar:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """A frame given by its nominal transform T, shape (4, 4) [m], and what of it is to be identified."""
+    """A frame given by its nominal transform T, shape (4, 4) [m], and which part of it is identified."""
 
     T: Array
     unknown: Literal["none", "position", "pose"] = "none"

@@ -14,7 +14,7 @@ from casadical.core.errors import InputError
 
 
 class FaultError(ValueError):
-    """What is wrong with the value at a place inside of the table that is being checked."""
+    """A fault of the value at a place in the table that is checked."""
 
     def __init__(self, place: str | tuple[int | str, ...], text: str) -> None:
         super().__init__(text)
@@ -23,7 +23,7 @@ class FaultError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Quantity:
-    """What a number measures: the unit suffixes that its key may have, each with its factor to SI."""
+    """A physical quantity: the unit suffixes that its key may have, each with its factor to SI."""
 
     factors: Mapping[str, float]
 
@@ -130,7 +130,7 @@ _LIMITS = {"most": "max_length", "least": "min_length"}
 
 
 def _text(error: Any) -> str:
-    """What pydantic says, in our words."""
+    """Pydantic's message in the words of our messages."""
     if error["type"] in ("too_long", "too_short"):
         wanted = next(f"at {w} {error['ctx'][k]}" for w, k in _LIMITS.items() if k in error["ctx"])
         return f"must have {wanted} entries, not {error['ctx']['actual_length']}"

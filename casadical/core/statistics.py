@@ -6,7 +6,7 @@ from statistics import NormalDist
 def student_t(probability: float, degrees_of_freedom: int) -> float:
     """Quantile of Student's t distribution, by the Cornish-Fisher series (Abramowitz and Stegun 26.7.5).
 
-    Right to 0.5 % from 3 degrees of freedom on at 97.5 %, to 1e-5 from 15 on.
+    Accurate to 0.5 % from 3 degrees of freedom at 97.5 %, to 1e-5 from 15.
     """
     z, n = NormalDist().inv_cdf(probability), max(1, degrees_of_freedom)
     g1 = (z**3 + z) / 4

@@ -1,7 +1,7 @@
 """Levenberg-Marquardt for many small networks at once, with a ridge on the weights.
 
 Problem p minimises  sum_n m[p, n] |outputs - targets|^2 + ridge[p] * sum of squared weights, biases of the output layer
-left out. The sample weights m of a problem sum to one, so that a large ridge leaves the mean residual and no more.
+left out. The sample weights m of a problem sum to one, so that a large ridge leaves the mean residual only.
 Damping after Nielsen (1999), IMM-REP-1999-05.
 """
 
@@ -53,7 +53,7 @@ def penalised_cost(task: Task, weights: Array, samples: Array, ridge: Array) -> 
 
 
 def advance(task: Task, batch: Batch, samples: Array, ridge: Array, tolerance: float = 1e-7) -> Batch:
-    """Do one damped step of every active problem; it rests once a step gains under ``tolerance`` of its cost."""
+    """Do one damped step of every active problem; one ends when a step gains less than ``tolerance`` of its cost."""
     at = np.flatnonzero(batch.active)
     new = {name: getattr(batch, name).copy() for name in ("weights", "damping", "growth", "cost", "active")}
     size = max(1, _CHUNK // (task.layout.count * task.targets.size))

@@ -1,10 +1,10 @@
 """Levenberg-Marquardt with restarts and a ridge chosen by cross-validation.
 
-First the ridge: every fold is trained from a few random starts at the weakest ridge, then, warm, at stronger and
-stronger ones; the ridge with the smallest mean square error on the held-out poses wins. (The other way round a ridge
-that is too strong would end the search: it leaves no network, all weights zero, and from there no weaker ridge finds
-out again.) Then the network: restarts at that ridge on all poses; the one of lowest cost wins. Minimises the mean
-square error; the paper's maximum term has no part in it.
+First the ridge: every fold is trained from a few random starts at the weakest ridge, then from there at stronger and
+stronger ones; the ridge with the smallest mean square error on the held-out poses is taken. (From strong to weak a
+ridge that is too strong would end the search: it sets all weights to zero, a stationary point of every weaker ridge.)
+Then the network: restarts at that ridge on all poses, of which the one with the lowest cost is taken. The cost is the
+mean square error, without the paper's maximum term.
 """
 
 from dataclasses import dataclass, field

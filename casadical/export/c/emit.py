@@ -21,7 +21,7 @@ def template(name: str) -> str:
 
 
 def filled(text: str, values: dict[str, str]) -> str:
-    """Replace every @key@ of a template; a key without a value is our own mistake and raises KeyError."""
+    """Replace every @key@ of a template; a key without a value raises KeyError."""
     return re.sub(r"@([\w:.\-]+)@", lambda match: values[match.group(1)], text)
 
 

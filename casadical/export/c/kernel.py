@@ -19,7 +19,7 @@ from casadical.export.c.toolchain import Compiler, compilers, shared_library
 
 @dataclass(frozen=True)
 class Shape:
-    """What must be known of an export to call it: its C name, real type, joints, and outputs of each function."""
+    """What is needed to call an export: its C name, real type, joints, and number of outputs of each function."""
 
     name: str
     real: Real

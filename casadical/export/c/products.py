@@ -1,6 +1,6 @@
 """What can be exported: a network alone, or the whole correction of a joint command."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import casadi
@@ -12,11 +12,15 @@ from casadical.core.errors import InputError
 
 @dataclass(frozen=True)
 class Limits:
-    """What the correction may do at most, and when it says that it did not get there.
+    """Limits of the correction, and when a result is reported as not reached.
 
-    delta_rad bounds each joint's correction, step_rad each of its least-squares steps, rate_rad_s its change in time;
-    ramp_s is the time from no correction to all of it. A remaining error above tolerance_mm is reported, and so is a
-    pose whose weakest direction moves the tool by less than about singular_m_per_rad.
+    delta_rad, step_rad : of each joint's correction and of each of its least-squares steps [rad]
+    rate_rad_s, ramp_s : rate at which a correction may change [rad/s]; time from none to all of it [s]
+    cycle_s : of the controller [s]; damping : lambda of the least squares [m/rad]
+    singular_m_per_rad : a pose whose weakest direction moves the tool by less than about this is reported [m/rad]
+    tolerance_mm : a larger remaining error is reported [mm]
+
+    Raises InputError for a limit that is not positive.
     """
 
     delta_rad: float = 0.15
@@ -24,7 +28,7 @@ class Limits:
     rate_rad_s: float = 0.5
     cycle_s: float = 0.004
     ramp_s: float = 1.0
-    damping: float = 0.01  # lambda [m/rad]; lambda^2 = 1e-4
+    damping: float = 0.01
     singular_m_per_rad: float = 0.07
     tolerance_mm: float = 0.05
 
@@ -49,7 +53,7 @@ class NetworkFunction:
 
 @dataclass(frozen=True)
 class Command:
-    """The correction of joint commands: where the nominal robot would be is where the real tool shall be.
+    """The correction of joint commands: it moves the real tool to the position of the nominal robot's tool.
 
     nominal, calibrated : q[n] -> p[3] [m], or q[n] -> (p[3], R[3x3]) for position and orientation; the calibrated one
         is the whole model of the real robot (loop, compliance, network).
@@ -58,10 +62,10 @@ class Command:
         function like ``calibrated``, which it is when not given) with respect to its joints, at the joints
         ``jacobian_at(q)`` (q when not given). With the chain without compliance and network for the one and the bent
         joints for the other it costs a third.
-    network : exported beside the correction when given.
+    network : exported with the correction if given
     steps : least-squares steps, 1 to 10. With one step NOT_CONVERGED sees only what the damping leaves; with more it
         also extrapolates from the last two errors, without evaluating the robot once more.
-    length_m : what one radian of orientation error counts, for poses.
+    length_m : for poses, the length by which an orientation error [rad] is weighted [m]
     """
 
     nominal: casadi.Function
@@ -91,11 +95,6 @@ class Command:
 
 
 Product = NetworkFunction | Command
-
-
-def with_steps(command: Command, steps: int) -> Command:
-    """The same correction with another number of least-squares steps."""
-    return replace(command, steps=steps)
 
 
 def _checked_box(product: Any) -> None:

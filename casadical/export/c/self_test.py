@@ -1,4 +1,4 @@
-"""Joint vectors: those that the self-test carries with their answers, and many more for the comparison at export."""
+"""The self-test with its joint vectors and expected results, the example, and the vectors compared at export."""
 
 from typing import Any
 

@@ -69,7 +69,7 @@ class Tape:
 
 
 class _Builder:
-    """Adds operations, stores equal ones once, and knows the few rewrites that are worth their lines."""
+    """Adds operations, stores equal ones once, and rewrites a few patterns."""
 
     def __init__(self) -> None:
         self.nodes: list[Node] = []

@@ -1,4 +1,4 @@
-"""The tapes that a product's C is made of; the command's least-squares algebra is written once, here, in SX.
+"""The tapes of a product. The least-squares algebra of a command is written here once, in SX, for all languages.
 
 The chord step: with J the Jacobian at the commanded joints, factored once as L D L^T = J J^T + lambda^2 I, each step
 solves for y in L D L^T y = r and moves the joints by J^T y. The damped rest lambda^2 y is what a step leaves of r.
@@ -19,7 +19,7 @@ from casadical.export.c.tape import Tape, tape_of
 
 @dataclass(frozen=True)
 class TapeProgram:
-    """A product ready to be written: its tapes by name, and what the header says of them."""
+    """A product ready to be written: its tapes by name, and bounds of its outputs for the header."""
 
     product: Product
     real: Real

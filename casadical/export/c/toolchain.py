@@ -38,7 +38,7 @@ def shared_library(
 ) -> None:
     """Compile C99 sources to a shared library.
 
-    Raises CasadicalError: the compiler reports an error or a warning; its words are in the message.
+    Raises CasadicalError: the compiler reports an error or a warning; its output is in the message.
     """
     command = [compiler.command, "-std=c99", "-fPIC", "-shared", *flags, *map(str, sources), "-o", str(library)]
     run = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -31,7 +31,7 @@ class Comparison:
 
 
 def shape_of(program: TapeProgram, name: str) -> Shape:
-    """What the kernel loader must know of a program."""
+    """A program's shape for the loader of compiled C."""
     sizes: dict[str, int] = {}
     if program.network is not None:
         sizes["network"] = len(program.tapes["network"].outputs)

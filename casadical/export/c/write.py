@@ -1,4 +1,4 @@
-"""Write an export: every file made in memory, compiled and compared, and only then put into the folder."""
+"""Write an export: every file is made in memory, compiled and compared before it is written to the folder."""
 
 import hashlib
 import json
@@ -24,7 +24,7 @@ _NAME = re.compile(r"[a-z][a-z0-9_]{0,23}")
 
 @dataclass(frozen=True)
 class Export:
-    """What was written, and what is known of it."""
+    """A written export: its files, the comparisons of the compiled C, and figures of this model."""
 
     folder: Path
     files: tuple[str, ...]
