@@ -16,8 +16,8 @@ POSES = 1000
 def left_out(robot: Robot, omissions: Iterable[Omission], target: str, leave_out: bool) -> tuple[str, ...]:
     """A line on each omission with what is lost by it.
 
-    Effects of the measurement are no loss to the robot. Others raise InputError unless `leave_out` is given.
-    target : what is written, in words
+    target : what is written, in words. Effects of the measurement are no loss to the robot. Raises InputError for other
+    ones unless `leave_out` is given.
     """
     lines, refused = [], []
     for omission in omissions:
