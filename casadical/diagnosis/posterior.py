@@ -43,19 +43,22 @@ class Ranking:
 SAME_JOINT = 0.05
 
 
-def rank(case: Case, chosen: Array, skip: frozenset[str] = frozenset()) -> Ranking:
+def rank(
+    case: Case, chosen: Array, skip: frozenset[str] = frozenset(), covered: frozenset[str] = frozenset()
+) -> Ranking:
     """Posterior over the next cause.
 
     chosen : columns of causes that are in the model already; skip : their labels, no longer candidates
+    covered : labels of those that a cause in the model holds already, no candidates either
     """
-    judged = [k for k, (c, _) in enumerate(case.variants) if case.candidates[c].label not in skip]
+    judged = [k for k, (c, _) in enumerate(case.variants) if case.candidates[c].label not in skip | covered]
     grids = case.evidence.log_grids([case.groups[k] for k in judged], chosen) + np.log(KAPPA_WEIGHTS)
     base_grid = case.evidence.log_base(chosen)
     base = float(log_sum(base_grid))
     log_variant = log_sum(grids.reshape(len(grids), -1), axis=1) - base
     owner = np.array([case.variants[k][0] for k in judged])
     prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
-    weights = prior_weights(case, prior, skip)
+    weights = prior_weights(case, prior, skip, covered)
     factor, variant, noise = {}, {}, {"": likely_noise(base_grid)}
     for c, candidate in enumerate(case.candidates):
         if candidate.label in weights:
@@ -69,9 +72,11 @@ def rank(case: Case, chosen: Array, skip: frozenset[str] = frozenset()) -> Ranki
     return Ranking(float(share[0]), dict(zip(factor, share[1:].tolist(), strict=True)), factor, variant, noise)
 
 
-def prior_weights(case: Case, prior: Mapping[str, float], skip: frozenset[str]) -> dict[str, float]:
+def prior_weights(
+    case: Case, prior: Mapping[str, float], skip: frozenset[str], covered: frozenset[str] = frozenset()
+) -> dict[str, float]:
     """Listed effects share alike, then each its joints; so do the rarer ones, and all smooth forms have as much."""
-    open_ = [c for c in case.candidates if c.label not in skip]
+    open_ = [c for c in case.candidates if c.label not in skip | covered]
     taken = {c.joint for c in case.candidates if c.label in skip and c.joint is not None}
     names = Counter(c.name for c in open_)
     kinds = {c.name: c.listed for c in open_}

@@ -73,7 +73,9 @@ class State:
 
     def rank(self, beside: Sequence[Step]) -> Ranking:
         """Posterior over one more cause beside those of some steps."""
-        return rank(self.case, self.columns(beside), frozenset(s.labels[0] for s in beside))
+        covers = frozenset[str]().union(*(e.covers for s in beside for e in s.effects))
+        covered = frozenset(c.label for c in self.case.candidates if c.variants[0][0].name in covers)
+        return rank(self.case, self.columns(beside), frozenset(s.labels[0] for s in beside), covered)
 
     def ranked(self) -> State:
         """The state with one more round's ranking."""
@@ -89,8 +91,10 @@ class State:
     def with_cause(self, labels: Sequence[str]) -> State:
         """The state with a cause of the last ranking in the model, outliers judged again."""
         ranking = self.rankings[-1]
-        case, step = self.refined(ranking, labels, self.steps)
-        return replace(self, case=case, steps=(*self.steps, step))._screened(ranking.noise[labels[0]])
+        covers = self.by_label[labels[0]].variants[0][0].covers
+        steps = tuple(s for s in self.steps if s.effects[0].name not in covers)
+        case, step = self.refined(ranking, labels, steps)
+        return replace(self, case=case, steps=(*steps, step))._screened(ranking.noise[labels[0]])
 
     def _screened(self, noise: Noise) -> State:
         case = self.case

@@ -116,6 +116,8 @@ class Effect:
     answers_as: ClassVar[str] = ""
     # Where candidates of it may act: arm, joints, turning joints; if it is not said, joints where it adds an `angle`.
     acts_at: ClassVar[str] = ""
+    # Names of effects that it holds already: beside it they are no causes of their own.
+    covers: ClassVar[frozenset[str]] = frozenset()
     # Columns that must have been logged.
     needs: ClassVar[tuple[str, ...]] = ()
     # What the data show of it (in brackets: mechanical causes that share it), its physics and source, what looks alike.

@@ -35,6 +35,7 @@ class JointErrorCurve(Effect):
     on_list = "standard"
     signature = "each joint's own error as a periodic curve of its angle (wave generators, gear teeth, encoder discs)"
     held = 1.0
+    covers = frozenset({"gear_eccentricity", "transmission_ripple", "unknown_of_own_angle"})
     physics = (
         "A joint's encoder and its link differ by a function that repeats every turn. The wave generator and the teeth "
         "of a strain-wave gear give lines at multiples of the ratio (Tuttle and Seering 1996; Ghorbel, Gandhi and "

@@ -1,0 +1,154 @@
+"""Joint error curves: named where joints have them, sized by the data, judged as the normal distribution says."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cases import robot, simulated, small_problem
+from scipy.stats import multivariate_normal
+
+from casadical import InputError
+from casadical.blind_check.numpy_physics import disturbances
+from casadical.core.casadi_arrays import ArrayFunction
+from casadical.diagnosis import evidence
+from casadical.diagnosis.cross_validation import Noise
+from casadical.diagnosis.diagnose import diagnose
+from casadical.diagnosis.evidence import KAPPAS, RHOS, SIGMAS, Evidence
+from casadical.diagnosis.learnt_sizes import learnt_sizes
+from casadical.effects import JointErrorCurve
+from casadical.effects.joint_error_curve import DENSE, ORDERS, USUAL
+from casadical.identification.accuracy import errors
+from casadical.measurements.measurements import Measurements
+
+
+def with_curves(seed: int, n: int) -> Measurements:
+    """A campaign whose joints each read a periodic function of their own angle wrong, 30 harmonics of 30 urad."""
+    m, rng = simulated("ur10e", seed, n=n), np.random.default_rng(seed)
+    order = np.arange(1, 31)
+    a, b = 30e-6 * rng.normal(size=(2, 6, 30))
+    q = m.q
+    for _ in range(5):  # the reading at which reading and error together are the true angle
+        waves = q[:, :, None] * order
+        q = m.q - (a * np.sin(waves) + b * np.cos(waves)).sum(axis=2)
+    return replace(m, q=q)
+
+
+@pytest.fixture(scope="module")
+def found():
+    """A diagnosis of 120 poses of a robot whose joints all err with their own angle, and 60 poses never seen."""
+    m = with_curves(21, 180)
+    return diagnose(robot("ur10e"), m[:120]), m[120:]
+
+
+def test_curves_of_all_joints_are_named_and_predict(found) -> None:
+    d, unseen = found
+    assert d.verdict == "explained"
+    assert d.causes[0].effect == "joint_error_curve"
+    assert d.causes[0].confidence > 0.99
+    before, after = errors(d.identification.robot, unseen).mean(), errors(d.apply(), unseen).mean()
+    assert after < 0.5 * before
+    assert after == pytest.approx(d.gap.after, rel=0.3)
+
+
+def test_the_refit_keeps_the_learnt_sizes(found) -> None:
+    d, _ = found
+    (effect,) = d.causes[0].effects
+    priors = {p.name: p.prior for p in effect.parameters()}
+    for joint, spread in enumerate(effect.spread, 1):
+        assert priors[f"joint_error_curve.s1_q{joint}"] == pytest.approx(spread)
+        assert priors[f"joint_error_curve.c34_q{joint}"] == pytest.approx(spread / 2)
+    values = d.refit().robot.effect_values
+    assert max(abs(v) / priors[name] for name, v in values.items() if name in priors) < 6
+
+
+def test_a_robot_without_curves_has_none() -> None:
+    d = diagnose(robot("ur10e"), simulated("ur10e", 22, n=100))
+    assert d.verdict == "none"
+    assert d.rankings[0].probability["joint_error_curve"] < 0.01
+
+
+def test_one_ripple_is_no_curve_of_all_joints() -> None:
+    m = simulated("ur10e", 24, disturbances.TransmissionRipple(2, 80e-6, 7), n=100)
+    d = diagnose(robot("ur10e"), m)
+    assert d.causes[0].label == "transmission_ripple@2"
+    assert d.rankings[0].log_factor["joint_error_curve"] < d.rankings[0].log_factor["transmission_ripple@2"] - 10
+
+
+def test_what_a_curve_holds_is_no_cause_beside_it(found) -> None:
+    d, _ = found
+    assert len(d.rankings) > 1
+    beside = {label.split("@")[0] for label in d.rankings[1].probability}
+    assert not beside & {"gear_eccentricity", "transmission_ripple"}
+    assert not any(label.startswith("any function of q") for label in beside)
+    assert "backlash" in beside
+
+
+def wide_problem(n: int) -> Evidence:
+    """More columns than rows of a few poses, the first two also a group of their own."""
+    e = small_problem(n=n)
+    return replace(e, E=4e-5 * np.random.default_rng(5).normal(size=(n, 3, 40)))
+
+
+@pytest.mark.parametrize("n", [9, 30], ids=["judged on the rows", "judged on the columns"])
+@pytest.mark.parametrize("chosen", [[], [39]], ids=["first", "after one"])
+def test_a_wide_group_is_the_normal_density(monkeypatch: pytest.MonkeyPatch, n: int, chosen: list[int]) -> None:
+    monkeypatch.setattr(evidence, "WIDE", 20)
+    monkeypatch.setattr(evidence, "REACH", np.inf)
+    e, also, group = wide_problem(n), np.array(chosen, dtype=np.int64), np.arange(35)
+    grid, base = e.log_grids([group], also)[0], e.log_base(also)
+    J, E = e.J.reshape(3 * n, -1), e.E.reshape(3 * n, -1)
+    for rho, sigma, kappa in ((0, 9, 0), (3, 17, 2), (5, 25, 4)):
+        C = np.zeros((3 * n, 3 * n))
+        for k, Jq in enumerate(e.Jq):
+            own = slice(3 * k, 3 * k + 3)
+            C[own, own] = SIGMAS[sigma] ** 2 * (np.eye(3) + RHOS[rho] ** 2 * Jq @ Jq.T)
+        share = SIGMAS[sigma] / e.reference
+        C += share**2 * (J * e.prior**2) @ J.T + (share * 8.0) ** 2 * E[:, also] @ E[:, also].T
+        logs = [
+            multivariate_normal(J @ e.delta0, C + size**2 * E[:, group] @ E[:, group].T).logpdf(e.r.ravel())
+            for size in (0.0, KAPPAS[kappa])
+        ]
+        gain = grid[rho, sigma, kappa] - base[rho, sigma]
+        assert gain == pytest.approx(logs[1] - logs[0], abs=1e-5)
+
+
+def test_sizes_are_learnt_by_part() -> None:
+    """Three parts of 60 columns whose parameters were drawn 0.5, 1 and 4 sizes wide, and a part that shows nothing."""
+    rng = np.random.default_rng(7)
+    e = small_problem(n=400)
+    E = 4e-5 * rng.normal(size=(400, 3, 200))
+    E[:, :, 180:] = 0.0
+    true = np.repeat([0.5, 1.0, 4.0, 1.0], [60, 60, 60, 20])
+    r = e.J @ e.delta0 + E @ (true * rng.normal(size=200)) + 2e-5 * rng.normal(size=(400, 3))
+    parts = {1: np.arange(60), 2: np.arange(60, 120), 3: np.arange(120, 180), 4: np.arange(180, 200)}
+    held = np.ones(200)
+    factors, noise = learnt_sizes(
+        replace(e, r=r, E=E, held=held), np.arange(200), parts, np.zeros(0, dtype=np.int64), Noise(4e-5, 0.0)
+    )
+    assert [factors[k] for k in (1, 2, 3)] == pytest.approx([0.5, 1.0, 4.0], rel=0.25)
+    assert factors[4] == 1.0
+    assert noise.sigma == pytest.approx(2e-5, rel=0.1)
+
+
+def test_many_poses_have_more_harmonics() -> None:
+    curve = JointErrorCurve(None, (USUAL, 0.0, USUAL))
+    assert curve.for_poses(100) is curve
+    assert curve.for_poses(1000).orders == DENSE
+    assert len(curve.sizes()) == 2 * 2 * ORDERS
+    assert [*curve.parts] == [1, 3]
+    assert {name.split("_")[1] for k, name in enumerate(curve.sizes()) if k in curve.parts[3]} == {"q3"}
+    with pytest.raises(InputError, match="spread"):
+        JointErrorCurve.from_dict({"settings": {"spread": "wide"}})
+
+
+def test_functions_on_arrays_are_casadis() -> None:
+    import casadi as ca
+
+    x = ca.SX.sym("x", 4)
+    terms = [ca.sin(x[0]) * x[1], ca.if_else(x[2] > 0, x[0] ** 3, ca.exp(x[1])), ca.tanh(x[3]), ca.fmax(x[0], x[3])]
+    terms += [ca.atan2(x[0], x[1]), ca.sqrt(ca.fabs(x[2])), ca.sign(x[1]), 1 / (2 + x[0] ** 2), ca.SX(3.5)]
+    f = ca.Function("f", [x], [ca.vertcat(*terms)])
+    values = np.random.default_rng(1).normal(size=(4, 7))
+    (found,) = ArrayFunction(f)([*values])
+    expected = np.array([f(column).full().ravel() for column in values.T])
+    np.testing.assert_allclose(np.stack([np.broadcast_to(v, 7) for v in found], axis=1), expected, rtol=1e-14)
