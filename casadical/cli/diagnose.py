@@ -20,6 +20,20 @@ def diagnose(
     campaigns: Campaigns,
     json_file: Json = None,
     report_file: Report = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Write diagnosed.robot.toml, the robot with its causes, for every command that takes a robot file; "
+            "diagnosis.json and diagnosis.txt. With several campaigns, a folder for each.",
+        ),
+    ] = None,
+    unlisted: Annotated[
+        bool,
+        typer.Option(
+            "--unlisted", help="With --out: also have the description of an unknown cause in the robot's model."
+        ),
+    ] = False,
     effects: Effects = None,
     measure_next: Annotated[
         Path | None,
@@ -53,9 +67,11 @@ def diagnose(
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
+    from casadical.core.errors import InputError
     from casadical.core.files import write_whole
     from casadical.diagnosis.details import analyse
     from casadical.diagnosis.diagnose import diagnose as run
+    from casadical.diagnosis.files import diagnosis_files
     from casadical.diagnosis.json_answer import as_json
     from casadical.diagnosis.text import report
     from casadical.pose_selection.workspace_file import read_workspace
@@ -65,6 +81,8 @@ def diagnose(
         from casadical.report.optional_imports import require
 
         require()
+    if unlisted and out is None:
+        raise InputError("--unlisted says what --out writes; give --out DIR, too")
     console = Console(quiet=quiet)
     robot = read_campaign_robot(problem)
     if isolability:
@@ -74,6 +92,7 @@ def diagnose(
         console.print(f"Effects of the robot file are in the model, held at their values: {robot.effects_in_words}.")
     workspace = read_workspace(room, robot) if room else None
     answers, answered = [], []
+    texts: dict[Path, str] = {}
     for path in campaigns:
         m = read_campaign(problem, path, robot)
         with working(quiet, "diagnosing", path.stem) as show:
@@ -82,6 +101,10 @@ def diagnose(
             file = measure_next if len(campaigns) == 1 else None
             name_of_file = file.name if file else ""
             more = analyse(found, poses=next_n, workspace=workspace, networks=network, file=name_of_file, show=show)
+            if out:
+                show("the robot with its causes")
+                folder = out if len(campaigns) == 1 else out / path.stem
+                texts |= diagnosis_files(folder, found, more, path.stem, unlisted=unlisted)
         answers.append(as_json(found, path.stem, more))
         answered.append((path, found, more))
         console.print(report(found, f"{path.stem} ({robot.name})", more), soft_wrap=True)
@@ -90,7 +113,8 @@ def diagnose(
             if len(more.poses):
                 write_whole(file, more.poses.to_csv(index=False))
             console.print(f"wrote {file}" if len(more.poses) else f"{file}: not written, for nothing is in question")
-    texts = {json_file: as_text(answers)} if json_file else {}
+    if json_file:
+        texts[json_file] = as_text(answers)
     if report_file:
         from casadical.report import diagnosis_report
 

@@ -1,5 +1,6 @@
 from casadical.diagnosis.details import Details as Details
 from casadical.diagnosis.details import analyse as analyse
+from casadical.diagnosis.files import diagnosis_files as diagnosis_files
 from casadical.diagnosis.held_out_gap import Check as Check
 from casadical.diagnosis.held_out_gap import NetworkGap as NetworkGap
 from casadical.diagnosis.held_out_gap import check_refit as check_refit

@@ -326,7 +326,7 @@ def _resembles(d: Diagnosis, more: Details) -> str:
     return (
         f"{words}; with {', '.join(u.labels[:-1])}{' and ' if u.labels[1:] else ''}{u.labels[-1]} in the model, causes "
         f"or not, {1e3 * u.before:.3f} -> {1e3 * u.after:.3f} mm on poses "
-        f"held out, {low:.0f} to {high:.0f} % less (from Python: apply(unlisted=...))"
+        f"held out, {low:.0f} to {high:.0f} % less (--out DIR --unlisted has them in a robot file)"
     )
 
 

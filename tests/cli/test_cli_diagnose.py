@@ -11,6 +11,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from casadical import read_robot
+
 ROOT = Path(__file__).parents[2]
 PROBLEM = ROOT / "problems" / "ur10e"
 PRACTICE = ROOT / "data" / "campaigns" / "practice"
@@ -19,7 +21,11 @@ FEW = "gear_eccentricity,friction_windup,joint_scale@5,hose_drag"
 
 
 def run(*arguments: object, width: int = 120) -> subprocess.CompletedProcess[str]:
-    command = [Path(sys.executable).parent / "casadical", "diagnose", *map(str, arguments)]
+    return casadical("diagnose", *arguments, width=width)
+
+
+def casadical(*arguments: object, width: int = 120) -> subprocess.CompletedProcess[str]:
+    command = [Path(sys.executable).parent / "casadical", *map(str, arguments)]
     environment = {**os.environ, "COLUMNS": str(width), "TERM": "dumb", "NO_COLOR": "1"}
     return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
 
@@ -82,3 +88,46 @@ def test_a_users_mistake_ends_in_a_message_and_2(tmp_path: Path, arguments: tupl
     assert message in done.stderr
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "answer.json").exists()
+
+
+def test_the_robot_with_its_causes_goes_on_to_every_command(tmp_path: Path) -> None:
+    problem, campaign, few = ROOT / "problems" / "kr210", PRACTICE / "kr210-P05.csv", ("--effects", "payload_error")
+    done = run(problem, campaign, *few, "--out", tmp_path / "found", "--json", tmp_path / "answer.json")
+    assert done.returncode == 0, done.stderr
+    robot = tmp_path / "found" / "diagnosed.robot.toml"
+    assert sorted(p.name for p in robot.parent.iterdir()) == ["diagnosed.robot.toml", "diagnosis.json", "diagnosis.txt"]
+    answer = json.loads((tmp_path / "answer.json").read_text())
+    assert json.loads((robot.parent / "diagnosis.json").read_text()) == answer
+    assert (robot.parent / "diagnosis.txt").read_text() in done.stdout
+    assert "# explained: payload_error; " in robot.read_text()
+    (cause,) = answer["causes"]
+    kept = read_robot(robot)
+    assert kept.effect_values["payload_error.mass"] == pytest.approx(cause["parameters"]["mass"]["value"], rel=0.2)
+    assert kept.knowledge.poses == 120
+    for command in (
+        ("export", "c", robot, "--nominal", problem / "robot.toml", "--out", tmp_path / "c"),
+        ("plan", robot, "-n", 14, "--no-order", "--out", tmp_path / "plan.csv"),
+    ):
+        assert casadical(*command).returncode == 0
+    assert (tmp_path / "c" / "manifest.json").exists()
+    again = run(robot, campaign, "--effects", "backlash", "--json", tmp_path / "again.json")
+    assert again.returncode == 0, again.stderr
+    left = json.loads((tmp_path / "again.json").read_text())
+    assert (left["verdict"], left["causes"]) == ("none", [])
+    assert left["gap_mm"]["before"] == pytest.approx(answer["gap_mm"]["after"], rel=0.05)
+    assert left["gap_mm"]["before"] < 0.7 * answer["gap_mm"]["before"]
+
+
+def test_out_is_whole_or_not_there_and_a_folder_each_for_several(tmp_path: Path) -> None:
+    (tmp_path / "taken" / "diagnosis.txt").mkdir(parents=True)
+    done = run(PROBLEM, P06, "--effects", "backlash@3", "--out", tmp_path / "taken", "--json", tmp_path / "a.json")
+    assert done.returncode == 2
+    assert "is a folder" in done.stderr
+    assert [p.name for p in (tmp_path / "taken").iterdir()] == ["diagnosis.txt"]
+    assert not (tmp_path / "a.json").exists()
+    done = run(PROBLEM, P06, P03, "--effects", "backlash@3", "--out", tmp_path / "two", "-q")
+    assert done.returncode == 0, done.stderr
+    assert sorted(p.parent.name for p in (tmp_path / "two").rglob("*.toml")) == ["ur10e-P03", "ur10e-P06"]
+    done = run(PROBLEM, P06, "--unlisted")
+    assert done.returncode == 2
+    assert "give --out DIR" in done.stderr
