@@ -7,7 +7,7 @@ import typer
 from rich.console import Console
 
 from casadical.cli.completion import losses, methods
-from casadical.cli.options import Json, Problems, Quiet, Report
+from casadical.cli.options import Frozen, Json, Prior, PriorEffects, Problems, Quiet, Report, carried
 from casadical.cli.terminal import as_text, as_typed, keep, working
 from casadical.core.errors import InputError
 
@@ -48,6 +48,9 @@ def calibrate(
             help="Seed of the random split into sets; default: the problem's. No effect where a column names the sets.",
         ),
     ] = None,
+    prior: Prior = None,
+    prior_effects: PriorEffects = None,
+    frozen: Frozen = False,
     quiet: Quiet = False,
 ) -> None:
     """Identify a robot's parameters and report the accuracy on poses that were held out.
@@ -64,12 +67,13 @@ def calibrate(
 
         require()
     console = Console(quiet=quiet, soft_wrap=False)
+    known = carried(prior, prior_effects, frozen)
     found: dict[str, Any] = {}
     done: list[work.Calibration] = []
     texts: dict[Path, str] = {}
     for name, folder in _by_name(problems).items():
         with working(quiet, "reading", name) as show:
-            done.append(work.calibrate(folder, method=method, loss=loss, seed=seed, show=show))
+            done.append(work.calibrate(folder, method=method, loss=loss, seed=seed, carried=known, show=show))
         console.print(done[-1].report())
         console.print()
         if out:

@@ -1,11 +1,15 @@
 """Arguments and options that several commands have, in the same words."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from casadical.cli import completion as words
+from casadical.core.errors import InputError
+
+if TYPE_CHECKING:
+    from casadical.project.problem import Carried
 
 Nominal = Annotated[
     Path | None,
@@ -58,4 +62,41 @@ Effects = Annotated[
         help="standard (the default), extended, or only these: names (backlash) or labels (backlash@5), by commas.",
     ),
 ]
+Prior = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="ROBOT.toml",
+        help="This robot as another campaign found it, with effects and covariance: its effects are put into the "
+        "model, with their values and covariance as a prior; base and tool are fitted anew.",
+    ),
+]
+PriorEffects = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAMES",
+        help="What of it is taken, by commas: effects (the default: those that do not follow the time of their "
+        "campaign), names or labels of single ones, all (geometry and compliance too).",
+    ),
+]
+Frozen = Annotated[
+    bool,
+    typer.Option(
+        "--frozen",
+        help="Hold the prior's effects at their values; refused for readings outside of the ranges that it covers.",
+    ),
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace FILE if it is there.")]
+
+
+def carried(prior: Path | None, parts: str | None, frozen: bool) -> Carried:
+    """What puts the prior of these options into a robot. Raises InputError."""
+    from casadical.identification.prior import carry_over
+    from casadical.robot.robot_file import read_robot
+
+    if prior is None:
+        if parts is not None or frozen:
+            raise InputError(f"--{'frozen' if frozen else 'prior-effects'}: needs the robot file that --prior names")
+        return lambda robot: (robot, None)
+    other = read_robot(prior)
+    wanted = tuple(name.strip() for name in (parts or "effects").split(","))
+    return lambda robot: carry_over(robot, other, wanted, frozen=frozen)

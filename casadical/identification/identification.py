@@ -24,6 +24,7 @@ from casadical.identification.least_squares import (
 )
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against
+from casadical.identification.prior import Prior, carry_over
 from casadical.identification.residuals import LOSSES, Loss, make_block
 from casadical.identification.solver import Progress, Solution
 from casadical.measurements.kinds.registry import find_kind
@@ -53,7 +54,7 @@ class Identification:
     measurements : what was used; method, loss : how
     identifiability : which parameters are independent, which are not and why
     problem, solution : the least squares and where it ended
-    variance : of a residual, in units of the sigmas used; degrees_of_freedom : residuals less variables
+    variance : of a residual, in units of the sigmas used; degrees_of_freedom : residuals and priors less variables
     outliers : (set, pose) indices of poses that a robust loss left out
     """
 
@@ -206,6 +207,7 @@ def identify(
     method: Method | None = None,
     loss: Loss = "linear",
     priors: bool | Mapping[str, tuple[float, float]] = False,
+    prior: Robot | Prior | None = None,
     screen: bool = True,
     progress: Progress | None = None,
 ) -> Identification:
@@ -217,6 +219,8 @@ def identify(
     loss : linear, huber or soft_l1; the robust ones leave poses that noise explains once in 100 000 out of a last solve
     priors : whether departures from nominal are held back by the robot's prior widths; or name -> (mean, one sigma)
         [SI] of parameters with another prior, the others' being the robot's own
+    prior : the same robot from another campaign, whose effects are put into the model and freed, with their values and
+        covariance as a prior, and all other parameters held back by the robot's own priors; or as of `carry_over`
     screen : whether a robust loss leaves far poses out of further solves, or only gives them less weight
     progress : called with iteration number and cost
 
@@ -224,9 +228,17 @@ def identify(
     Source: paper, section 3; Hollerbach, Khalil and Gautier, Springer Handbook of Robotics (2016), chapter 8.
     """
     sets = _as_sets(measurements)
+    if isinstance(prior, Robot):
+        robot, prior = carry_over(robot, prior)
+    prior = prior or Prior()
+    if prior.frozen:
+        prior.refuse_uncovered(sets)
     known = robot.knowledge or Knowledge()
     if method is not None:
         robot, free = by_method(robot, method)
+    if prior.free:
+        free = (*([free] if isinstance(free, str) else free), *prior.free)
+        priors = {**prior.means, **(priors if isinstance(priors, Mapping) else {})}
     if loss not in LOSSES:
         raise InputError(f"loss {loss!r} is not known; allowed: {', '.join(LOSSES)}")
     for m in sets:
@@ -238,7 +250,7 @@ def identify(
             f"free={list(free)} chooses no parameter of {robot.name}; groups: {', '.join(start.parameters.groups)}"
         )
     sigmas = tuple((m.sigma or SIGMA_GUESS, m.sigma_angle or SIGMA_ANGLE_GUESS) for m in sets)
-    problem = LeastSquares(start, sets, names, loss, priors, sigmas)
+    problem = LeastSquares(start, sets, names, loss, priors, sigmas, known=prior.known)
     (reduced, solution, found), outliers = _solve_without_outliers(problem, SCREENINGS if screen else 0, progress)
     result = Identification(
         given=robot,
@@ -251,10 +263,14 @@ def identify(
         problem=reduced,
         solution=solution,
         variance=variance(reduced, solution.v, trimmed=True),
-        degrees_of_freedom=reduced.residual_count - reduced.size,
+        degrees_of_freedom=reduced.degrees_of_freedom,
         outliers=outliers,
     )
-    return replace(result, robot=replace(result.robot, knowledge=_learnt(result, known))) if robot.effects else result
+    if not robot.effects:
+        return result
+    learnt = _learnt(result, known)
+    learnt = prior.knowledge.joined(learnt) if prior.free else learnt
+    return replace(result, robot=replace(result.robot, knowledge=learnt))
 
 
 def _learnt(found: Identification, before: Knowledge) -> Knowledge:

@@ -107,6 +107,11 @@ class LeastSquares:
     def residual_count(self) -> int:
         return sum(m.residuals for m in self.sets)
 
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Numbers that were measured or known before, less variables."""
+        return self.residual_count - self.size + int(np.count_nonzero(np.diag(self.prior_matrix)))
+
     def _parameter(self, what: str) -> Array:
         """Values of an attribute of the chosen parameters, in solver units where it is a length or angle."""
         return np.array([getattr(self.robot.parameters[n], what) for n in self.names])
@@ -431,7 +436,7 @@ def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float
     With a robust loss, and unless outliers were trimmed, from the median absolute residuals instead.
     """
     residuals, _ = problem.evaluate(v)
-    freedom = problem.residual_count - problem.size + int(np.count_nonzero(np.diag(problem.prior_matrix)))
+    freedom = problem.degrees_of_freedom
     if problem.loss != "linear" and not trimmed:
         typical = float(np.median([robust_std(r) ** 2 for r in residuals]))
         return typical * problem.residual_count / max(1, freedom)

@@ -17,7 +17,7 @@ from casadical.identification.identification import Identification, identify
 from casadical.identification.residuals import LOSSES
 from casadical.identification.tables import correlated, held_table, how_sure, parameter_tables
 from casadical.project.networks import NetworkResult, Networks, train_networks
-from casadical.project.problem import BASE_METHODS, Problem, all_methods, base_methods, read_problem
+from casadical.project.problem import BASE_METHODS, Carried, Problem, all_methods, as_it_is, base_methods, read_problem
 from casadical.project.tables import Accuracies, error_tables, network_tables, paper_tables, verdict
 from casadical.robot.robot import Robot, modified_dh
 from casadical.robot.robot_file import to_toml
@@ -59,7 +59,8 @@ class Calibration:
             Words(problem.title, "title"),
             Words(f"{problem.robot.name}; {problem.origin}"),
             *(Words(f"note: {note}", "note") for note in problem.robot.notes),
-            *_held_effects(problem.robot),
+            *_prior_words(problem),
+            *_held_effects(problem),
             *verdict(problem, self.accuracies),
             *(Words(result.verdict) for result in self.identifications.values()),
             how_sure(last),
@@ -110,6 +111,8 @@ class Calibration:
         if self.networks:
             found["trained_on"] = self.networks.trained_on
             found["networks"] = {name: _network(result) for name, result in self.networks.results.items()}
+        if problem.prior:
+            found["prior"] = problem.prior.to_json(problem.sets["identify"])
         if problem.paper:
             paper = {"calibration": problem.paper.calibration, "validation": problem.paper.validation}
             found["paper"] = {"source": problem.paper.source} | {
@@ -144,12 +147,15 @@ def calibrate(
     method: str | None = None,
     loss: str | None = None,
     seed: int | None = None,
+    carried: Carried | None = None,
     show: Callable[[str], None] = lambda _text: None,
 ) -> Calibration:
     """Identify a problem's robot by each of its methods, and train its networks on what is left.
 
     problem : its folder, or what `read_problem` gave; method, loss : in place of the problem's own. A network method
     needs SKCM, which is then identified too. seed : of the split into sets and of the networks; of a folder only
+    carried : what puts the prior of another campaign into the robot, `lambda robot: carry_over(robot, other)`; of a
+    folder only
     show : called with a line of progress. Raises InputError, ConvergenceError.
     """
     if method is not None and method not in all_methods():
@@ -157,9 +163,11 @@ def calibrate(
     if loss is not None and loss not in LOSSES:
         raise InputError(f"--loss {loss}: not known; allowed: {', '.join(LOSSES)}")
     if not isinstance(problem, Problem):
-        problem = read_problem(problem, seed)
+        problem = read_problem(problem, seed, carried or as_it_is)
     elif seed is not None:
         raise InputError(f"seed {seed}: this problem is split into sets already; give the seed to read_problem")
+    elif carried is not None:
+        raise InputError("prior: this problem is read already; give the prior with its folder")
     if loss is not None:
         problem = replace(problem, loss=loss)
     if method is not None:
@@ -172,7 +180,12 @@ def calibrate(
             show(f"{name} iteration {iteration}, cost {cost:.6g}")
 
         results[name] = identify(
-            problem.robot, problem.sets["identify"], method=name, loss=problem.loss, progress=progress
+            problem.robot,
+            problem.sets["identify"],
+            method=name,
+            loss=problem.loss,
+            prior=problem.prior,
+            progress=progress,
         )
     trained = None
     if problem.networks:
@@ -181,8 +194,16 @@ def calibrate(
     return Calibration(problem, results, accuracies, trained)
 
 
-def _held_effects(robot: Robot) -> list[Words]:
+def _prior_words(problem: Problem) -> list[Words]:
+    if problem.prior is None:
+        return []
+    return [Words(problem.prior.in_words(problem.sets["identify"]), "note")]
+
+
+def _held_effects(problem: Problem) -> list[Words]:
     text = "Effects of the robot file are in the model, held at their values:"
+    carried = problem.prior.labels if problem.prior else ()
+    robot = problem.robot.with_only(e for e in problem.robot.effects if e.label not in carried)
     return [Words(f"{text} {robot.effects_in_words}.", "note")] if robot.effects else []
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, get_args
@@ -13,6 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validat
 from casadical.compensator import network_methods
 from casadical.core.errors import InputError
 from casadical.core.schema import FaultError, check, load_toml
+from casadical.identification.prior import Prior
 from casadical.identification.residuals import Loss
 from casadical.measurements.columns import Columns
 from casadical.measurements.derived_columns import derive
@@ -25,6 +26,9 @@ from casadical.robot.robot_file import read_robot
 
 BaseMethod = Literal["KM", "SKCM"]
 BASE_METHODS: tuple[BaseMethod, ...] = get_args(BaseMethod)
+
+# Puts into a robot what another campaign found, and says how well that is known.
+Carried = Callable[[Robot], tuple[Robot, Prior | None]]
 
 Three = Annotated[list[float], Field(min_length=3, max_length=3)]
 
@@ -92,6 +96,11 @@ class _Urdf(_Strict):
     compliant: list[int] = []
 
 
+def as_it_is(robot: Robot) -> tuple[Robot, Prior | None]:
+    """The robot without anything from another campaign."""
+    return robot, None
+
+
 def all_methods() -> tuple[str, ...]:
     """Every method of a calibration: identifications, then the networks of all trainers."""
     return (*BASE_METHODS, *network_methods())
@@ -150,7 +159,7 @@ class Problem:
     sets : by name, one `Measurements` for each kind; no pose is in two sets
     methods, loss : what `casadical calibrate` does by default; methods identify, networks learn what SKCM leaves
     seed : of the split and of the networks
-    paper : published figures, and their source
+    paper : published figures, and their source; prior : what another campaign told, where it is used
     urdf : file, base link and tip link where the robot came from a URDF
     """
 
@@ -165,6 +174,7 @@ class Problem:
     networks: tuple[str, ...] = ()
     seed: int = 0
     paper: Paper | None = None
+    prior: Prior | None = None
 
     @property
     def origin(self) -> str:
@@ -188,16 +198,17 @@ class Problem:
         return calibrated_urdf_text(self.robot, robot, *self.urdf, measured_link="casadical_measured_point")
 
 
-def read_problem(folder: str | Path, seed: int | None = None) -> Problem:
+def read_problem(folder: str | Path, seed: int | None = None, carried: Carried = as_it_is) -> Problem:
     """Read a problem folder; `seed` replaces the one that its file gives for the split.
 
+    carried : what puts into the robot what another campaign found (see `casadical.identification.prior.carry_over`)
     Raises InputError that names the file and what is wrong in it.
     """
     folder = Path(folder)
     file, path = _problem_file(folder), folder / "problem.toml"
     if not file.measurements:
         raise InputError(f"{path}: measurements: is missing; a calibration needs at least one table [[measurements]]")
-    robot = _read_robot(folder / file.robot, file.urdf or _Urdf())
+    robot, prior = carried(_read_robot(folder / file.robot, file.urdf or _Urdf()))
     sets = file.sets if seed is None else file.sets.model_copy(update={"seed": seed})
     split: dict[str, list[Measurements]] = {}
     for data in file.measurements:
@@ -217,6 +228,7 @@ def read_problem(folder: str | Path, seed: int | None = None) -> Problem:
         networks=tuple(m for m in network_methods() if m in file.methods),
         seed=sets.seed,
         paper=_paper(file.paper),
+        prior=prior,
     )
 
 

@@ -96,6 +96,19 @@ class Knowledge:
         blocks = (block.of(set(block.names) - gone) for block in self.covariance)
         return replace(self, covariance=tuple(block for block in blocks if block.names))
 
+    def joined(self, later: Knowledge) -> Knowledge:
+        """What a later campaign left of the covariance, learnt on the ranges of both."""
+        if not (len(self.readings) and len(later.readings)):
+            return later
+        both = np.stack([self.readings, later.readings])
+        readings = np.column_stack([both[:, :, 0].min(axis=0), both[:, :, 1].max(axis=0)])
+        conditions = {**self.conditions, **later.conditions}
+        for name in set(self.conditions) & set(later.conditions):
+            (low, high), (least, most) = self.conditions[name], later.conditions[name]
+            conditions[name] = min(low, least), max(high, most)
+        campaign = ", ".join(filter(None, (self.campaign, later.campaign)))
+        return Knowledge(later.covariance, campaign, self.poses + later.poses, readings, conditions)
+
 
 def blocks(names: Sequence[str], owners: Sequence[str], matrix: Array) -> tuple[Covariance, ...]:
     """A covariance, shape (k, k) [SI], as one block, or as one for each owner where that would be large.

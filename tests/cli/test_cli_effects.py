@@ -62,6 +62,32 @@ def test_calibrate_holds_them_and_keeps_them(
     assert errors["mean_mm"] < 0.09  # 0.14 mm without what was diagnosed
 
 
+def test_calibrate_takes_them_as_a_prior(
+    kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Twenty poses: the friction of the file's joint 3 is free about its value; frozen, it is held."""
+    problem = tmp_path / "problem"
+    problem.mkdir()
+    (problem / "robot.toml").write_text((PROBLEM / "robot.toml").read_text())
+    (problem / "campaign.csv").write_text("".join(CAMPAIGN.read_text().splitlines(keepends=True)[:31]))
+    text = 'casadical = 1\ntitle = "few"\nmethods = ["SKCM"]\n[[measurements]]\nfile = "campaign.csv"\n'
+    (problem / "problem.toml").write_text(text)
+    command = ("calibrate", problem, "--out", tmp_path / "out", "--prior", kept)
+    assert main(monkeypatch, *command) == 0
+    assert "friction_windup@3; 2 parameters are free about the values found there" in words(capfd)
+    found = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert found["prior"]["effects"] == ["friction_windup@3"]
+    rows = {p["name"]: p for p in found["methods"]["SKCM"]["parameters"]}
+    assert rows["friction_windup@3.constant"]["status"] == "identified"
+    assert main(monkeypatch, *command, "--frozen") in (0, 2)
+    said = words(capfd)
+    assert "friction_windup@3 held at the values found there" in said or "allowed inside these ranges only" in said
+    assert main(monkeypatch, *command, "--prior-effects", "backlash") == 2
+    assert "no effect 'backlash'; allowed: effects, all, friction_windup@3" in words(capfd)
+    assert main(monkeypatch, "calibrate", problem, "--frozen") == 2
+    assert "--frozen: needs the robot file that --prior names" in words(capfd)
+
+
 def test_a_diagnosis_looks_for_what_is_not_in_the_model_yet(
     kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

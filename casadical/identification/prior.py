@@ -1,0 +1,212 @@
+"""What a campaign told of a robot, as the prior of its next one.
+
+Base and tool frames are fitted anew: they belong to the campaign. What was learnt keeps its values as means, and its
+covariance, a little wider, as what the new readings may change. Frozen, it keeps its values alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.core.parameters import Parameter
+from casadical.effects import Effect
+from casadical.measurements.measurements import Measurements
+from casadical.robot.knowledge import Covariance, Knowledge
+from casadical.robot.robot import Robot
+
+# Of the variances: they come from the scatter of one campaign, which does not hold what differs between campaigns.
+WIDENED = 1.5
+# What each parameter may have changed besides, one sigma as a share of its usual size (of geometry: 1 mm or 1 mrad).
+CHANGED = 0.1
+FRAMES = ("base", "tool")
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """Of parameters that are known from elsewhere.
+
+    free : names of all parameters that it is about, which an identification frees
+    means : name -> (mean, one sigma) [SI]; known : names and covariances [SI] of those that hang together
+    labels : of the effects that were carried over; knowledge : of the campaign that they come from
+    frozen : whether they are held at their values (then there is nothing in free, means and known)
+    """
+
+    free: tuple[str, ...] = ()
+    means: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    known: tuple[tuple[tuple[str, ...], Array], ...] = ()
+    labels: tuple[str, ...] = ()
+    knowledge: Knowledge = field(default_factory=Knowledge)
+    frozen: bool = False
+
+    def with_anew(self, wide: Mapping[str, float]) -> Prior:
+        """The same, nothing known of some parameters: mean zero; wide : name -> one sigma [SI]."""
+        rest = ([k for k, name in enumerate(names) if name not in wide] for names, _ in self.known)
+        known = (
+            (tuple(names[k] for k in at), matrix[np.ix_(at, at)])
+            for at, (names, matrix) in zip(rest, self.known, strict=True)
+        )
+        means = {**self.means, **{name: (0.0, sigma) for name, sigma in wide.items()}}
+        return replace(self, means=means, known=tuple(block for block in known if block[0]))
+
+    def uncovered(self, sets: Sequence[Measurements]) -> dict[str, float]:
+        """Share of poses outside of the range on which the values were learnt, by joint (q1) or logged column."""
+        found = {}
+        for j, (low, high) in enumerate(self.knowledge.readings):
+            q = np.concatenate([m.q[:, j] for m in sets])
+            found[f"q{j + 1}"] = float(np.mean((q < low) | (q > high)))
+        for name, (low, high) in self.knowledge.conditions.items():
+            logged = [m.conditions[name] for m in sets if name in m.conditions]
+            if logged:
+                column = np.concatenate(logged)
+                found[name] = float(np.mean((column < low) | (column > high)))
+        return found
+
+    def refuse_uncovered(self, sets: Sequence[Measurements]) -> None:
+        """Raises InputError where frozen values would be used outside of what they were learnt on."""
+        if not len(self.knowledge.readings):
+            raise InputError(
+                "frozen: the prior's file does not say on which readings it was learnt ([learnt.readings]); use it as "
+                "a prior instead"
+            )
+        if beyond := _shares(self.uncovered(sets)):
+            raise InputError(
+                f"frozen: poses outside of the ranges that {self.knowledge.campaign or 'the prior'} covers: {beyond}; "
+                "frozen values are allowed inside these ranges only: use them as a prior instead"
+            )
+
+    def in_words(self, sets: Sequence[Measurements]) -> str:
+        """What was carried over, how it is used, and whether its ranges cover these measurements."""
+        what = ", ".join(self.labels) or "geometry and compliance"
+        source = f"Prior from {self.knowledge.campaign or 'another campaign'}: {what}"
+        if self.frozen:
+            return f"{source} held at the values found there."
+        text = (
+            f"{source}; {len(self.free)} parameters are free about the values found there, variances widened "
+            f"{WIDENED:g} times and by {100 * CHANGED:g} % of the usual size of each."
+        )
+        if beyond := _shares(self.uncovered(sets)):
+            return f"{text} Poses outside of the ranges that it covers: {beyond}."
+        covered = " These poses lie in the ranges that it covers: --frozen would take the values as they are."
+        return text + (covered if len(self.knowledge.readings) else "")
+
+    def to_json(self, sets: Sequence[Measurements]) -> dict[str, Any]:
+        """The same as plain data."""
+        return {
+            "campaign": self.knowledge.campaign,
+            "effects": list(self.labels),
+            "parameters": len(self.free),
+            "frozen": self.frozen,
+            "uncovered": {name: round(share, 4) for name, share in self.uncovered(sets).items()},
+        }
+
+
+def _shares(uncovered: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {100 * share:.3g} %" for name, share in uncovered.items() if share > 0)
+
+
+def carry_over(
+    robot: Robot, other: Robot, parts: Collection[str] = ("effects",), *, frozen: bool = False
+) -> tuple[Robot, Prior]:
+    """The robot with what another campaign found in its model, and that as a prior.
+
+    other : the same robot as it was identified then, with effects or covariances
+    parts : "effects" (those that do not follow the time of their campaign), names or labels of single effects, and
+        "all" for geometry and compliance too
+    frozen : whether the values are held as they are
+
+    Raises InputError for another robot, names that are not there, and what has no covariance.
+    """
+    _refuse_another(robot, other)
+    effects = _chosen(other, parts)
+    labels = tuple(e.label for e in effects)
+    whole = "all" in parts
+    knowledge = other.knowledge or Knowledge()
+    bare = robot.with_only(e for e in robot.effects if e.label not in labels)
+    model = bare.with_effect(*effects)
+    theirs = {p.name: p for p in other.parameters}
+    taken = [p for p in model.parameters if p.group in labels or (whole and p.group not in FRAMES)]
+    taken = [p for p in taken if p.name in theirs]
+    model = model.with_values({p.name: theirs[p.name].value for p in taken})
+    if frozen:
+        kept = knowledge.without(set(knowledge.std_errors) - {p.name for p in taken})
+        return replace(model, knowledge=kept), Prior(labels=labels, knowledge=knowledge, frozen=True)
+    lost = [label for label in labels if not any(name.startswith(f"{label}.") for name in knowledge.std_errors)]
+    if lost or not knowledge.std_errors:
+        raise InputError(
+            f"prior {other.name!r}: covariance: nothing says how well {lost[0] if lost else 'anything'} is known; "
+            "identify it with casadical, which writes [[covariance]] or std_error, or take it frozen"
+        )
+    sizes = {p.name: p.scale for p in taken}
+    blocks = (block.of(sizes) for block in knowledge.covariance)
+    known = tuple((block.names, _widened(block, sizes)) for block in blocks if block.names)
+    errors = {name: float(s) for names, C in known for name, s in zip(names, np.sqrt(np.diag(C)), strict=True)}
+    means = {p.name: (theirs[p.name].value, errors.get(p.name, p.prior)) for p in taken}
+    return model, Prior(tuple(means), means, known, labels, knowledge)
+
+
+def _widened(block: Covariance, sizes: Mapping[str, float]) -> Array:
+    """Covariance of the values as the next campaign may find them."""
+    variances = np.diag(block.matrix)
+    if not (variances > 0).all():
+        name = block.names[int(np.argmin(variances))]
+        raise InputError(f"prior: covariance: the variance of {name} is zero; it must be positive, or take it frozen")
+    change = CHANGED * np.array([sizes[name] for name in block.names])
+    return WIDENED * block.matrix + np.diag(change**2)
+
+
+def _chosen(other: Robot, parts: Collection[str]) -> tuple[Effect, ...]:
+    """Effects that were asked for. Raises InputError."""
+    lasting = [e for e in other.effects if not any(c.startswith(("progress", "warmth")) for c in e.conditions)]
+    found = lasting if {"effects", "all"} & set(parts) else []
+    for word in parts:
+        hit = [e for e in other.effects if word in (e.name, e.label)]
+        if not hit and word not in ("effects", "all"):
+            raise InputError(
+                f"prior {other.name!r}: no effect {word!r}; allowed: effects, all, "
+                f"{', '.join(e.label for e in other.effects) or 'and it has no effects'}"
+            )
+        found = [*found, *(e for e in hit if e not in found)]
+    if not found and "all" not in parts:
+        raise InputError(
+            f"prior {other.name!r}: it has no effects that last beyond their campaign; write 'all' for its geometry, "
+            "or name the effect"
+        )
+    return tuple(found)
+
+
+def _refuse_another(robot: Robot, other: Robot) -> None:
+    """Raises InputError where the other one cannot be the same robot in the same convention and units."""
+    if other.n != robot.n:
+        raise InputError(
+            f"prior {other.name!r} has {other.n} joints, robot {robot.name!r} has {robot.n}; it must be the same robot"
+        )
+    for i, (ours, kind) in enumerate(zip(robot.joints, (j.kind for j in other.joints), strict=True), 1):
+        if ours.kind != kind:
+            raise InputError(f"prior {other.name!r}: joint {i} is {kind}, of robot {robot.name!r} {ours.kind}")
+    same = [p for p in robot.parameters if p.group in ("geometry", "loop")]
+    values = {p.name: p.value for p in other.parameters}
+    lengths = [p.value / values[p.name] for p in same if p.unit == "m" and values.get(p.name) and p.value]
+    ratio = float(np.median(lengths)) if lengths else 1.0
+    for p in same:
+        if p.name not in values or abs(_apart(p, values[p.name])) > p.upper - p.value:
+            theirs = f"{p.readable(values[p.name]):.6g}" if p.name in values else "missing"
+            why = "it is another robot, or in another convention (modified, standard) or with other zeros of the joints"
+            if max(ratio, 1 / ratio) > 900:
+                why = f"its lengths differ by a factor of {max(ratio, 1 / ratio):.3g}: its units are wrong"
+            allowed = p.readable(p.upper - p.value)
+            raise InputError(
+                f"prior {other.name!r}: {p.name} is {theirs} {p.readable_unit}, of robot {robot.name!r} "
+                f"{p.readable(p.value):.6g}; they may differ by {allowed:.6g}: {why}"
+            )
+
+
+def _apart(p: Parameter, value: float) -> float:
+    """How far another value lies from a parameter's; of angles, without whole turns."""
+    apart = value - p.value
+    return float((apart + np.pi) % (2 * np.pi) - np.pi) if p.unit == "rad" else apart

@@ -1,0 +1,157 @@
+"""What one campaign told of a robot as the prior of the next: fewer poses, messages, the learnt ranges."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import NOISE, TRACKER, model_error, planted, positions, readings, six_axis
+
+from casadical import InputError, identify
+from casadical.core.transforms import frame, from_rpy
+from casadical.effects import JointErrorCurve, JointScale
+from casadical.identification.prior import carry_over
+from casadical.robot.knowledge import Covariance, Knowledge
+from casadical.robot.robot_file import robot_from, to_toml
+
+ARM = six_axis()
+CURVE = JointErrorCurve(None, (0.0, 2e-4, 2e-4, 0.0, 0.0, 0.0), 5, 17)
+ELSEWHERE = frame(from_rpy(np.array([0.3, 0.5, -2.0])), np.array([-1.1, 2.4, 0.2]))
+BASE = ("kinematic",)
+
+
+def parse(text):
+    import tomllib
+
+    return robot_from(tomllib.loads(text), "other.toml")
+
+
+@pytest.fixture(scope="module")
+def built():
+    """An arm with curves in joints 2 and 3."""
+    rng = np.random.default_rng(5)
+    arm = planted(ARM, 5).with_effect(CURVE)
+    return arm.with_values({p.name: 2e-4 * rng.normal() for p in CURVE.parameters()})
+
+
+@pytest.fixture(scope="module")
+def first(built):
+    """The robot as a long campaign found it, in front of one tracker."""
+    m = positions(replace(built, base=replace(built.base, T=TRACKER)), readings(ARM, 150, 1), 1)
+    found = identify(ARM.with_effect(CURVE), replace(m, source="first.csv"), (*BASE, CURVE.label), priors=True)
+    return parse(to_toml(found.robot))
+
+
+@pytest.fixture(scope="module")
+def moved(built):
+    """The same arm in front of another tracker."""
+    return replace(built, base=replace(built.base, T=ELSEWHERE))
+
+
+@pytest.fixture(scope="module")
+def few(moved):
+    return replace(positions(moved, 0.7 * readings(ARM, 14, 2), 2), source="second.csv")
+
+
+def test_a_prior_saves_poses(first, few, moved):
+    """Fourteen poses settle the frames; curves and their size come from the first campaign."""
+    alone = identify(ARM.with_effect(CURVE), few, (*BASE, CURVE.label), priors=True)
+    with_prior = identify(ARM, few, BASE, prior=first)
+    assert with_prior.robot.effects == (CURVE,)
+    assert {p.name for p in CURVE.parameters()} <= set(with_prior.names)
+    assert model_error(with_prior.robot, moved) < 0.5 * model_error(alone.robot, moved)
+    assert with_prior.is_optimal()
+    assert "Prior from first.csv: joint_error_curve" in carry_over(ARM, first)[1].in_words([few])
+
+
+def test_geometry_comes_with_all(first, few, moved):
+    model, prior = carry_over(ARM, first, ("all",))
+    effects_alone, whole = identify(ARM, few, BASE, prior=first), identify(model, few, BASE, prior=prior)
+    assert {"a1", "theta3", "alpha4"} <= set(prior.free)
+    assert not any(name.startswith(("base", "tool")) for name in prior.free)
+    assert model_error(whole.robot, moved) < 0.8 * model_error(effects_alone.robot, moved)
+    assert model_error(whole.robot, moved) < 4 * NOISE
+
+
+def test_data_outvote_a_prior_that_no_longer_holds(first, built):
+    """Joint 3 got another gear: many new poses show it, whatever the first campaign said."""
+    changed = built.with_values({p.name: -1e-4 for p in CURVE.parameters() if p.name.endswith("q3")})
+    there = replace(changed, base=replace(changed.base, T=ELSEWHERE))
+    found = identify(ARM, positions(there, readings(ARM, 150, 3), 3), BASE, prior=first)
+    assert model_error(found.robot, there) < NOISE
+
+
+def test_the_covariance_is_that_of_both_campaigns(first, few):
+    """As the formula for two Gaussian sources: never wider than the prior, and the block is kept whole."""
+    found = identify(ARM, few, BASE, prior=first)
+    _, prior = carry_over(ARM, first)
+    at = [found.names.index(name) for name in prior.known[0][0]]
+    ratio = np.linalg.eigvals(np.linalg.solve(prior.known[0][1], found.covariance[np.ix_(at, at)] / found.variance))
+    assert ratio.real.max() < 1 + 1e-6
+    again = found.robot.knowledge
+    assert again.campaign == "first.csv, second.csv"
+    assert again.poses == 164
+    assert (again.readings[:, 0] == first.knowledge.readings[:, 0]).all()
+
+
+def test_frozen_holds_the_values_inside_the_ranges(first, few):
+    model, prior = carry_over(ARM, first, frozen=True)
+    held = identify(model, few, BASE, prior=prior)
+    assert not any(name.startswith(CURVE.label) for name in held.names)
+    assert held.robot.effect_values == first.effect_values
+    assert held.robot.knowledge.readings.tolist() == first.knowledge.readings.tolist()
+
+
+def test_frozen_is_refused_outside_of_the_ranges(first, few):
+    q = few.q.copy()
+    q[:7, 3] += 4.0
+    model, prior = carry_over(ARM, first, frozen=True)
+    with pytest.raises(InputError, match=r"frozen: .*first\.csv covers: q4 \d+.*use them as a prior"):
+        identify(model, replace(few, q=q), BASE, prior=prior)
+    model, prior = carry_over(ARM, replace(first, knowledge=None), frozen=True)
+    with pytest.raises(InputError, match=r"learnt\.readings"):
+        identify(model, few, BASE, prior=prior)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda r: replace(r, joints=r.joints[:5], effects=(), knowledge=None), "has 5 joints, robot 'elbow' has 6"),
+        (lambda r: r.with_values({"a2": 0.6}), "a2 is 600 mm, of robot 'elbow' 500; they may differ by 30"),
+        (lambda r: r.with_values({n: 1e-3 * r.parameters[n].value for n in ("a1", "a2", "a3", "d4", "d6")}), "units"),
+        (lambda r: r.with_values({"alpha1": 0.0}), "convention"),
+        (lambda r: replace(r, knowledge=None), "covariance: nothing says how well joint_error_curve is known"),
+        (lambda r: r.with_only(()), "has no effects that last"),
+    ],
+)
+def test_another_robot_is_refused(first, few, change, message):
+    with pytest.raises(InputError, match=message):
+        identify(ARM, few, BASE, prior=change(first))
+
+
+def test_names_and_variances_are_checked(first):
+    with pytest.raises(InputError, match="no effect 'backlash'; allowed: effects, all, joint_error_curve"):
+        carry_over(ARM, first, ("backlash",))
+    block = first.knowledge.covariance[0]
+    matrix = block.matrix.copy()
+    k = block.names.index("joint_error_curve.s1_q2")
+    matrix[k, :] = matrix[:, k] = 0.0
+    zero = replace(first, knowledge=Knowledge((Covariance(block.names, matrix),)))
+    with pytest.raises(InputError, match=r"covariance: the variance of joint_error_curve\.s1_q2 is zero"):
+        carry_over(ARM, zero)
+
+
+def test_a_file_with_a_bad_covariance_is_refused_by_key(first):
+    text = to_toml(first)
+    number = text.index("lower = [\n    [") + len("lower = [\n    [")
+    end = text.index("]", number)
+    with pytest.raises(InputError, match=r"other\.toml: covariance\[1\]\..*variance of .* is -1; it must be zero"):
+        parse(text[:number] + "-1.0" + text[end:])
+    with pytest.raises(InputError, match=r"covariance\[1\]\.lower\[1\]\[1\] = nan: must be a finite number"):
+        parse(text[:number] + "nan" + text[end:])
+
+
+def test_an_effect_that_the_robot_has_is_replaced(first, few):
+    model, prior = carry_over(ARM.with_effect(JointScale(1), CURVE), first)
+    assert [e.label for e in model.effects] == ["joint_scale@1", CURVE.label]
+    assert model.effect_values[f"{CURVE.label}.s1_q2"] == first.effect_values[f"{CURVE.label}.s1_q2"]
+    assert prior.labels == (CURVE.label,)
