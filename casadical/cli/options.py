@@ -67,7 +67,7 @@ Prior = Annotated[
     typer.Option(
         metavar="ROBOT.toml",
         help="This robot as another campaign found it, with effects and covariance: its effects are put into the "
-        "model, with their values and covariance as a prior; base and tool are fitted anew.",
+        "model, with their values and covariance as a prior; base and tool are fitted again.",
     ),
 ]
 PriorEffects = Annotated[
@@ -88,7 +88,7 @@ Frozen = Annotated[
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace FILE if it is there.")]
 
 
-def carried(prior: Path | None, parts: str | None, frozen: bool) -> Carried:
+def carried(prior: Path | None, parts: str | None, frozen: bool) -> "Carried":
     """What puts the prior of these options into a robot. Raises InputError."""
     from casadical.identification.prior import carry_over
     from casadical.robot.robot_file import read_robot

@@ -1,6 +1,6 @@
 """What a campaign told of a robot, as the prior of its next one.
 
-Base and tool frames are fitted anew: they belong to the campaign. What was learnt keeps its values as means, and its
+Base and tool frames are fitted again: they belong to the campaign. What was learnt keeps its values as means, and its
 covariance, a little wider, as what the new readings may change. Frozen, it keeps its values alone.
 """
 
@@ -44,7 +44,7 @@ class Prior:
     knowledge: Knowledge = field(default_factory=Knowledge)
     frozen: bool = False
 
-    def with_anew(self, wide: Mapping[str, float]) -> Prior:
+    def with_nothing_known(self, wide: Mapping[str, float]) -> Prior:
         """The same, nothing known of some parameters: mean zero; wide : name -> one sigma [SI]."""
         rest = ([k for k, name in enumerate(names) if name not in wide] for names, _ in self.known)
         known = (

@@ -3,7 +3,7 @@
 Curves of one campaign as the prior of the next: three series of one UR10, each with its own base frame.
 
 Of each series about 70 % of the poses (of A 2800) give the calibrated robot with joint error curves, kept as a robot
-file. Another series then gives 100 poses, from which its base and tool are fitted anew; the mean error is that of all
+file. Another series then gives 100 poses, from which its base and tool are fitted again; the mean error is that of all
 its other poses, which nothing has seen. Three gross errors of series B (lines 534, 856 and 857 of the file) are left
 out. Columns: calibrated without curves; frozen curves at their values; the same, on poses alone whose readings lie in
 the ranges of the first campaign; own curves, learnt from the 100 poses; the other campaign's curves as a prior.
