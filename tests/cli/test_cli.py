@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from command_line import main
 
-from casadical import cli
 from casadical.identification.accuracy import errors, summarise
 from casadical.project.problem import read_problem
 from casadical.robot.robot_file import read_robot
@@ -25,14 +25,6 @@ def run(*arguments: object) -> subprocess.CompletedProcess[str]:
     command = [Path(sys.executable).parent / "casadical", *map(str, arguments)]
     environment = {**os.environ, "COLUMNS": "80", "TERM": "dumb", "NO_COLOR": "1"}
     return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
-
-
-def main(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    """The command inside this process; its exit code."""
-    monkeypatch.setattr(sys, "argv", ["casadical", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        cli.main()
-    return int(stopped.value.code or 0)
 
 
 @pytest.fixture(scope="module")

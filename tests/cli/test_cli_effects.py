@@ -3,27 +3,19 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import pandas as pd
 import pytest
+from command_line import main
 
-from casadical import cli, diagnose, read_campaign_robot, read_measurements, read_robot, write_robot
+from casadical import diagnose, read_campaign_robot, read_measurements, read_robot, write_robot
 from casadical.effects import GearEccentricity, ThermalGrowth
 
 ROOT = Path(__file__).parents[2]
 PROBLEM = ROOT / "problems" / "ur10e"
 CAMPAIGN = ROOT / "data" / "campaigns" / "practice" / "ur10e-P06.csv"
 HELD = "held at their values: friction_windup@3 (constant"
-
-
-def main(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    """The command inside this process; its exit code."""
-    monkeypatch.setattr(sys, "argv", ["casadical", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        cli.main()
-    return int(stopped.value.code or 0)
 
 
 @pytest.fixture(scope="module")

@@ -9,20 +9,11 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
-
-from casadical import cli
+from command_line import main
 
 ROOT = Path(__file__).parents[2]
 PLANAR = ROOT / "problems" / "planar"
 HH800 = ROOT / "problems" / "hh800"
-
-
-def main(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    """The command inside this process; its exit code."""
-    monkeypatch.setattr(sys, "argv", ["casadical", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        cli.main()
-    return int(stopped.value.code or 0)
 
 
 def test_a_problem_is_calibrated_and_written(tmp_path: Path) -> None:

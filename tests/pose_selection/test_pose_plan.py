@@ -1,16 +1,16 @@
 """The command: what it writes, prints and refuses."""
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import main
 from pose_arms import elbow, positions, readings
 
-from casadical import cli, read_measurements, write_robot
+from casadical import read_measurements, write_robot
 from casadical.core.transforms import frame
 from casadical.pose_selection.pose_order import travel
 
@@ -20,10 +20,7 @@ pytest.importorskip("networkx", reason="casadical plan orders poses with network
 
 
 def run(monkeypatch, *words) -> int:
-    monkeypatch.setattr(sys, "argv", ["casadical", "plan", *map(str, words)])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    return stop.value.code or 0
+    return main(monkeypatch, "plan", *words)
 
 
 @pytest.fixture

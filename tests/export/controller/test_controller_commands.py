@@ -5,15 +5,14 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-import sys
 
 import numpy as np
 import pytest
+from command_line import main as run
 from controller_arms import nominal_path, planted, poses, positions, rigid_motion
 
 import casadical.export.c.kernel as kernel_module
 import casadical.export.c.write as write_module
-from casadical import cli
 from casadical.cli.export import prefix_of
 from casadical.compensator import Compensator, save_compensator
 from casadical.export import load
@@ -21,14 +20,6 @@ from casadical.export.c.toolchain import compilers
 from casadical.robot.robot_file import read_robot
 
 needs_compiler = pytest.mark.skipif(not compilers(), reason="no C compiler (gcc, clang, cc) on this machine")
-
-
-def run(monkeypatch, *arguments) -> int:
-    """The command inside this process; its exit code."""
-    monkeypatch.setattr(sys, "argv", ["casadical", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        cli.main()
-    return int(stopped.value.code or 0)
 
 
 @pytest.fixture(scope="module")
