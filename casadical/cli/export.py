@@ -37,7 +37,11 @@ def export_c(
     robot: Annotated[Path, typer.Argument(metavar="ROBOT.toml", help="A calibrated robot file.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files; other files in it stay.")],
     what: Annotated[
-        str, typer.Option(metavar="network|command", help="The network alone, or the correction of joint commands.")
+        str,
+        typer.Option(
+            metavar="network|command|curves",
+            help="The network alone, the correction of joint commands, or the joints' error curves alone.",
+        ),
     ] = "command",
     nominal: Nominal = None,
     compensator: Compensator = None,
@@ -71,17 +75,21 @@ def export_c(
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
     from casadical.export import write_c
-    from casadical.export.controller.commands import Sources, command_of, network_of
+    from casadical.export.controller.commands import Sources, command_of, curves_of, network_of
     from casadical.robot.robot_file import read_robot
 
-    if what not in ("network", "command"):
-        raise InputError(f"--what {what}: not known; allowed: network, command")
+    if what not in ("network", "command", "curves"):
+        raise InputError(f"--what {what}: not known; allowed: network, command, curves")
     if real not in ("float", "double"):
         raise InputError(f"--real {real}: not known; allowed: float, double")
     if what == "network" and (nominal or payload is not None):
         raise InputError("--nominal and --payload have no part in a network alone; remove them, or give --what command")
+    if what == "curves" and (nominal or compensator or payload is not None):
+        raise InputError("--nominal, --compensator and --payload have no part in curves alone; remove them")
     sources = Sources(robot, nominal, compensator, payload, tool, leave_out)  # type: ignore[arg-type]
-    product = command_of(sources, steps) if what == "command" else network_of(sources)
+    product = (
+        command_of(sources, steps) if what == "command" else (curves_of if what == "curves" else network_of)(sources)
+    )
     try:
         written = write_c(
             product,
@@ -119,7 +127,7 @@ def _about(sources: Sources, what: str, networked: bool) -> list[str]:
     from casadical.export.controller.commands import followed
 
     files = {"robot": sources.robot, "nominal": sources.nominal, "compensator": sources.compensator}
-    used = ["robot", "compensator"] if what == "network" else list(files)
+    used = list(files) if what == "command" else ["robot", "compensator"]
     lines = [
         f"{label}: {path}, sha256 {_sha256(path)}"
         for label, path in files.items()
@@ -127,6 +135,8 @@ def _about(sources: Sources, what: str, networked: bool) -> list[str]:
     ]
     if sources.compensator and not networked:
         lines.append("the compensator was refused when it was trained: it corrects nothing and is left out")
+    if what == "curves":
+        lines.append("the joints' error curves alone: a joint read as q stands at q + dq, so command q - dq(q)")
     if what == "command":
         mass = "as declared" if sources.payload_kg is None else f"{sources.payload_kg:g} kg"
         lines += [f"LEFT OUT {line}" for line in followed(sources)[1]]

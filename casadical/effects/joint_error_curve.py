@@ -12,6 +12,7 @@ from casadical.core.arm import Arm
 from casadical.core.arrays import Array
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect
+from casadical.effects.counterparts import Counterparts
 
 # One sigma of a harmonic of a joint about which nothing is known yet [rad].
 USUAL = 60e-6
@@ -82,6 +83,10 @@ class JointErrorCurve(Effect):
             ]
             moved[joint - 1] = series(context.q[joint - 1], *values)
         return moved
+
+    def counterpart(self, found: Counterparts, v: Mapping[str, float]) -> Counterparts:
+        why = "a MuJoCo joint has no error that follows its own angle; add dq of `export c --what curves` to ctrl"
+        return found.without(self.label, why) if any(v.values()) else found.noted(f"{self.label}: zero")
 
 
 def series(q: Symbolic, sines: Sequence[Symbolic], cosines: Sequence[Symbolic]) -> Symbolic:

@@ -3,6 +3,7 @@ from casadical.export.c.kernel import load as load
 from casadical.export.c.language import Label as Label
 from casadical.export.c.language import Language as Language
 from casadical.export.c.products import Command as Command
+from casadical.export.c.products import CurveFunction as CurveFunction
 from casadical.export.c.products import Limits as Limits
 from casadical.export.c.products import NetworkFunction as NetworkFunction
 from casadical.export.c.reference import Status as Status
@@ -12,6 +13,7 @@ from casadical.export.c.write import Export as Export
 from casadical.export.c.write import write_c as write_c
 from casadical.export.controller.commands import Sources as Sources
 from casadical.export.controller.commands import command_of as command_of
+from casadical.export.controller.commands import curves_of as curves_of
 from casadical.export.controller.commands import network_of as network_of
 from casadical.export.controller.correction import Corrected as Corrected
 from casadical.export.controller.correction import Corrector as Corrector

@@ -37,7 +37,7 @@ _FILLED_BY_CMAKE = {
 def _cross_check(program: TapeProgram, label: Label) -> str:
     """C by CasADi's own code generator (double, with math.h): a second way from the same functions to numbers."""
     generator = casadi.CodeGenerator(f"{label.name}_casadi", {"with_header": False})
-    found = {} if program.network is None else {"network": program.network.function}
+    found = {} if program.network is None else {program.network.key: program.network.function}
     if program.command is not None:
         found |= {"nominal": program.command.nominal, "calibrated": program.command.calibrated}
     for key, function in found.items():

@@ -28,7 +28,7 @@ def header(program: TapeProgram, label: Label) -> str:
     values["defines"] = filled(_COMMAND_DEFINES, values) if command else ""
     values["command_statuses"] = filled(_COMMAND_STATUSES, values) if command else ""
     values["not_finite_output"] = "; zeros are written"
-    values["title"] = "correction of joint commands" if command else "compensation network"
+    values["title"] = network.title if network and not command else "correction of joint commands"
     return filled(template("header.h"), values)
 
 
@@ -84,9 +84,12 @@ def common_values(program: TapeProgram, label: Label) -> dict[str, str]:
     }
     values |= {f"box_table:{key}": _table(pair, real) for key, pair in boxes(program).items()}
     if program.network is not None:
-        values["n_dp"] = str(len(program.network_bounds))
+        network = program.network
+        values |= {"function": network.key, "out": network.out, "unit": network.unit, "what": network.title}
+        values["n_out"] = str(len(program.network_bounds))
         values["network_bounds"] = "".join(
-            f" *   dp_mm[{i}]  {low:.9g} to {high:.9g}\n" for i, (low, high) in enumerate(program.network_bounds)
+            f" *   {network.out}[{i}]  {low:.9g} to {high:.9g}\n"
+            for i, (low, high) in enumerate(program.network_bounds)
         )
     return values | (_command_values(command, program, real) if command else {})
 

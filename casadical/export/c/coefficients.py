@@ -111,6 +111,12 @@ COEFFICIENTS: dict[str, Coefficients] = {"float": _FLOAT, "double": _DOUBLE}
 DTYPE: dict[str, Any] = {"float": np.float32, "double": np.float64}
 
 
+def turn_parts(c: Coefficients, points: int) -> tuple[float, float, float]:
+    """Points per radian of a turn in so many points (a power of two), and their spacing [rad] in two parts."""
+    high, low = (4 / points * part for part in c.half_pi)
+    return points / 4 * c.two_over_pi, high, low
+
+
 def literal(value: float, real: Real) -> str:
     """A C99 constant with exactly the value that ``value`` has when rounded to the real type."""
     rounded = float(DTYPE[real](value))

@@ -6,9 +6,12 @@ list: the NumPy evaluation that the compiled C is compared with.
 """
 
 import re
+import zlib
+from collections.abc import Iterable
 from importlib.resources import files
 
-from casadical.export.c.coefficients import COEFFICIENTS, EXP_LIMIT, SQRT_GUESS, TAN_PI_8, Real, literal
+from casadical.export.c.coefficients import COEFFICIENTS, EXP_LIMIT, SQRT_GUESS, TAN_PI_8, Real, literal, turn_parts
+from casadical.export.c.periodic_table import TURNS
 from casadical.export.c.tape import Node, Tape
 
 _CALLS = ("sincos", "tansig", "exp", "sqrt", "atan2")
@@ -35,7 +38,28 @@ def elementary_functions(tapes: list[Tape], name: str, real: Real) -> str:
     """C text of the static functions that the tapes call."""
     used = functions_used(tapes)
     values = _constants(real) | {"name": name, "real": f"{name}_real"}
-    return "\n".join(filled(template(f"{snippet}.c"), values) for snippet in used)
+    texts = [filled(template(f"{snippet}.c"), values) for snippet in used]
+    return "\n".join(texts + [_periodic(table, values, real) for table in tables_used(tapes)])
+
+
+def tables_used(tapes: Iterable[Tape]) -> list[tuple[float, ...]]:
+    """The different tables of periodic functions, in the order of the tapes."""
+    return list(dict.fromkeys(node.table for tape in tapes for node in tape.nodes if node.table))
+
+
+def table_name(table: tuple[float, ...]) -> str:
+    """Name of the function of a table: the same for the same numbers, so that tapes share it."""
+    return f"periodic_{zlib.crc32(repr(table).encode()):08x}"
+
+
+def _periodic(table: tuple[float, ...], values: dict[str, str], real: Real) -> str:
+    points = len(table) - 3
+    numbers = dict(zip(("per_radian", "step_high", "step_low"), turn_parts(COEFFICIENTS[real], points), strict=True))
+    numbers |= {"offset": float(TURNS * points), "3": 3.0}
+    rows = (table[k : k + 6] for k in range(0, len(table), 6))
+    mine = {"table": table_name(table), "points": str(points), "size": str(len(table)), "mask": str(points - 1)}
+    mine["numbers"] = ",\n".join("        " + ", ".join(literal(v, real) for v in row) for row in rows)
+    return filled(template("periodic.c"), values | mine | {key: literal(v, real) for key, v in numbers.items()})
 
 
 def kernel(tape: Tape, prefix: str, name: str, real: Real) -> str:
@@ -79,6 +103,8 @@ def _expression(node: Node, a: list[str], prefix: str, real: Real) -> str:
         return f"{a[0]} {_INFIX[node.op]} {a[1]}"
     if node.op in _CALLS:
         return f"{prefix}_{node.op}({', '.join(a)})"
+    if node.op == "periodic":
+        return f"{prefix}_{table_name(node.table)}({a[0]})"
     if node.op == "input":
         return f"in[{int(node.value)}]"
     limit = literal(node.value, real)

@@ -23,6 +23,7 @@ _RESET = """\
     }
     it->state.gain = (@name@_real)0;
 """
+_CALL, _CALL_STEP = "@name@_@function@(q, out)", "@name@_step(&it->state, q, (unsigned int)it->enable, out)"
 _CYCLES = """\
     {
         /* as many controller cycles as fit the communication step */
@@ -74,14 +75,12 @@ def _output_count(program: TapeProgram) -> int:
 
 
 def _source(program: TapeProgram, label: Label) -> str:
-    name, command = label.name, program.command
+    command = program.command
     values = common_values(program, label) | {"n_out": str(_output_count(program))}
     values["middle"] = ", ".join(repr(v) for v in _box_middle(program))
     values["state"] = filled(_STATE, values) if command else ""
     values["reset"] = filled(_RESET, values) if command else ""
-    values["call"] = (
-        f"{name}_step(&it->state, q, (unsigned int)it->enable, out)" if command else f"{name}_network(q, out)"
-    )
+    values["call"] = filled(_CALL_STEP if command else _CALL, values)
     values["do_step"] = filled(_CYCLES, values) if command else "    (void)size;\n    call(it);\n"
     values["initial"] = "" if command else "    call((instance *)c);\n"
     return filled(template("fmu.c"), values)
@@ -95,7 +94,9 @@ def _description(program: TapeProgram, label: Label, digest: str) -> str:
         f'description="commanded joint angle"><Real unit="rad" start="{v!r}"/></ScalarVariable>'
         for i, v in enumerate(_box_middle(program))
     ]
-    out, unit, what = ("dq", "rad", "joint correction") if command else ("dp_mm", "mm", "tool correction")
+    out, unit, what = ("dq", "rad", "joint correction")
+    if program.network is not None and command is None:
+        out, unit, what = program.network.out, program.network.unit, program.network.title
     variables += [
         f'    <ScalarVariable name="{out}[{i + 1}]" valueReference="{program.n + i}" causality="output" '
         f'variability="continuous" initial="calculated" description="{what}"><Real unit="{unit}"/></ScalarVariable>'

@@ -5,6 +5,7 @@ Bounds are outward: each operation's result is widened by more than the rounding
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 from casadical.core.arrays import Array
 from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, Real
@@ -73,6 +74,10 @@ def _bound(node: Node, args: list[Interval], box: list[Interval], real: Real) ->
         return max(args[0][0], node.value), max(args[0][1], node.value)
     if node.op == "guard_max":
         return min(args[0][0], node.value), min(args[0][1], node.value)
+    if node.op == "periodic":
+        # A spline lies between its least and greatest coefficient; a rounded place may be a hundredth outside its cell.
+        low, high = 6 * min(node.table), 6 * max(node.table)
+        return low - 1e-3 * (high - low), high + 1e-3 * (high - low)
     if node.op == "mul":
         return _product_node(node, *args)
     return _RULES[node.op](*args)
@@ -114,5 +119,5 @@ def without_needless_guards(tape: Tape, lower: Array, upper: Array, real: Real) 
             place.append(args[0])
         else:
             place.append(len(kept))
-            kept.append(Node(node.op, args, node.value))
+            kept.append(replace(node, args=args))
     return Tape(tuple(kept), tape.n_in, tuple(place[o] for o in tape.outputs))

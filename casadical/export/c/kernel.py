@@ -38,7 +38,7 @@ class Kernel:
         self._library = ctypes.CDLL(str(library))
 
     def rows(self, function: str, q: Array) -> tuple[Array, Array]:
-        """Call ``network``, ``forward`` or ``correct`` for each row of joints.
+        """Call ``network``, ``curves``, ``forward`` or ``correct`` for each row of joints.
 
         q : array, shape (k, n) [rad]; converted to the kernel's real type
 
@@ -61,6 +61,10 @@ class Kernel:
     def network(self, q: Array) -> tuple[Array, Array]:
         """Network correction [mm], shape (k, m), and status."""
         return self.rows("network", q)
+
+    def curves(self, q: Array) -> tuple[Array, Array]:
+        """Error curves of the joints [rad], shape (k, n), and status."""
+        return self.rows("curves", q)
 
     def forward(self, q: Array) -> tuple[Array, Array]:
         """Calibrated position [m], shape (k, 3), or (k, 12) with the rotation, and status."""

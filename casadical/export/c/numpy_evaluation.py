@@ -10,7 +10,17 @@ from typing import Any
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, EXP_LIMIT, SQRT_GUESS, TAN_PI_8, Coefficients, Real
+from casadical.export.c.coefficients import (
+    COEFFICIENTS,
+    DTYPE,
+    EXP_LIMIT,
+    SQRT_GUESS,
+    TAN_PI_8,
+    Coefficients,
+    Real,
+    turn_parts,
+)
+from casadical.export.c.periodic_table import TURNS
 from casadical.export.c.tape import Tape
 
 
@@ -38,6 +48,20 @@ class NumpyFunctions:
         q = whole.astype(np.int64) & 3
         sin, cos = np.where(q & 1, co, s), np.where(q & 1, s, co)
         return np.where(q & 2, -sin, sin), np.where((q + 1) & 2, -cos, cos)
+
+    def periodic(self, x: Array, table: tuple[float, ...]) -> Array:
+        T, points = self.T, len(table) - 3
+        c, offset = np.array(table).astype(T), T(TURNS * points)
+        per_radian, high, low = (T(v) for v in turn_parts(self.c, points))
+        k = np.trunc(x * per_radian + offset).astype(np.int64)
+        n = k.astype(T) - offset
+        t = ((x - n * high) - n * low) * per_radian
+        i = k & (points - 1)
+        ends, middle = c[i] + c[i + 2], c[i + 1] + c[i + 1]
+        cubic = (c[i + 3] - c[i]) - T(3) * (c[i + 2] - c[i + 1])
+        square, slope = T(3) * (ends - middle), T(3) * (c[i + 2] - c[i])
+        value: Array = (ends + (middle + middle)) + t * (slope + t * (square + t * cubic))
+        return value
 
     def _reduced(self, y: Array) -> tuple[Array, Array, Array]:
         """y >= 0 as n ln 2 + r: returns 2^n, r and r coth(r/2)."""
@@ -143,6 +167,8 @@ def _run(tape: Tape, inputs: Array, real: Real) -> tuple[Array, Array]:
                 values.append(np.ascontiguousarray(inputs[:, int(node.value)], T))
             elif node.op == "const":
                 values.append(np.full(k, T(node.value)))
+            elif node.op == "periodic":
+                values.append(mirror.periodic(args[0], node.table))
             elif node.op in ("sin", "cos"):
                 values.append(args[0][0 if node.op == "sin" else 1])
             elif node.op in ("guard_min", "guard_max"):

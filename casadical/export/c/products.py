@@ -1,7 +1,7 @@
-"""What can be exported: a network alone, or the whole correction of a joint command."""
+"""What can be exported: a network or the joints' error curves alone, or the whole correction of a joint command."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi
 import numpy as np
@@ -40,15 +40,37 @@ class Limits:
 
 @dataclass(frozen=True)
 class NetworkFunction:
-    """A function q[n] -> dp_mm[m] and the box of joint angles it was trained in (arrays of shape (n,) [rad])."""
+    """A function q[n] -> dp_mm[m] and the box of joint angles it was trained in (arrays of shape (n,) [rad]).
+
+    key, out, unit, title : the names of the exported function and of its result, its unit, and what it is, in words
+    """
 
     function: casadi.Function
     lower: Array
     upper: Array
 
+    key: ClassVar[str] = "network"
+    out: ClassVar[str] = "dp_mm"
+    unit: ClassVar[str] = "mm"
+    title: ClassVar[str] = "compensation network"
+
     def __post_init__(self) -> None:
         _checked_box(self)
         _checked_signature(self.function, len(self.lower), None)
+
+
+@dataclass(frozen=True)
+class CurveFunction(NetworkFunction):
+    """The joints' error curves, q[n] -> dq[n]: each joint stands at its reading plus dq [rad]."""
+
+    key: ClassVar[str] = "curves"
+    out: ClassVar[str] = "dq"
+    unit: ClassVar[str] = "rad"
+    title: ClassVar[str] = "error curves of the joints"
+
+    def __post_init__(self) -> None:
+        _checked_box(self)
+        _checked_signature(self.function, len(self.lower), (len(self.lower),))
 
 
 @dataclass(frozen=True)

@@ -47,8 +47,9 @@ def boxed(q: Array, box: tuple[Array, Array]) -> tuple[Array, Array]:
 
 
 def network(program: TapeProgram, q: Array) -> tuple[Array, Array]:
-    """dp_mm, shape (k, m), and status, shape (k,), for joints q of shape (k, n)."""
-    return _values(program, q, "network", "network")
+    """Of the network or the curves: its results, shape (k, m), and status, shape (k,), for joints q, shape (k, n)."""
+    assert program.network is not None
+    return _values(program, q, program.network.key, "network")
 
 
 def forward(program: TapeProgram, q: Array) -> tuple[Array, Array]:

@@ -54,7 +54,7 @@ def functions(program: TapeProgram) -> dict[str, Any]:
     """The exported functions of joints alone, with the reference that computes each."""
     found: dict[str, Any] = {}
     if program.network is not None:
-        found["network"] = network
+        found[program.network.key] = network
     if program.command is not None:
         found |= {"forward": forward, "correct": correct}
     return found

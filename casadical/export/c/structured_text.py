@@ -5,9 +5,10 @@ It uses the PLC's own SIN, COS, SQRT, EXP and ATAN, so its results agree with th
 
 from casadical.core.arrays import Array
 from casadical.export.c.c_source import boxes, command_numbers
-from casadical.export.c.coefficients import DTYPE, Real
-from casadical.export.c.emit import filled, template
+from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, Real, turn_parts
+from casadical.export.c.emit import filled, table_name, tables_used, template
 from casadical.export.c.language import Label, Language
+from casadical.export.c.periodic_table import TURNS
 from casadical.export.c.products import Command
 from casadical.export.c.tape import Node, Tape
 from casadical.export.c.tape_program import TapeProgram, prepared_size
@@ -38,15 +39,26 @@ def structured_text(program: TapeProgram, label: Label) -> str:
     parts = [filled(template("head.st"), values)]
     if any(node.op == "atan2" for tape in program.tapes.values() for node in tape.nodes):
         parts.append(filled(template("atan2.st"), values))
+    parts += [_periodic(table, values, program.real) for table in tables_used(program.tapes.values())]
     parts += [
         _block(tape, f"{label.name}_{key}_values", kind, program.real) for key, tape in sorted(program.tapes.items())
     ]
     if program.network is not None:
-        size = {"last_out": str(len(program.network_bounds) - 1)}
+        size = {"function": program.network.key, "out": program.network.out}
+        size["last_out"] = str(len(program.network_bounds) - 1)
         parts.append(filled(template("network.st"), values | size | _box(program, "network")))
     if program.command is not None:
         parts.append(filled(template("command.st"), values | _command(program, program.command)))
     return "\n".join(parts).replace("@name@", label.name)
+
+
+def _periodic(table: tuple[float, ...], values: dict[str, str], real: Real) -> str:
+    points = len(table) - 3
+    mine = {"table": table_name(table), "points": str(points), "last_entry": str(len(table) - 1)}
+    mine["numbers"] = ", ".join(number(v, real) for v in table)
+    numbers = dict(zip(("per_radian", "step_high", "step_low"), turn_parts(COEFFICIENTS[real], points), strict=True))
+    numbers["offset"] = float(TURNS * points)
+    return filled(template("periodic.st"), values | mine | {key: number(v, real) for key, v in numbers.items()})
 
 
 def number(value: float, real: Real) -> str:
@@ -62,8 +74,10 @@ def _block(tape: Tape, name: str, kind: str, real: Real) -> str:
     statements = [
         s for k, node in enumerate(tape.nodes) for s in _statements(k, node, [names[a] for a in node.args], real)
     ]
-    own = [s.split(" := ")[0] for s in statements if not s.startswith("IF")]
+    own = [s.split(" := ")[0] for s in statements if s.startswith("v")]
     declared = "".join(f"    {v} : {kind};\n" for v in own)
+    blocks = {k: table_name(node.table) for k, node in enumerate(tape.nodes) if node.table}
+    declared += "".join(f"    p{k} : @name@_{table};\n" for k, table in blocks.items())
     body = "".join(f"{s};\n" if not s.endswith("END_IF;") else f"{s}\n" for s in statements)
     results = "".join(f"y[{i}] := {names[k]};\n" for i, k in enumerate(tape.outputs))
     return (
@@ -85,6 +99,8 @@ def _statements(k: int, node: Node, a: list[str], real: Real) -> list[str]:
     if node.op in ("const", "sin", "cos"):
         which = {"sin": "SIN", "cos": "COS"}.get(node.op)
         return [f"v{k} := {which}({a[0]})"] if which else []
+    if node.op == "periodic":
+        return [f"p{k}(x := {a[0]})", f"v{k} := p{k}.y"]
     if node.op.startswith("guard"):
         limit = number(node.value, real)
         inside = f"{a[0]} >= {limit}" if node.op == "guard_min" else f"{a[0]} <= {limit}"

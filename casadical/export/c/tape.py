@@ -2,17 +2,19 @@
 
 Equal operations on equal arguments are stored once, sines and cosines of one angle share an operation, and a tansig is
 recognised however it is written. Where an operation takes only some numbers (square root, exp, sine of a huge angle) a
-guard stands before it; what an interval analysis proves to be needless is removed (see intervals.py). The C emitter and
-the NumPy evaluation both read this list only.
+guard stands before it; what an interval analysis proves to be needless is removed (see intervals.py). A function that
+is called (CasADi's option `never_inline`) becomes a table for each of its outputs (see periodic_table.py). The C
+emitter and the NumPy evaluation both read this list only.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi
 
 from casadical.core.errors import InputError
 from casadical.export.c.coefficients import ANGLE_LIMIT, EXP_LIMIT
+from casadical.export.c.periodic_table import TABLE_LIMIT, periodic_tables
 
 # Operations that take the same name in the tape as in CasADi: {instruction id: (name, number of arguments)}.
 _PLAIN: dict[int, tuple[str, int]] = {
@@ -52,11 +54,15 @@ _COMMUTATIVE = {"add", "mul"}
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """One operation: its name, the positions of its arguments on the tape, and a constant or an input position."""
+    """One operation: its name, the positions of its arguments on the tape, and a constant or an input position.
+
+    table : of the operation `periodic`, whose value is the bound of the table's error (see `spline_table`)
+    """
 
     op: str
     args: tuple[int, ...] = ()
     value: float = 0.0
+    table: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -75,10 +81,10 @@ class _Builder:
         self.nodes: list[Node] = []
         self._known: dict[Node, int] = {}
 
-    def add(self, op: str, *args: int, value: float = 0.0) -> int:
+    def add(self, op: str, *args: int, value: float = 0.0, table: tuple[float, ...] = ()) -> int:
         if op in _COMMUTATIVE:
             args = tuple(sorted(args))
-        node = Node(op, args, value)
+        node = Node(op, args, value, table)
         if node not in self._known:
             self._known[node] = len(self.nodes)
             self.nodes.append(node)
@@ -90,9 +96,16 @@ class _Builder:
     def root(self, x: int) -> int:
         return self.add("sqrt", self.add("guard_min", x, value=0.0))
 
+    def within(self, x: int, limit: float) -> int:
+        return self.add("guard_max", self.add("guard_min", x, value=-limit), value=limit)
+
     def sincos(self, angle: int, which: str) -> int:
-        inside = self.add("guard_max", self.add("guard_min", angle, value=-ANGLE_LIMIT), value=ANGLE_LIMIT)
-        return self.add(which, self.add("sincos", inside))
+        return self.add(which, self.add("sincos", self.within(angle, ANGLE_LIMIT)))
+
+    def periodic(self, angle: int, table: tuple[float, ...], bound: float) -> int:
+        if len(table) == 1:
+            return self.constant(table[0])
+        return self.add("periodic", self.within(angle, TABLE_LIMIT), value=bound, table=table)
 
     def arc(self, op: str, x: int) -> int:
         """asin, acos and atan are angles of a right-angled triangle: one atan2 serves all."""
@@ -163,14 +176,15 @@ def tape_of(function: casadi.Function) -> Tape:
 
     All inputs are taken as one vector in the order of the function's arguments, and so are the outputs.
 
-    Raises InputError: the function cannot be expanded, has sparse arguments, or uses an operation that the generated C
-    does not have.
+    Raises InputError: the function cannot be expanded, has sparse arguments, uses an operation that the generated C
+    does not have, or calls a function that cannot be a table.
     """
     function = _expanded(function)
     starts_in = _starts(function, [function.sparsity_in(i) for i in range(function.n_in())])
     starts_out = _starts(function, [function.sparsity_out(i) for i in range(function.n_out())])
     builder = _Builder()
     inputs = [builder.add("input", value=float(k)) for k in range(starts_in[-1])]
+    tables = _called(function)
     work: dict[int, int] = {}
     outputs = [builder.constant(0.0)] * starts_out[-1]
     for k in range(function.n_instructions()):
@@ -181,6 +195,9 @@ def tape_of(function: casadi.Function) -> Tape:
             outputs[starts_out[target[0]] + target[1]] = work[source[0]]
         elif op == casadi.OP_CONST:
             work[target[0]] = builder.constant(function.instruction_constant(k))
+        elif op == casadi.OP_CALL:
+            made = [builder.periodic(work[s], *table) for s, table in zip(source, tables, strict=True)]
+            work |= dict(zip(target, made, strict=True))
         else:
             work[target[0]] = _operation(builder, function, op, [work[s] for s in source])
     return _live(builder.nodes, starts_in[-1], outputs)
@@ -205,6 +222,17 @@ def _operation(builder: _Builder, function: casadi.Function, op: int, args: list
         f"function {function.name()!r} uses the operation {names.get(op, op)}, which the generated C does not have; "
         f"allowed are {', '.join(allowed)}; write the function with these"
     )
+
+
+def _called(function: casadi.Function) -> list[tuple[tuple[float, ...], float]]:
+    """Tables of the function that it calls; none where it calls none."""
+    called = function.find_functions()
+    if len(called) > 1:
+        raise InputError(
+            f"function {function.name()!r} calls {', '.join(f.name() for f in called)}; only one can become a table, "
+            "and no derivative of it: give jacobian_of a function without it"
+        )
+    return periodic_tables(called[0]) if called else []
 
 
 def _expanded(function: casadi.Function) -> casadi.Function:
@@ -239,5 +267,5 @@ def _live(nodes: Iterable[Node], n_in: int, outputs: list[int]) -> Tape:
         if k in needed:
             needed.update(nodes[k].args)
     place = {old: new for new, old in enumerate(sorted(needed))}
-    kept = tuple(Node(nodes[k].op, tuple(place[a] for a in nodes[k].args), nodes[k].value) for k in sorted(needed))
+    kept = tuple(replace(nodes[k], args=tuple(place[a] for a in nodes[k].args)) for k in sorted(needed))
     return Tape(kept, n_in, tuple(place[k] for k in outputs))

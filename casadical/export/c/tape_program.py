@@ -24,7 +24,7 @@ class TapeProgram:
     product: Product
     real: Real
     tapes: dict[str, Tape]
-    network_bounds: tuple[tuple[float, float], ...]  # mm, hold for every input
+    network_bounds: tuple[tuple[float, float], ...]  # of its unit, hold for every input
 
     @property
     def n(self) -> int:
@@ -38,12 +38,15 @@ class TapeProgram:
 
     @property
     def network(self) -> NetworkFunction | None:
-        """The network alone or the one beside a command."""
+        """The network or the curves alone, or the network beside a command."""
         return self.product.network if isinstance(self.product, Command) else self.product
 
 
 def tape_program(product: Product, real: Real) -> TapeProgram:
-    """Tapes of a network (``network``) or a command (``forward``, ``prepare``, ``advance``, perhaps ``network``)."""
+    """Tapes of a product.
+
+    ``network`` or ``curves`` of these, ``forward``, ``prepare``, ``advance`` and perhaps ``network`` of a command.
+    """
     tapes: dict[str, Tape] = {}
     network = product if isinstance(product, NetworkFunction) else product.network
     network_bounds: list[tuple[float, float]] = []
@@ -51,7 +54,7 @@ def tape_program(product: Product, real: Real) -> TapeProgram:
         lower, upper = _rounded(network.lower, real), _rounded(network.upper, real)
         tape = without_needless_guards(tape_of(network.function), lower, upper, real)
         found = bounds(tape, lower, upper, real)
-        tapes["network"], network_bounds = tape, [found[o] for o in tape.outputs]
+        tapes[network.key], network_bounds = tape, [found[o] for o in tape.outputs]
     if isinstance(product, Command):
         tapes |= _command_tapes(product, real)
     return TapeProgram(product, real, tapes, tuple(network_bounds))

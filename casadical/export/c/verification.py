@@ -34,7 +34,7 @@ def shape_of(program: TapeProgram, name: str) -> Shape:
     """A program's shape for the loader of compiled C."""
     sizes: dict[str, int] = {}
     if program.network is not None:
-        sizes["network"] = len(program.tapes["network"].outputs)
+        sizes[program.network.key] = len(program.network_bounds)
     if program.command is not None:
         sizes |= {"forward": len(program.tapes["forward"].outputs), "correct": program.n}
     return Shape(name, program.real, program.n, sizes)
@@ -77,9 +77,11 @@ def _bits(values: Array) -> Array:
 def accuracy(program: TapeProgram, count: int = 10_000) -> dict[str, float]:
     """Figures of this model, from the reference arithmetic and CasADi's doubles on joints inside the box.
 
-    Largest errors of the network [um] and of the forward kinematics [um]; for a command, the tool's error before the
-    correction [um], what remains of it over the poses with status OK [um], and their share. Joints at which the model
-    has no value (a four-bar that cannot close) count in the share only.
+    Largest errors of the network [um], of the joints' curves [urad] and of the forward kinematics [um]; for curves,
+    what is left if a controller commands q - curves(q) [urad], and if it calls twice, q - curves(q - curves(q)); for a
+    command, the tool's error before the correction [um], what remains of it over the poses with status OK [um], and
+    their share. Joints at which the model has no value (a four-bar that cannot close) count in the share only. Of
+    tables their bytes and the bound of their error, before rounding [urad].
     """
     q = inside(program, count)
     figures: dict[str, float] = {}
@@ -87,9 +89,17 @@ def accuracy(program: TapeProgram, count: int = 10_000) -> dict[str, float]:
     for key, compute in functions(program).items():
         values, status = compute(program, q)
         known = status != Status.NOT_FINITE
-        if key == "network" and program.network is not None:
-            error = abs(values - mapped(program.network.function, exact))[known].max()
-            figures["network_error_um"] = 1e3 * float(error)
+        if program.network is not None and key == program.network.key:
+            function = program.network.function
+            error = abs(values - mapped(function, exact))[known].max()
+            if key == "curves":
+                figures["curves_error_urad"] = 1e6 * float(error)
+                once = exact - values
+                for word, command in (("once", once), ("twice", exact - mapped(function, once))):
+                    rest = command + mapped(function, command) - exact
+                    figures[f"rest_{word}_urad"] = 1e6 * float(abs(rest).max())
+            else:
+                figures["network_error_um"] = 1e3 * float(error)
         if key == "forward" and program.command is not None:
             error = abs(values - mapped(program.command.calibrated, exact))[known, :3].max()
             figures["forward_error_um"] = 1e6 * float(error)
@@ -102,4 +112,8 @@ def accuracy(program: TapeProgram, count: int = 10_000) -> dict[str, float]:
             figures |= {"start_error_um_mean": 1e6 * float(before[known].mean()), "share_ok": float(fine.mean())}
             if fine.any():
                 figures |= {"rest_um_median": 1e6 * float(np.median(rest)), "rest_um_worst": 1e6 * float(rest.max())}
+    nodes = {node.table: node for tape in program.tapes.values() for node in tape.nodes if node.table}
+    if nodes:
+        figures["table_bytes"] = q.itemsize * sum(map(len, nodes))
+        figures["table_error_urad_at_most"] = 1e6 * max(node.value for node in nodes.values())
     return {key: float(f"{value:.3g}") for key, value in figures.items()}

@@ -66,9 +66,9 @@ def write_c(
     vectors: int = 100_000,
     overwrite: bool = False,
 ) -> Export:
-    """Turn a network or a command into C99 with everything an integrator needs, compiled and compared.
+    """Turn a network, curves or a command into C99 with everything an integrator needs, compiled and compared.
 
-    product : :class:`NetworkFunction` or :class:`Command`
+    product : :class:`NetworkFunction`, :class:`CurveFunction` or :class:`Command`
     folder : made when missing; what is in it already stays
     name : prefix of the C functions and files: a lower-case C identifier of at most 24 characters
     languages : which to write besides the C, by name; default: all of this package (`fmu`, `structured_text`)
@@ -148,7 +148,7 @@ def _manifest(
     content = {
         "written_by": "casadical",
         "schema": SCHEMA,
-        "product": "command" if program.command else "network",
+        "product": "command" if program.network is None or program.command else program.network.key,
         "model_sha256": label.model_sha256,
         "data_sha256": label.data_sha256,
         "kernel": {"name": shape.name, "real": shape.real, "joints": shape.joints, "outputs": shape.outputs},

@@ -18,7 +18,8 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.effects import Effect
 from casadical.effects.counterparts import Omission
-from casadical.export.c.products import Command, Limits, NetworkFunction, mapped
+from casadical.export.c.products import Command, CurveFunction, Limits, NetworkFunction, mapped
+from casadical.export.controller.curves import joint_curves, pose_of, without_curves
 from casadical.export.omission import left_out
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Body, Placement, Robot
@@ -90,7 +91,7 @@ def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -
         calibrated=_tool(real, "calibrated", orientation, turn, network),
         lower=lower,
         upper=upper,
-        jacobian_of=_tool(_rigid(real), "chain", orientation),
+        jacobian_of=_tool(_rigid(without_curves(real)), "chain", orientation),
         jacobian_at=_bent(real) if _compliant(real) else None,
         network=network,
         limits=Limits(singular_m_per_rad=SINGULAR_POSE) if orientation else Limits(),
@@ -114,6 +115,25 @@ def network_of(sources: Sources) -> NetworkFunction:
             "nothing to export"
         )
     return network
+
+
+def curves_of(sources: Sources) -> CurveFunction:
+    """The error curves of the joints alone: joints [rad] -> what each joint turns beyond its reading [rad].
+
+    For a controller that has the rest of the calibration in its own kinematics. The box is the robot's joint limits.
+
+    Raises InputError where the robot has no `joint_error_curve`.
+    """
+    robot = _robot(sources.robot)
+    curves = joint_curves(robot)
+    if curves is None:
+        raise InputError(
+            f"{_word(sources.robot)}: it has no joint_error_curve; there is nothing to export. `casadical diagnose` "
+            "finds the curves; Diagnosis.apply() and write_robot put them into a robot file"
+        )
+    q = ca.SX.sym("q", robot.n)
+    lower, upper = np.array([(j.lower, j.upper) for j in robot.joints]).T
+    return CurveFunction(ca.Function("curves", [q], [curves(q)], ["q"], ["dq"]), lower, upper)
 
 
 def in_own_frame(robot: Robot, nominal: Robot) -> tuple[Robot, Array]:
@@ -238,7 +258,7 @@ def _tool(
     turn : rotation from the measuring frame, in which the network learned, into the robot's, shape (3, 3); None: none
     """
     q = ca.SX.sym("q", robot.n)
-    p, R = robot.pose(q, ca.DM(robot.parameters.values))
+    p, R = pose_of(robot, q)
     if network is not None:
         p = p + 1e-3 * ca.mtimes(ca.DM(np.eye(3) if turn is None else turn), network.function(q))
     return ca.Function(name, [q], [p, R] if orientation else [p], ["q"], ["p", "R"] if orientation else ["p"])

@@ -100,7 +100,7 @@ def kernel_corrector(folder: Path) -> Corrector:
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{folder}/manifest.json is damaged ({error!r}); export again") from None
     if "correct" not in kernel.shape.outputs:
-        raise InputError(f"{folder}: holds a network alone, which corrects no joints; export with --what command")
+        raise InputError(f"{folder}: holds no correction of a command; export with --what command")
 
     def position(q: Array) -> Array:
         return np.asarray(kernel.forward(q)[0], dtype=float)

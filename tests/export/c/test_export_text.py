@@ -14,15 +14,16 @@ from casadical.export.c.structured_text import structured_text
 from casadical.export.c.tape_program import tape_program
 
 # A few lines of an IEC 61131-3 interpreter: structured text turned into Python source, block by block.
-_WORDS = {"NOT": "not", "AND": "and", "OR": "or", "TRUE": "True", "FALSE": "False"}
+_WORDS = {"MOD": "%", "NOT": "not", "AND": "and", "OR": "or", "TRUE": "True", "FALSE": "False"}
 _LIBRARY = {
     "SIN": math.sin, "COS": math.cos, "SQRT": math.sqrt, "EXP": math.exp, "ATAN": math.atan, "ABS": abs, "MAX": max,
-    "MIN": min, "LIMIT": lambda low, x, high: min(max(low, x), high), "SEL": lambda g, a, b: b if g else a,
+    "MIN": min, "TRUNC": int, "DINT_TO_REAL": float, "DINT_TO_LREAL": float,
+    "LIMIT": lambda low, x, high: min(max(low, x), high), "SEL": lambda g, a, b: b if g else a,
 }  # fmt: skip
 
 
 def _expression(text, names):
-    text = re.sub(r"\b(NOT|AND|OR|TRUE|FALSE)\b", lambda m: _WORDS[m.group(1)], text)
+    text = re.sub(r"\b(MOD|NOT|AND|OR|TRUE|FALSE)\b", lambda m: _WORDS[m.group(1)], text)
     text = re.sub(r"(?<![<>:])=", "==", text)
     return re.sub(r"(?<![\w.])([a-z]\w*)", lambda m: f"self.{m.group(1)}" if m.group(1) in names else m.group(1), text)
 
@@ -70,7 +71,7 @@ def interpreted(text):
         for variable, type_, start in declared:
             if array := re.match(r"ARRAY\[0\.\.(\d+)\]", type_):
                 value = start or f"[0.0] * {int(array[1]) + 1}"
-            elif type_ in ("REAL", "LREAL", "INT", "BOOL"):
+            elif type_ in ("REAL", "LREAL", "INT", "DINT", "BOOL"):
                 value = {"TRUE": "True", "FALSE": "False"}.get(start, start) or "0"
             else:
                 value = f"{type_}_block()"

@@ -1,10 +1,10 @@
     {
-        @name@_real dp_mm[@n_dp@];
-        status = @name@_network(q, dp_mm);
-        (void)printf("network, status %d:", (int)status);
-        for (i = 0U; i < @n_dp@U; i++)
+        @name@_real @out@[@n_out@];
+        status = @name@_@function@(q, @out@);
+        (void)printf("@function@, status %d:", (int)status);
+        for (i = 0U; i < @n_out@U; i++)
         {
-            (void)printf(" %.9g mm", (double)dp_mm[i]);
+            (void)printf(" %.9g @unit@", (double)@out@[i]);
         }
         (void)printf("\n");
     }

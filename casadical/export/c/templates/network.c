@@ -1,7 +1,7 @@
-@name@_status @name@_network(const @name@_real q[@NAME@_JOINTS], @name@_real dp_mm[@n_dp@])
+@name@_status @name@_@function@(const @name@_real q[@NAME@_JOINTS], @name@_real @out@[@n_out@])
 {
     @name@_status status;
-    if ((q == NULL) || (dp_mm == NULL))
+    if ((q == NULL) || (@out@ == NULL))
     {
         status = @NAME@_NULL_ARG;
     }
@@ -10,12 +10,12 @@
         static const @name@_real box[2][@NAME@_JOINTS] = @box_table:network@;
         @name@_real x[@NAME@_JOINTS];
         status = @name@_boxed(q, box, x);
-        if ((@name@_network_values(x, dp_mm) == 0U) || (status == @NAME@_NOT_FINITE))
+        if ((@name@_@function@_values(x, @out@) == 0U) || (status == @NAME@_NOT_FINITE))
         {
             uint32_t i;
-            for (i = 0U; i < @n_dp@U; i++)
+            for (i = 0U; i < @n_out@U; i++)
             {
-                dp_mm[i] = @0@;
+                @out@[i] = @0@;
             }
             status = @NAME@_NOT_FINITE;
         }

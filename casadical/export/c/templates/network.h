@@ -1,6 +1,6 @@
 /*
- * The network's correction dp_mm at the joints q [rad]. Never outside, whatever q is [mm]:
+ * Result of the @what@: @out@ at the joints q [rad]. Never outside, whatever q is [@unit@]:
 @network_bounds@ * Zeros and NOT_FINITE for an input that is not finite.
  */
-@name@_status @name@_network(const @name@_real q[@NAME@_JOINTS], @name@_real dp_mm[@n_dp@]);
+@name@_status @name@_@function@(const @name@_real q[@NAME@_JOINTS], @name@_real @out@[@n_out@]);
 
