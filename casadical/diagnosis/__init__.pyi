@@ -13,4 +13,5 @@ from casadical.diagnosis.result import Cause as Cause
 from casadical.diagnosis.result import Gap as Gap
 from casadical.diagnosis.result import Unlisted as Unlisted
 from casadical.diagnosis.smooth_description import describe_unlisted as describe_unlisted
+from casadical.diagnosis.spectrum import Spectrum as Spectrum
 from casadical.diagnosis.text import page_of as page_of

@@ -1,0 +1,125 @@
+"""Lines of joint error curves: their truth is a simulator's that knows nothing of the effect."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import pytest
+from cases import diagnosed, plant, robot
+
+from casadical.blind_check.numpy_physics import Disturbance, campaign, perturb
+from casadical.blind_check.synthetic.stops import Stops, only
+from casadical.core.errors import InputError
+from casadical.diagnosis.diagnose import Diagnosis, diagnose
+from casadical.diagnosis.line_search import Line
+from casadical.diagnosis.spectrum import JointCurve, Spectrum, spectrum, with_multiples
+from casadical.measurements.reading import from_table
+
+# Joint, cycles a turn, amplitude [rad] and phase at reading zero.
+RIPPLES = ((2, 17.0, 80e-6, 0.3), (2, 34.0, 40e-6, 1.0), (3, 8.5, 60e-6, -0.5))
+CLEAN = (1, 4, 5, 6)
+
+
+@dataclass(frozen=True)
+class Ripple(Disturbance):
+    joint: int
+    cycles: float
+    size: float
+    phase: float
+
+    def misread(self, stops: Stops) -> np.ndarray:
+        return only(self.joint, self.size * np.sin(self.cycles * stops.q[:, self.joint - 1] + self.phase))
+
+
+@cache
+def rippled() -> Diagnosis:
+    built = perturb(plant(robot("ur10e")), 1)
+    table = campaign(built, 150, 1, disturbances=[Ripple(*r) for r in RIPPLES], noise_mm=0.015)
+    return diagnose(robot("ur10e"), from_table(table, 6), ["joint_error_curve"])
+
+
+@cache
+def found() -> Spectrum:
+    return spectrum(rippled())
+
+
+def curve(joint: int) -> JointCurve:
+    return found().joints[joint - 1]
+
+
+def test_lines_of_whole_and_broken_numbers_of_cycles_are_found() -> None:
+    for joint in (2, 3):
+        truth = sorted((r for r in RIPPLES if r[0] == joint), key=lambda r: -r[2])
+        lines = curve(joint).lines
+        assert len(lines) == len(truth)
+        for line, (_, cycles, size, phase) in zip(lines, truth, strict=True):
+            assert line.frequency == pytest.approx(cycles, abs=3 * line.frequency_error)
+            assert line.frequency_error < 0.12
+            assert line.amplitude == pytest.approx(size, abs=3 * line.amplitude_error)
+            assert line.amplitude_error < 0.1 * line.amplitude
+            off = (line.phase - phase + np.pi) % (2 * np.pi) - np.pi
+            assert abs(off) < 3 * line.phase_error
+            assert line.p < 1e-10
+
+
+def test_no_line_is_found_where_there_is_none() -> None:
+    assert [line for joint in CLEAN for line in curve(joint).lines] == []
+
+
+def test_a_harmonic_is_said_to_be_one() -> None:
+    first, second = curve(2).lines
+    assert (first.multiple_of, second.multiple_of, second.factor) == (None, first.frequency, 2)
+
+
+@pytest.mark.parametrize("highest", [17.1, 16.0])
+def test_nothing_is_named_at_the_edge(highest: float) -> None:
+    lines = spectrum(rippled(), highest).joints[1].lines
+    assert all(abs(line.frequency - highest) > 1 for line in lines)
+
+
+def test_a_curve_holds_its_ripples_where_there_are_readings() -> None:
+    c = curve(2)
+    truth = sum(size * np.sin(cycles * c.angle + phase) for joint, cycles, size, phase in RIPPLES if joint == 2)
+    inside = np.abs(c.value - truth) < 1.96 * c.error
+    assert inside[c.covered].mean() > 0.85
+    assert c.rms == pytest.approx(np.sqrt((80e-6**2 + 40e-6**2) / 2), abs=2 * c.rms_error)
+    assert c.rms > 2 * c.rms_error
+
+
+def test_the_band_grows_where_there_are_no_readings() -> None:
+    for c in found().joints:
+        if not c.covered.all():
+            assert c.error[~c.covered].mean() > c.error[c.covered].mean()
+
+
+def test_shares_are_of_the_joints_that_have_curves() -> None:
+    shares = [c.share for c in found().joints]
+    assert sum(shares) == pytest.approx(1)
+    assert shares[1] > shares[2] > 0.05 > max(shares[j - 1] for j in CLEAN)
+
+
+def test_a_diagnosis_without_curves_has_no_spectrum() -> None:
+    with pytest.raises(InputError, match="no joint error curve was found"):
+        spectrum(diagnosed("ur10e-P03"))
+
+
+def test_multiples_of_the_same_joint_alone_are_marked() -> None:
+    lines = [
+        Line(1, f, 0.05, size, 1e-6, 0.0, 0.1, 1e-9) for f, size in ((17, 9e-5), (34.02, 5e-5), (7.0, 4e-5), (40, 3e-5))
+    ]
+    assert [(a.multiple_of, a.factor) for a in with_multiples(lines)] == [(None, 1), (17, 2), (None, 1), (None, 1)]
+
+
+def test_what_lines_suggest_is_said_of_shared_and_of_known_ratios() -> None:
+    def line(joint: int, f: float) -> Line:
+        return Line(joint, f, 0.01, 5e-5, 1e-6, 0.0, 0.1, 1e-9)
+
+    def joint(number: int, *lines: Line) -> JointCurve:
+        c = found().joints[number - 1]
+        return JointCurve(**{**c.__dict__, "joint": number, "lines": lines})
+
+    both = Spectrum((joint(1, line(1, 50.0)), joint(2, line(2, 50.01), line(2, 23.4))), 60).suggestions
+    assert any("joints 1, 2" in s for s in both)
+    assert sum("ratio 50" in s for s in both) == 2
+    assert not any("23.4" in s for s in both)
+    assert Spectrum((joint(1, line(1, 41.3)),), 60).suggestions == ()
