@@ -12,9 +12,9 @@ from casadical.core.errors import InputError
 from casadical.diagnosis.cross_validation import Fit
 from casadical.diagnosis.line_search import Background, Line, Scan, Search, Whole
 from casadical.diagnosis.linear_problem import Case
-from  import Noise
 from casadical.diagnosis.result import Cause, Diagnosis
 from casadical.effects.joint_error_curve import JointErrorCurve
+from casadical.measurements.noise import Noise
 
 # Joints are gone through so often, the lines of the others in the model as far as they are known.
 SWEEPS = 2
