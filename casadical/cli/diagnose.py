@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from casadical.cli.options import Campaigns, Effects, Json, Problem, Quiet, Report
+from casadical.cli.options import Campaigns, Effects, Frozen, Json, Prior, PriorEffects, Problem, Quiet, Report, carried
 from casadical.cli.terminal import as_text, as_typed, keep, keep_json, working
 
 if TYPE_CHECKING:
@@ -35,6 +35,9 @@ def diagnose(
         ),
     ] = False,
     effects: Effects = None,
+    prior: Prior = None,
+    prior_effects: PriorEffects = None,
+    frozen: Frozen = False,
     measure_next: Annotated[
         Path | None,
         typer.Option("--next", metavar="FILE", help="Write poses that distinguish the leading causes, as CSV."),
@@ -90,6 +93,7 @@ def diagnose(
         return
     if robot.effects:
         console.print(f"Effects of the robot file are in the model, held at their values: {robot.effects_in_words}.")
+    robot, known = carried(prior, prior_effects, frozen)(robot)
     workspace = read_workspace(room, robot) if room else None
     answers, answered = [], []
     texts: dict[Path, str] = {}
@@ -97,7 +101,7 @@ def diagnose(
         m = read_campaign(problem, path, robot)
         with working(quiet, "diagnosing", path.stem) as show:
             chosen = effects.split(",") if effects else "standard"
-            found = run(robot, m, chosen, seed=seed, bootstrap=bootstrap, show=show)
+            found = run(robot, m, chosen, seed=seed, bootstrap=bootstrap, prior=known, show=show)
             file = measure_next if len(campaigns) == 1 else None
             name_of_file = file.name if file else ""
             more = analyse(found, poses=next_n, workspace=workspace, networks=network, file=name_of_file, show=show)

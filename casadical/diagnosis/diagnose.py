@@ -1,10 +1,12 @@
 """Diagnose what is left after calibration: the verdict, its causes, and how far the gap shrinks without them."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 from casadical.core.errors import InputError
 from casadical.diagnosis.candidates import candidates_of
+from casadical.diagnosis.changes import Change, changes
 from casadical.diagnosis.conclusion import conclude
 from casadical.diagnosis.evidence import SIGMAS
 from casadical.diagnosis.linear_problem import make_case
@@ -13,6 +15,7 @@ from casadical.diagnosis.search import Show, search
 from casadical.effects import Effect
 from casadical.identification.identification import Identification, identify
 from casadical.identification.least_squares import robust_std
+from casadical.identification.prior import Prior, carry_over
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
@@ -26,6 +29,7 @@ def diagnose(
     *,
     seed: int = 0,
     bootstrap: int = 0,
+    prior: Robot | Prior | None = None,
     show: Show = lambda _text: None,
 ) -> Diagnosis:
     """Diagnose the gap that calibration leaves on a campaign.
@@ -36,29 +40,42 @@ def diagnose(
     effects : "standard" or "extended", or names (backlash), labels (backlash@5) and own effects
     seed : of all chance; show : called with a line of progress
     bootstrap : draws of noise alone that calibrate whether something is there (2000 take some seconds); 0 for none
+    prior : the same robot as another campaign found it, whose effects are in the base model with their values and
+        covariance as a prior; what changed is found first (`Diagnosis.changes`). Or as of `carry_over`, with its robot
 
     Raises InputError where the measurements cannot carry a diagnosis.
     """
     if bootstrap < 0:
         raise InputError(f"bootstrap is {bootstrap}; give the number of draws, 2000 say, or 0 for none")
+    if prior is not None and isinstance(robot, Identification):
+        raise InputError("prior: this robot is identified already; give the nominal robot and the measurements")
+    if isinstance(prior, Robot) and isinstance(robot, Robot):
+        robot, prior = carry_over(robot, prior)
+    known = prior if isinstance(prior, Prior) else Prior()
     if isinstance(robot, Identification):
-        identification = robot if m is None else _of(robot.given, m, show)
+        identification = robot if m is None else _of(robot.given, m, known, show)
     elif m is None:
         raise InputError("measurements are missing; give diagnose(robot, measurements), or an identification alone")
     else:
-        identification = _of(robot, m, show)
+        identification = _of(robot, m, known, show)
     show("signatures of the candidates")
     case = make_case(identification, candidates_of(identification.given, effects))
+    changed: tuple[Change, ...] = ()
+    if known.free:
+        show("what changed since the campaign of the prior")
+        changed, known = changes(case, known)
+        case = case.with_prior(known, identification.sigmas[0][0])
     state, end, p_nothing = search(case, seed, bootstrap, show)
-    return _refuse_coarse(conclude(identification, state, end, seed, p_nothing))
+    found = conclude(identification, state, end, seed, p_nothing)
+    return _refuse_coarse(replace(found, prior=prior if isinstance(prior, Prior) else None, changes=changed))
 
 
-def _of(robot: Robot, m: Measurements, show: Show) -> Identification:
+def _of(robot: Robot, m: Measurements, prior: Prior, show: Show) -> Identification:
     """The base model calibrated; gross errors have little weight, and are screened with the causes, not before."""
     show("calibrating the base model")
     if m.position is not None:  # an orientation that is off by a convention would spoil the base model
         m = m.positions_alone()
-    return identify(robot, m, ("kinematic", "compliance"), loss="huber", priors=True, screen=False)
+    return identify(robot, m, ("kinematic", "compliance"), loss="huber", priors=True, prior=prior, screen=False)
 
 
 def _refuse_coarse(found: Diagnosis) -> Diagnosis:

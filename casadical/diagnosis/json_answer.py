@@ -9,6 +9,7 @@ from casadical.diagnosis.held_out_gap import NetworkGap
 from casadical.diagnosis.next_poses import discrimination_probability
 from casadical.diagnosis.result import Cause, Diagnosis, Unlisted
 from casadical.diagnosis.statements import missing_columns, settings
+from casadical.identification.prior import Prior
 
 
 def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[str, Any]:
@@ -24,6 +25,7 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
         "verdict": d.verdict,
         "gap_mm": {"before": _mm(d.gap.before), "after": _mm(d.gap.after), "floor": _mm(d.gap.floor)},
         **({} if d.p_nothing is None else {"p_nothing": d.p_nothing}),
+        **({"prior": _prior(d, d.prior)} if d.prior else {}),
         "causes": [_cause(c) for c in d.causes],
         "unknown_rest": round(d.unknown_rest, 4),
         **({} if unlisted is None else {"unlisted": _unlisted(unlisted)}),
@@ -39,6 +41,12 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
         **({"refit_mm": {"held_out": _mm(check.refit), "linearised": _mm(check.linearised)}} if check else {}),
         **({"network_mm": [_network(n) for n in networks]} if networks else {}),
     }
+
+
+def _prior(d: Diagnosis, prior: Prior) -> dict[str, Any]:
+    """What was known before, and how probably each part of it changed."""
+    changed = [{"effect": c.effect, "joint": c.joint, "probability": round(c.probability, 4)} for c in d.changes]
+    return {**prior.to_json([d.case.m]), "changed": changed}
 
 
 def _next(poses: pd.DataFrame) -> list[dict[str, Any]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,6 +19,7 @@ from casadical.effects import Effect
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import Identification
 from casadical.identification.least_squares import robust_std
+from casadical.identification.prior import Prior
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
@@ -43,6 +44,8 @@ class Case:
     given, values : the robot that was given, and its parameters that make it the calibrated one
     candidates : that the logged columns allow; missing : label -> columns that were not logged
     whole : residuals and columns of all poses; kept : mask of those that are no outliers, shape (n,)
+    prior : what is known from another campaign; units : parameters that hang together in it, as sums of independent
+        ones of size one, shape (P, P), or None
     """
 
     robot: Robot
@@ -54,11 +57,39 @@ class Case:
     whole: Evidence
     kept: Array
     columns: dict[Effect, Array]
+    prior: Prior = field(default_factory=Prior)
+    units: Array | None = None
 
     @cached_property
     def evidence(self) -> Evidence:
         """Residuals and columns of the poses that are no outliers."""
         return self.whole.at(np.flatnonzero(self.kept))
+
+    def prior_parts(self, prior: Prior) -> tuple[Array, Array, list[tuple[Array, Array]]]:
+        """Mean less present values and one sigma of the base model's parameters, shapes (P,) [SI], with a prior.
+
+        And the covariances of the known effects' parameters that hang together, each with its places.
+        """
+        mean, sigma = self.whole.delta0.copy(), self.whole.prior.copy()
+        places = {name: k for k, name in enumerate(self.given.parameters.names)}
+        for name, (value, width) in prior.means.items():
+            mean[places[name]], sigma[places[name]] = value - self.values[places[name]], width
+        known = []
+        for names, matrix in prior.known:
+            own = [k for k, name in enumerate(names) if self.given.parameters[name].group in prior.labels]
+            if own:
+                known.append((np.array([places[names[k]] for k in own]), matrix[np.ix_(own, own)]))
+        return mean, sigma, known
+
+    def with_prior(self, prior: Prior, reference: float) -> Case:
+        """The case with what is known from another campaign in its base model; reference : the noise's sigma [m]."""
+        mean, sigma, known = self.prior_parts(prior)
+        units = np.eye(len(mean))
+        for at, matrix in known:
+            L = np.linalg.cholesky(matrix)
+            units[np.ix_(at, at)], sigma[at], mean[at] = L, 1.0, np.linalg.solve(L, mean[at])
+        whole = replace(self.whole, J=self.whole.J @ units, delta0=mean, prior=sigma, reference=reference)
+        return replace(self, whole=whole, prior=prior, units=units)
 
     def with_kept(self, kept: Array) -> Case:
         """The case with other poses left out."""

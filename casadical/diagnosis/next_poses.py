@@ -134,6 +134,7 @@ def _predict(case: Case, variant: tuple[Effect, ...], noise: Noise, m: Measureme
     """Mean and spread at new poses of base model and one cause fitted to the case's data."""
     old = case.evidence
     E, J, _ = signatures(case.given, variant, m, case.values)
+    J = J if case.units is None else J @ case.units
     columns = case.group(variant) if variant else np.zeros(0, dtype=np.int64)
     A = np.concatenate([old.J, old.take(columns)], axis=2)
     new = np.concatenate([J, E * widths(variant)], axis=2)

@@ -25,16 +25,17 @@ def refit(case: Case, effects: Sequence[Effect], noise: Noise, use: Array | None
     """
     m = refit_measurements(case, effects, noise)
     m = m if use is None else m[use]
-    base = case.robot if use is None else identify(case.given, m, priors=True).robot
+    base = case.robot if use is None else identify(case.given, m, priors=True, prior=case.prior).robot
     free = ("kinematic", "compliance", *dict.fromkeys(e.label for e in effects))
-    return identify(base.with_effect(*effects), m, free, priors=_priors(case))
+    return identify(base.with_effect(*effects), m, free, priors=_priors(case), prior=case.prior)
 
 
 def _priors(case: Case) -> dict[str, tuple[float, float]]:
     """Mean and one sigma of the evidence's prior of each base parameter; the base frame stays where it was placed."""
     values = zip(case.given.parameters.values.tolist(), case.whole.prior.tolist(), strict=True)
     priors = zip(case.given.parameters.names, values, strict=True)
-    return {name: prior for name, prior in priors if not name.startswith("base_")}
+    own = {name: prior for name, prior in priors if not name.startswith("base_")}
+    return {name: prior for name, prior in own.items() if name not in case.prior.means}
 
 
 def refit_measurements(case: Case, effects: Sequence[Effect], noise: Noise) -> Measurements:

@@ -7,11 +7,13 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.arrays import Array
+from casadical.diagnosis.changes import Change
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_floor import Replicates
 from casadical.diagnosis.posterior import Ranking
 from casadical.effects import Effect
 from casadical.identification.identification import Identification
+from casadical.identification.prior import Prior
 from casadical.measurements.noise import Noise
 from casadical.robot.robot import Robot
 
@@ -92,6 +94,7 @@ class Diagnosis:
     rankings : what each step saw; outliers : poses that were left out
     missing : label -> columns that would be needed to judge it
     case, identification : what it was computed from; seed : of all chance
+    prior : what another campaign told, before these data, or None; changes : what of it changed
     p_nothing : how often noise alone would look as much like some cause; None without a bootstrap
 
     What costs more is asked for by name: `refit` and `apply` below, and in `casadical.diagnosis` `analyse`, `localise`,
@@ -112,6 +115,8 @@ class Diagnosis:
     identification: Identification
     seed: int = 0
     p_nothing: float | None = None
+    prior: Prior | None = None
+    changes: tuple[Change, ...] = ()
 
     @property
     def in_question(self) -> tuple[str, ...]:

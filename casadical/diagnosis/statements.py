@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import pandas as pd
 
+from casadical.diagnosis.changes import NEW
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import Check, NetworkGap, of_time
 from casadical.diagnosis.linear_problem import Case
@@ -33,8 +34,8 @@ READABLE |= {"rad/K": (1e6, "urad/K"), "1/K": (1e6, "1e-6/K"), "1/m": (1e6, "um/
 class Statement:
     """One statement.
 
-    about : VERDICT, GAP, WHERE, WHICH (then come the causes, see `cause_rows`), AFTER, CANNOT, UNKNOWN, OUT, MISSING,
-        NEXT
+    about : VERDICT, PRIOR, GAP, WHERE, WHICH (then come the causes, see `cause_rows`), AFTER, CANNOT, UNKNOWN, OUT,
+        MISSING, NEXT
     doubtful : whether it is a warning
     """
 
@@ -63,7 +64,16 @@ class CauseRow:
 def statements(d: Diagnosis, more: Details | None = None) -> list[Statement]:
     """All statements in the order in which a reader wants them."""
     more = more or Details()
-    parts = [_verdict(d), _gap(d), _where(d, more), _which(d), _after(d, more), _cannot(d, more), _unknown(d, more)]
+    parts = [
+        _verdict(d),
+        _prior(d),
+        _gap(d),
+        _where(d, more),
+        _which(d),
+        _after(d, more),
+        _cannot(d, more),
+        _unknown(d, more),
+    ]
     return [s for part in (*parts, _outliers(d), _missing(d), _next(d, more)) for s in part]
 
 
@@ -93,6 +103,18 @@ def cause_rows(d: Diagnosis) -> list[CauseRow]:
 
 def _verdict(d: Diagnosis) -> Iterator[Statement]:
     yield Statement("VERDICT", headline(d))
+
+
+def _prior(d: Diagnosis) -> Iterator[Statement]:
+    """What another campaign told, and what of it changed."""
+    if d.prior is None:
+        return
+    yield Statement("PRIOR", d.prior.in_words([d.case.m]).removeprefix("Prior "))
+    for c in d.changes:
+        where = c.effect if c.joint is None or "@" in c.effect else f"{c.effect}, joint {c.joint}"
+        new = c.probability >= NEW
+        text = f"{where}: changed since then with probability {c.probability:.2f}"
+        yield Statement("PRIOR", f"{text}; taken as new, its earlier values are not used" if new else text, new)
 
 
 def headline(d: Diagnosis) -> str:

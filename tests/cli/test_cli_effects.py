@@ -80,6 +80,22 @@ def test_calibrate_takes_them_as_a_prior(
     assert "--frozen: needs the robot file that --prior names" in words(capfd)
 
 
+def test_a_diagnosis_says_what_changed_since_the_prior(
+    kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The same campaign again: nothing changed; the robot that is written has the friction with a standard error."""
+    chosen = ["--effects", "backlash", "--json", tmp_path / "d.json", "--out", tmp_path / "out"]
+    assert main(monkeypatch, "diagnose", PROBLEM, CAMPAIGN, *chosen, "--prior", kept) == 0
+    assert "friction_windup@3: changed since then with probability 0.0" in words(capfd)
+    answer = json.loads((tmp_path / "d.json").read_text())
+    assert [(c["effect"], c["joint"]) for c in answer["prior"]["changed"]] == [("friction_windup@3", 3)]
+    after = read_robot(tmp_path / "out" / "diagnosed.robot.toml")
+    before = read_robot(kept).knowledge.std_errors["friction_windup@3.constant"]
+    assert 0 < after.knowledge.std_errors["friction_windup@3.constant"] < before
+    assert main(monkeypatch, "diagnose", PROBLEM, CAMPAIGN, *chosen, "--prior", kept, "--frozen") == 0
+    assert "friction_windup@3 held at the values found there" in words(capfd)
+
+
 def test_a_diagnosis_looks_for_what_is_not_in_the_model_yet(
     kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,0 +1,99 @@
+"""What changed since an earlier campaign: known parameters as their prior says, against those of a new effect.
+
+The evidence of both in the linear problem, the size of the noise integrated on its grid. Of an effect in parts (a curve
+of each joint), part by part; what changed is then no longer known, and the others are judged again beside it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.diagnosis.cross_validation import Fit
+from casadical.diagnosis.evidence import SIGMAS, log_sum
+from casadical.diagnosis.linear_problem import Case
+from casadical.identification.least_squares import robust_std
+from casadical.identification.prior import Prior
+from casadical.measurements.noise import Noise
+
+# Probability, before any data, that a part of what was known has changed between two campaigns.
+USUAL_CHANGE = 0.1
+# From this probability on, nothing of the earlier campaign is taken for known of a part.
+NEW = 0.5
+
+
+@dataclass(frozen=True)
+class Change:
+    """One effect, or its part in one joint; probability : that its parameters are no longer those of the prior"""
+
+    effect: str
+    joint: int | None
+    probability: float
+
+
+def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
+    """Every part of the known effects with the probability that it changed, and the prior without what did.
+
+    case : whose evidence does not hold the prior yet
+    """
+    parts = _parts(case, prior)
+    noise = Noise(max(robust_std(case.evidence.r), 1e-9), 0.0)
+    fit = Fit(case.evidence, np.zeros(0, dtype=np.int64), noise)
+    factor: dict[tuple[str, int | None], float] = {}
+    done: set[tuple[str, int | None]] = set()
+    while True:
+        as_known = _log_evidence(case, fit, noise.sigma, prior)
+        for key, wide in parts.items():
+            if key not in done:
+                factor[key] = _log_evidence(case, fit, noise.sigma, prior.with_nothing_known(wide)) - as_known
+        first = max(parts.keys() - done, key=lambda key: factor[key], default=None)
+        if first is None or _probability(factor[first]) < NEW:
+            return tuple(Change(*key, _probability(value)) for key, value in factor.items()), prior
+        done.add(first)
+        prior = prior.with_nothing_known(parts[first])
+
+
+def _probability(factor: float) -> float:
+    return float(1 / (1 + (1 - USUAL_CHANGE) / USUAL_CHANGE * np.exp(-np.clip(factor, -500, 500))))
+
+
+def _parts(case: Case, prior: Prior) -> dict[tuple[str, int | None], dict[str, float]]:
+    """Names of each part's parameters with the size of a new one: the usual, or what it was where that is more."""
+    found: dict[tuple[str, int | None], dict[str, float]] = {}
+    for effect in case.given.effects:
+        if effect.label not in prior.labels:
+            continue
+        own = effect.parameters()
+        parts: list[tuple[int | None, Array]] = [*effect.parts.items()] or [(effect.joint, np.arange(len(own)))]
+        for joint, places in parts:
+            names = [own[k] for k in places if own[k].name in prior.means]
+            wide = {p.name: max(p.scale, abs(prior.means[p.name][0])) for p in names}
+            if wide:
+                found[effect.label, joint] = wide
+    return found
+
+
+def _log_evidence(case: Case, fit: Fit, sigma: float, prior: Prior) -> float:
+    """Log marginal likelihood of the residual; as in `Evidence`, what the prior leaves open grows with the noise.
+
+    fit : of the base model at noise of this sigma [m]
+    """
+    mean, widths, known = case.prior_parts(prior)
+    precision = np.diag(widths**-2.0)
+    log_det = -2 * float(np.log(np.delete(widths, np.concatenate([*(at for at, _ in known), []]).astype(int))).sum())
+    for at, C in known:
+        unit = np.sqrt(np.diag(C))
+        scaled = C / np.outer(unit, unit)
+        precision[np.ix_(at, at)] = np.linalg.inv(scaled) / np.outer(unit, unit)
+        log_det -= float(np.linalg.slogdet(scaled)[1]) + 2 * float(np.log(unit).sum())
+    A = fit.H + precision
+    right = fit.g + precision @ mean
+    scale = np.sqrt(np.diag(A))
+    L = np.linalg.cholesky(A / np.outer(scale, scale))
+    solved = np.linalg.solve(L, right / scale)
+    square = float(fit.y @ fit.y + mean @ precision @ mean - solved @ solved)
+    log_norm = 0.5 * log_det - float(np.log(np.diag(L)).sum() + np.log(scale).sum())
+    grid = SIGMAS / sigma
+    return float(log_sum(log_norm - len(fit.y) * np.log(grid) - 0.5 * square / grid**2))
