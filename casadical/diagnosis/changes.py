@@ -1,7 +1,7 @@
 """What changed since an earlier campaign: known parameters as their prior says, against those of a new effect.
 
 The evidence of both in the linear problem, the size of the noise integrated on its grid. Of an effect in parts (a curve
-of each joint), part by part; what changed is then no longer known, and the others are judged again beside it.
+of each joint), each part alone; what changed is then no longer known, and the others are judged again beside it.
 """
 
 from __future__ import annotations
