@@ -40,12 +40,7 @@ from casadical.robot.robot_file import to_toml
 UNSEEN = 50
 LEAST_POSES = 20
 REDRAWN = 5
-_COLUMNS = {
-    "temperature": ["temperature_degC"],
-    "payload": ["payload_kg"],
-    "approach": APPROACHES,
-    "time": ["time_s"],
-}
+_COLUMNS = {"temperature": ["temperature_degC"], "payload": ["payload_kg"], "approach": APPROACHES, "time": ["time_s"]}
 
 
 @dataclass(frozen=True, eq=False)

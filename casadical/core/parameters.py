@@ -15,10 +15,7 @@ from casadical.core.errors import InputError
 _READABLE = {"m": ("mm", 1e3), "rad": ("deg", 180 / np.pi), "rad/(N m)": ("urad/(N m)", 1e6), "": ("", 1.0)}
 
 # Words that stand for several groups.
-_UNIONS = {
-    "kinematic": ("base", "geometry", "loop", "tool"),
-    "placement": ("base", "tool"),
-}
+_UNIONS = {"kinematic": ("base", "geometry", "loop", "tool"), "placement": ("base", "tool")}
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ class Backlash(Effect):
         "flank that drove it there (Ruderman, Hoffmann and Bertram 2009)."
     )
     confused_with = "friction_windup where the torque is small; nonlinear_stiffness where it is large"
+    size = {"half": (50e-6, "rad")}
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
@@ -40,11 +41,7 @@ class Backlash(Effect):
     def conditions(self) -> tuple[str, ...]:
         return (f"approach{self.joint}",)
 
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return {"half": (50e-6, "rad")}
-
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        assert self.joint is not None
         # The link lies behind its last motion.
         push = context.load(self.joint) - self.friction * context.conditions[f"approach{self.joint}"]
         return self.value(context, "half") * ca.tanh(push / self.width)

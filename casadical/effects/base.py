@@ -47,8 +47,9 @@ class Context:
     gravity: Symbolic
     torque: Symbolic = None
 
-    def load(self, joint: int) -> Symbolic:
+    def load(self, joint: int | None) -> Symbolic:
         """Gravity torque on a joint (1-based) as a share of its great torques."""
+        assert joint is not None
         return self.torque[joint - 1] / self.torque_scale[joint - 1]
 
     def moment(self, link: int) -> Symbolic:
@@ -118,6 +119,8 @@ class Effect:
     acts_at: ClassVar[str] = ""
     # Names of effects that it holds already: beside it they are no causes of their own.
     covers: ClassVar[frozenset[str]] = frozenset()
+    # Its parameters, where they are the same with all settings (see `sizes`).
+    size: ClassVar[Mapping[str, tuple[float, str]]] = {}
     # Columns that must have been logged.
     needs: ClassVar[tuple[str, ...]] = ()
     # What the data show of it (in brackets: mechanical causes that share it), its physics and source, what looks alike.
@@ -183,8 +186,8 @@ class Effect:
         return self.needs
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Its parameters: name -> (realistic size, one sigma; unit). Zero must mean: no effect."""
-        return {}
+        """Its parameters: name -> (realistic size, one sigma; unit), by default `size`. Zero must mean: no effect."""
+        return self.size
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Its parameters, named label.name, without bounds that matter and with a prior that hardly holds them back."""

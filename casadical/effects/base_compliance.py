@@ -15,9 +15,7 @@ class BaseCompliance(Effect):
     signature = "a foot that tilts under the overturning moment"
     physics = "Foundation and pedestal are a rotary spring about the two horizontal axes: tilt = moment / stiffness."
     confused_with = "axis_wobble of joint 1; link_flexure of the first link"
-
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return {"rx": (60e-6, "rad"), "ry": (60e-6, "rad")}
+    size = {"rx": (60e-6, "rad"), "ry": (60e-6, "rad")}
 
     def base(self, context: Context) -> Symbolic:
         moment = context.moment(1) / context.great_moment

@@ -1,6 +1,5 @@
 """Play of a bearing across its axis: it tilts under the moment of the weight beyond it and moves along the load."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -27,9 +26,7 @@ class BearingPlay(Effect):
         "ring drops along the load by the radial play (ISO 5753-1; Harris, Rolling Bearing Analysis)."
     )
     confused_with = "link_flexure of the links beside it; axis_wobble; payload_error at the flange"
-
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return {"rock": (60e-6, "rad"), "drop": (30e-6, "m")}
+    size = {"rock": (60e-6, "rad"), "drop": (30e-6, "m")}
 
     def link(self, number: int, context: Context) -> Symbolic:
         if number != self.joint:

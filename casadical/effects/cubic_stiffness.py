@@ -18,12 +18,9 @@ class CubicStiffness(Effect):
     signature = "deflection that grows less than the torque (hardening)"
     physics = "tau = k1 d + k3 d^3, solved for d to first order: d = c tau - b (tau / great torque)^3 (paper, 3)."
     confused_with = "nonlinear_stiffness, of which it is one form"
-
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return {"bend": (60e-6, "rad")}
+    size = {"bend": (60e-6, "rad")}
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        assert self.joint is not None
         return -self.value(context, "bend") * context.load(self.joint) ** 3
 
     def counterpart(self, found: Counterparts, v: Mapping[str, float]) -> Counterparts:

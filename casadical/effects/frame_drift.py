@@ -1,6 +1,5 @@
 """The measuring frame creeps against the robot with time."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -22,9 +21,7 @@ class FrameDrift(Effect):
     needs = ("progress",)
     physics = "Tripods settle and floors warm: the instrument's frame moves some tens of micrometres an hour."
     confused_with = "thermal_growth and thermal_zero_drift while the temperature only rises; a step in time"
-
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return dict.fromkeys("xyz", (6e-05, "m")) | {f"r{c}": (25e-6, "rad") for c in "xyz"}
+    size = dict.fromkeys("xyz", (6e-05, "m")) | {f"r{c}": (25e-6, "rad") for c in "xyz"}
 
     def course(self, context: Context) -> Symbolic:
         """Share of the whole drift that has happened, 0 to 1."""

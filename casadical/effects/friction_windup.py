@@ -20,16 +20,13 @@ class FrictionWindup(Effect):
         "last motion (Ruderman 2012)."
     )
     confused_with = "backlash where the joint's torque is small"
+    size = {"constant": (40e-6, "rad"), "load": (40e-6, "rad")}
 
     @property
     def conditions(self) -> tuple[str, ...]:
         return (f"approach{self.joint}",)
 
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return {"constant": (40e-6, "rad"), "load": (40e-6, "rad")}
-
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        assert self.joint is not None
         against = -context.conditions[f"approach{self.joint}"]
         load = ca.sqrt(context.load(self.joint) ** 2 + 1e-4)
         return against * (self.value(context, "constant") + self.value(context, "load") * load)

@@ -1,6 +1,5 @@
 """Once-per-turn error of a joint's gear or encoder, with some second harmonic."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -20,9 +19,7 @@ class GearEccentricity(Effect):
         "Driels 1991, ch. 2); linear in the sine and cosine parts."
     )
     confused_with = "joint_scale over less than a turn; gravity_compensator on joint 2; axis_wobble"
-
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return {"sin1": (40e-6, "rad"), "cos1": (40e-6, "rad"), "sin2": (12e-6, "rad"), "cos2": (12e-6, "rad")}
+    size = {"sin1": (40e-6, "rad"), "cos1": (40e-6, "rad"), "sin2": (12e-6, "rad"), "cos2": (12e-6, "rad")}
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
         first = self.value(context, "sin1") * ca.sin(q) + self.value(context, "cos1") * ca.cos(q)

@@ -1,6 +1,5 @@
 """Errors of a gear of known ratio: one and two cycles a turn of its fast side."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -27,9 +26,7 @@ class GearMesh(Effect):
         "(Tuttle and Seering 1996). Joint readings must not be rounded to more than a hundredth of 1/N turn."
     )
     confused_with = "joint repeatability, if the ratio is not exact"
-
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return dict.fromkeys(("sin1", "cos1", "sin2", "cos2"), (20e-6, "rad"))
+    size = dict.fromkeys(("sin1", "cos1", "sin2", "cos2"), (20e-6, "rad"))
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
         turn = self.ratio * q

@@ -32,14 +32,12 @@ class GravityCompensator(Effect):
         "preload the sine over the spring's length (Klimchik et al. 2013)."
     )
     confused_with = "gear_eccentricity of joint 2, completely, unless payload or spring pressure change"
+    # Shares of the joint's great torque.
+    size = {"sin": (0.3, ""), "cos": (0.3, ""), "preload": (0.3, "")}
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
         return (effect for effect in super().candidates(arm) if effect.joint == 2)
-
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        # Shares of the joint's great torque.
-        return {"sin": (0.3, ""), "cos": (0.3, ""), "preload": (0.3, "")}
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
         assert self.joint is not None

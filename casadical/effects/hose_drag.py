@@ -1,6 +1,6 @@
 """A hose or cable from the forearm to the tool pulls at the wrist."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import casadi as ca
@@ -29,14 +29,12 @@ class HoseDrag(Effect):
         "wrist joints through their own springs, by the slope of its length."
     )
     confused_with = "gear_eccentricity and joint_scale of joint 5; any smooth error of the wrist"
+    # Torque at the last joint but one, as a share of its great torques.
+    size = {"tension": (0.1, ""), "spring": (0.2, "")}
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
         return super().candidates(arm) if arm.n >= 6 else ()
-
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        # Torque at the last joint but one, as a share of its great torques.
-        return {"tension": (0.1, ""), "spring": (0.2, "")}
 
     def energy(self, context: Context) -> Symbolic:
         arm, n = context.arm, context.arm.n

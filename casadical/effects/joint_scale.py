@@ -15,9 +15,7 @@ class JointScale(Effect):
     signature = "error that grows with the reading (ratio; eccentricity over part of a turn)"
     physics = "A wrong ratio turns the joint by k q too much (Hollerbach and Wampler 1996)."
     confused_with = "gear_eccentricity over less than a turn"
-
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return {"k": (60e-6, "rad/rad")}
+    size = {"k": (60e-6, "rad/rad")}
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
         return self.value(context, "k") * q

@@ -1,6 +1,5 @@
 """A joint's zero jumps once during the campaign."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from casadical.core.transforms import Symbolic
@@ -20,9 +19,7 @@ class JointZeroStep(Effect):
     needs = ("progress",)
     physics = "A slipped belt or collision, or a re-mastered axis, shifts the zero of one joint."
     confused_with = "target_shift at the same time; thermal_zero_drift while the arm warms up"
-
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return {"step": (80e-6, "rad")}
+    size = {"step": (80e-6, "rad")}
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
         return self.value(context, "step") * (context.conditions["progress"] > self.at)

@@ -1,6 +1,5 @@
 """A joint's spring holds back part of its deflection against the last motion, the more the higher the load."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -23,15 +22,12 @@ class LoadHysteresis(Effect):
         "with its square (inner friction, as in Rayleigh's law). Nothing of it is left at an idle joint."
     )
     confused_with = "friction_windup, its load-dependent part; both approaches without load distinguish them"
+    size = {"half": (40e-6, "rad")}
 
     @property
     def conditions(self) -> tuple[str, ...]:
         return (f"approach{self.joint}",)
 
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return {"half": (40e-6, "rad")}
-
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        assert self.joint is not None
         load = ca.sqrt(context.load(self.joint) ** 2 + 1e-6)
         return -self.value(context, "half") * context.conditions[f"approach{self.joint}"] * load**self.power

@@ -17,16 +17,13 @@ class MissingCompliance(Effect):
     signature = "deflection of a joint that the model takes as rigid"
     physics = "Every drive train is a spring: its deflection is its torque over its stiffness (paper, 4)."
     confused_with = "payload_error; completely absorbed if the model has this joint's compliance already"
+    size = {"deflection": (200e-6, "rad")}
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
         return (cls(j) for j in arm.numbers if not arm.joints[j - 1].compliance)
 
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return {"deflection": (200e-6, "rad")}
-
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        assert self.joint is not None
         return self.value(context, "deflection") * context.load(self.joint)
 
     def counterpart(self, found: Counterparts, v: Mapping[str, float]) -> Counterparts:

@@ -27,12 +27,9 @@ class NonlinearStiffness(Effect):
         "(Kircanski and Goldenberg 1997)."
     )
     confused_with = "backlash on the side of the gravity torque; cubic stiffness; payload_error"
-
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return {"bend": (60e-6, "rad")}
+    size = {"bend": (60e-6, "rad")}
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        assert self.joint is not None
         return self.value(context, "bend") * ca.tanh(context.load(self.joint) / self.knee)
 
     def counterpart(self, found: Counterparts, v: Mapping[str, float]) -> Counterparts:

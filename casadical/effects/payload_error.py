@@ -21,13 +21,11 @@ class PayloadError(Effect):
     needs = ("payload_kg",)
     physics = "Gravity on the true payload differs from the declared one; it acts through the joints' springs."
     confused_with = "nonlinear_stiffness; compliance of the wrist where the payload never changes"
+    size = {"mass": (0.06, "kg/kg"), **dict.fromkeys("xyz", (0.03, "m"))}
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
         return (cls(),) if arm.payload else ()
-
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return {"mass": (0.06, "kg/kg"), **dict.fromkeys("xyz", (0.03, "m"))}
 
     def energy(self, context: Context) -> Symbolic:
         payload = context.arm.payload

@@ -1,6 +1,5 @@
 """The instrument's beam is bent by air that is warmer above than below."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -22,9 +21,7 @@ class Refraction(Effect):
         "way s (Edlen 1966): 12 micrometres over 5 m at 1 K/m."
     )
     confused_with = "base_compliance; link_flexure under an unchanging load"
-
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return {"bend": (0.5e-6, "1/m"), "slope_x": (5e-6, "m/m"), "slope_y": (5e-6, "m/m")}
+    size = {"bend": (0.5e-6, "1/m"), "slope_x": (5e-6, "m/m"), "slope_y": (5e-6, "m/m")}
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
         x, y = point[0], point[1]

@@ -1,6 +1,5 @@
 """The optical centre of the reflector lies beside the centre of its sphere."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -24,9 +23,7 @@ class SmrOffset(Effect):
         "the beam (ISO 10360-10), along it and, if it is always held the same way up, above it."
     )
     confused_with = "tracker_scale; refraction"
-
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return {"along": (10e-6, "m"), "across": (10e-6, "m"), "above": (10e-6, "m")}
+    size = {"along": (10e-6, "m"), "across": (10e-6, "m"), "above": (10e-6, "m")}
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
         beam = point - ca.DM(self.station)

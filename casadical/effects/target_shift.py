@@ -1,6 +1,5 @@
 """The reflector moves once in its nest."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -23,9 +22,7 @@ class TargetShift(Effect):
     needs = ("progress",)
     physics = "A reflector that is reseated or knocked sits elsewhere by tens of micrometres (ISO 10360-10)."
     confused_with = "joint_zero_step of the last joints at the same time"
-
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return dict.fromkeys("xyz", (6e-05, "m"))
+    size = dict.fromkeys("xyz", (6e-05, "m"))
 
     def tool(self, context: Context) -> Symbolic:
         T = ca.SX.eye(4)

@@ -1,6 +1,5 @@
 """Links lengthen with temperature, which follows the sensor with a lag."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -22,13 +21,11 @@ class ThermalGrowth(Effect):
     needs = ("temperature_degC",)
     physics = "Every link length grows by alpha dT: steel 11.5e-6, aluminium 23e-6 per K (ISO 230-3)."
     confused_with = "thermal_zero_drift; frame_drift while the temperature only rises"
+    size = {"alpha": (15e-6, "1/K")}
 
     @property
     def conditions(self) -> tuple[str, ...]:
         return (f"warmth_{self.lag:.0f}s",)
-
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return {"alpha": (15e-6, "1/K")}
 
     def link(self, number: int, context: Context) -> Symbolic:
         growth = self.value(context, "alpha") * context.conditions[self.conditions[0]]

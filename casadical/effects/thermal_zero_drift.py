@@ -1,6 +1,5 @@
 """A joint's zero drifts with temperature."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from casadical.core.transforms import Symbolic
@@ -20,13 +19,11 @@ class ThermalZeroDrift(Effect):
     needs = ("temperature_degC",)
     physics = "Encoder mounts and gear housings turn with temperature by some urad per K (Gong, Yuan and Ni 2000)."
     confused_with = "thermal_growth; joint_zero_step and frame_drift while the temperature only rises"
+    size = {"drift": (6e-6, "rad/K")}
 
     @property
     def conditions(self) -> tuple[str, ...]:
         return (f"warmth_{self.lag:.0f}s",)
-
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return {"drift": (6e-6, "rad/K")}
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
         return self.value(context, "drift") * context.conditions[self.conditions[0]]

@@ -1,6 +1,5 @@
 """The instrument's scale is wrong by a small factor."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from casadical.core.transforms import Symbolic
@@ -17,9 +16,7 @@ class TrackerScale(Effect):
         "Distances are counted in wavelengths: 1 K or 3 hPa not accounted for make 1e-6 of every length (Edlen 1966)."
     )
     confused_with = "the lengths of all links, completely: only a known length (a scale bar) distinguishes them"
-
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return {"k": (5e-6, "m/m")}
+    size = {"k": (5e-6, "m/m")}
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
         return point * (1 + self.value(context, "k"))

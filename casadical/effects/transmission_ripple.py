@@ -1,6 +1,5 @@
 """Periodic transmission error: gear mesh, wave generator or cycloid, many cycles a joint turn."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -26,9 +25,7 @@ class TransmissionRipple(Effect):
         "Meshing and wave-generator errors repeat N and 2N times a turn (Tuttle and Seering 1996, harmonic drives)."
     )
     confused_with = "gear_eccentricity at two cycles; any smooth periodic error of the same joint"
-
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return {"sin": (25e-6, "rad"), "cos": (25e-6, "rad")}
+    size = {"sin": (25e-6, "rad"), "cos": (25e-6, "rad")}
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
         turn = self.cycles * q

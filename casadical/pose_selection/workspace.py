@@ -162,8 +162,4 @@ def _places(robot: Robot, q: Array) -> tuple[Array, Array, Array]:
     f = _places_function(robot)
     points, R, margin = f.map(count)(q.T, np.tile(rigid.declared[:, None], count), rigid.parameters.values)
     least = margin.full().min(axis=0) if robot.loops else np.ones(count)
-    return (
-        points.full().T.reshape(count, robot.n, 3),
-        R.full().reshape(3, count, 3).transpose(1, 0, 2),
-        least,
-    )
+    return (points.full().T.reshape(count, robot.n, 3), R.full().reshape(3, count, 3).transpose(1, 0, 2), least)

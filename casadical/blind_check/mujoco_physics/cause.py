@@ -1,7 +1,5 @@
 """The base of all hidden causes: where in the engine one may act. Each does nothing unless it is given."""
 
-# ruff: noqa: ARG002 - every cause is called with the same arguments, whether it needs them or not
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """Causes in the drives that do not depend on load: gears, encoders, belts, bevels, zeros."""
 
-# ruff: noqa: ARG002 - every cause is called with the same arguments, whether it needs them or not
-
 from dataclasses import dataclass, replace
 from typing import ClassVar
 

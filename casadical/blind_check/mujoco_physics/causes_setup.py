@@ -1,7 +1,5 @@
 """Causes in the measurement: a frame that creeps, a reflector that moves, wrong points, wrong distances."""
 
-# ruff: noqa: ARG002 - every cause is called with the same arguments, whether it needs them or not
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

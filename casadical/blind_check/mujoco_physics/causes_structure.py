@@ -1,7 +1,5 @@
 """Causes in the structure: links and pedestal that bend, grow, wobble, are loose, or carry another load."""
 
-# ruff: noqa: ARG002 - every cause is called with the same arguments, whether it needs them or not
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

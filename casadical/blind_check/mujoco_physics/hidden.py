@@ -4,13 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
-from casadical.blind_check.mujoco_physics import (
-    causes_drive,
-    causes_load,
-    causes_loose,
-    causes_setup,
-    causes_structure,
-)
+from casadical.blind_check.mujoco_physics import causes_drive, causes_load, causes_loose, causes_setup, causes_structure
 from casadical.blind_check.mujoco_physics.cause import Cause
 from casadical.core.errors import InputError
 

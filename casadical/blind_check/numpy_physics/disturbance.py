@@ -1,7 +1,5 @@
 """The base of all disturbances: the places in the machine where one may act. Each does nothing unless it is given."""
 
-# ruff: noqa: ARG002 - every disturbance is called with the same arguments, whether it needs them or not
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Disturbances of the measurement: frame, reflector, beam, wrong points."""
 
-# ruff: noqa: ARG002 - every instrument error is called with the same arguments, whether it needs them or not
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -108,10 +108,7 @@ def hh800_twin(
     first = SETS["identify"]
     n = sum(SETS.values())
     q = np.vstack(
-        [
-            spread_poses(plant, first, rng, plant.ranges, limits),
-            draw_poses(plant, n - first, rng, plant.ranges, limits),
-        ]
+        [spread_poses(plant, first, rng, plant.ranges, limits), draw_poses(plant, n - first, rng, plant.ranges, limits)]
     )
     table = campaign(
         plant,

@@ -144,13 +144,7 @@ def simulate(
 
 
 def simulate_readings(
-    machine: Machine,
-    readings: pd.DataFrame,
-    seed: int,
-    *,
-    noise_mm: float,
-    repeatability_urad: float,
-    truth: bool,
+    machine: Machine, readings: pd.DataFrame, seed: int, *, noise_mm: float, repeatability_urad: float, truth: bool
 ) -> pd.DataFrame:
     """Measure given poses: the table ``readings`` with the positions of the reflector.
 
