@@ -17,7 +17,7 @@ import numpy as np
 from casadical.blind_check.predictor import Session, rounded, unseen_positions
 from casadical.blind_check.signal_size import RANK, column_space
 from casadical.core.arrays import Array
-from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.errors import ConvergenceError, optional
 from casadical.diagnosis.candidates import Candidate, standard_candidates
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.effects import Effect
@@ -101,10 +101,7 @@ def extended_bic(s: Session) -> dict[str, Any]:
 
 
 def _by_f(left: Regression, case: Case, _taken: int) -> _Choice:
-    try:
-        from scipy.stats import f
-    except ImportError:
-        raise InputError("--by f-test needs scipy: pip install 'casadical[withheld]'") from None
+    f = optional("scipy.stats", "--by f-test needs scipy: pip install 'casadical[withheld]'").f
     total, widths = float(left.y @ left.y), np.array([len(g) for g in case.groups])
     gain = np.minimum(left.gains(case.groups), total * (1 - 1e-12))
     freedom = left.freedom - widths

@@ -13,7 +13,7 @@ from casadical.blind_check.marginal_likelihood import optimizer
 from casadical.blind_check.outcomes import outlying
 from casadical.blind_check.predictor import Session, in_mm
 from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.errors import optional
 from casadical.diagnosis.cross_validation import random_folds, shrink_interval
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
@@ -67,12 +67,10 @@ def _inputs(m: Measurements) -> Array:
 
 
 def _fitted(X: Array, y: Array) -> Any:
-    try:
-        from sklearn.exceptions import ConvergenceWarning
-        from sklearn.gaussian_process import GaussianProcessRegressor
-        from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
-    except ImportError:
-        raise InputError("--by gp needs scikit-learn: pip install 'casadical[withheld]'") from None
+    process = optional("sklearn.gaussian_process", "--by gp needs scikit-learn: pip install 'casadical[withheld]'")
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
     fits = []
     for scale in STARTS:
         shape = ConstantKernel(0.5, (1e-3, 1e2)) * RBF(np.full(X.shape[1], scale), (0.3, 1e3))
@@ -80,5 +78,5 @@ def _fitted(X: Array, y: Array) -> Any:
         with warnings.catch_warnings():
             # A length scale at its bound only says that an input does not matter.
             warnings.simplefilter("ignore", ConvergenceWarning)
-            fits.append(GaussianProcessRegressor(kernel, optimizer=optimizer(X, y)).fit(X, y))
-    return max(fits, key=lambda process: float(process.log_marginal_likelihood_value_))
+            fits.append(process.GaussianProcessRegressor(kernel, optimizer=optimizer(X, y)).fit(X, y))
+    return max(fits, key=lambda fit: float(fit.log_marginal_likelihood_value_))

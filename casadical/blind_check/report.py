@@ -10,7 +10,7 @@ from rich.text import Text
 from casadical.blind_check.metrics import part_metrics
 from casadical.blind_check.scoring import Score
 from casadical.blind_check.sign_test import sign_tests
-from casadical.core.errors import InputError
+from casadical.core.errors import optional
 
 _LAST = ("at another joint", "unknown", "none")
 
@@ -100,14 +100,11 @@ def wrong_claims(s: Score) -> list[str]:
 
 def draw_confusion(s: Score, path: Path) -> None:
     """The confusion matrix as a picture. Raises InputError without matplotlib."""
-    try:
-        from matplotlib.figure import Figure as Canvas
-    except ImportError:
-        raise InputError("--figure needs matplotlib: pip install 'casadical[plots]'") from None
     rows, columns = ordered(s)
     counts = [[s.confusion[r].get(c, 0) for c in columns] for r in rows]
     shares = [[n / sum(row) for n in row] for row in counts]
-    canvas = Canvas(figsize=(1.5 + 0.36 * len(columns), 1.5 + 0.32 * len(rows)), layout="constrained")
+    figure = optional("matplotlib.figure", "--figure needs matplotlib: pip install 'casadical[plots]'")
+    canvas = figure.Figure(figsize=(1.5 + 0.36 * len(columns), 1.5 + 0.32 * len(rows)), layout="constrained")
     axes = canvas.add_subplot()
     axes.imshow(shares, cmap="Blues", vmin=0, vmax=1, aspect="auto")
     for i, row in enumerate(counts):

@@ -1,5 +1,8 @@
 """The errors of the package; each message says what is wrong, the value, what is allowed, and what to do."""
 
+from importlib import import_module
+from typing import Any
+
 
 class CasadicalError(Exception):
     """Base class of all errors that casadical raises deliberately."""
@@ -11,3 +14,11 @@ class InputError(CasadicalError, ValueError):
 
 class ConvergenceError(CasadicalError, RuntimeError):
     """The solver stopped without an optimum; nothing was written."""
+
+
+def optional(module: str, otherwise: str) -> Any:
+    """A module that an extra installs. Raises InputError, with this message, where it is not installed."""
+    try:
+        return import_module(module)
+    except ImportError:
+        raise InputError(otherwise) from None

@@ -1,12 +1,9 @@
 """The order in which poses are measured: pass by pass, payload by payload, with short travel within each."""
 
-import importlib
-from typing import Any
-
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.errors import optional
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.candidates import Candidates, Circumstances, expected, timeline
 from casadical.robot.robot import Robot
@@ -40,7 +37,11 @@ def short_path(D: Array, before: Array | None = None) -> Array:
     n = len(D)
     if n < 3:
         return np.arange(n) if before is None or n < 2 else np.argsort(before)
-    nx = _networkx()
+    nx = optional(
+        "networkx",
+        "ordering for short travel needs networkx, which is not installed; pip install 'casadical[plan]', or keep "
+        "the order in which poses were chosen (--no-order)",
+    )
     # Zero would be read as "no edge".
     graph = nx.from_numpy_array(D + 1e-12)
     first = np.zeros(n) if before is None else before
@@ -52,16 +53,6 @@ def short_path(D: Array, before: Array | None = None) -> Array:
             best = (length, path)
     assert best is not None
     return best[1]
-
-
-def _networkx() -> Any:
-    try:
-        return importlib.import_module("networkx")
-    except ImportError:
-        raise InputError(
-            "ordering for short travel needs networkx, which is not installed; pip install 'casadical[plan]', or keep "
-            "the order in which poses were chosen (--no-order)"
-        ) from None
 
 
 def arranged(robot: Robot, chosen: Candidates, circumstances: Circumstances, *, travel: bool) -> Measurements:

@@ -1,9 +1,6 @@
 """The report of a calibration: the parts of a page that its figures make with words and tables."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 from casadical.core.blocks import Words, mm
 from casadical.identification.identification import Identification
@@ -16,9 +13,7 @@ from casadical.report.figures_of_calibration import calibration_figures
 from casadical.report.page import Block, Drawing, Part, Section, Tile, report_html
 from casadical.report.provenance import problem_files, provenance_of
 from casadical.report.share_figures import where_drawings
-
-if TYPE_CHECKING:
-    import plotly.graph_objects as go
+from casadical.report.style import Figure
 
 
 def calibration_report(calibrations: Sequence[Calibration], command: Sequence[str] = ()) -> str:
@@ -76,7 +71,7 @@ def _verdict(calibration: Calibration) -> Iterator[Block]:
     yield from (Words(note, "note") for note in problem.robot.notes)
 
 
-def _pose_blocks(figures: Mapping[str, go.Figure], networks: Networks | None) -> Iterator[Block]:
+def _pose_blocks(figures: Mapping[str, Figure], networks: Networks | None) -> Iterator[Block]:
     captions = {
         "report": "Held-out poses: no model saw them (Fig. 7 of the paper).",
         "identify": "Poses that identified the parameters; errors here are smaller than on new poses (Fig. 6).",
@@ -95,7 +90,7 @@ def _pose_blocks(figures: Mapping[str, go.Figure], networks: Networks | None) ->
             yield Drawing(name, figure, "The farther left, the better; grey lines at 50 and 95 %.")
 
 
-def _space_blocks(figures: Mapping[str, go.Figure], problem: Problem) -> Iterator[Block]:
+def _space_blocks(figures: Mapping[str, Figure], problem: Problem) -> Iterator[Block]:
     if "workspace" in figures:
         caption = (
             "Turn it with the mouse; point at the dot that ends a vector for its error. Each line runs from the "
@@ -110,7 +105,7 @@ def _space_blocks(figures: Mapping[str, go.Figure], problem: Problem) -> Iterato
         )
 
 
-def _where_blocks(figures: Mapping[str, go.Figure], result: Identification) -> Iterator[Block]:
+def _where_blocks(figures: Mapping[str, Figure], result: Identification) -> Iterator[Block]:
     found = {k.partition("/")[2]: f for k, f in figures.items() if k.startswith("where/")}
     if not found:
         yield Words("Localising the gap needs exactly one set of measured positions.", "note")
@@ -127,7 +122,7 @@ def _cause_blocks(problem: Problem) -> Iterator[Block]:
     )
 
 
-def _parameter_blocks(figures: Mapping[str, go.Figure], result: Identification) -> Iterator[Block]:
+def _parameter_blocks(figures: Mapping[str, Figure], result: Identification) -> Iterator[Block]:
     yield Words(f"Of {result.method}. Bars are 95 % intervals. Base and tool frames are in the table only.", "note")
     yield from (Drawing(name, figure) for name, figure in figures.items() if name.startswith("parameters/"))
     yield from parameter_tables(result, whole=True)
@@ -138,7 +133,7 @@ def _parameter_blocks(figures: Mapping[str, go.Figure], result: Identification) 
     yield from correlated(result)
 
 
-def _network_blocks(figures: Mapping[str, go.Figure], networks: Networks | None) -> Iterator[Block]:
+def _network_blocks(figures: Mapping[str, Figure], networks: Networks | None) -> Iterator[Block]:
     if networks is None:
         return
     yield from network_tables(networks)

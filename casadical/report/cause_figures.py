@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING
 
 from casadical.effects.plugins import signature_of
 from casadical.report.share_figures import intervals
-from casadical.report.style import BLUE, GREEN, GREY, INK, ORANGE, new_figure, plain
+from casadical.report.style import BLUE, GREEN, GREY, INK, ORANGE, Figure, new_figure, plain
 
 if TYPE_CHECKING:
-    import plotly.graph_objects as go
-
     from casadical.diagnosis.held_out_gap import NetworkGap
     from casadical.diagnosis.result import Diagnosis
 
@@ -19,7 +17,7 @@ MOST_SHOWN = 8
 ROW = 30
 
 
-def posteriors(d: Diagnosis, step: int = 0) -> go.Figure:
+def posteriors(d: Diagnosis, step: int = 0) -> Figure:
     """Probability of each candidate for the next cause, at one step of the search (0: the first).
 
     Those of the unknown are summed up as one; "nothing" stands beside them.
@@ -57,7 +55,7 @@ def _probability(p: float) -> str:
     return f"{p:.3f}" if 0.001 <= p <= 0.999 else ("< 0.001" if p < 0.001 else "> 0.999")
 
 
-def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] | None = None) -> go.Figure:
+def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] | None = None) -> Figure:
     """Mean position error on held-out poses [mm] as causes are added, beside what noise alone leaves.
 
     The intervals are of 95 %, over poses; outliers are left out. networks : instead of the causes, and after them.
@@ -109,7 +107,7 @@ def _stage(model: str) -> str:
     return "base model" if model == "base" else model
 
 
-def shrinks(d: Diagnosis) -> go.Figure:
+def shrinks(d: Diagnosis) -> Figure:
     """By how much the held-out gap shrinks with each cause alone [%], with 95 % intervals."""
     share = [100 * c.shrink for c in d.causes]
     low, high = ([100 * c.shrink_interval[k] for c in d.causes] for k in (0, 1))

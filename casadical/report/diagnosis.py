@@ -18,10 +18,10 @@ from casadical.report.page import Block, Drawing, Part, Section, Tile, report_ht
 from casadical.report.provenance import campaign_files, provenance_of
 from casadical.report.replay_blocks import replay_blocks
 from casadical.report.share_figures import where_drawings
+from casadical.report.style import Figure
 
 if TYPE_CHECKING:
     import pandas as pd
-    import plotly.graph_objects as go
 
     from casadical.diagnosis.details import Details
     from casadical.diagnosis.result import Diagnosis
@@ -115,7 +115,7 @@ def _error_table(d: Diagnosis) -> Table:
     return Table("Errors in mm", columns, rows, frozenset(range(1, 7)), strong)
 
 
-def _where_blocks(more: Details | None, figures: Mapping[str, go.Figure]) -> Iterator[Block]:
+def _where_blocks(more: Details | None, figures: Mapping[str, Figure]) -> Iterator[Block]:
     if more is None or more.where is None:
         return
     yield Words("Of what the base model leaves at the poses it was fitted to. Bars are 95 % intervals.", "note")
@@ -153,7 +153,7 @@ def _cause_tables(rows: Sequence[CauseRow]) -> Iterator[Block]:
         yield Table("Size of the causes", head, sizes, frozenset({2, 3}))
 
 
-def _cause_figures(figures: Mapping[str, go.Figure]) -> Iterator[Block]:
+def _cause_figures(figures: Mapping[str, Figure]) -> Iterator[Block]:
     if "shrink" in figures:
         caption = "On held-out poses, each cause alone in the model; they may overlap."
         yield Drawing("shrink", figures["shrink"], caption)
@@ -164,7 +164,7 @@ def _cause_figures(figures: Mapping[str, go.Figure]) -> Iterator[Block]:
             yield Drawing(name, figure, caption if first else "Once the causes so far are in the model.")
 
 
-def _parameter_blocks(d: Diagnosis, figures: Mapping[str, go.Figure]) -> Iterator[Block]:
+def _parameter_blocks(d: Diagnosis, figures: Mapping[str, Figure]) -> Iterator[Block]:
     yield Words(
         "With priors from the robot file, outliers held back, and without the causes. Bars are 95 % intervals. Base "
         "and tool frames are in the table only.",

@@ -1,16 +1,9 @@
 """Errors pose by pose (the paper's Figs. 6 and 7), and what share of the poses stays below which error."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from casadical.project.remaining_errors import BEFORE, Left, PoseErrors
-from casadical.report.style import GRID, MUTED, PAPER, new_figure, plain, style
-
-if TYPE_CHECKING:
-    import plotly.graph_objects as go
+from casadical.report.style import GRID, MUTED, PAPER, Figure, new_figure, plain, style
 
 # More poses than this are drawn evenly thinned (and said to be), or the file grows and the eye gains nothing.
 MOST_DRAWN = 400
@@ -18,7 +11,7 @@ LINES_UP_TO = 80
 QUANTILES = 201
 
 
-def errors_by_pose(poses: PoseErrors) -> go.Figure:
+def errors_by_pose(poses: PoseErrors) -> Figure:
     """Position error [mm] of every pose for each model (paper, Figs. 6 and 7); "before" waits in the legend."""
     some = poses.thinned(MOST_DRAWN)
     drawn = "" if len(some) == len(poses) else f", {len(some)} of {len(poses)} drawn"
@@ -52,7 +45,7 @@ def _marker(left: Left, size: float) -> dict[str, object]:
     return {"size": size, "symbol": marker, "color": colour, "line": {"width": 1.2, "color": colour}}
 
 
-def error_distribution(poses: PoseErrors) -> go.Figure:
+def error_distribution(poses: PoseErrors) -> Figure:
     """Share of the poses [%] with an error below x [mm], of all poses of the set."""
     figure = new_figure(
         f"{plain(poses.words)}: share below an error",
@@ -80,7 +73,7 @@ def error_distribution(poses: PoseErrors) -> go.Figure:
     return figure
 
 
-def before_after(poses: PoseErrors, floor: float | None = None) -> go.Figure:
+def before_after(poses: PoseErrors, floor: float | None = None) -> Figure:
     """Held-out error of each pose [mm] without and with the causes; floor : of the noise [m], drawn as a line."""
     figure = errors_by_pose(poses)
     for trace in figure.data:

@@ -1,22 +1,16 @@
 """Every figure of a calibration's report."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from casadical.project.calibration import Calibration
 from casadical.project.remaining_errors import pose_errors, where_left
 from casadical.report.error_figures import error_distribution, errors_by_pose
 from casadical.report.parameter_figures import parameter_figures
 from casadical.report.share_figures import where_figure
+from casadical.report.style import Figure
 from casadical.report.training import training_history
 from casadical.report.workspace import workspace
 
-if TYPE_CHECKING:
-    import plotly.graph_objects as go
 
-
-def calibration_figures(calibration: Calibration) -> dict[str, go.Figure]:
+def calibration_figures(calibration: Calibration) -> dict[str, Figure]:
     """Every figure of a calibration's report, by name.
 
     errors/SET and distribution/SET for each set of poses; workspace; where/TABLE as `Diagnosis.where` names them (of
@@ -24,7 +18,7 @@ def calibration_figures(calibration: Calibration) -> dict[str, go.Figure]:
     Raises InputError where plotly is not installed.
     """
     poses = pose_errors(calibration)
-    found: dict[str, go.Figure] = {}
+    found: dict[str, Figure] = {}
     for name, of_set in poses.items():
         found[f"errors/{name}"] = errors_by_pose(of_set)
         found[f"distribution/{name}"] = error_distribution(of_set)

@@ -12,18 +12,17 @@ from casadical.report.cause_figures import gap_course, posteriors, shrinks
 from casadical.report.error_figures import before_after
 from casadical.report.parameter_figures import parameter_figures
 from casadical.report.share_figures import where_figure
+from casadical.report.style import Figure
 from casadical.report.workspace import workspace
 
 if TYPE_CHECKING:
-    import plotly.graph_objects as go
-
     from casadical.diagnosis.details import Details
     from casadical.diagnosis.result import Diagnosis
 
 WITH = "with causes"
 
 
-def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> dict[str, go.Figure]:
+def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> dict[str, Figure]:
     """Every figure of a diagnosis' report, by name.
 
     gap; errors (held out, pose by pose); workspace; causes/STEP; shrink (where a cause was found); parameters/lengths,

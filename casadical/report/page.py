@@ -1,22 +1,17 @@
 """A report as one HTML file that needs nothing else: words, tables and figures in sections, plotly.js inlined once."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from casadical.core.blocks import Table, Words
 from casadical.report.optional_imports import jinja, plotly_js
 from casadical.report.provenance import Provenance
-from casadical.report.style import COLOURS, DARK
-
-if TYPE_CHECKING:
-    import plotly.graph_objects as go
+from casadical.report.style import COLOURS, DARK, Figure
 
 TEMPLATES = Path(__file__).parent / "templates"
 
@@ -26,7 +21,7 @@ class Drawing:
     """A figure with the words beneath it."""
 
     name: str
-    figure: go.Figure
+    figure: Figure
     caption: str = ""
 
 
@@ -86,7 +81,7 @@ def report_html(title: str, parts: Sequence[Part], provenance: Provenance) -> st
     return text
 
 
-def figure_json(figure: go.Figure) -> str:
+def figure_json(figure: Figure) -> str:
     """A figure as JSON that may stand inside of a script element."""
     return safe_json(json.loads(figure.to_json()))
 

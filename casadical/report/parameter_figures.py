@@ -1,22 +1,15 @@
 """Difference of each parameter from its nominal value, with its interval."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from casadical.identification.identification import Identification
 from casadical.report.share_figures import intervals
-from casadical.report.style import MUTED, RED, plain
-
-if TYPE_CHECKING:
-    import plotly.graph_objects as go
+from casadical.report.style import MUTED, RED, Figure, plain
 
 KINDS = {"mm": ("lengths", "Lengths"), "deg": ("angles", "Angles"), "urad/(N m)": ("compliance", "Joint compliance")}
 
 
-def parameter_figures(result: Identification) -> dict[str, go.Figure]:
+def parameter_figures(result: Identification) -> dict[str, Figure]:
     """Identified value less nominal with its 95 % interval, a figure for each unit; base and tool frames are left out.
 
     Their departures tell how the robot was set up, and are so much greater that they would hide the others.

@@ -12,11 +12,9 @@ from casadical.core.errors import ConvergenceError, InputError
 from casadical.export.mjcf.equilibrium import load_mujoco
 from casadical.export.mjcf.replay import Replay, ReplayedModel, replay_diagnosis
 from casadical.report.page import Block, Drawing
-from casadical.report.style import BLUE, GREEN, GREY, INK, new_figure, plain
+from casadical.report.style import BLUE, GREEN, GREY, INK, Figure, new_figure, plain
 
 if TYPE_CHECKING:
-    import plotly.graph_objects as go
-
     from casadical.diagnosis.result import Diagnosis
 
 DRAWS = 1000
@@ -67,7 +65,7 @@ _CAPTION = (
 )
 
 
-def replay_figure(found: Replay, floor: float) -> go.Figure:
+def replay_figure(found: Replay, floor: float) -> Figure:
     """Mean distance of the engine's point from the measured one [mm], stage by stage; floor : of the noise [m]."""
     rng = np.random.default_rng(0)
     stages, names = _shown(found), stage_names(found)

@@ -1,19 +1,13 @@
 """Where the gap lies, as dots with their intervals: by part of the robot, by direction, by part of the data."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
 from casadical.core.arrays import Array
 from casadical.report.page import Drawing
-from casadical.report.style import BLUE, GREY, MUTED, new_figure, plain
-
-if TYPE_CHECKING:
-    import plotly.graph_objects as go
+from casadical.report.style import BLUE, GREY, MUTED, Figure, new_figure, plain
 
 Values = Sequence[float] | Array | pd.Series
 ROW = 26
@@ -29,13 +23,13 @@ TITLES = {
 }
 
 
-def where_figure(name: str, table: pd.DataFrame) -> go.Figure:
+def where_figure(name: str, table: pd.DataFrame) -> Figure:
     """A table of `Where` as a figure; name : of the table (joints, regions, ...)."""
     title = TITLES.get(name, f"Error by {name}")
     return _of_data(title, table) if "poses" in table else _of_parts(title, table)
 
 
-def where_drawings(figures: Mapping[str, go.Figure]) -> Iterator[Drawing]:
+def where_drawings(figures: Mapping[str, Figure]) -> Iterator[Drawing]:
     """Figures of where the gap lies, each with how to read it."""
     captions = {
         "joints": "Share of the gap that smooth errors of each joint would account for; all sum to 100 %.",
@@ -47,7 +41,7 @@ def where_drawings(figures: Mapping[str, go.Figure]) -> Iterator[Drawing]:
         yield Drawing(f"where/{name}", figure, captions.get(name, ""))
 
 
-def _of_parts(title: str, table: pd.DataFrame) -> go.Figure:
+def _of_parts(title: str, table: pd.DataFrame) -> Figure:
     """Shares of the squared gap; of directions, a colour for each frame."""
     by = table["frame"] if "frame" in table else pd.Series("", index=table.index)
     words = {"base": "base frame", "axis": "about joint 1", "tool": "tool frame"}
@@ -57,7 +51,7 @@ def _of_parts(title: str, table: pd.DataFrame) -> go.Figure:
     return figure.update_xaxes(range=[0, max(50.0, min(104.0, 108 * float(table["high"].max())))])
 
 
-def _of_data(title: str, table: pd.DataFrame) -> go.Figure:
+def _of_data(title: str, table: pd.DataFrame) -> Figure:
     """Root mean square error of the poses in each part; the line is that of all poses."""
     labels = part_labels(table)
     notes = [
@@ -91,7 +85,7 @@ def intervals(
     high: Values,
     notes: Sequence[str],
     shown: str,
-) -> go.Figure:
+) -> Figure:
     """A row for each label: a dot with the interval low .. high; shown : the value in the tooltip, as plotly's %{x}."""
     figure = new_figure(title, x, height=118 + ROW * len(labels))
     places = list(range(len(labels)))

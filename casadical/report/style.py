@@ -11,8 +11,11 @@ from typing import TYPE_CHECKING, Any
 from casadical.compensator import network_methods
 from casadical.report.optional_imports import plotly
 
+# plotly is imported when a figure is made.
 if TYPE_CHECKING:
-    import plotly.graph_objects as go
+    from plotly.graph_objects import Figure as Figure
+else:
+    Figure = Any
 
 # Role: light, dark. The methods' hues are those of Okabe and Ito (2008), shifted to be read on either ground.
 COLOURS: dict[str, tuple[str, str]] = {
@@ -66,7 +69,7 @@ def plain(text: object) -> str:
     return html.escape(str(text), quote=False)
 
 
-def new_figure(title: str, x: str = "", y: str = "", height: int = 360, **layout: Any) -> go.Figure:
+def new_figure(title: str, x: str = "", y: str = "", height: int = 360, **layout: Any) -> Figure:
     """An empty figure in the house's look; x, y : what the axes show, with units."""
     figure = plotly().Figure()
     axis = {
@@ -104,7 +107,7 @@ def new_figure(title: str, x: str = "", y: str = "", height: int = 360, **layout
     return figure.update_layout(**layout)
 
 
-def dark(figure: go.Figure) -> go.Figure:
+def dark(figure: Figure) -> Figure:
     """The same figure in the dark colours, for a dark notebook or page."""
     text = figure.to_json()
     for light, its_dark in DARK.items():

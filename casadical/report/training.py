@@ -1,19 +1,12 @@
 """Training of the networks: the loss of the best weights so far, step by step."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from casadical.project.networks import Networks
-from casadical.report.style import new_figure, plain, style
-
-if TYPE_CHECKING:
-    import plotly.graph_objects as go
+from casadical.report.style import Figure, new_figure, plain, style
 
 
-def training_history(networks: Networks) -> go.Figure:
+def training_history(networks: Networks) -> Figure:
     """Loss on the training poses [mm^2] (paper, eq. 14) against the share of each training that is done, logarithmic.
 
     Steps of different trainers cost differently, so the axis is each one's own; the tooltip tells the step.

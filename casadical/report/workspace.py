@@ -1,21 +1,16 @@
 """The workspace in three dimensions, with the error vector of each pose drawn longer by a stated factor."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.project.remaining_errors import Left, PoseErrors
-from casadical.report.style import COLOURS, GRID, INK, LINE, MUTED, STYLES, new_figure, plain, style
+from casadical.report.style import COLOURS, GRID, INK, LINE, MUTED, STYLES, Figure, new_figure, plain, style
 from casadical.robot.kinematics import link_frames
 from casadical.robot.model import base_frame
 from casadical.robot.robot import Robot
-
-if TYPE_CHECKING:
-    import plotly.graph_objects as go
 
 MOST_DRAWN = 500
 # An error of the 95th percentile is drawn as long as this share of the workspace.
@@ -24,7 +19,7 @@ LENGTH = 0.16
 EYE = (1.15, 1.3, 0.55)
 
 
-def workspace(poses: PoseErrors, robot: Robot | None = None) -> go.Figure:
+def workspace(poses: PoseErrors, robot: Robot | None = None) -> Figure:
     """Measured points with what each model leaves there, to be turned and hovered over.
 
     Each model's vectors are drawn longer by its own factor, which its name in the legend states. robot : drawn as a
@@ -57,7 +52,7 @@ def round_factor(factor: float) -> float:
     return float(max(step * power for step in (1, 2, 5) if step * power <= max(factor, 1.0)))
 
 
-def _add_vectors(figure: go.Figure, poses: PoseErrors, left: Left, factor: float, shown: bool) -> None:
+def _add_vectors(figure: Figure, poses: PoseErrors, left: Left, factor: float, shown: bool) -> None:
     """A line for each pose from the measured point, and its tip coloured by the error."""
     assert poses.position is not None
     assert left.vector is not None
@@ -88,7 +83,7 @@ def _add_vectors(figure: go.Figure, poses: PoseErrors, left: Left, factor: float
     )
 
 
-def _add_robot(figure: go.Figure, robot: Robot, poses: PoseErrors) -> None:
+def _add_robot(figure: Figure, robot: Robot, poses: PoseErrors) -> None:
     points = skeleton(robot, poses.q[_from_the_side(robot, poses)])
     figure.add_scatter3d(
         **_xyz(points),

@@ -46,6 +46,14 @@ class Cause:
         return xyz
 
 
+@dataclass(frozen=True)
+class JointCause(Cause):
+    """A cause in a joint (1-based), by so many radians if nothing else is said."""
+
+    joint: int
+    size: float
+
+
 def turned(plant: Plant, stops: Stops, joint: int) -> Array:
     """How far the link beyond ``joint`` is turned in the one before it, (n,) [rad], by the readings."""
     if joint == 3 and plant.four_bar is not None:

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.cause import Cause, warmth_inside
+from casadical.blind_check.mujoco_physics.cause import Cause, JointCause, warmth_inside
 from casadical.blind_check.mujoco_physics.mechanism import Mechanism, Shaft
 from casadical.blind_check.synthetic.plant import Plant
 from casadical.blind_check.synthetic.rigid import Array
@@ -13,14 +13,12 @@ from casadical.blind_check.synthetic.stops import Stops, only
 
 
 @dataclass(frozen=True)
-class GearEccentricity(Cause):
+class GearEccentricity(JointCause):
     """A wheel whose centre is ``size`` radii off its shaft, and oval by ``oval``, rolls on a pinion that is read.
 
     The pinion turns by the rolled length of the rim, the integral of the rim's distance from the shaft.
     """
 
-    joint: int
-    size: float
     towards: float
     oval: float
     oval_towards: float
@@ -40,11 +38,9 @@ class GearEccentricity(Cause):
 
 
 @dataclass(frozen=True)
-class TransmissionRipple(Cause):
+class TransmissionRipple(JointCause):
     """Teeth pass ``cycles`` a turn; each carries a little ahead while it enters and behind while it leaves."""
 
-    joint: int
-    size: float
     cycles: int
     phase: float
 
@@ -55,11 +51,8 @@ class TransmissionRipple(Cause):
 
 
 @dataclass(frozen=True)
-class JointScale(Cause):
+class JointScale(JointCause):
     """A pulley larger than drawn by the share ``size``."""
-
-    joint: int
-    size: float
 
     def motors(self, plant: Plant, stops: Stops) -> Array:
         return only(self.joint, self.size * stops.q[:, self.joint - 1])
@@ -91,11 +84,9 @@ class JointCoupling(Cause):
 
 
 @dataclass(frozen=True)
-class JointZeroStep(Cause):
+class JointZeroStep(JointCause):
     """The joint's zero jumps by ``size`` [rad] at the time ``at_s``."""
 
-    joint: int
-    size: float
     at_s: float
 
     def motors(self, plant: Plant, stops: Stops) -> Array:
@@ -103,11 +94,9 @@ class JointZeroStep(Cause):
 
 
 @dataclass(frozen=True)
-class ThermalZeroDrift(Cause):
+class ThermalZeroDrift(JointCause):
     """The joint's zero follows the warmth inside its gear by ``size`` [rad/K]."""
 
-    joint: int
-    size: float
     lag_minutes: float
 
     def motors(self, plant: Plant, stops: Stops) -> Array:
@@ -115,11 +104,9 @@ class ThermalZeroDrift(Cause):
 
 
 @dataclass(frozen=True)
-class EncoderPit(Cause):
+class EncoderPit(JointCause):
     """A scratched encoder disc: the joint is off by up to ``size`` within ``width_rad`` of ``at_rad``; on no list."""
 
-    joint: int
-    size: float
     at_rad: float
     width_rad: float
 
@@ -130,14 +117,12 @@ class EncoderPit(Cause):
 
 
 @dataclass(frozen=True)
-class DamagedTooth(Cause):
+class DamagedTooth(JointCause):
     """A worn tooth of a pinion: the joint jumps back by ``size`` [rad] for a tenth of each pinion turn; on no list.
 
     ``ratio`` is the number of pinion turns in one of the joint.
     """
 
-    joint: int
-    size: float
     ratio: float
     at_rad: float
 
@@ -147,14 +132,12 @@ class DamagedTooth(Cause):
 
 
 @dataclass(frozen=True)
-class LostBits(Cause):
+class LostBits(JointCause):
     """An encoder that lost its low bits: the joint stops in the middle of a step of ``size`` [rad]; on no list.
 
     One of the middles is at ``at_rad``.
     """
 
-    joint: int
-    size: float
     at_rad: float
 
     def motors(self, plant: Plant, stops: Stops) -> Array:

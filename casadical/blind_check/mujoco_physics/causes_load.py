@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.cause import Cause
+from casadical.blind_check.mujoco_physics.cause import Cause, JointCause
 from casadical.blind_check.mujoco_physics.mechanism import Body, Cord, Joint, Mechanism, Shaft
 from casadical.blind_check.mujoco_physics.robot import SLOW, spring
 from casadical.blind_check.numpy_physics.statics import rated_torque, settle
@@ -15,7 +15,7 @@ from casadical.blind_check.synthetic.stops import Stops, only
 
 
 @dataclass(frozen=True)
-class Backlash(Cause):
+class Backlash(JointCause):
     """Play of +-``size`` [rad] between gear and link: a hinge between hard stops.
 
     The link's bearing rubs a little, with the torque that would wind the joint's spring by the share ``friction`` of
@@ -25,8 +25,6 @@ class Backlash(Cause):
 
     travels: ClassVar[bool] = True
 
-    joint: int
-    size: float
     friction: float
 
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
@@ -39,7 +37,7 @@ class Backlash(Cause):
 
 
 @dataclass(frozen=True)
-class FrictionWindup(Cause):
+class FrictionWindup(JointCause):
     """Dry friction in the joint: its spring stays wound by up to ``size`` [rad] against the last motion.
 
     The rated torque adds the share ``load_share`` to the friction of the idle joint.
@@ -47,8 +45,6 @@ class FrictionWindup(Cause):
 
     travels: ClassVar[bool] = True
 
-    joint: int
-    size: float
     load_share: float
 
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
@@ -59,7 +55,7 @@ class FrictionWindup(Cause):
 
 
 @dataclass(frozen=True)
-class NonlinearStiffness(Cause):
+class NonlinearStiffness(JointCause):
     """A strain-wave gear, soft at small torques: with ``knee`` > 0 a second spring grips beyond that share of the rated
     torque, else the gear has a flexible wheel in series with torque a x + b x^3.
 
@@ -67,8 +63,6 @@ class NonlinearStiffness(Cause):
     torque which the flexible wheel carries linearly there.
     """
 
-    joint: int
-    size: float
     knee: float
     linear: float
 
@@ -142,14 +136,12 @@ class HosePull(Cause):
 
 
 @dataclass(frozen=True)
-class TightCable(Cause):
+class TightCable(JointCause):
     """A cable package too short for its joint: it tightens towards both ends of the joint's range; on no list.
 
     ``size`` [rad] is how far it winds the joint at either end, ``free`` the share of the range in which it is slack.
     """
 
-    joint: int
-    size: float
     free: float
 
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
@@ -160,15 +152,13 @@ class TightCable(Cause):
 
 
 @dataclass(frozen=True)
-class RubberCoupling(Cause):
+class RubberCoupling(JointCause):
     """A rubber coupling creeps, depending on the loads of the previous poses; on no list.
 
     ``size`` [rad] is what it gives under the rated torque in the end, beyond the joint's own spring; it gets there with
     the time constant ``lag_minutes``. The robot starts unloaded, and waits at each pose until it is measured.
     """
 
-    joint: int
-    size: float
     lag_minutes: float
 
     def motors(self, plant: Plant, stops: Stops) -> Array:

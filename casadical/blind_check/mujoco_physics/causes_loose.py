@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.cause import Cause, beam_axes, length_of, triple
+from casadical.blind_check.mujoco_physics.cause import Cause, JointCause, beam_axes, length_of, triple
 from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Mechanism, X, Y, Z
 from casadical.blind_check.mujoco_physics.robot import SLOW, spring
 from casadical.blind_check.numpy_physics.state import GRAVITY
@@ -14,11 +14,8 @@ from casadical.blind_check.synthetic.plant import Plant
 
 
 @dataclass(frozen=True)
-class BearingPlay(Cause):
+class BearingPlay(JointCause):
     """The joint's bearing is worn: its ring drops up to ``size`` [m] across its axis, between stops; on no list."""
-
-    joint: int
-    size: float
 
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
         weight = GRAVITY * (plant.mass[self.joint - 1 :].sum() + plant.payload_kg)

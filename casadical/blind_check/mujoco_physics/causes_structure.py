@@ -7,6 +7,7 @@ import numpy as np
 
 from casadical.blind_check.mujoco_physics.cause import (
     Cause,
+    JointCause,
     beam_axes,
     into_parent,
     length_of,
@@ -75,15 +76,13 @@ class BaseCompliance(Cause):
 
 
 @dataclass(frozen=True)
-class AxisWobble(Cause):
+class AxisWobble(JointCause):
     """A joint's turning ring rides on three pads; its track waves ``cycles`` times a turn over two of them.
 
     ``size`` [rad] is about the tilt of the plane through the pads when one of them is on a crest; the ring also shifts
     by up to ``shift_m`` sideways.
     """
 
-    joint: int
-    size: float
     shift_m: float
     cycles: int
     phase: float

@@ -55,15 +55,15 @@ def _size(
     plant: Plant, effect: str, joint: int | None, usual: float, rng: np.random.Generator, lasts_s: float
 ) -> dict[str, Any]:
     """Everything but the joint, ``usual`` times as large as it is on most robots."""
-    sign, angle = float(rng.choice([-1.0, 1.0])), float(rng.uniform(0, 2 * np.pi))
+    sign, angle = float(rng.choice([-1.0, 1.0])), _between(rng, 0, 2 * np.pi)
     middle = float(np.round(rng.uniform(0.3, 0.7) * lasts_s))
-    inside = float(rng.uniform(*plant.ranges[(joint or 1) - 1]))
+    inside = _between(rng, *plant.ranges[(joint or 1) - 1])
     sizes: dict[str, dict[str, Any]] = {
         "gear_eccentricity": {
             "size": 40e-6 * usual,
             "towards": angle,
-            "oval": float(rng.uniform(0.2, 0.8)) * 40e-6 * usual,
-            "oval_towards": float(rng.uniform(0, 2 * np.pi)),
+            "oval": _between(rng, 0.2, 0.8) * 40e-6 * usual,
+            "oval_towards": _between(rng, 0, 2 * np.pi),
         },
         "transmission_ripple": {
             "size": 20e-6 * usual,
@@ -73,8 +73,8 @@ def _size(
         "joint_scale": {"size": 60e-6 * usual * sign},
         "joint_coupling": {"source": 5 if joint == 4 else (joint or 5) - 1, "size": 80e-6 * usual * sign},
         "joint_zero_step": {"size": 40e-6 * usual * sign, "at_s": middle},
-        "thermal_growth": {"size": 11.5e-6 * float(np.clip(usual, 0.8, 2.0)), "lag_minutes": float(rng.uniform(4, 12))},
-        "thermal_zero_drift": {"size": 5e-6 * usual * sign, "lag_minutes": float(rng.uniform(4, 15))},
+        "thermal_growth": {"size": 11.5e-6 * float(np.clip(usual, 0.8, 2.0)), "lag_minutes": _between(rng, 4, 12)},
+        "thermal_zero_drift": {"size": 5e-6 * usual * sign, "lag_minutes": _between(rng, 4, 15)},
         "target_shift": {"shift_m": random_vector(rng, 50e-6 * usual), "at_s": middle},
         "payload_error": {"size": 0.05 * usual * sign, "shift_m": random_vector(rng, 0.03 * usual)},
         "axis_wobble": {
@@ -83,42 +83,38 @@ def _size(
             "cycles": int(rng.choice([1, 2])),
             "phase": angle,
         },
-        "gravity_compensator": {
-            "size": 0.2 * usual,
-            "lean": float(rng.uniform(-0.4, 0.4)),
-            "post": float(rng.uniform(1.5, 4)),
-        },
+        "gravity_compensator": {"size": 0.2 * usual, "lean": _between(rng, -0.4, 0.4), "post": _between(rng, 1.5, 4)},
         "nonlinear_stiffness": {
             "size": 90e-6 * usual,
             "knee": float(rng.choice([0.0, rng.uniform(0.1, 0.3)])),
-            "linear": float(rng.uniform(0.1, 0.3)),
+            "linear": _between(rng, 0.1, 0.3),
         },
-        "backlash": {"size": 60e-6 * usual, "friction": float(rng.uniform(0.01, 0.05))},
-        "friction_windup": {"size": 40e-6 * usual, "load_share": float(rng.uniform(0, 0.8))},
-        "link_flexure": {
-            "link": int(rng.choice([2, 3])),
-            "size": 60e-6 * usual,
-            "torsion": float(rng.uniform(0.6, 1.0)),
-        },
-        "base_compliance": {"size": 50e-6 * usual, "across": float(rng.uniform(0.5, 1.0)), "height_m": 0.3},
+        "backlash": {"size": 60e-6 * usual, "friction": _between(rng, 0.01, 0.05)},
+        "friction_windup": {"size": 40e-6 * usual, "load_share": _between(rng, 0, 0.8)},
+        "link_flexure": {"link": int(rng.choice([2, 3])), "size": 60e-6 * usual, "torsion": _between(rng, 0.6, 1.0)},
+        "base_compliance": {"size": 50e-6 * usual, "across": _between(rng, 0.5, 1.0), "height_m": 0.3},
         "frame_drift": {
             "shift_m": random_vector(rng, 50e-6 * usual),
             "turn_rad": random_vector(rng, 20e-6 * usual),
-            "settling_minutes": float(rng.uniform(15, 60)),
+            "settling_minutes": _between(rng, 15, 60),
         },
-        "outliers": {"share": float(rng.uniform(0.02, 0.05)), "size": 0.7e-3 * usual},
+        "outliers": {"share": _between(rng, 0.02, 0.05), "size": 0.7e-3 * usual},
         "loose_flange": {"size": 60e-6 * usual},
-        "tool_slip": {"size": 40e-6 * usual, "grip": float(rng.uniform(0.3, 0.6))},
+        "tool_slip": {"size": 40e-6 * usual, "grip": _between(rng, 0.3, 0.6)},
         "bearing_play": {"size": 30e-6 * usual},
         "hose_pull": {"size": 100e-6 * usual},
         "cracked_link": {"link": int(rng.choice([2, 3])), "size": 100e-6 * usual, "towards": angle},
         "loose_anchor": {"size": 40e-6 * usual, "towards": angle},
-        "thermal_bend": {"size": 15e-6 * usual, "towards": angle, "lag_minutes": float(rng.uniform(15, 40))},
-        "encoder_pit": {"size": 100e-6 * usual * sign, "at_rad": inside, "width_rad": float(rng.uniform(0.3, 0.9))},
+        "thermal_bend": {"size": 15e-6 * usual, "towards": angle, "lag_minutes": _between(rng, 15, 40)},
+        "encoder_pit": {"size": 100e-6 * usual * sign, "at_rad": inside, "width_rad": _between(rng, 0.3, 0.9)},
         "damaged_tooth": {"size": 80e-6 * usual, "ratio": float(rng.choice([3.0, 5.0, 7.5, 10.0])), "at_rad": angle},
     }
     # These are drawn separately, so that the sizes of the others stay the same for the same seed.
     return sizes[effect] if effect in sizes else _added_later(plant, usual, sign, angle, inside, rng)[effect]
+
+
+def _between(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(rng.uniform(low, high))
 
 
 def _added_later(
@@ -126,9 +122,9 @@ def _added_later(
 ) -> dict[str, dict[str, Any]]:
     return {
         "loose_cargo": {"size": 80e-6 * usual},
-        "tight_cable": {"size": 100e-6 * usual, "free": float(rng.uniform(0.2, 0.6))},
+        "tight_cable": {"size": 100e-6 * usual, "free": _between(rng, 0.2, 0.6)},
         "lost_bits": {"size": 100e-6 * usual, "at_rad": inside},
-        "rubber_coupling": {"size": 120e-6 * usual, "lag_minutes": float(rng.uniform(0.7, 4.0))},
+        "rubber_coupling": {"size": 120e-6 * usual, "lag_minutes": _between(rng, 0.7, 4.0)},
         "range_offset": {"size": 150e-6 * usual * sign, "stand_m": _stand(plant, angle, rng)},
     }
 
@@ -136,5 +132,5 @@ def _added_later(
 def _stand(plant: Plant, towards: float, rng: np.random.Generator) -> tuple[float, float, float]:
     """Position of a tracker: out of the robot's reach, at eye level or lower."""
     reach = float(np.linalg.norm(np.diff(plant.stations, axis=0), axis=-1).sum())
-    away = reach * float(rng.uniform(1.3, 2.0))
-    return away * float(np.cos(towards)), away * float(np.sin(towards)), float(rng.uniform(0.0, 1.5))
+    away = reach * _between(rng, 1.3, 2.0)
+    return away * float(np.cos(towards)), away * float(np.sin(towards)), _between(rng, 0.0, 1.5)

@@ -7,14 +7,14 @@ weights, springs, loops, stops and dry friction depends on neither.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from casadical.blind_check.mujoco_physics.mechanism import Mechanism
 from casadical.blind_check.mujoco_physics.mjcf import mjcf
 from casadical.blind_check.synthetic.rigid import Array
-from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.errors import ConvergenceError, optional
 
 STILL = 2e-9  # rad/s or m/s; the way left to go is a tenth of it in rad or m
 CREEP = 2e-7  # rad/s or m/s; what friction holds creeps in the engine
@@ -60,7 +60,7 @@ class Engine:
     """
 
     def __init__(self, mechanism: Mechanism, *, travels: bool = False, factor: float = 1.0) -> None:
-        self.mujoco = _mujoco()
+        self.mujoco = optional("mujoco", "the engine needs MuJoCo; install it with: pip install 'casadical[withheld]'")
         self.mechanism, self.travels, self.factor = mechanism, travels, factor
         self.xml = mjcf(mechanism)
         self.model = self.mujoco.MjModel.from_xml_string(self.xml)
@@ -158,11 +158,3 @@ class Engine:
             f"the engine finds no rest: after {AT_MOST} steps something still moves at "
             f"{np.abs(self.data.qvel).max():.1e} rad/s; are the joints too soft for their loads?"
         )
-
-
-def _mujoco() -> Any:
-    try:
-        import mujoco
-    except ModuleNotFoundError as error:
-        raise InputError("the engine needs MuJoCo; install it with: pip install 'casadical[withheld]'") from error
-    return mujoco

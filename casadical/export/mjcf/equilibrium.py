@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.errors import ConvergenceError, InputError, optional
 from casadical.export.mjcf.mjcf import POINT
 from casadical.measurements.measurements import Measurements
 
@@ -193,8 +193,4 @@ class _Model:
 
 def load_mujoco() -> Any:
     """The package mujoco. Raises InputError where it is missing."""
-    try:
-        import mujoco
-    except ModuleNotFoundError:
-        raise InputError("this needs MuJoCo; install it with: pip install 'casadical[mujoco]'") from None
-    return mujoco
+    return optional("mujoco", "this needs MuJoCo; install it with: pip install 'casadical[mujoco]'")

@@ -87,11 +87,11 @@ class MeasurementKind(ABC):
         """Error that is reported of each pose, shape (n,) [m]; p : positions of the model, shape (n, 3) [m]."""
 
     def at_rest(self, arrays: Arrays) -> bool:
-        """Whether something at rest was measured; without it the pose of the base is not identifiable."""
+        """Whether something at rest was measured (see `read`); without it the base's pose is not identifiable."""
         return True
 
     def point_names(self, arrays: Arrays) -> Sequence[str]:
-        """Name of the unknown point that each pose refers to; none where the kind has no unknown points."""
+        """Name of the unknown point that each pose refers to (see `read`); none where the kind has no such points."""
         return ()
 
     def point_starts(self, arrays: Arrays, p: Array) -> Array:

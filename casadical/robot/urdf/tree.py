@@ -9,7 +9,7 @@ from xml.parsers.expat import ExpatError
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.errors import InputError, optional
 
 
 def parse_xml(path: Path) -> minidom.Document:
@@ -32,10 +32,7 @@ def parse_urdf(path: Path) -> Any:
 
     Raises InputError: yourdfpy is not installed, the XML is malformed, or it is no URDF.
     """
-    try:
-        import yourdfpy
-    except ImportError:
-        raise InputError("reading a URDF needs yourdfpy; pip install 'casadical[urdf]'") from None
+    yourdfpy = optional("yourdfpy", "reading a URDF needs yourdfpy; pip install 'casadical[urdf]'")
     parse_xml(path)
     try:
         return yourdfpy.URDF.load(str(path), build_scene_graph=False, load_meshes=False).robot
