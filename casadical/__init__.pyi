@@ -2,6 +2,10 @@ from casadical.compensator.compensator import Compensator as Compensator
 from casadical.core.errors import CasadicalError as CasadicalError
 from casadical.core.errors import ConvergenceError as ConvergenceError
 from casadical.core.errors import InputError as InputError
+from casadical.core.parts import Body as Body
+from casadical.core.parts import FourBar as FourBar
+from casadical.core.parts import Joint as Joint
+from casadical.core.parts import Placement as Placement
 from casadical.diagnosis.diagnose import diagnose as diagnose
 from casadical.diagnosis.isolability import isolability as isolability
 from casadical.diagnosis.next_poses import next_poses as next_poses
@@ -18,10 +22,6 @@ from casadical.project.calibration import calibrate as calibrate
 from casadical.project.problem import Problem as Problem
 from casadical.project.problem import read_campaign_robot as read_campaign_robot
 from casadical.project.problem import read_problem as read_problem
-from casadical.robot.robot import Body as Body
-from casadical.robot.robot import FourBar as FourBar
-from casadical.robot.robot import Joint as Joint
-from casadical.robot.robot import Placement as Placement
 from casadical.robot.robot import Robot as Robot
 from casadical.robot.robot_file import read_robot as read_robot
 from casadical.robot.robot_file import write_robot as write_robot

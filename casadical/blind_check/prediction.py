@@ -43,11 +43,13 @@ def predict(
     path = Path(out) if out else folder / f"answers.{by}.jsonl"
     done = _begun(path, manifest, by)
     left = [name for name in manifest.campaigns if name not in done]
-    models = {c.robot: _model(folder, c.robot) for c in manifest.campaigns.values()}
+    robots = {c.robot: folder / ROBOTS / f"{c.robot}.robot.toml" for c in manifest.campaigns.values()}
+    models = {robot: to_toml(read_robot(path)) for robot, path in robots.items()}
     tasks = [(by, name, models[manifest.campaigns[name].robot], *_tables(folder, name)) for name in left]
     with workers(executor) as pool, path.open("a", encoding="utf-8") as file:
         if not path.stat().st_size:
-            _write(file, {"key_sha256": manifest.key_sha256, "by": by, "versions": _versions()})
+            versions = {package: version(package) for package in ("casadical", "casadi", "numpy")}
+            _write(file, {"key_sha256": manifest.key_sha256, "by": by, "versions": versions})
         for count, answer in enumerate(completed(pool, answer_campaign, tasks), len(done) + 1):
             _write(file, answer)
             show(answer["campaign"], count, len(manifest.campaigns))
@@ -74,16 +76,8 @@ def _write(file: IO[str], data: dict[str, Any]) -> None:
     file.flush()
 
 
-def _model(folder: Path, robot: str) -> str:
-    return to_toml(read_robot(folder / ROBOTS / f"{robot}.robot.toml"))
-
-
 def _tables(folder: Path, name: str) -> tuple[pd.DataFrame, pd.DataFrame]:
     seen, unseen = (read_table(folder, name + end) for end in ("", ".unseen"))
     if {"x_mm", "y_mm", "z_mm"} & set(unseen):
         raise InputError(f"{folder / name}.unseen.csv: holds positions; they belong in the key alone ({MANIFEST})")
     return seen, unseen
-
-
-def _versions() -> dict[str, str]:
-    return {name: version(name) for name in ("casadical", "casadi", "numpy")}

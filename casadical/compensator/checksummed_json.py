@@ -15,7 +15,8 @@ from casadical.core.files import json_text, write_whole
 
 def digest(body: dict[str, Any]) -> str:
     """Return the sha256 of a JSON body: keys sorted, no spaces, numbers as Python's shortest exact decimals."""
-    return hashlib.sha256(_canonical(body).encode("utf-8")).hexdigest()
+    text = json.dumps(body, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
 
 
 def checksummed(kind: str, version: int, body: dict[str, Any]) -> str:
@@ -50,10 +51,6 @@ def read_checksummed(path: str | os.PathLike[str], kind: str, version: int) -> d
     if not _intact(document, text):
         raise InputError(f"{path} was changed after it was written (its sha256 does not match); take an undamaged copy")
     return {name: value for name, value in document.items() if name != "sha256"}
-
-
-def _canonical(body: dict[str, Any]) -> str:
-    return json.dumps(body, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
 def _intact(document: dict[str, Any], text: str) -> bool:

@@ -20,7 +20,7 @@ from casadical.compensator.report import BeforeAfter, table
 from casadical.compensator.task import Loss, make_task
 from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.known import trainer_named
-from casadical.compensator.training import Progress, Training, train_all
+from casadical.compensator.training import Progress, train_all
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 
@@ -93,7 +93,8 @@ class Compensator:
         targets = residuals(residual_mm, len(rows), size.outputs)
         _check_choices(len(rows), folds, margin)
         how = trainer_named(trainer)
-        scale = output_scale_mm if output_scale_mm is not None else _root_mean_square(targets)
+        rms = float(np.sqrt(np.mean(targets**2))) or 1.0
+        scale = output_scale_mm if output_scale_mm is not None else rms
         box = joint_range or box_around(rows)
 
         masks = training_masks(len(rows), folds, seed) if choose is None else np.empty((0, len(rows)), dtype=bool)
@@ -115,7 +116,7 @@ class Compensator:
             margin=float(margin),
             trainer=how.name,
             settings=asdict(how),
-            note=_note(last),
+            note="; ".join((*last.reasons, *([last.note] if last.note else []))),
             seed=int(seed),
             data_sha256=_data_sha256(rows, targets),
             trained=network,
@@ -191,14 +192,6 @@ def _cross_validated(networks: list[Network], masks: Any, rows: Array, targets: 
     for network, mask in zip(networks, masks, strict=True):
         after[~mask] -= network.output_mm(rows[~mask])
     return BeforeAfter.of(targets, after)
-
-
-def _note(last: Training) -> str:
-    return "; ".join((*last.reasons, *([last.note] if last.note else [])))
-
-
-def _root_mean_square(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2))) or 1.0
 
 
 def _data_sha256(rows: Array, targets: Array) -> str:

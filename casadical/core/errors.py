@@ -1,6 +1,6 @@
 """The errors of the package; each message says what is wrong, the value, what is allowed, and what to do."""
 
-from importlib import import_module
+import importlib
 from typing import Any
 
 
@@ -19,6 +19,6 @@ class ConvergenceError(CasadicalError, RuntimeError):
 def optional(module: str, otherwise: str) -> Any:
     """A module that an extra installs. Raises InputError, with this message, where it is not installed."""
     try:
-        return import_module(module)
+        return importlib.import_module(module)
     except ImportError:
         raise InputError(otherwise) from None

@@ -39,22 +39,6 @@ def observability(J: Array, n: int) -> dict[str, float]:
     }
 
 
-def _o2(w: Array) -> Array:
-    return np.asarray(0.5 * np.log(w[..., 0] / w[..., -1]))
-
-
-def _o3(w: Array) -> Array:
-    return np.asarray(0.5 * np.log(w[..., 0]))
-
-
-def _o4(w: Array) -> Array:
-    return np.asarray(np.log(w[..., 0]) - 0.5 * np.log(w[..., -1]))
-
-
-def _o5(w: Array) -> Array:
-    return np.asarray(-np.log(np.sum(w**-0.5, axis=-1)))
-
-
 def _ends(low: float, high: float) -> Callable[[Array], Array]:
     """Derivative of low log(w_min) - high log(w_max)."""
 
@@ -67,15 +51,11 @@ def _ends(low: float, high: float) -> Callable[[Array], Array]:
     return slope
 
 
-def _o5_slope(w: Array) -> Array:
-    return np.asarray(0.5 * w**-1.5 / np.sum(w**-0.5))
-
-
 SPECTRAL: dict[str, _Spectral] = {
-    "O2": (_o2, _ends(0.5, 0.5)),
-    "O3": (_o3, _ends(0.5, 0.0)),
-    "O4": (_o4, _ends(1.0, 0.5)),
-    "O5": (_o5, _o5_slope),
+    "O2": (lambda w: 0.5 * np.log(w[..., 0] / w[..., -1]), _ends(0.5, 0.5)),
+    "O3": (lambda w: 0.5 * np.log(w[..., 0]), _ends(0.5, 0.0)),
+    "O4": (lambda w: np.log(w[..., 0]) - 0.5 * np.log(w[..., -1]), _ends(1.0, 0.5)),
+    "O5": (lambda w: -np.log(np.sum(w**-0.5, axis=-1)), lambda w: 0.5 * w**-1.5 / np.sum(w**-0.5)),
 }
 
 

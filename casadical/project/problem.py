@@ -112,15 +112,15 @@ def _known_method(name: str) -> str:
     return name
 
 
-class _Paper(_Strict):
-    """Published figures to stand beside ours: mean, max and std [mm] by method, `before` among them."""
+class Paper(_Strict):
+    """Published figures: (mean, max, std) [mm] by method, "before" among them, of both of the paper's tables."""
 
     source: str
     calibration: dict[str, Three] = {}
     validation: dict[str, Three] = {}
 
     @model_validator(mode="after")
-    def _known(self) -> _Paper:
+    def _known(self) -> Paper:
         for table in ("calibration", "validation"):
             for name in getattr(self, table):
                 if name not in ("before", *all_methods()):
@@ -137,18 +137,9 @@ class _ProblemFile(_Strict):
     urdf: _Urdf | None = None
     methods: list[Annotated[str, AfterValidator(_known_method)]] = ["KM", "SKCM"]
     loss: Loss = "linear"
-    paper: _Paper | None = None
+    paper: Paper | None = None
     measurements: list[_Data] = []
     sets: _Sets = _Sets()
-
-
-@dataclass(frozen=True, eq=False)
-class Paper:
-    """Published figures: (mean, max, std) [mm] by method, "before" among them, of both of the paper's tables."""
-
-    source: str
-    calibration: Mapping[str, tuple[float, ...]]
-    validation: Mapping[str, tuple[float, ...]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +199,8 @@ def read_problem(folder: str | Path, seed: int | None = None, carried: Carried =
     file, path = _problem_file(folder), folder / "problem.toml"
     if not file.measurements:
         raise InputError(f"{path}: measurements: is missing; a calibration needs at least one table [[measurements]]")
-    robot, prior = carried(_read_robot(folder / file.robot, file.urdf or _Urdf()))
+    place, urdf = folder / file.robot, file.urdf or _Urdf()
+    robot, prior = carried(_read_robot(place, urdf))
     sets = file.sets if seed is None else file.sets.model_copy(update={"seed": seed})
     split: dict[str, list[Measurements]] = {}
     for data in file.measurements:
@@ -224,10 +216,10 @@ def read_problem(folder: str | Path, seed: int | None = None, carried: Carried =
         sets={name: tuple(parts) for name, parts in split.items()},
         methods=base_methods(file.methods),
         loss=file.loss,
-        urdf=_urdf_source(folder / file.robot, file.urdf or _Urdf()),
+        urdf=(place, urdf.base_link, urdf.tip_link) if place.suffix == ".urdf" else None,
         networks=tuple(m for m in network_methods() if m in file.methods),
         seed=sets.seed,
-        paper=_paper(file.paper),
+        paper=file.paper,
         prior=prior,
     )
 
@@ -236,13 +228,6 @@ def base_methods(methods: Sequence[str]) -> tuple[BaseMethod, ...]:
     """The identifications that these methods need: networks learn what SKCM leaves."""
     needed = {*methods, "SKCM"} if set(methods) - {*BASE_METHODS} else {*methods}
     return tuple(m for m in BASE_METHODS if m in needed)
-
-
-def _paper(table: _Paper | None) -> Paper | None:
-    if table is None:
-        return None
-    both = ({m: tuple(figures) for m, figures in t.items()} for t in (table.calibration, table.validation))
-    return Paper(table.source, *both)
 
 
 def read_problem_robot(folder: str | Path) -> Robot:
@@ -269,10 +254,6 @@ def _problem_file(folder: Path) -> _ProblemFile:
         raise InputError(f"{folder}: no such problem folder; it must hold problem.toml and a robot file")
     path = folder / "problem.toml"
     return check(_ProblemFile, load_toml(path), str(path))
-
-
-def _urdf_source(path: Path, urdf: _Urdf) -> tuple[Path, str | None, str | None] | None:
-    return (path, urdf.base_link, urdf.tip_link) if path.suffix == ".urdf" else None
 
 
 def _read_robot(path: Path, urdf: _Urdf) -> Robot:

@@ -61,7 +61,7 @@ def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] | None = None) -> Fi
     The intervals are of 95 %, over poses; outliers are left out. networks : instead of the causes, and after them.
     """
     rows = [
-        (_stage(str(r.model)), r.gap_mm, r.low_mm, r.high_mm, GREY if k == 0 else BLUE)
+        ("base model" if r.model == "base" else str(r.model), r.gap_mm, r.low_mm, r.high_mm, GREY if k == 0 else BLUE)
         for k, r in enumerate(d.course.itertuples())
     ]
     words = ("network instead", "network on the rest") if d.effects() else ("network",)
@@ -101,10 +101,6 @@ def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] | None = None) -> Fi
         tickvals=list(range(len(rows))), ticktext=[plain(n) for n in names], range=[len(rows) - 0.4, -0.6],
         showgrid=False,
     )  # fmt: skip
-
-
-def _stage(model: str) -> str:
-    return "base model" if model == "base" else model
 
 
 def shrinks(d: Diagnosis) -> Figure:

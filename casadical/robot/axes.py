@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.parts import NEAR_PARALLEL, Joint
 from casadical.core.transforms import frame, rot_x, rot_y, rot_z, translate
-from casadical.robot.robot import NEAR_PARALLEL, Joint
 
 COINCIDENT = 1e-12  # m: nearer axes have no direction between them
 INTERSECTING = 1e-5  # m: a shorter common normal is rounding in the file, its sign means nothing

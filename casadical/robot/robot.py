@@ -14,37 +14,15 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from casadical.core.arm import STANDARD_GRAVITY, Arm
+from casadical.core.arm import Arm
 from casadical.core.arrays import Array
 from casadical.core.parameters import Parameters
-from casadical.core.parts import (
-    NEAR_PARALLEL,
-    WIDTHS,
-    Body,
-    FourBar,
-    Joint,
-    Placement,
-    Width,
-)
+from casadical.core.parts import FourBar, Joint
 from casadical.core.transforms import frame, small_frame, to_rpy
 from casadical.effects import Effect
 from casadical.robot.knowledge import Knowledge
 from casadical.robot.model import Model, Structure, expressions
 from casadical.robot.parameter_list import SIX, bar_names, parameters_of
-
-__all__ = [
-    "NEAR_PARALLEL",
-    "STANDARD_GRAVITY",
-    "WIDTHS",
-    "Body",
-    "FourBar",
-    "Joint",
-    "Placement",
-    "Robot",
-    "Width",
-    "describe_frame",
-    "modified_dh",
-]
 
 # Share of the greatest torque for which the smallest gear of a robot is made.
 SMALLEST_GEAR = 0.05

@@ -16,9 +16,11 @@ import tomlkit
 from pydantic import Field, model_validator
 
 from casadical import __version__
+from casadical.core.arm import STANDARD_GRAVITY
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.files import write_whole
+from casadical.core.parts import WIDTHS, Body, FourBar, Joint, Placement, Width
 from casadical.core.schema import (
     ANGLE,
     LENGTH,
@@ -35,7 +37,7 @@ from casadical.core.schema import (
 from casadical.core.transforms import frame, from_rpy, to_rpy
 from casadical.effects import Effect, find_effect
 from casadical.robot.effect_tables import CovarianceTable, EffectTable, LearntTable, knowledge_of, text_of
-from casadical.robot.robot import STANDARD_GRAVITY, WIDTHS, Body, FourBar, Joint, Placement, Robot, Width
+from casadical.robot.robot import Robot
 
 Bar = Annotated[float, LENGTH, Field(gt=0)]
 # Of the newest files that are read; from 2 on with effects and what is known of their values.

@@ -4,7 +4,8 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from casadical.robot.robot import Body, FourBar, Joint, Placement, Robot
+from casadical.core.parts import Body, FourBar, Joint, Placement
+from casadical.robot.robot import Robot
 
 
 def turn(axis, angle):

@@ -20,7 +20,8 @@ from numeric_arm import (
     vector,
 )
 
-from casadical.robot.robot import Joint, Placement, Robot
+from casadical.core.parts import Joint, Placement
+from casadical.robot.robot import Robot
 
 ARMS = {
     "hh800": hh800,

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from numeric_arm import derivative, shift, turn, vector
 from scipy.linalg import expm
 
+from casadical.core.parts import Joint, Placement
 from casadical.robot.axes import Axis, rows_from_axes
-from casadical.robot.robot import Joint, Placement, Robot
+from casadical.robot.robot import Robot
 
 SAMPLING = settings(deadline=None, max_examples=30, derandomize=True)
 # Degrees between an axis and the one before: 1e-6..5, off 0 or off 180.

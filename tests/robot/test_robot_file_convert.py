@@ -11,7 +11,7 @@ from scipy.optimize import newton
 from scipy.spatial.transform import Rotation
 
 from casadical import Body, FourBar, InputError, Joint, Placement, Robot
-from casadical.robot.robot import WIDTHS, Width
+from casadical.core.parts import WIDTHS, Width
 from casadical.robot.robot_file import read_robot, robot_from, to_toml, write_robot
 
 GRAVITY = np.array([0.0, 0.0, -9.81])

@@ -11,19 +11,19 @@ STEP = 0.02  # s, of the integrator
 HARD = "0.9999 0.9999 0.001 0.5 2"  # the hardest impedance that MuJoCo has, at every violation
 
 
-def mjcf(mechanism: Mechanism, *, name: str = "robot", step_s: float = STEP, tracker: bool = True) -> str:
+def mjcf(mechanism: Mechanism) -> str:
     """The mechanism in MuJoCo's XML: world = the levelled measuring frame, gravity 9.81 m/s^2 along its -z.
 
     Loops are equality constraints between sites, motors the rests of joint springs (``qpos_spring`` and
-    ``tendon_lengthspring``, which the model keeps at ``ref``). With ``tracker`` a body of that name stands at the
-    world's origin and a sensor gives the site ``reflector`` in its frame.
+    ``tendon_lengthspring``, which the model keeps at ``ref``). The body ``tracker`` stands at the world's origin, and
+    a sensor gives the site ``reflector`` in its frame.
     """
-    stiff = f"{2 * step_s!r} 1"
+    stiff = f"{2 * STEP!r} 1"
     # The solver's tolerance is in units of the mean inertia, which is large here: any but 0 would end it too early.
-    root = ET.Element("mujoco", model=name)
+    root = ET.Element("mujoco", model="robot")
     ET.SubElement(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
     option = ET.SubElement(
-        root, "option", timestep=repr(step_s), integrator="implicitfast", gravity="0 0 -9.81", tolerance="0"
+        root, "option", timestep=repr(STEP), integrator="implicitfast", gravity="0 0 -9.81", tolerance="0"
     )
     ET.SubElement(option, "flag", contact="disable")
     default = ET.SubElement(root, "default")
@@ -32,8 +32,7 @@ def mjcf(mechanism: Mechanism, *, name: str = "robot", step_s: float = STEP, tra
     ET.SubElement(default, "tendon", hard)
     ET.SubElement(default, "equality", solref=stiff, solimp=HARD)
     world = ET.SubElement(root, "worldbody")
-    if tracker:
-        ET.SubElement(world, "body", name="tracker")
+    ET.SubElement(world, "body", name="tracker")
     nodes = {"world": world}
     for body in mechanism.bodies:
         nodes[body.name] = _body(nodes[body.parent], body)
@@ -43,10 +42,9 @@ def mjcf(mechanism: Mechanism, *, name: str = "robot", step_s: float = STEP, tra
             ET.SubElement(equality, "connect", name=loop.name, site1=loop.first, site2=loop.second)
     if mechanism.cords or mechanism.shafts:
         _tendons(ET.SubElement(root, "tendon"), mechanism)
-    if tracker:
-        sensor = ET.SubElement(root, "sensor")
-        seen = {"objtype": "site", "objname": "reflector", "reftype": "body", "refname": "tracker"}
-        ET.SubElement(sensor, "framepos", {"name": "measured", **seen})
+    sensor = ET.SubElement(root, "sensor")
+    seen = {"objtype": "site", "objname": "reflector", "reftype": "body", "refname": "tracker"}
+    ET.SubElement(sensor, "framepos", {"name": "measured", **seen})
     ET.indent(root)
     return ET.tostring(root, encoding="unicode")
 

@@ -88,22 +88,16 @@ def hh800_true(robot_seed: int = ROBOT_SEED) -> Plant:
 
 
 def hh800_twin(
-    seed: int = SEED,
-    *,
-    robot_seed: int = ROBOT_SEED,
-    disturbances: Sequence[Disturbance] = UNMODELLED,
-    noise_mm: float = 0.02,
-    repeatability_urad: float = 8.0,
-    truth: bool = False,
+    seed: int = SEED, *, disturbances: Sequence[Disturbance] = UNMODELLED, truth: bool = False
 ) -> pd.DataFrame:
     """The experiment as a table: the columns of a campaign and ``set``, one of identify, train, choose and report.
 
     The poses to identify from are spread over the joint ranges, all others drawn at random. The arm is warm when it
     starts (2 K are left to rise), the payload of 300 kg stays. Another ``seed`` is another experiment on the same
-    robot, another ``robot_seed`` another robot; ``disturbances=()`` is a twin that the model describes exactly, except
-    the compliance of joints 1 and 6. ``truth`` as in ``campaign``.
+    robot; ``disturbances=()`` is a twin that the model describes exactly, except the compliance of joints 1 and 6.
+    ``truth`` as in ``campaign``.
     """
-    plant = hh800_true(robot_seed)
+    plant = hh800_true()
     rng, limits = np.random.default_rng([seed, 7]), unfolded(hh800_nominal())
     first = SETS["identify"]
     n = sum(SETS.values())
@@ -114,8 +108,6 @@ def hh800_twin(
         plant,
         n,
         seed,
-        noise_mm=noise_mm,
-        repeatability_urad=repeatability_urad,
         disturbances=disturbances,
         payload_states=[plant.payload_kg],
         warmup=WARMUP,

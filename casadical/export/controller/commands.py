@@ -16,13 +16,14 @@ import numpy as np
 from casadical.compensator import Compensator, load_compensator
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.parts import Body, Placement
 from casadical.effects import Effect
 from casadical.effects.counterparts import Omission
 from casadical.export.c.products import Command, CurveFunction, Limits, NetworkFunction, mapped
 from casadical.export.controller.curves import joint_curves, pose_of, without_curves
 from casadical.export.omission import left_out
 from casadical.robot.axes import row_matrix
-from casadical.robot.robot import Body, Placement, Robot
+from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
 Tool = Literal["shared", "own"]

@@ -10,10 +10,10 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.parts import Joint
 from casadical.effects.counterparts import Balancer
 from casadical.export.mjcf.elements import numbers
 from casadical.robot.axes import row_matrix
-from casadical.robot.robot import Joint
 
 # Length of the lever [m]: arbitrary, as stiffness and pull are scaled by it.
 LEVER = 0.3

@@ -10,9 +10,9 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.parts import Body
 from casadical.core.transforms import frame
 from casadical.export.mjcf.elements import add_body, add_mass, add_spring
-from casadical.robot.robot import Body
 
 GAUSS = (0.5 - 0.5 / np.sqrt(3), 0.5 + 0.5 / np.sqrt(3))
 AXES = ("1 0 0", "0 1 0", "0 0 1")

@@ -11,10 +11,11 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.parts import FourBar, Joint
 from casadical.effects.counterparts import Drive
 from casadical.export.mjcf.elements import SLOW, add_body, add_mass, numbers
 from casadical.robot.axes import row_matrix
-from casadical.robot.robot import FourBar, Joint, Robot
+from casadical.robot.robot import Robot
 
 # Armature of a bar as a share of the drive's; a smaller one makes the constraints soft. Bars have no weight.
 BAR = 0.1

@@ -10,6 +10,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from casadical.core.parts import Body, Joint
 from casadical.core.transforms import frame, from_rpy
 from casadical.effects.counterparts import Counterparts, Drive, Omission
 from casadical.export.mjcf.balancer import add_sites, add_tendons
@@ -18,7 +19,7 @@ from casadical.export.mjcf.drives import counterparts
 from casadical.export.mjcf.elements import SLOW, add_body, add_mass, add_spring, inert, numbers, quaternion
 from casadical.export.mjcf.loops import add_loop, closed
 from casadical.robot.axes import row_matrix
-from casadical.robot.robot import Body, Joint, Robot
+from casadical.robot.robot import Robot
 
 STEP = 0.002
 # The hardest impedance that MuJoCo allows.
@@ -107,7 +108,8 @@ def _bodies(world: ET.Element, robot: Robot, found: Counterparts) -> ET.Element:
         place = row_matrix(replace(row, theta=loop.offset) if loop else row)
         body = add_body(parent, f"link{i}", behind @ place)
         if loop is not None:
-            add_loop(robot, loop, ends, _links(world), drive, _drive_joints)
+            links = {str(node.get("name")): node for node in world.iter("body")}
+            add_loop(robot, loop, ends, links, drive, _drive_joints)
         else:
             _drive_joints(body, f"joint{i}", row, drive)
         for balancer in found.balancers:
@@ -122,10 +124,6 @@ def _bodies(world: ET.Element, robot: Robot, found: Counterparts) -> ET.Element:
             add_mass(body, mass.mass, mass.com)
         ends.append((parent, behind))
     return parent
-
-
-def _links(world: ET.Element) -> dict[str, ET.Element]:
-    return {str(node.get("name")): node for node in world.iter("body")}
 
 
 def _drive_joints(body: ET.Element, name: str, row: Joint, drive: Drive) -> None:

@@ -25,6 +25,8 @@ from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
 Show = Callable[[str], None]
+# Shares of the poses that are fitted, and of those that are replayed.
+PARTS = {"identify": 2 / 3, "report": round(0.999 - 2 / 3, 3)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,43 +107,39 @@ def replay_campaign(
     m: Measurements,
     effects: Sequence[str] | str = "standard",
     *,
-    share: float = 2 / 3,
     seed: int = 0,
     show: Show = lambda _text: None,
 ) -> Replay:
     """Identify, diagnose and replay a campaign on poses that were held out.
 
-    robot : as `diagnose` takes it; share : of the poses that are fitted, the others are replayed
+    robot : as `diagnose` takes it
     Raises InputError, ConvergenceError.
     """
     m, _ = derive(m, [f"approach{i}" for i in range(1, robot.n + 1)])
     m, _ = derive(m, ["progress"])
-    parts = m.split({"identify": share, "report": round(0.999 - share, 3)}, seed)
+    parts = m.split(PARTS, seed)
     fitted, held_out = parts["identify"], parts["report"]
     found = diagnose(robot, fitted, effects, seed=seed, show=show)
     return Replay(m.source, robot.name, _stages(robot, fitted, held_out, found, found.apply, show), found)
 
 
-def replay_diagnosis(
-    found: Diagnosis, *, share: float = 2 / 3, seed: int = 0, show: Show = lambda _text: None
-) -> Replay:
+def replay_diagnosis(found: Diagnosis) -> Replay:
     """Replay a campaign with the causes that were found in it, all values identified again from a part of its poses.
 
     The outliers are left out, and the other poses replayed: no value has seen them, though they had a part in which
-    causes are named; `replay_campaign` keeps them from that, too. share : of the poses that are fitted
-    Raises InputError, ConvergenceError.
+    causes are named; `replay_campaign` keeps them from that, too. Raises InputError, ConvergenceError.
     """
     case, robot = found.case, found.case.given
     m, _ = derive(case.m, ["progress", *(f"approach{i}" for i in range(1, robot.n + 1))])
     m = m.positions_alone()[case.kept]
     numbered = replace(m, row=np.arange(len(m)))
-    parts = numbered.split({"identify": share, "report": round(0.999 - share, 3)}, seed)
+    parts = numbered.split(PARTS)
     fitted = np.isin(numbered.row, parts["identify"].row)
 
     def with_causes() -> Robot:
         return refit(case, found.effects(), found.noise, fitted).robot
 
-    return Replay(m.source, robot.name, _stages(robot, m[fitted], parts["report"], found, with_causes, show), found)
+    return Replay(m.source, robot.name, _stages(robot, m[fitted], parts["report"], found, with_causes), found)
 
 
 def _stages(
@@ -150,7 +148,7 @@ def _stages(
     held_out: Measurements,
     found: Diagnosis,
     with_causes: Callable[[], Robot],
-    show: Show,
+    show: Show = lambda _text: None,
 ) -> tuple[ReplayedModel, ...]:
     """Nominal robot, calibrated one, and that with the causes: identified from some poses, replayed at others.
 

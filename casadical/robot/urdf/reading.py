@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from casadical.core.arm import STANDARD_GRAVITY
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.parts import Body, Joint, Placement
 from casadical.robot.axes import Axis, Chain, rows_from_axes
-from casadical.robot.robot import STANDARD_GRAVITY, Body, Joint, Placement, Robot
+from casadical.robot.robot import Robot
 from casadical.robot.urdf.tree import Tree, parse_urdf
 
 _FULL_TURN = 2 * np.pi
@@ -84,7 +86,8 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
         _refuse_unusable(j, str(path))
     own = {j.name for j in moving}
     frames, rides = tree.at_zero(base, own)
-    dh = rows_from_axes([_axis(j, frames[j.child]) for j in moving], frames[tip])
+    placed = [(frames[j.child], j.axis / np.linalg.norm(j.axis)) for j in moving]
+    dh = rows_from_axes([Axis(T[:3, 3], T[:3, :3] @ axis) for T, axis in placed], frames[tip])
     bodies = _bodies(urdf, tree, dh, frames, rides)
     notes = [f"from {path.name}: {base} to {tip}"]
     if aside := [j.name for j in urdf.joints if j.type != "fixed" and rides.get(j.child) and j.name not in own]:
@@ -113,10 +116,6 @@ def _refuse_unusable(joint: Any, source: str) -> None:
         raise InputError(f"{name} is of type {joint.type!r}; allowed: revolute, continuous, prismatic, fixed")
     if joint.axis.shape != (3,) or not 1e-9 < np.linalg.norm(joint.axis) < np.inf:
         raise InputError(f"{name} has the axis {joint.axis.tolist()}; it needs three finite numbers, not all zero")
-
-
-def _axis(joint: Any, T: Array) -> Axis:
-    return Axis(T[:3, 3], T[:3, :3] @ (joint.axis / np.linalg.norm(joint.axis)))
 
 
 def _joint(row: Joint, joint: Any, body: Body | None, source: str) -> Joint:
