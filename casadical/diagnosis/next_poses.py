@@ -1,11 +1,4 @@
-"""What to measure next: poses at which the causes in question predict most unlike positions.
-
-Each cause's prediction at a new pose is normal: fitted to the data there are, together with the base model, and as
-uncertain as that fit leaves it. Poses are added one by one where they most increase the expected log Bayes factor in
-favour of the truth, whichever of the causes that is: the divergence of one cause's data from the other's prediction,
-learning from the poses picked before (Box and Hill 1967; where the base is well known, T-optimality of Atkinson and
-Fedorov 1975). The truth that is told least so far counts most.
-"""
+"""What to measure next: poses at which the causes in question predict the most different positions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,36 +8,23 @@ from math import erf, log, sqrt
 import numpy as np
 import pandas as pd
 
-from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.diagnosis.cross_validation import covariance, likely_noise
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence, log_sum
-from casadical.diagnosis.linear_problem import Case, widths
-from casadical.diagnosis.linearisation import signatures
-from casadical.diagnosis.pose_pool import Pool, draw_pool, news
+from casadical.diagnosis.cross_validation import likely_noise
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
+from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.pose_separation import Predictive, noise_at, pick, predict_cause
 from casadical.diagnosis.result import Diagnosis
 from casadical.effects import Effect
-from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
+from casadical.pose_selection.candidates import LaterPoses, campaign_payloads, later_poses
 from casadical.pose_selection.workspace import Workspace
 
 POOL = 800
-# One sigma, in sizes, of a cause's parameters before the data.
-WIDE = 2.0
 # Settings of a cause that are looked at, and by how much their log likelihood may be less than the best one's.
 MOST_VARIANTS, LIKELY = 2, 4.0
+# Readings beyond the campaign's own range by less than this [rad or m] are nothing new.
+BEYOND = 0.02
 NONE = "none"
-
-
-@dataclass(frozen=True, eq=False)
-class _Prediction:
-    """What one cause predicts at all poses of the pool.
-
-    mean : shape (K, 3) [m]; spread : square root of its covariance, shape (K, 3, parameters): spread spread'
-    """
-
-    mean: Array
-    spread: Array
 
 
 def next_poses(
@@ -72,7 +52,7 @@ def next_poses(
     Columns: order; q1_deg ...; payload_kg and approach1 ... where they matter; repeats, the row of the campaign that
     the pose repeats, if any; state, cold or warm, where a cause follows the temperature; new, what the campaign had
     not (a wider range of a joint, another payload, approach or thermal state); separation, the expected log Bayes
-    factor in favour of the truth among the labels, of this pose and those before it, for the truth that is told least;
+    factor in favour of the truth among the labels, of this pose and those before it, for the truth with the smallest one;
     and, empty, the columns to be logged. Raises InputError for fewer than two labels or one that the case does not
     know.
     """
@@ -87,13 +67,14 @@ def next_poses(
     causes = _causes(case, labels, (NONE, *others) if beside is None else beside)
     noise = causes[0].noise
     effects = tuple(dict.fromkeys(e for cause in causes for e in cause.variant))
-    drawn = draw_pool(case, effects, pool, seed, workspace, payloads)
-    noise_there = _noise_at(case, noise, drawn.m)
-    models = [(c.label, _Model(_predict(case, c.variant, noise, drawn.m), noise_there)) for c in causes]
+    columns = dict.fromkeys((*case.robot.conditions, *(c for e in effects for c in e.conditions)))
+    drawn = later_poses(case.robot, case.m, case.kept, columns, pool, seed, workspace, payloads)
+    noise_there = noise_at(case, noise, drawn.m)
+    models = [(c.label, Predictive(predict_cause(case, c.variant, noise, drawn.m), noise_there)) for c in causes]
     rivals = [(a in labels, b in labels, p, r) for (a, p), (b, r) in combinations(models, 2) if a != b]
     asked = [(p, r) for first, second, p, r in rivals if first and second]
     also = [(p, r) for first, second, p, r in rivals if first != second]
-    picked, gained = _pick(asked, also, min(n, len(drawn.m)))
+    picked, gained = pick(asked, also, min(n, len(drawn)))
     return _table(case, effects, drawn, picked, gained)
 
 
@@ -130,113 +111,8 @@ def _causes(case: Case, labels: Sequence[str], beside: Sequence[str] = ()) -> li
     return sorted(found, key=lambda cause: cause.noise.sigma)
 
 
-def _predict(case: Case, variant: tuple[Effect, ...], noise: Noise, m: Measurements) -> _Prediction:
-    """Mean and spread at new poses of base model and one cause fitted to the case's data."""
-    old = case.evidence
-    E, J, _ = signatures(case.given, variant, m, case.values)
-    J = J if case.units is None else J @ case.units
-    columns = case.group(variant) if variant else np.zeros(0, dtype=np.int64)
-    A = np.concatenate([old.J, old.take(columns)], axis=2)
-    new = np.concatenate([J, E * widths(variant)], axis=2)
-    prior = np.concatenate([old.prior, np.full(len(columns), WIDE)])
-    mean = np.concatenate([old.delta0, np.zeros(len(columns))])
-    # Scaled by the prior, the normal matrix is at least the identity.
-    A, new, mean = A * prior, new * prior, mean / prior
-    AW = np.einsum("nip,nij->npj", A, np.linalg.inv(covariance(old, noise)))
-    normal = (AW @ A).sum(axis=0) + np.eye(len(prior))
-    right = np.einsum("npj,nj->p", AW, old.r) + mean
-    L = np.linalg.cholesky(normal)
-    fitted = np.linalg.solve(L.T, np.linalg.solve(L, right))
-    spread = np.linalg.solve(L, new.reshape(-1, len(prior)).T).T.reshape(new.shape)
-    return _Prediction(new @ fitted, spread)
-
-
-def _noise_at(case: Case, noise: Noise, m: Measurements) -> Array:
-    """Covariance of the noise at new poses, shape (K, 3, 3) [m^2]."""
-    _, J, Jq = signatures(case.given, (), m, case.values)
-    empty = np.zeros((len(m), 3, 0))
-    return covariance(Evidence(np.zeros((len(m), 3)), J, Jq, np.zeros(0), np.ones(0), empty), noise)
-
-
-class _Model:
-    """A cause's predictive distribution at all poses, as it learns from the data at those picked.
-
-    own : covariance of the data at each pose, shape (K, 3, 3); inverse, volume : of it, and log determinant
-    """
-
-    def __init__(self, prediction: _Prediction, noise: Array) -> None:
-        self.first, self.noise = prediction, noise
-        self._known: Array = np.eye(prediction.spread.shape[2])
-        self._set(prediction.spread @ prediction.spread.transpose(0, 2, 1) + noise)
-
-    def _set(self, own: Array) -> None:
-        self.own, self.inverse = own, np.linalg.inv(own)
-        self.volume: Array = np.linalg.slogdet(own)[1]
-
-    def learn(self, pose: int) -> Array:
-        """Take in the data at a pose, as a Kalman filter does; its gain at all poses, shape (K, 3, 3)."""
-        spread = self.first.spread
-        toward = self._known @ spread[pose].T
-        gain = np.asarray((spread.reshape(-1, len(toward)) @ toward).reshape(-1, 3, 3) @ self.inverse[pose])
-        self._known = self._known - toward @ self.inverse[pose] @ toward.T
-        self._set(self.own - gain @ self.own[pose] @ gain.transpose(0, 2, 1))
-        return gain
-
-
-class _Duel:
-    """What the data of a truth differ by from a model's prediction: mean, shape (K, 3), and root of the covariance less
-    the pose's own noise, shape (K, 3, any)."""
-
-    def __init__(self, model: _Model, truth: _Model) -> None:
-        self.model, self.truth = model, truth
-        self.mean: Array = truth.first.mean - model.first.mean
-        self.root: Array = truth.first.spread
-
-    def gains(self) -> Array:
-        """What each pose adds to the expected log Bayes factor in favour of the truth, shape (K,): a divergence."""
-        square = self.model.noise + self.root @ self.root.transpose(0, 2, 1)
-        square += self.mean[:, :, None] * self.mean[:, None, :]
-        far = (self.model.inverse * square).sum(axis=(1, 2)) - 3
-        return np.asarray(0.5 * (far + self.model.volume - self.truth.volume))
-
-    def follow(self, pose: int, gain: Array) -> None:
-        """The model has learnt at a pose, with this gain."""
-        heard = np.linalg.cholesky(self.model.noise[pose])
-        self.mean = self.mean - gain @ self.mean[pose]
-        self.root = np.concatenate([self.root - gain @ self.root[pose], -gain @ heard], axis=2)
-
-
-_Pairs = Sequence[tuple[_Model, _Model]]
-
-
-def _pick(asked: _Pairs, also: _Pairs, n: int) -> tuple[list[int], list[float]]:
-    """Greedy choice of n poses and what they separate, summed as they are added: of the truth told least.
-
-    asked, also : pairs to distinguish; only the former count as what is separated
-    """
-    pairs = [*asked, *also]
-    duels = [d for a, b in pairs for d in (_Duel(a, b), _Duel(b, a))]
-    models = list(dict.fromkeys(m for pair in pairs for m in pair))
-    picked: list[int] = []
-    gained = np.zeros(len(duels))
-    course = []
-    for _ in range(n):
-        gains = np.stack([d.gains() for d in duels])
-        # The truth that is told least so far matters most.
-        score = (gains / (1 + gained[:, None])).sum(axis=0)
-        score[picked] = -np.inf
-        best = int(np.argmax(score))
-        gained = gained + gains[:, best]
-        picked.append(best)
-        course.append(float(gained[: 2 * len(asked)].min()))
-        learnt = {m: m.learn(best) for m in models}
-        for duel in duels:
-            duel.follow(best, learnt[duel.model])
-    return picked, course
-
-
 def _table(
-    case: Case, effects: tuple[Effect, ...], drawn: Pool, picked: list[int], gained: list[float]
+    case: Case, effects: tuple[Effect, ...], drawn: LaterPoses, picked: list[int], gained: list[float]
 ) -> pd.DataFrame:
     rows = drawn.m[np.array(picked, dtype=np.int64)]
     table = pd.DataFrame({"order": np.arange(1, len(picked) + 1)})
@@ -252,11 +128,32 @@ def _table(
         table["state"] = np.where(drawn.warm[picked], "warm", "cold")
     source = drawn.repeated[picked]
     table["repeats"] = [f"row {case.m.row[k]}" if k >= 0 else "" for k in source]
-    table["new"] = news(case, drawn, picked)
+    table["new"] = _new(case, drawn, picked)
     table["separation"] = np.round(gained, 3)
     for name in ("time_s", "temperature_degC", "x_mm", "y_mm", "z_mm"):
         table[name] = np.nan
     return table
+
+
+def _new(case: Case, pool: LaterPoses, picked: Sequence[int]) -> list[str]:
+    """For each pose, what of it the campaign had not: a wider range, another payload, approach or thermal state."""
+    own = case.m.conditions
+    lower, upper = case.m.q.min(axis=0) - BEYOND, case.m.q.max(axis=0) + BEYOND
+    payloads = campaign_payloads(case.robot, case.m)
+    found = []
+    for k in picked:
+        said = [f"q{j + 1}" for j in np.flatnonzero((pool.m.q[k] < lower) | (pool.m.q[k] > upper))]
+        parts = [f"range of {' '.join(said)}"] if said else []
+        for name, column in pool.m.conditions.items():
+            value = float(column[k])
+            if name == "payload_kg" and np.abs(payloads - value).min() > 1e-9:
+                parts.append(f"payload {value:g} kg")
+            if name.startswith("approach") and name in own and value not in own[name]:
+                parts.append(f"{name} {value:+.0f}")
+            if name.startswith("warmth_") and value > own[name].max() + 0.5:
+                parts.append(f"arm warmed up by {value - own[name].min():.0f} K")
+        found.append("; ".join(dict.fromkeys(parts)))
+    return found
 
 
 def discrimination_probability(found: Diagnosis, poses: pd.DataFrame) -> tuple[float, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,6 +20,8 @@ _TIMED = re.compile(r"progress|time_s|temperature_degC|warmth_\d+s")
 _APPROACH = re.compile(r"approach\d+")
 # The timeline's resolution.
 _STEPS = 200
+# After a campaign, an arm is warmed up by at least so much [K] where a column follows the temperature.
+RISE_K = 5.0
 
 
 @dataclass(frozen=True)
@@ -118,11 +120,18 @@ def draw_uniform(robot: Robot, count: int, workspace: Workspace, rng: np.random.
     lower, upper = workspace.ranges(robot)
     kept = np.empty((0, robot.n))
     for _ in range(100):
-        q = rng.uniform(lower, upper, (count, robot.n))
-        kept = np.concatenate([kept, q[workspace.allows(robot, q)]])[:count]
+        kept = np.concatenate([kept, _allowed(robot, count, workspace, lower, upper, rng)])[:count]
         if len(kept) == count:
             return kept
     raise InputError(f"only {len(kept)} of {100 * count} readings drawn are allowed by the workspace; widen it")
+
+
+def _allowed(
+    robot: Robot, count: int, workspace: Workspace, lower: Array, upper: Array, rng: np.random.Generator
+) -> Array:
+    """Of so many readings drawn evenly between two, those that the workspace allows, shape (any, joints)."""
+    q = rng.uniform(lower, upper, (count, robot.n))
+    return np.asarray(q[workspace.allows(robot, q)])
 
 
 def candidates_at(robot: Robot, q: Array, circumstances: Circumstances, n: int, rng: np.random.Generator) -> Candidates:
@@ -166,3 +175,80 @@ def timeline(names: list[str], progress: Array, n: int, circumstances: Circumsta
     clock, missing = derive(clock, names)
     assert not missing
     return {name: np.interp(progress, course, clock.conditions[name]) for name in names}
+
+
+@dataclass(frozen=True, eq=False)
+class LaterPoses:
+    """Poses that could be measured after a campaign.
+
+    m : readings and columns; repeated : row of the campaign that a pose repeats, -1 for none, shape (K,)
+    warm : whether the arm is to be warm, shape (K,); None where no column follows the temperature
+    """
+
+    m: Measurements
+    repeated: Array
+    warm: Array | None
+
+    def __len__(self) -> int:
+        return len(self.m)
+
+
+def later_poses(
+    robot: Robot,
+    campaign: Measurements,
+    kept: Array,
+    columns: Iterable[str],
+    count: int,
+    seed: int,
+    workspace: Workspace | None = None,
+    payloads: Sequence[float] = (),
+) -> LaterPoses:
+    """Random poses, half of them within the campaign's ranges, and the campaign's own, under every circumstance.
+
+    kept : mask of the campaign's poses that count, shape (n,); columns : names of those that are needed
+    workspace : where poses may lie, by default the robot's ranges; four-bars stay as open as they were
+    payloads : masses [kg] that can be mounted; by default none, the declared one and the campaign's
+    """
+    rng = np.random.default_rng(seed)
+    room = (workspace or Workspace()).as_open_as(robot, campaign.q)
+    own = campaign.q[kept]
+    lower, upper = room.ranges(robot)
+    near = np.empty((0, robot.n))
+    narrow = np.maximum(own.min(axis=0), lower), np.minimum(own.max(axis=0), upper)
+    if (narrow[0] < narrow[1]).all():
+        near = _allowed(robot, 4 * (count // 2), room, *narrow, rng)[: count // 2]
+    wide = _allowed(robot, 4 * (count - len(near)), room, lower, upper, rng)[: count - len(near)]
+    q = np.concatenate([near, wide, own])
+    repeated = np.concatenate([np.full(len(near) + len(wide), -1), np.flatnonzero(kept)])
+    declared = robot.payload.mass if robot.payload else 0.0
+    states = np.unique([*campaign_payloads(robot, campaign), 0.0, declared])
+    warm = rng.random(len(q)) < 0.5
+    found = {
+        name: _later(name, campaign.conditions.get(name), warm, np.array(sorted(payloads)) if payloads else states, rng)
+        for name in columns
+    }
+    return LaterPoses(unmeasured(q, found), repeated, warm if any(n.startswith("warmth_") for n in found) else None)
+
+
+def campaign_payloads(robot: Robot, campaign: Measurements) -> Array:
+    """Payloads of a campaign, the declared one where none was logged, shape (any,) [kg]."""
+    declared = robot.payload.mass if robot.payload else 0.0
+    return np.unique(campaign.conditions.get("payload_kg", np.array([declared])))
+
+
+def _later(name: str, logged: Array | None, warm: Array, states: Array, rng: np.random.Generator) -> Array:
+    """A column at later poses: what can be chosen is drawn, what cannot is that of a later day.
+
+    logged : of the campaign; warm : of each pose, shape (K,); states : payloads [kg]
+    """
+    if name == "progress":
+        return np.ones(len(warm))
+    if _APPROACH.fullmatch(name):
+        return rng.choice([-1.0, 1.0], len(warm))
+    if name == "payload_kg":
+        return rng.choice(states, len(warm))
+    if logged is None:
+        return np.zeros(len(warm))
+    if name.startswith("warmth_"):
+        return np.asarray(np.where(warm, max(logged.max(), logged.min() + RISE_K), logged.min()))
+    return rng.choice(np.unique(logged), len(warm))

@@ -1,6 +1,8 @@
 """Where poses may lie: joint ranges, four-bar margin, floor, boxes, and what a laser tracker can see."""
 
-from dataclasses import dataclass, field
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import casadi as ca
@@ -129,6 +131,12 @@ class Workspace:
             hidden = [b.hides(tool, np.asarray(self.tracker.station, float)) for b in self.boxes]
             found["line of sight"] = ~self.tracker.sees(tool, R) | np.any(hidden, axis=0)
         return found
+
+    def as_open_as(self, robot: Robot, q: Array) -> Workspace:
+        """The workspace with four-bars no less open than at any of the readings q, shape (n, joints) [rad or m]."""
+        if not robot.loops:
+            return self
+        return replace(self, margin=max(self.margin, float(_places(robot, q)[2].min())))
 
     def allows(self, robot: Robot, q: Array) -> Array:
         """Which of the readings q, shape (n, joints) [rad or m], may be measured, boolean, shape (n,)."""

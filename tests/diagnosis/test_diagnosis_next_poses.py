@@ -12,13 +12,13 @@ from scipy.linalg import block_diag
 from casadical import InputError, identify
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.linear_problem import make_case
-from casadical.diagnosis.next_poses import _causes, _Duel, _Model, _noise_at, _predict, _Prediction, next_poses
-from casadical.diagnosis.pose_pool import draw_pool
+from casadical.diagnosis.next_poses import _causes, next_poses
+from casadical.diagnosis.pose_separation import Comparison, Prediction, Predictive, noise_at, predict_cause
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table
 from casadical.pose_selection import Workspace
-from casadical.pose_selection.candidates import draw_uniform
+from casadical.pose_selection.candidates import draw_uniform, later_poses
 
 EFFECTS = ("nonlinear_stiffness@2", "backlash@2", "gear_eccentricity@2", "frame_drift", "thermal_growth")
 
@@ -28,7 +28,7 @@ def doubtful():
     return case("ur10e-P09", *EFFECTS)
 
 
-def divergences(a: _Prediction, b: _Prediction, noise: np.ndarray, poses: list[int]) -> list[float]:
+def divergences(a: Prediction, b: Prediction, noise: np.ndarray, poses: list[int]) -> list[float]:
     """Kullback-Leibler divergences of two normal distributions of the poses' data: of b from a, of a from b."""
     mean, cov = [], []
     for p in (a, b):
@@ -46,17 +46,17 @@ def divergences(a: _Prediction, b: _Prediction, noise: np.ndarray, poses: list[i
 
 def test_gains_add_up_to_the_expected_log_bayes_factor() -> None:
     rng = np.random.default_rng(0)
-    a, b = (_Prediction(rng.normal(size=(6, 3)), rng.normal(size=(6, 3, k))) for k in (4, 5))
+    a, b = (Prediction(rng.normal(size=(6, 3)), rng.normal(size=(6, 3, k))) for k in (4, 5))
     noise = np.stack([np.eye(3) + 0.3 * v[:, None] * v for v in rng.normal(size=(6, 3))])
     picked: list[int] = []
-    one, other = _Model(a, noise), _Model(b, noise)
-    duels = (_Duel(one, other), _Duel(other, one))
+    one, other = Predictive(a, noise), Predictive(b, noise)
+    comparisons = (Comparison(one, other), Comparison(other, one))
     total = np.zeros(2)
     for pose in (4, 0, 2, 5):
-        total += [duel.gains()[pose] for duel in duels]
+        total += [comparison.gains()[pose] for comparison in comparisons]
         gains = {model: model.learn(pose) for model in (one, other)}
-        for duel in duels:
-            duel.follow(pose, gains[duel.model])
+        for comparison in comparisons:
+            comparison.follow(pose, gains[comparison.model])
         picked.append(pose)
         np.testing.assert_allclose(total, divergences(a, b, noise, picked), rtol=1e-9)
 
@@ -87,9 +87,10 @@ def test_chosen_poses_tell_more_than_random_ones(doubtful, labels: list[str]) ->
     causes = _causes(doubtful, labels)
     least = causes[0].noise
     effects = tuple(dict.fromkeys(e for cause in causes for e in cause.variant))
-    pool = draw_pool(doubtful, effects, 400, 5).m
-    found = [(cause.label, _predict(doubtful, cause.variant, least, pool)) for cause in causes]
-    noise = _noise_at(doubtful, least, pool)
+    columns = dict.fromkeys((*doubtful.robot.conditions, *(c for e in effects for c in e.conditions)))
+    pool = later_poses(doubtful.robot, doubtful.m, doubtful.kept, columns, 400, 5).m
+    found = [(cause.label, predict_cause(doubtful, cause.variant, least, pool)) for cause in causes]
+    noise = noise_at(doubtful, least, pool)
     rng = np.random.default_rng(0)
     chance = [rng.choice(len(pool), 8, replace=False).tolist() for _ in range(40)]
     pairs = [(p, r) for a, p in found for b, r in found if a < b]
