@@ -74,9 +74,8 @@ def diagnose(
     from casadical.core.files import write_whole
     from casadical.diagnosis.details import analyse
     from casadical.diagnosis.diagnose import diagnose as run
-    from casadical.diagnosis.files import diagnosis_files
-    from casadical.diagnosis.json_answer import as_json
-    from casadical.diagnosis.text import report
+    from casadical.diagnosis.json_answer import as_json, diagnosis_files
+    from casadical.diagnosis.text import page_of, titled
     from casadical.pose_selection.workspace_file import read_workspace
     from casadical.project.problem import read_campaign, read_campaign_robot
 
@@ -111,7 +110,7 @@ def diagnose(
                 texts |= diagnosis_files(folder, found, more, path.stem, unlisted=unlisted)
         answers.append(as_json(found, path.stem, more))
         answered.append((path, found, more))
-        console.print(report(found, f"{path.stem} ({robot.name})", more), soft_wrap=True)
+        console.print(titled(f"{path.stem} ({robot.name})", page_of(found, more)), soft_wrap=True)
         console.print()
         if file and more.poses is not None:
             if len(more.poses):
@@ -130,15 +129,16 @@ def diagnose(
 def _print_isolability(
     problem: Path, robot: Robot, campaigns: list[Path], effects: str | None, json_file: Path | None, console: Console
 ) -> None:
-    from casadical.diagnosis.isolability import isolability
-    from casadical.diagnosis.isolability_report import as_json, report
+    from casadical.diagnosis.isolability import isolability, isolability_json, isolability_page
+    from casadical.diagnosis.text import titled
     from casadical.project.problem import read_campaign
 
     answers = []
     for path in campaigns:
         m = read_campaign(problem, path, robot, readings_only=True)
         found = isolability(robot, m, effects.split(",") if effects else "standard")
-        answers.append(as_json(found, path.stem))
-        console.print(report(found, f"{path.stem} ({robot.name}), {len(m)} poses"), soft_wrap=True)
+        answers.append(isolability_json(found, path.stem))
+        page = titled(f"{path.stem} ({robot.name}), {len(m)} poses", isolability_page(found))
+        console.print(page, soft_wrap=True)
         console.print()
     keep_json(json_file, answers, console)

@@ -1,12 +1,12 @@
 from casadical.diagnosis.details import Details as Details
 from casadical.diagnosis.details import analyse as analyse
-from casadical.diagnosis.files import diagnosis_files as diagnosis_files
 from casadical.diagnosis.held_out_gap import Check as Check
 from casadical.diagnosis.held_out_gap import NetworkGap as NetworkGap
 from casadical.diagnosis.held_out_gap import check_refit as check_refit
 from casadical.diagnosis.held_out_gap import network_gaps as network_gaps
 from casadical.diagnosis.isolability import Isolability as Isolability
 from casadical.diagnosis.json_answer import as_json as as_json
+from casadical.diagnosis.json_answer import diagnosis_files as diagnosis_files
 from casadical.diagnosis.localisation import Where as Where
 from casadical.diagnosis.localisation import localise as localise
 from casadical.diagnosis.result import Cause as Cause

@@ -1,6 +1,6 @@
 """The candidates: every listed effect, whole and per joint, with its settings on a grid; and the unknown."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import groupby
 
@@ -134,3 +134,34 @@ def _unlisted(robot: Robot) -> list[Candidate]:
 def _smooth(robot: Robot) -> list[Candidate]:
     """Every form of the unknown."""
     return [replace(c, name="unknown", joint=None, listed=False) for c in _of_list("unknown", robot)]
+
+
+def columns_to_log(missing: Mapping[str, Sequence[str]], logged: Container[str]) -> dict[str, tuple[str, ...]]:
+    """Effect that cannot be judged -> columns to log for it, as a table names them.
+
+    missing : label -> conditions that are lacking, some of which are derived (see `derived_columns.derive`)
+    """
+    warmth = ("temperature_degC",) if "time_s" in logged else ("temperature_degC", "time_s")
+    words = {"progress": ("time_s",)}
+
+    def named(condition: str) -> tuple[str, ...]:
+        return warmth if condition.startswith("warmth") else words.get(condition, (condition,))
+
+    return {label: tuple(dict.fromkeys(n for c in lacking for n in named(c))) for label, lacking in missing.items()}
+
+
+def gathered_by_columns(missing: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """Columns to log, as one word group -> the effects that lack them."""
+    found: dict[str, list[str]] = {}
+    for label, columns in missing.items():
+        found.setdefault(" with ".join(columns), []).append(label)
+    return {columns: gathered(labels) for columns, labels in found.items()}
+
+
+def gathered(labels: Iterable[str]) -> str:
+    """Labels with the joints of each effect side by side: backlash@2,3, frame_drift."""
+    joints: dict[str, list[str]] = {}
+    for label in map(str, labels):
+        name, _, joint = label.partition("@")
+        joints.setdefault(name, []).append(joint)
+    return ", ".join(f"{name}@{','.join(js)}" if js[0] else name for name, js in joints.items())

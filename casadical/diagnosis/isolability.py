@@ -6,16 +6,17 @@ with every cause, in the noise's metric; an effect of n poses and visible signal
 noise, has noncentrality 3 n r^2.
 """
 
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.diagnosis.candidates import Candidate, candidates_of, choose
+from casadical.diagnosis.candidates import Candidate, candidates_of, choose, columns_to_log, gathered_by_columns
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case, base_prior, column_numbers, widths
 from casadical.diagnosis.linearisation import signatures
@@ -33,6 +34,17 @@ NEGLIGIBLE = 1e-6
 # Signals of less energy [m^2], a nanometre, are round-off.
 NOTHING = 1e-18
 USUAL_NOISE = Noise(20e-6, 8e-6)
+
+SHOWN_RIVALS = 3
+WIDTH = 112
+HEAD = (
+    f"{'effect':<24} {'size mm':>8} {'absorbed':>9} {'visible mm':>11} {'to noise':>9} {'found from':>11}   looks like"
+)
+NOTES = (
+    "size: rms at a realistic size; absorbed: the share that the base model takes up; visible: what is left of it, and "
+    "a coordinate of that in units of the noise; found from: the multiple of the realistic size that is found 9 times "
+    "in 10; looks like: causes that reproduce this share of what is visible."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,3 +171,42 @@ def _span(E: Array) -> Array:
     """Orthonormal basis of some columns, shape (rows, rank)."""
     U, s, _ = np.linalg.svd(E, full_matrices=False)
     return np.asarray(U[:, s > NEGLIGIBLE * max(s.max(initial=0.0), 1e-30)])
+
+
+def isolability_json(found: Isolability, campaign: str) -> dict[str, Any]:
+    """Isolability as plain data; a share that is nothing, and a size that is never found, are left out."""
+    rows = {str(k): {c: _plain(v) for c, v in row.items()} for k, row in found.effects.iterrows()}
+    alike = {k: {r: round(v, 4) for r, v in found.rivals(k, 0.1).items()} for k in rows}
+    return {"campaign": campaign, "effects": rows, "alike": alike, "missing": found.missing}
+
+
+def _plain(value: float) -> float | None:
+    return float(f"{value:.5g}") if np.isfinite(value) else None
+
+
+def isolability_page(found: Isolability) -> str:
+    """A row per effect: size, what the base absorbs, what stays visible, and its rivals; to be printed unwrapped."""
+    return "\n".join([HEAD, *_rows(found), *_footnotes(found)])
+
+
+def _rows(found: Isolability) -> Iterator[str]:
+    for label, row in found.effects.iterrows():
+        absorbed = f"{100 * row['absorbed']:.0f} %"
+        figures = (
+            f"{label!s:<24} {row['size_mm']:>8.3f} {absorbed:>9} {row['visible_mm']:>11.4f} "
+            f"{row['visible_to_noise']:>9.2f} {_factor(row['findable_from']):>11}   "
+        )
+        rivals = [f"{k} {v:.2f}" for k, v in list(found.rivals(str(label)).items())[:SHOWN_RIVALS]]
+        yield f"{figures}{rivals[0] if rivals else ''}".rstrip()
+        yield from (" " * len(figures) + rival for rival in rivals[1:])
+
+
+def _factor(value: float) -> str:
+    """A multiple of the realistic size."""
+    return f"{value:.2g} x" if np.isfinite(value) and value < 100 else "never"
+
+
+def _footnotes(found: Isolability) -> Iterator[str]:
+    yield from textwrap.wrap(NOTES, WIDTH)
+    for columns, effects in gathered_by_columns(columns_to_log(found.missing, ())).items():
+        yield from textwrap.wrap(f"not logged: {columns}; it would show {effects}", WIDTH, break_on_hyphens=False)

@@ -1,15 +1,20 @@
-"""A diagnosis as plain data to keep."""
+"""A diagnosis as plain data and as files to keep."""
 
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from casadical.core.files import json_text
+from casadical.diagnosis.cause_table import settings
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import NetworkGap
 from casadical.diagnosis.next_poses import discrimination_probability
 from casadical.diagnosis.result import Cause, Diagnosis, Unlisted
-from casadical.diagnosis.statements import missing_columns, settings
+from casadical.diagnosis.statements import headline, missing_columns
+from casadical.diagnosis.text import page_of
 from casadical.identification.prior import Prior
+from casadical.robot.robot_file import to_toml
 
 
 def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[str, Any]:
@@ -40,6 +45,26 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
         **({"told_rightly": [round(p, 4) for p in discrimination_probability(d, poses)]} if len(poses) else {}),
         **({"refit_mm": {"held_out": _mm(check.refit), "linearised": _mm(check.linearised)}} if check else {}),
         **({"network_mm": [_network(n) for n in networks]} if networks else {}),
+    }
+
+
+def diagnosis_files(
+    folder: str | Path, found: Diagnosis, more: Details, name: str, *, unlisted: bool = False
+) -> dict[Path, str]:
+    """What `casadical diagnose --out` writes, by file: the robot with its causes, all figures, and the page.
+
+    more : what `analyse` computed; name : of the campaign
+    unlisted : whether the description of the unknown, where there is one, is in the robot's model, too
+    Raises ConvergenceError.
+    """
+    folder = Path(folder)
+    refit = found.refit(unlisted=more.unlisted if unlisted else None)
+    comment = f"Diagnosed by casadical from {name}.\n{headline(found)}\n{refit.verdict}"
+    kinds = [type(effect) for effect in refit.robot.effects]
+    return {
+        folder / "diagnosed.robot.toml": to_toml(refit.robot, comment, kinds),
+        folder / "diagnosis.json": json_text(as_json(found, name, more)),
+        folder / "diagnosis.txt": page_of(found, more) + "\n",
     }
 
 

@@ -15,6 +15,7 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.pose_separation import Predictive, noise_at, pick, predict_cause
 from casadical.diagnosis.result import Diagnosis
 from casadical.effects import Effect
+from casadical.measurements.measurements import unmeasured
 from casadical.measurements.noise import Noise
 from casadical.pose_selection.candidates import LaterPoses, campaign_payloads, later_poses
 from casadical.pose_selection.workspace import Workspace
@@ -24,6 +25,8 @@ POOL = 800
 MOST_VARIANTS, LIKELY = 2, 4.0
 # Readings beyond the campaign's own range by less than this [rad or m] are nothing new.
 BEYOND = 0.02
+# Torque of this share of a great one counts as none.
+IDLE = 0.15
 NONE = "none"
 
 
@@ -52,7 +55,7 @@ def next_poses(
     Columns: order; q1_deg ...; payload_kg and approach1 ... where they matter; repeats, the row of the campaign that
     the pose repeats, if any; state, cold or warm, where a cause follows the temperature; new, what the campaign had
     not (a wider range of a joint, another payload, approach or thermal state); separation, the expected log Bayes
-    factor in favour of the truth among the labels, of this pose and those before it, for the truth with the smallest one;
+    factor in favour of the truth among the labels, of this pose and those before it, the smallest of all truths;
     and, empty, the columns to be logged. Raises InputError for fewer than two labels or one that the case does not
     know.
     """
@@ -179,3 +182,37 @@ def probability_after(share: float, gain: float) -> float:
 
 def _normal(x: float) -> float:
     return 0.5 * (1 + erf(x / sqrt(2)))
+
+
+def kinds_of_poses(case: Case, poses: pd.DataFrame) -> str:
+    """What kind of poses they are, in words."""
+    found = []
+    if repeats := int((poses["repeats"] != "").sum()):
+        found.append(f"{repeats} repeat earlier ones in other circumstances")
+    masses, counts = np.unique(poses.get("payload_kg", []), return_counts=True)
+    if len(masses) > 1:
+        found.append(", ".join(f"{n} with {mass:g} kg" for mass, n in zip(masses, counts, strict=True)))
+    for name in (c for c in map(str, poses) if c.startswith("approach")):
+        rising = int((poses[name] > 0).sum())
+        found.append(f"joint {name[8:]} approached rising in {rising}, falling in {len(poses) - rising}")
+    if "state" in poses:
+        found.append(f"{int((poses['state'] == 'warm').sum())} warm, {int((poses['state'] == 'cold').sum())} cold")
+    if wider := int(poses["new"].str.contains("range of").sum()):
+        found.append(f"{wider} beyond the ranges so far")
+    return "; ".join([*found, *_idle(case, poses)])
+
+
+def _idle(case: Case, poses: pd.DataFrame) -> list[str]:
+    """Joints whose gravity torque is near zero in more of the poses than of the campaign's."""
+    robot = case.given
+    units = [("deg", np.pi / 180) if j.kind == "revolute" else ("mm", 1e-3) for j in robot.joints]
+    q = np.stack([poses[f"q{k}_{u}"].to_numpy() * f for k, (u, f) in enumerate(units, 1)], axis=1)
+    conditions = {"payload_kg": poses["payload_kg"].to_numpy()} if "payload_kg" in poses else {}
+    new = unmeasured(q, conditions)
+    idle = []
+    for m in (new, case.m):
+        w = m.condition_matrix(robot.conditions, robot.declared)
+        tau = robot.model.function("torque", ("tau",)).map(len(m))(m.q.T, w.T, case.values).full()
+        idle.append((np.abs(tau) < IDLE * robot.torque_scale[:, None]).mean(axis=1))
+    more = np.flatnonzero(idle[0] > np.minimum(2 * idle[1], idle[1] + 0.3))
+    return [f"{round(idle[0][j] * len(q))} with joint {j + 1} near zero torque" for j in more[:2]]

@@ -1,20 +1,17 @@
 """What a diagnosis says: the statements and rows that the terminal and the page of HTML both show."""
 
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
-import numpy as np
 import pandas as pd
 
+from casadical.diagnosis.candidates import columns_to_log, gathered, gathered_by_columns
+from casadical.diagnosis.cause_table import mm
 from casadical.diagnosis.changes import NEW
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import Check, NetworkGap, of_time
-from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.next_poses import discrimination_probability
-from casadical.diagnosis.result import Cause, Diagnosis
-from casadical.effects import Effect
-from casadical.effects.plugins import signature_of
-from casadical.measurements.measurements import unmeasured
+from casadical.diagnosis.next_poses import discrimination_probability, kinds_of_poses
+from casadical.diagnosis.result import Diagnosis
 
 # An effect is invisible if the base absorbs so much of it, or if it must be so many times its usual size to be found.
 ABSORBED, OUT_OF_REACH = 0.98, 5.0
@@ -22,12 +19,8 @@ ABSORBED, OUT_OF_REACH = 0.98, 5.0
 NO_MARK = 1e-6
 # From this share of the gap on, what lies above the noise floor and has no named cause is reported.
 REST = 0.05
-# Torque of this share of a great one counts as none.
-IDLE = 0.15
 # Stands between words of an item that is not broken over two lines.
 TIED = "\u00a0"
-READABLE = {"rad": (1e6, "urad"), "m": (1e6, "um"), "m/m": (1e6, "um/m"), "rad/rad": (1e6, "urad/rad")}
-READABLE |= {"rad/K": (1e6, "urad/K"), "1/K": (1e6, "1e-6/K"), "1/m": (1e6, "um/m^2"), "kg/kg": (1e2, "%")}
 
 
 @dataclass(frozen=True)
@@ -44,23 +37,6 @@ class Statement:
     doubtful: bool = False
 
 
-@dataclass(frozen=True)
-class CauseRow:
-    """One cause in words.
-
-    shown : what the data show; named : its label, and what it may be mechanically
-    gap : without it and with it alone, "0.127 -> 0.071"; shrinks : by what share, a 95 % interval
-    parameters : (name, value, standard error, unit); no standard error of what was chosen
-    """
-
-    cause: Cause
-    shown: str
-    named: str
-    gap: str
-    shrinks: str
-    parameters: tuple[tuple[str, str, str, str], ...]
-
-
 def statements(d: Diagnosis, more: Details | None = None) -> list[Statement]:
     """All statements in the order in which a reader wants them."""
     more = more or Details()
@@ -75,30 +51,6 @@ def statements(d: Diagnosis, more: Details | None = None) -> list[Statement]:
         _unknown(d, more),
     ]
     return [s for part in (*parts, _outliers(d), _missing(d), _next(d, more)) for s in part]
-
-
-def cause_rows(d: Diagnosis) -> list[CauseRow]:
-    """A row for each cause, the largest shrink first."""
-    rows = []
-    for c in d.causes:
-        shown, mechanical = _signature(c)
-        low, high = (100 * v for v in c.shrink_interval)
-        parameters = [(name, f"{value:.3g}", "", "") for e in c.effects for name, value in settings(e).items()]
-        parameters += [_estimate(name, *given) for name, given in (c.estimates or {}).items()]
-        if c.effect == "outliers":
-            few = ", ".join(str(o.row) for o in d.outliers[:10])
-            parameters = [("rows", few + (" ..." if len(d.outliers) > 10 else ""), "", "")]
-        rows.append(
-            CauseRow(
-                c,
-                shown,
-                f"{c.label}; may be {mechanical}" if mechanical else c.label,
-                " -> ".join(map(mm, _gap_if_added(d, c))),
-                f"{low:.0f} to {high:.0f} %",
-                tuple(parameters),
-            )
-        )
-    return rows
 
 
 def _verdict(d: Diagnosis) -> Iterator[Statement]:
@@ -193,40 +145,6 @@ def _which(d: Diagnosis) -> Iterator[Statement]:
     yield Statement("WHICH", f"each cause alone beside the base model{order}" if d.causes else "no cause can be named")
 
 
-def _gap_if_added(d: Diagnosis, c: Cause) -> tuple[float, float]:
-    """The gap without and with one cause [m]: outliers beside all poses, an effect beside those that are kept."""
-    if c.effect == "outliers":
-        return d.gap.before, d.gap.before * (1 - c.shrink)
-    before = 1e-3 * float(d.course.iloc[0]["gap_mm"])
-    alone = sum(bool(k.effects) for k in d.causes) == 1
-    return before, d.gap.after if alone else before * (1 - c.shrink)
-
-
-def _signature(c: Cause) -> tuple[str, str]:
-    """What the data show, and the mechanical causes that share it."""
-    words = "single points that are wrong" if c.effect == "outliers" else signature_of(c.effect)
-    if c.effects:
-        words = words or c.effects[0].signature or c.effects[0].physics
-    shown, _, causes = words.partition(" (")
-    if c.joint != 2:
-        causes = causes.replace("; balancer on joint 2", "")
-    joint = "" if c.joint is None else f", joint {c.joint}"
-    return shown + joint, causes.rstrip(")")
-
-
-def settings(effect: Effect) -> dict[str, float]:
-    """Values of an effect in which it is not linear (cycles, knee, lag, time of a step)."""
-    values = {f.name: getattr(effect, f.name) for f in fields(effect)}
-    return {name: value for name, value in values.items() if isinstance(value, float)}
-
-
-def _estimate(name: str, value: float, error: float, unit: str) -> tuple[str, str, str, str]:
-    """Name, value, standard error and unit as they are shown; lengths of a millimetre and more in mm."""
-    size = max(abs(value), error)
-    factor, word = (1e3, "mm") if unit == "m" and size >= 1e-3 else READABLE.get(unit, (1.0, unit))
-    return name, f"{factor * value:.3g}", f"{factor * error:.2g}", word
-
-
 def _after(d: Diagnosis, more: Details) -> Iterator[Statement]:
     steps = [c for c in d.causes if c.effects]
     if steps:
@@ -313,15 +231,6 @@ def _invisible(d: Diagnosis, more: Details) -> dict[str, str]:
     return {why: gathered(labels) for why, labels in reasons.items() if len(labels)}
 
 
-def gathered(labels: Iterable[str]) -> str:
-    """Labels with the joints of each effect side by side: backlash@2,3, frame_drift."""
-    joints: dict[str, list[str]] = {}
-    for label in map(str, labels):
-        name, _, joint = label.partition("@")
-        joints.setdefault(name, []).append(joint)
-    return ", ".join(f"{name}@{','.join(js)}" if js[0] else name for name, js in joints.items())
-
-
 def _unknown(d: Diagnosis, more: Details) -> Iterator[Statement]:
     if has_rest(d):
         words = [f"{left_over(d)[1]:.3f} mm rms that no cause named here explains", _resembles(d, more)]
@@ -376,28 +285,9 @@ def not_logged(d: Diagnosis) -> dict[str, str]:
     return said
 
 
-def gathered_by_columns(missing: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """Columns to log, as one word group -> the effects that lack them."""
-    found: dict[str, list[str]] = {}
-    for label, columns in missing.items():
-        found.setdefault(" with ".join(columns), []).append(label)
-    return {columns: gathered(labels) for columns, labels in found.items()}
-
-
 def missing_columns(d: Diagnosis) -> dict[str, tuple[str, ...]]:
     """Effect that cannot be judged -> columns to log for it, as a table names them."""
     return columns_to_log(d.missing, d.case.m.conditions)
-
-
-def columns_to_log(missing: Mapping[str, Sequence[str]], logged: Container[str]) -> dict[str, tuple[str, ...]]:
-    """The same from the conditions that are lacking, some of which are derived (see `derived_columns.derive`)."""
-    warmth = ("temperature_degC",) if "time_s" in logged else ("temperature_degC", "time_s")
-    words = {"progress": ("time_s",)}
-
-    def named(condition: str) -> tuple[str, ...]:
-        return warmth if condition.startswith("warmth") else words.get(condition, (condition,))
-
-    return {label: tuple(dict.fromkeys(n for c in lacking for n in named(c))) for label, lacking in missing.items()}
 
 
 def _next(d: Diagnosis, more: Details) -> Iterator[Statement]:
@@ -408,43 +298,9 @@ def _next(d: Diagnosis, more: Details) -> Iterator[Statement]:
     where = f" -> {more.file}" if more.file else ""
     yield Statement(
         "NEXT",
-        f"measure {len(poses)} poses{where} ({_kinds(d.case, poses)}) to tell {' from '.join(d.in_question)}: "
+        f"measure {len(poses)} poses{where} ({kinds_of_poses(d.case, poses)}) to tell {' from '.join(d.in_question)}: "
         f"P(correct) {before:.2f} -> {after:.2f}",
     )
-
-
-def _kinds(case: Case, poses: pd.DataFrame) -> str:
-    """What kind of poses they are, in words."""
-    found = []
-    if repeats := int((poses["repeats"] != "").sum()):
-        found.append(f"{repeats} repeat earlier ones in other circumstances")
-    masses, counts = np.unique(poses.get("payload_kg", []), return_counts=True)
-    if len(masses) > 1:
-        found.append(", ".join(f"{n} with {mass:g} kg" for mass, n in zip(masses, counts, strict=True)))
-    for name in (c for c in map(str, poses) if c.startswith("approach")):
-        rising = int((poses[name] > 0).sum())
-        found.append(f"joint {name[8:]} approached rising in {rising}, falling in {len(poses) - rising}")
-    if "state" in poses:
-        found.append(f"{int((poses['state'] == 'warm').sum())} warm, {int((poses['state'] == 'cold').sum())} cold")
-    if wider := int(poses["new"].str.contains("range of").sum()):
-        found.append(f"{wider} beyond the ranges so far")
-    return "; ".join([*found, *_idle(case, poses)])
-
-
-def _idle(case: Case, poses: pd.DataFrame) -> list[str]:
-    """Joints whose gravity torque is near zero in more of the poses than of the campaign's."""
-    robot = case.given
-    units = [("deg", np.pi / 180) if j.kind == "revolute" else ("mm", 1e-3) for j in robot.joints]
-    q = np.stack([poses[f"q{k}_{u}"].to_numpy() * f for k, (u, f) in enumerate(units, 1)], axis=1)
-    conditions = {"payload_kg": poses["payload_kg"].to_numpy()} if "payload_kg" in poses else {}
-    new = unmeasured(q, conditions)
-    idle = []
-    for m in (new, case.m):
-        w = m.condition_matrix(robot.conditions, robot.declared)
-        tau = robot.model.function("torque", ("tau",)).map(len(m))(m.q.T, w.T, case.values).full()
-        idle.append((np.abs(tau) < IDLE * robot.torque_scale[:, None]).mean(axis=1))
-    more = np.flatnonzero(idle[0] > np.minimum(2 * idle[1], idle[1] + 0.3))
-    return [f"{round(idle[0][j] * len(q))} with joint {j + 1} near zero torque" for j in more[:2]]
 
 
 def _and(words: Iterable[str]) -> str:
@@ -454,8 +310,3 @@ def _and(words: Iterable[str]) -> str:
 
 def _tied(item: str) -> str:
     return item.replace(" ", TIED)
-
-
-def mm(metres: float) -> str:
-    """A length in millimetres."""
-    return f"{1e3 * metres:.3f}" if metres >= 1e-5 else f"{1e3 * metres:.4f}"

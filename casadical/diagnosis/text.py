@@ -6,9 +6,10 @@ from collections.abc import Iterator
 from rich.console import RenderableType
 from rich.text import Text
 
+from casadical.diagnosis.cause_table import cause_rows
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.statements import TIED, cause_rows, statements
+from casadical.diagnosis.statements import TIED, statements
 
 WIDTH = 112
 LABEL = 8
@@ -18,11 +19,11 @@ COLUMN = 62
 EACH = ("CANNOT", "MISSING")
 
 
-def report(d: Diagnosis, title: str, more: Details | None = None) -> RenderableType:
-    """The page, its title underlined; to be printed unwrapped."""
-    page = Text(f"{title}\n", style="bold underline", no_wrap=True)
-    page.append(Text(page_of(d, more), style="not bold not underline"))
-    return page
+def titled(title: str, page: str) -> RenderableType:
+    """A page of plain text beneath its title, underlined; to be printed unwrapped."""
+    whole = Text(f"{title}\n", style="bold underline", no_wrap=True)
+    whole.append(Text(page, style="not bold not underline"))
+    return whole
 
 
 def page_of(d: Diagnosis, more: Details | None = None) -> str:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadical.core.blocks import Table, Words, mm
-from casadical.diagnosis.statements import CauseRow, cause_rows, has_rest, left_over, statements
+from casadical.diagnosis.cause_table import CauseRow, cause_rows
+from casadical.diagnosis.statements import has_rest, left_over, statements
 from casadical.diagnosis.thresholds import PARTITIONS
 from casadical.identification.tables import correlated, held_table, parameter_tables
 from casadical.project.remaining_errors import BEFORE
@@ -46,7 +47,7 @@ def diagnosis_part(d: Diagnosis, name: str, more: Details | None = None) -> Part
     said = statements(d, more)
     rows = cause_rows(d)
     sections = [
-        Section("Verdict", [*_said(said, "VERDICT", "GAP", "UNKNOWN", "OUT")]),
+        Section("Verdict", [*_said(said, "VERDICT", "PRIOR", "GAP", "UNKNOWN", "OUT")]),
         Section(
             "Errors before and after",
             [Drawing("gap", figures["gap"], _GAP), _error_table(d), *_said(said, "AFTER")],

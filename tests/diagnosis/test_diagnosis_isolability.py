@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 from cases import practice, robot
 
-from casadical.diagnosis.isolability import Isolability, isolability
-from casadical.diagnosis.isolability_report import as_json, report
+from casadical.diagnosis.isolability import Isolability, isolability, isolability_json, isolability_page
 from casadical.diagnosis.linear_problem import base_prior
 from casadical.diagnosis.linearisation import signatures
 from casadical.effects import Backlash, BaseCompliance, FrictionWindup
@@ -129,16 +128,11 @@ def test_missing_columns_are_named() -> None:
     assert list(found.effects.index) == ["backlash@2"]
 
 
-def test_report_and_json() -> None:
-    from rich.console import Console
-
+def test_page_and_json() -> None:
     found = isolability(robot("ur10e"), practice("ur10e-P03"), ["joint_scale@3", "gear_eccentricity@3"])
-    console = Console(width=120)
-    with console.capture() as got:
-        console.print(report(found, "design"))
-    text = got.get()
+    text = isolability_page(found)
     assert "joint_scale@3" in text
     assert f"gear_eccentricity@3 {found.alike.loc['joint_scale@3', 'gear_eccentricity@3']:.2f}" in text
-    data = as_json(found, "design")
+    data = isolability_json(found, "design")
     assert set(data) == {"campaign", "effects", "alike", "missing"}
     assert data["alike"]["joint_scale@3"]["gear_eccentricity@3"] > 0.9

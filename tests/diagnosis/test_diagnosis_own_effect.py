@@ -12,7 +12,7 @@ from rich.console import Console
 
 from casadical import InputError, diagnose, identify
 from casadical.diagnosis.json_answer import as_json
-from casadical.diagnosis.text import report
+from casadical.diagnosis.text import page_of, titled
 from casadical.effects import Context, Effect
 
 
@@ -54,7 +54,7 @@ def test_own_effect_is_diagnosed_beside_the_listed() -> None:
     assert as_json(d, "own")["causes"][0]["effect"] == "sagging_cable"
     console = Console(width=160)
     with console.capture() as got:
-        console.print(report(d, "own"))
+        console.print(titled("own", page_of(d)))
     assert "A loop of cable is shortest" in got.get()
 
 

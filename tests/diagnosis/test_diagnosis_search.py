@@ -10,11 +10,10 @@ from casadical.blind_check.numpy_physics import disturbances
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.diagnose import diagnose
-from casadical.diagnosis.files import diagnosis_files
-from casadical.diagnosis.json_answer import as_json
+from casadical.diagnosis.json_answer import as_json, diagnosis_files
 from casadical.diagnosis.linear_problem import make_case
-from casadical.diagnosis.pair_search import most_probable_pair
 from casadical.diagnosis.posterior import rank
+from casadical.diagnosis.search import most_probable_pair
 from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.diagnosis.text import page_of
 from casadical.identification.accuracy import errors, predicted

@@ -1,0 +1,90 @@
+"""The table of causes: what the data show, how far the gap shrinks, parameters as they are shown."""
+
+from dataclasses import dataclass, fields
+
+from casadical.diagnosis.result import Cause, Diagnosis
+from casadical.effects import Effect
+from casadical.effects.plugins import signature_of
+
+READABLE = {"rad": (1e6, "urad"), "m": (1e6, "um"), "m/m": (1e6, "um/m"), "rad/rad": (1e6, "urad/rad")}
+READABLE |= {"rad/K": (1e6, "urad/K"), "1/K": (1e6, "1e-6/K"), "1/m": (1e6, "um/m^2"), "kg/kg": (1e2, "%")}
+
+
+@dataclass(frozen=True)
+class CauseRow:
+    """One cause in words.
+
+    shown : what the data show; named : its label, and what it may be mechanically
+    gap : without it and with it alone, "0.127 -> 0.071"; shrinks : by what share, a 95 % interval
+    parameters : (name, value, standard error, unit); no standard error of what was chosen
+    """
+
+    cause: Cause
+    shown: str
+    named: str
+    gap: str
+    shrinks: str
+    parameters: tuple[tuple[str, str, str, str], ...]
+
+
+def cause_rows(d: Diagnosis) -> list[CauseRow]:
+    """A row for each cause, the largest shrink first."""
+    rows = []
+    for c in d.causes:
+        shown, mechanical = _signature(c)
+        low, high = (100 * v for v in c.shrink_interval)
+        parameters = [(name, f"{value:.3g}", "", "") for e in c.effects for name, value in settings(e).items()]
+        parameters += [_estimate(name, *given) for name, given in (c.estimates or {}).items()]
+        if c.effect == "outliers":
+            few = ", ".join(str(o.row) for o in d.outliers[:10])
+            parameters = [("rows", few + (" ..." if len(d.outliers) > 10 else ""), "", "")]
+        rows.append(
+            CauseRow(
+                c,
+                shown,
+                f"{c.label}; may be {mechanical}" if mechanical else c.label,
+                " -> ".join(map(mm, _gap_if_added(d, c))),
+                f"{low:.0f} to {high:.0f} %",
+                tuple(parameters),
+            )
+        )
+    return rows
+
+
+def _gap_if_added(d: Diagnosis, c: Cause) -> tuple[float, float]:
+    """The gap without and with one cause [m]: outliers beside all poses, an effect beside those that are kept."""
+    if c.effect == "outliers":
+        return d.gap.before, d.gap.before * (1 - c.shrink)
+    before = 1e-3 * float(d.course.iloc[0]["gap_mm"])
+    alone = sum(bool(k.effects) for k in d.causes) == 1
+    return before, d.gap.after if alone else before * (1 - c.shrink)
+
+
+def _signature(c: Cause) -> tuple[str, str]:
+    """What the data show, and the mechanical causes that share it."""
+    words = "single points that are wrong" if c.effect == "outliers" else signature_of(c.effect)
+    if c.effects:
+        words = words or c.effects[0].signature or c.effects[0].physics
+    shown, _, causes = words.partition(" (")
+    if c.joint != 2:
+        causes = causes.replace("; balancer on joint 2", "")
+    joint = "" if c.joint is None else f", joint {c.joint}"
+    return shown + joint, causes.rstrip(")")
+
+
+def settings(effect: Effect) -> dict[str, float]:
+    """Values of an effect in which it is not linear (cycles, knee, lag, time of a step)."""
+    values = {f.name: getattr(effect, f.name) for f in fields(effect)}
+    return {name: value for name, value in values.items() if isinstance(value, float)}
+
+
+def _estimate(name: str, value: float, error: float, unit: str) -> tuple[str, str, str, str]:
+    """Name, value, standard error and unit as they are shown; lengths of a millimetre and more in mm."""
+    size = max(abs(value), error)
+    factor, word = (1e3, "mm") if unit == "m" and size >= 1e-3 else READABLE.get(unit, (1.0, unit))
+    return name, f"{factor * value:.3g}", f"{factor * error:.2g}", word
+
+
+def mm(metres: float) -> str:
+    """A length in millimetres."""
+    return f"{1e3 * metres:.3f}" if metres >= 1e-5 else f"{1e3 * metres:.4f}"
