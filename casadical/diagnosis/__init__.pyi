@@ -7,7 +7,7 @@ from casadical.diagnosis.held_out_gap import network_gaps as network_gaps
 from casadical.diagnosis.isolability import Isolability as Isolability
 from casadical.diagnosis.json_answer import as_json as as_json
 from casadical.diagnosis.json_answer import diagnosis_files as diagnosis_files
-from casadical.diagnosis.localisation import Where as Where
+from casadical.diagnosis.localisation import Localisation as Localisation
 from casadical.diagnosis.localisation import localise as localise
 from casadical.diagnosis.result import Cause as Cause
 from casadical.diagnosis.result import Gap as Gap

@@ -6,14 +6,13 @@ of each joint), each part alone; what changed is then no longer known, and the o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.diagnosis.cross_validation import Fit
 from casadical.diagnosis.evidence import SIGMAS, log_sum
 from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.result import Change
 from casadical.identification.least_squares import robust_std
 from casadical.identification.prior import Prior
 from casadical.measurements.noise import Noise
@@ -22,15 +21,6 @@ from casadical.measurements.noise import Noise
 USUAL_CHANGE = 0.1
 # From this probability on, nothing of the earlier campaign is taken for known of a part.
 NEW = 0.5
-
-
-@dataclass(frozen=True)
-class Change:
-    """One effect, or its part in one joint; probability : that its parameters are no longer those of the prior"""
-
-    effect: str
-    joint: int | None
-    probability: float
 
 
 def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:

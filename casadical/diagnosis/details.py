@@ -7,7 +7,7 @@ import pandas as pd
 
 from casadical.diagnosis.held_out_gap import Check, NetworkGap, check_refit, network_gaps
 from casadical.diagnosis.isolability import Isolability, isolability
-from casadical.diagnosis.localisation import Where, localise
+from casadical.diagnosis.localisation import Localisation, localise
 from casadical.diagnosis.next_poses import next_poses
 from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.diagnosis.smooth_description import describe_unlisted
@@ -26,7 +26,7 @@ class Details:
     poses : see `next_poses`; file : name of the file that they are written to, if they are
     """
 
-    where: Where | None = None
+    where: Localisation | None = None
     isolability: Isolability | None = None
     unlisted: Unlisted | None = None
     check: Check | None = None

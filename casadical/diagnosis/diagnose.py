@@ -6,11 +6,11 @@ from typing import Literal
 
 from casadical.core.errors import InputError
 from casadical.diagnosis.candidates import candidates_of
-from casadical.diagnosis.changes import Change, changes
+from casadical.diagnosis.changes import changes
 from casadical.diagnosis.conclusion import conclude
 from casadical.diagnosis.evidence import SIGMAS
 from casadical.diagnosis.linear_problem import make_case
-from casadical.diagnosis.result import Diagnosis
+from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import Show, search
 from casadical.effects import Effect
 from casadical.identification.identification import Identification, identify
@@ -85,6 +85,6 @@ def _refuse_coarse(found: Diagnosis) -> Diagnosis:
         return found
     left = 1e3 * robust_std(found.case.whole.r)
     raise InputError(
-        f"{found.case.m.source}: {left:.2g} mm a coordinate are left, and noise beyond {1e3 * most:.2g} mm is not told "
-        "from its causes; correct the robot file or units, or measure with a finer instrument"
+        f"{found.case.m.source}: {left:.2g} mm a coordinate are left, and noise beyond {1e3 * most:.2g} mm cannot be "
+        "distinguished from its causes; correct the robot file or units, or measure with a finer instrument"
     )

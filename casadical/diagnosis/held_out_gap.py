@@ -35,7 +35,8 @@ def course(case: Case, stages: Sequence[Stage], folds: Sequence[Array], noise: N
 
     model : "base", or "+ label"; gap_mm : mean held-out position error over partitions into fifths, low_mm and high_mm
     its 95 % interval by bootstrap over poses; loo_mm : the same with each pose left out alone
-    blocks_mm : with contiguous fifths of the campaign left out, which effects of time and temperature must foresee
+    blocks_mm : with contiguous fifths of the campaign left out, which tests the prediction of effects of time and
+    temperature
     model_mm : rms held-out error with the noise's own mean square taken off, with a 95 % interval: what a noiseless
     instrument would read
     """

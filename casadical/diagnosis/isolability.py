@@ -127,11 +127,11 @@ def _judged(
     E = evidence.take(np.arange(evidence.width))
     plain = evidence.white(0.0, E).E
     seen = evidence.white(noise.repeatability / noise.sigma, E).E
-    bare = (E**2).sum(axis=(0, 1))
+    total = (E**2).sum(axis=(0, 1))
     owner = [label for label, variants in groups.items() for _ in variants]
     columns = [c for variants in groups.values() for c in variants]
     energy = np.array([[(part[..., c] ** 2).sum() for c in columns] for part in (plain, seen)])
-    size = np.array([bare[c].sum() for c in columns])
+    size = np.array([total[c].sum() for c in columns])
     table = pd.DataFrame(
         {
             "label": owner,

@@ -24,7 +24,7 @@ BINS = ("by", "part", "poses", "share", "low", "high", "rms_mm", "rms_low_mm", "
 
 
 @dataclass(frozen=True, eq=False)
-class Where:
+class Localisation:
     """Where the gap that the base model leaves lies; a table each, empty where a column was not logged.
 
     joints, links : columns part, share, low, high, rms_mm. Parts of the robot whose smooth errors would account for
@@ -62,16 +62,16 @@ class Where:
         return every[every["low"] > even].sort_values("excess", ascending=False, ignore_index=True)
 
 
-def localise(found: Diagnosis) -> Where:
+def localise(found: Diagnosis) -> Localisation:
     """Where the gap of a diagnosis' base model lies: by joint, link, direction, region and circumstances."""
     return localise_residual(found.case, found.noise, found.seed)
 
 
-def localise_residual(case: Case, noise: Noise, seed: int = 0) -> Where:
+def localise_residual(case: Case, noise: Noise, seed: int = 0) -> Localisation:
     """Where the residual of a case lies; noise : that is left aside in the shares of joints and links."""
     found = components(case, noise, seed)
     split = _Split(case, seed)
-    return Where(
+    return Localisation(
         joints=_parts(found, "joint"),
         links=_parts(found, "link", "base", "loop", "tool"),
         directions=_directions(case, split),

@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.changes import Change
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_floor import Replicates
 from casadical.diagnosis.posterior import Ranking
@@ -63,6 +62,15 @@ class Cause:
     @property
     def label(self) -> str:
         return self.effect if self.joint is None else f"{self.effect}@{self.joint}"
+
+
+@dataclass(frozen=True)
+class Change:
+    """One effect, or its part in one joint; probability : that its parameters are no longer those of the prior"""
+
+    effect: str
+    joint: int | None
+    probability: float
 
 
 @dataclass(frozen=True, eq=False)

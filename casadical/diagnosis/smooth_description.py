@@ -42,9 +42,9 @@ def _forms(
         return None
     forms: dict[str, tuple[Effect, ...]] = {}
 
-    def beside(left_out: str = "") -> Ranking:
-        others = [case.group(e) for label, e in forms.items() if label != left_out]
-        return rank(case, np.unique(np.concatenate([named[0], *others])), named[1] | forms.keys() - {left_out})
+    def ranked(without: str = "") -> Ranking:
+        others = [case.group(e) for label, e in forms.items() if label != without]
+        return rank(case, np.unique(np.concatenate([named[0], *others])), named[1] | forms.keys() - {without})
 
     def best(ranking: Ranking) -> tuple[str, tuple[Effect, ...]]:
         label = ranking.order[0]
@@ -53,15 +53,15 @@ def _forms(
     while len(forms) < MOST_FORMS and ranking.none <= DETECT_FURTHER and ranking.probability[ranking.order[0]] > 0.5:
         label, found = best(ranking)
         forms[label] = found
-        ranking = beside()
+        ranking = ranked()
     for label in list(forms) if len(forms) > 1 else ():
-        again = beside(label)
+        again = ranked(label)
         del forms[label]
         better, found = best(again)
         forms[better] = found
     columns = np.unique(np.concatenate([named[0], *(case.group(e) for e in forms.values())]))
     before = partitioned_errors(case.evidence, named[0], noise, seed)
-    after = partitioned_errors(case.evidence, columns, beside().noise[""], seed)
+    after = partitioned_errors(case.evidence, columns, ranked().noise[""], seed)
     means = float(before.mean()), float(after.mean())
     interval = shrink_interval(before, after, seed)
     effects = tuple(e for found in forms.values() for e in found)

@@ -75,7 +75,7 @@ def headline(d: Diagnosis) -> str:
     if d.verdict == "none":
         return "none: what is left is noise, no cause can be claimed"
     if d.verdict == "ambiguous":
-        words = "ambiguous: something is there that several causes explain alike, no single one can be claimed"
+        words = "ambiguous: something is there that several causes explain equally well, no single one can be claimed"
         return f"{words}; {_rest(d)}" if has_rest(d) else words
     if d.verdict == "unknown":
         words = f"unknown: something is there that no listed cause explains; {_rest(d)}"
@@ -194,18 +194,18 @@ def _networks(networks: tuple[NetworkGap, NetworkGap], steps: bool) -> Iterator[
 
 
 def _cannot(d: Diagnosis, more: Details) -> Iterator[Statement]:
-    for label, others in _alike(d, more).items():
+    for label, others in _indistinguishable(d, more).items():
         yield Statement("CANNOT", f"tell {label} from {others}", doubtful=True)
     for why, labels in _invisible(d, more).items():
         yield Statement("CANNOT", f"see, {why}: {labels}")
 
 
-def _alike(d: Diagnosis, more: Details) -> dict[str, str]:
-    """Label of a cause -> those that this data cannot tell from it, with the share that looks alike."""
+def _indistinguishable(d: Diagnosis, more: Details) -> dict[str, str]:
+    """Label of a cause -> those that these data cannot tell from it, with the share that looks alike."""
     table = more.isolability.alike if more.isolability else pd.DataFrame()
     return {
         c.label: ", ".join(
-            f"{k} ({100 * float(table.loc[c.label, k]):.0f} % alike here)"  # type: ignore[arg-type]
+            f"{k} ({100 * float(table.loc[c.label, k]):.0f} % similar here)"  # type: ignore[arg-type]
             if c.label in table.index and k in table.columns
             else k
             for k in c.indistinguishable
@@ -224,7 +224,7 @@ def _invisible(d: Diagnosis, more: Details) -> dict[str, str]:
     absorbed = ~idle & (seen["absorbed"] > ABSORBED)
     weak = ~idle & ~absorbed & (seen["findable_from"] > OUT_OF_REACH)
     reasons = {
-        "as nothing here brings them about (no masses in the robot file, an idle joint)": seen.index[idle],
+        "as nothing here causes them (no masses in the robot file, an idle joint)": seen.index[idle],
         f"as the base model takes up {100 * ABSORBED:.0f} % or more of each in these poses": seen.index[absorbed],
         f"against this noise, unless {OUT_OF_REACH:.0f} times their usual size": seen.index[weak],
     }

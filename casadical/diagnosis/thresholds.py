@@ -12,7 +12,7 @@ CLAIM = 0.97
 FALSE_ALARMS = 0.01
 # Squared Mahalanobis distance of three coordinates beyond which a pose is an outlier, and below which it is none.
 OUT, IN = 75.0, 40.0
-# A further cause is taken up from this probability on, among those that are there.
+# A further cause is accepted from this probability on, among those that are there.
 LEAST_FURTHER = 0.65
 MOST_CAUSES = 4
 SET_SHARE, SET_SIZE = 0.97, 3

@@ -9,7 +9,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.diagnosis.linear_problem import make_case
-from casadical.diagnosis.localisation import Where, localise_residual
+from casadical.diagnosis.localisation import Localisation, localise_residual
 from casadical.identification.accuracy import errors, residual_mm
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
@@ -94,7 +94,7 @@ def pose_errors(calibration: Calibration) -> dict[str, PoseErrors]:
     return found
 
 
-def where_left(calibration: Calibration) -> Where | None:
+def where_left(calibration: Calibration) -> Localisation | None:
     """Where the error that the last method left lies; None unless it is of one set of measured positions."""
     result = calibration.identification
     if len(result.measurements) != 1 or result.measurements[0].position is None:

@@ -26,7 +26,7 @@ def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> dict[str, Fi
     """Every figure of a diagnosis' report, by name.
 
     gap; errors (held out, pose by pose); workspace; causes/STEP; shrink (where a cause was found); parameters/lengths,
-    /angles, /compliance; of `analyse` where/TABLE as `Where` names them, and networks, which stand beside the gap.
+    /angles, /compliance; of `analyse` where/TABLE as `Localisation` names them, and networks beside the gap.
     Raises InputError without plotly.
     """
     poses = held_out_poses(d)

@@ -24,7 +24,7 @@ TITLES = {
 
 
 def where_figure(name: str, table: pd.DataFrame) -> Figure:
-    """A table of `Where` as a figure; name : of the table (joints, regions, ...)."""
+    """A table of `Localisation` as a figure; name : of the table (joints, regions, ...)."""
     title = TITLES.get(name, f"Error by {name}")
     return _of_data(title, table) if "poses" in table else _of_parts(title, table)
 

@@ -14,7 +14,7 @@ from casadical.diagnosis.localisation import (
     BINS,
     DIRECTIONS,
     PARTS,
-    Where,
+    Localisation,
     _directions,
     _payload,
     _Split,
@@ -27,7 +27,7 @@ from casadical.measurements.noise import Noise
 NOISE = Noise(15e-6, 6e-6)
 
 
-def planted(name: str, seed: int, *causes: Disturbance) -> Where:
+def planted(name: str, seed: int, *causes: Disturbance) -> Localisation:
     r = robot(name)
     found = identify(r, simulated(name, seed, *causes), loss="huber", priors=True, screen=False)
     return localise_residual(make_case(found, candidates_of(r, ["joint_scale"])), NOISE)

@@ -13,7 +13,7 @@ from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.diagnosis.held_out_gap import COLUMNS, Check, NetworkGap
 from casadical.diagnosis.isolability import Isolability
 from casadical.diagnosis.json_answer import as_json
-from casadical.diagnosis.localisation import BINS, DIRECTIONS, PARTS, Where
+from casadical.diagnosis.localisation import BINS, DIRECTIONS, PARTS, Localisation
 from casadical.diagnosis.next_poses import probability_after
 from casadical.diagnosis.noise_floor import Replicates
 from casadical.diagnosis.posterior import Ranking
@@ -91,7 +91,7 @@ def seen() -> Details:
     none = pd.DataFrame(columns=list(BINS))
     tables = [pd.DataFrame(parts, columns=list(PARTS)), pd.DataFrame(links, columns=list(PARTS))]
     directions = pd.DataFrame(columns=list(DIRECTIONS))
-    where = Where(*tables, directions, none, pd.DataFrame(payload, columns=list(BINS)), none, none, none)
+    where = Localisation(*tables, directions, none, pd.DataFrame(payload, columns=list(BINS)), none, none, none)
     effects = pd.DataFrame(
         {"size_mm": [0.1, 0.1, 0.1, 0.0], "absorbed": [0.6, 0.7, 0.99, 1.0], "findable_from": [0.5, 0.6, 9.0, np.inf]},
         index=[label, rival, "gravity_compensator", "link_flexure"],
