@@ -34,6 +34,7 @@ def cause_rows(d: Diagnosis) -> list[CauseRow]:
         shown, mechanical = _signature(c)
         low, high = (100 * v for v in c.shrink_interval)
         parameters = [(name, f"{value:.3g}", "", "") for e in c.effects for name, value in settings(e).items()]
+        parameters += [(name, value, "", unit) for e in c.effects for name, value, unit in e.summary]
         parameters += [_estimate(name, *given) for name, given in (c.estimates or {}).items()]
         if c.effect == "outliers":
             few = ", ".join(str(o.row) for o in d.outliers[:10])

@@ -83,11 +83,11 @@ def _cause(state: State, step: Step, before: Array, seed: int) -> Cause:
 
 
 def _estimates(state: State, step: Step) -> dict[str, tuple[float, float, str]]:
-    """Parameters of a cause, all causes fitted together."""
+    """Parameters of a cause, all causes fitted together; none of an effect that has too many to be shown."""
     case, everything = state.case, state.columns()
     value, error = estimates(case.evidence, everything, step.ranking.noise[step.labels[0]])
     found = {}
-    for effect in step.effects:
+    for effect in (e for e in step.effects if not e.summary):
         places, sizes = np.searchsorted(everything, case.columns[effect]), case.sizes(case.columns[effect])
         for place, size, (name, (_, unit)) in zip(places, sizes, effect.sizes().items(), strict=True):
             found[name] = (float(value[place] * size), float(error[place] * size), unit)

@@ -11,6 +11,7 @@ from casadical.diagnosis.localisation import Localisation, localise
 from casadical.diagnosis.next_poses import next_poses
 from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.diagnosis.smooth_description import describe_unlisted
+from casadical.diagnosis.spectrum import Spectrum, curve_of, spectrum
 from casadical.pose_selection.workspace import Workspace
 
 # Poses to measure next.
@@ -23,7 +24,7 @@ class Details:
 
     where : see `localise`; isolability : see `isolability`; unlisted : see `describe_unlisted`
     check : see `check_refit`; networks : see `network_gaps`
-    poses : see `next_poses`; file : name of the file that they are written to, if they are
+    curves : see `spectrum`; poses : see `next_poses`; file : name of the file that they are written to, if they are
     """
 
     where: Localisation | None = None
@@ -31,6 +32,7 @@ class Details:
     unlisted: Unlisted | None = None
     check: Check | None = None
     networks: tuple[NetworkGap, NetworkGap] | None = None
+    curves: Spectrum | None = None
     poses: pd.DataFrame | None = None
     file: str = ""
 
@@ -54,7 +56,10 @@ def analyse(
     where = localise(found)
     check = check_refit(found, show) if found.effects() else None
     gaps = network_gaps(found, show=show) if networks else None
+    if curve_of(found.causes):
+        show("joint error curves")
+    curves = spectrum(found) if curve_of(found.causes) else None
     show("poses to measure next")
     chosen = next_poses(found, poses, workspace=workspace)
     show("what these poses can show")
-    return Details(where, isolability(found), describe_unlisted(found), check, gaps, chosen, file)
+    return Details(where, isolability(found), describe_unlisted(found), check, gaps, curves, chosen, file)

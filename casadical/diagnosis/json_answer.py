@@ -11,6 +11,7 @@ from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import NetworkGap
 from casadical.diagnosis.next_poses import discrimination_probability
 from casadical.diagnosis.result import Cause, Diagnosis, Unlisted
+from casadical.diagnosis.spectrum_report import as_json as curves_as_json
 from casadical.diagnosis.statements import headline, missing_columns
 from casadical.diagnosis.text import page_of
 from casadical.identification.prior import Prior
@@ -44,6 +45,7 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
         "next_measurements": _next(poses),
         **({"told_rightly": [round(p, 4) for p in discrimination_probability(d, poses)]} if len(poses) else {}),
         **({"refit_mm": {"held_out": _mm(check.refit), "linearised": _mm(check.linearised)}} if check else {}),
+        **({"curves": curves_as_json(more.curves)} if more.curves else {}),
         **({"network_mm": [_network(n) for n in networks]} if networks else {}),
     }
 

@@ -9,6 +9,8 @@ from rich.text import Text
 from casadical.diagnosis.cause_table import cause_rows
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.result import Diagnosis
+from casadical.diagnosis.spectrum import Spectrum, curve_of
+from casadical.diagnosis.spectrum_report import COLUMNS, MOST_SUGGESTED, curve_rows
 from casadical.diagnosis.statements import TIED, statements
 
 WIDTH = 112
@@ -37,7 +39,7 @@ def page_of(d: Diagnosis, more: Details | None = None) -> str:
         label = s.about if s.about != last or s.about in EACH else ""
         lines += _wrapped(s.text, f"{label:<{LABEL}}", " " * LABEL)
         if s.about == "WHICH" and d.causes:
-            lines += _causes(d)
+            lines += _causes(d, more)
         last = s.about
     return "\n".join(lines)
 
@@ -47,7 +49,7 @@ def _wrapped(text: str, first: str, further: str) -> list[str]:
     return [line.replace(TIED, " ") for line in lines]
 
 
-def _causes(d: Diagnosis) -> Iterator[str]:
+def _causes(d: Diagnosis, more: Details | None) -> Iterator[str]:
     """The table of causes: a row for each, beneath it its name and its parameters."""
     yield f"   {'signature':<{COLUMN}} {'posterior':>9} {'gap if added':>16} {'shrinks by, 95 %':>18}"
     for k, row in enumerate(cause_rows(d), 1):
@@ -61,3 +63,16 @@ def _causes(d: Diagnosis) -> Iterator[str]:
         )
         if row.parameters:
             yield from _wrapped(", ".join(v.replace(" ", TIED) for v in values), "     ", "     ")
+        if more and more.curves and curve_of([row.cause]):
+            yield from _curves(more.curves)
+
+
+def _curves(s: Spectrum) -> Iterator[str]:
+    """The table of joint error curves, a row a joint, and what their lines suggest."""
+    rows = [COLUMNS, *curve_rows(s)]
+    widths = [max(len(row[k]) for row in rows) for k in range(3)]
+    for row in rows:
+        first = "     " + "  ".join(f"{cell:>{w}}" for cell, w in zip(row, widths, strict=False)) + "  "
+        yield from _wrapped(first + row[3], "", " " * len(first))
+    for text in s.suggestions[:MOST_SUGGESTED]:
+        yield from _wrapped(text, "     ", "     ")

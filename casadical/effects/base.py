@@ -215,6 +215,11 @@ class Effect:
             raise NotImplementedError(f"{self.label} has no parts whose size is learnt")
         return self
 
+    @property
+    def summary(self) -> tuple[tuple[str, str, str], ...]:
+        """What is shown in place of its parameters where these are too many: (name, value, unit); none by default."""
+        return ()
+
     def value(self, context: Context, name: str) -> Symbolic:
         """The symbol of one of its parameters."""
         return context.values[f"{self.label}.{name}"]

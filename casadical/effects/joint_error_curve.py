@@ -71,6 +71,11 @@ class JointErrorCurve(Effect):
         joints = [j for j, spread in enumerate(self.spread, 1) if spread > 0]
         return {j: np.arange(2 * self.orders * k, 2 * self.orders * (k + 1)) for k, j in enumerate(joints)}
 
+    @property
+    def summary(self) -> tuple[tuple[str, str, str], ...]:
+        sizes = ", ".join(f"{1e6 * spread:.0f}" for spread in self.spread)
+        return ("harmonics of each joint", str(self.orders), ""), ("one sigma of each, joint by joint", sizes, "urad")
+
     def with_sizes(self, factors: Mapping[int, float]) -> JointErrorCurve:
         """The effect with the size of each joint's curve times a factor; factors : by joint."""
         return replace(self, spread=tuple(s * factors.get(j, 1.0) for j, s in enumerate(self.spread, 1)))

@@ -124,6 +124,12 @@ class Identification:
         columns = ["name", "group", "nominal", "value", "std_error", "low", "high", "unit", "status", "reason"]
         return pd.DataFrame(rows, columns=columns)
 
+    @property
+    def shown(self) -> pd.DataFrame:
+        """`parameters` without those of effects that have too many to be shown, as joint_error_curve has."""
+        many = [effect.label for effect in self.start.effects if effect.summary]
+        return self.parameters[~self.parameters["group"].isin(many)].reset_index(drop=True)
+
     def correlations(self, above: float = 0.95) -> pd.DataFrame:
         """Pairs of identified parameters whose estimates are correlated by more than `above`, the strongest first."""
         C = self.covariance / np.outer(self.standard_errors, self.standard_errors)

@@ -51,7 +51,7 @@ def parameter_tables(result: Identification, whole: bool = False) -> list[Table 
     columns = ("parameter", "nominal", "value", "std error", "95 % low", "high", "unit")
     title = f"{'All parameters of' if whole else 'Parameters identified by'} {result.method}"
     table = Table(title, columns, rows, frozenset(range(1, 6)), frozenset(strong), frozenset(faint), folded=whole)
-    return [table, *([PLACED] if was_placed(result) else []), *_stiffness(result)]
+    return [table, *([PLACED] if was_placed(result) else []), *_stiffness(result), *_summaries(result)]
 
 
 def was_placed(result: Identification) -> bool:
@@ -60,7 +60,7 @@ def was_placed(result: Identification) -> bool:
 
 
 def _parameters(result: Identification) -> list[dict[Any, Any]]:
-    return result.parameters.to_dict("records")
+    return result.shown.to_dict("records")
 
 
 def _stiffness(result: Identification) -> list[Words]:
@@ -68,6 +68,16 @@ def _stiffness(result: Identification) -> list[Words]:
     told = [r for r in _parameters(result) if r["status"] == "identified" and r["group"] == "compliance"]
     text = ", ".join(f"joint {r['name'][1:]} {stiffness(r['value'], r['std_error'])}" for r in told if r["value"] > 0)
     return [Words(f"Joint stiffness [N m/rad]: {text}")] if text else []
+
+
+def _summaries(result: Identification) -> list[Words]:
+    """Effects whose parameters are too many to be shown."""
+    effects = [effect for effect in result.start.effects if effect.summary]
+    texts = [", ".join(f"{name} {value} {unit}".rstrip() for name, value, unit in e.summary) for e in effects]
+    return [
+        Words(f"{e.label}: {text}; coefficients in the robot file", "note")
+        for e, text in zip(effects, texts, strict=True)
+    ]
 
 
 def stiffness(compliance: float, error: float) -> str:
@@ -88,5 +98,6 @@ def held_table(result: Identification) -> Table | Words:
 def correlated(result: Identification, most: int = 8) -> list[Words]:
     """The strongest of the pairs of estimates that are correlated above 0.95, if there are any."""
     pairs = result.correlations()
+    pairs = pairs[pairs[["parameter", "with"]].isin(set(result.shown["name"])).all(axis=1)]
     text = ", ".join(f"{a}/{b} {c:+.3f}" for a, b, c in pairs.head(most).itertuples(index=False))
     return [Words(f"Correlated above 0.95: {text}" + (" ..." if len(pairs) > most else ""))] if text else []

@@ -102,7 +102,7 @@ class Calibration:
                         }
                         for name, states in self.accuracies[method].items()
                     },
-                    "parameters": [_parameter(row) for row in result.parameters.to_dict("records")],
+                    "parameters": [_parameter(row) for row in result.shown.to_dict("records")],
                     "modified_dh": modified_dh(result.robot),
                 }
                 for method, result in self.identifications.items()

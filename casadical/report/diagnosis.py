@@ -10,6 +10,8 @@ import numpy as np
 
 from casadical.core.blocks import Table, Words, mm
 from casadical.diagnosis.cause_table import CauseRow, cause_rows
+from casadical.diagnosis.spectrum_report import COLUMNS as CURVE_COLUMNS
+from casadical.diagnosis.spectrum_report import curve_rows
 from casadical.diagnosis.statements import has_rest, left_over, statements
 from casadical.diagnosis.thresholds import PARTITIONS
 from casadical.identification.tables import correlated, held_table, parameter_tables
@@ -56,6 +58,7 @@ def diagnosis_part(d: Diagnosis, name: str, more: Details | None = None) -> Part
         Section("In the workspace", [Drawing("workspace", figures["workspace"], _SPACE)]),
         Section("Where the gap lies", [*_said(said, "WHERE"), *_where_blocks(more, figures)]),
         Section("Which causes, and how sure", [*_said(said, "WHICH"), *_cause_tables(rows), *_cause_figures(figures)]),
+        *_curve_sections(more, figures),
         Section("What these poses cannot tell", [*_said(said, "CANNOT", "MISSING")]),
         Section("Replayed in a simulator", [*replay_blocks(d)]),
         Section("Parameters of the base model", [*_parameter_blocks(d, figures)]),
@@ -71,6 +74,16 @@ _GAP = (
     "Noise alone: what a perfect model would leave, simulated through the same fit."
 )
 _EACH = "Every pose is judged by a fit to others; outliers are left out. Click a name in the legend to show or hide it."
+_CURVES = (
+    "With the base model, all other causes and the curves of the other joints in the model. Shaded: angles near which "
+    "there are readings; elsewhere the curve is not measured, and the band is that of its prior. Shares are of the log "
+    "evidence that is lost when a joint's curve is left out."
+)
+_LINES = (
+    "What one sine of a joint's reading explains by itself, at each frequency. A line (dot, with a 95 % interval) "
+    "stands out of the noise and of the rest of the curve; a broad spectrum without dots is a curve that is no sum of "
+    "a few sines."
+)
 _SPACE = (
     "Turn it with the mouse; point at the dot that ends a vector for its error. Each line runs from the measured point "
     "in the direction of the error (measured less computed), after a fit to all poses, longer than it by the factor in "
@@ -163,6 +176,22 @@ def _cause_figures(figures: Mapping[str, Figure]) -> Iterator[Block]:
             first = name == "causes/1"
             caption = "All candidates compete with nothing at all and with smooth errors of no listed cause."
             yield Drawing(name, figure, caption if first else "Once the causes so far are in the model.")
+
+
+def _curve_sections(more: Details | None, figures: Mapping[str, Figure]) -> Iterator[Section]:
+    """Joint error curves, where there are any."""
+    if more is None or more.curves is None:
+        return
+    rows = [tuple(cell.replace("+-", "±") for cell in row) for row in curve_rows(more.curves)]
+    yield Section(
+        "Joint error curves",
+        [
+            Drawing("curves/angles", figures["curves/angles"], _CURVES),
+            Drawing("curves/lines", figures["curves/lines"], _LINES),
+            Table("Curves and their lines", CURVE_COLUMNS, rows, frozenset({1, 2})),
+            *(Words(f"{text[0].upper()}{text[1:]}.", "note") for text in more.curves.suggestions),
+        ],
+    )
 
 
 def _parameter_blocks(d: Diagnosis, figures: Mapping[str, Figure]) -> Iterator[Block]:

@@ -9,6 +9,7 @@ import numpy as np
 from casadical.diagnosis.cross_validation import fitted_without, partitioned_errors
 from casadical.project.remaining_errors import BEFORE, Left, PoseErrors
 from casadical.report.cause_figures import gap_course, posteriors, shrinks
+from casadical.report.curve_figures import curve_figures
 from casadical.report.error_figures import before_after
 from casadical.report.parameter_figures import parameter_figures
 from casadical.report.share_figures import where_figure
@@ -26,8 +27,8 @@ def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> dict[str, Fi
     """Every figure of a diagnosis' report, by name.
 
     gap; errors (held out, pose by pose); workspace; causes/STEP; shrink (where a cause was found); parameters/lengths,
-    /angles, /compliance; of `analyse` where/TABLE as `Localisation` names them, and networks beside the gap.
-    Raises InputError without plotly.
+    /angles, /compliance; of `analyse` where/TABLE as `Localisation` names them, curves/angles and /lines, and networks
+    beside the gap. Raises InputError without plotly.
     """
     poses = held_out_poses(d)
     found = {
@@ -37,6 +38,8 @@ def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> dict[str, Fi
     }
     if more and more.where:
         found |= {f"where/{name}": where_figure(name, table) for name, table in more.where.tables()}
+    if more and more.curves:
+        found |= {f"curves/{name}": figure for name, figure in curve_figures(more.curves).items()}
     found |= {f"causes/{k + 1}": posteriors(d, k) for k in range(len(d.rankings))}
     if d.causes:
         found["shrink"] = shrinks(d)

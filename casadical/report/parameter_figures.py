@@ -14,7 +14,7 @@ def parameter_figures(result: Identification) -> dict[str, Figure]:
 
     Their departures tell how the robot was set up, and are so much greater that they would hide the others.
     """
-    table = result.parameters
+    table = result.shown
     table = table[table.status.isin(["identified", "at bound"]) & ~table.group.isin(["base", "tool"])]
     found = {}
     units = sorted(

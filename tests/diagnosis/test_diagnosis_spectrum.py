@@ -10,9 +10,12 @@ from cases import diagnosed, plant, robot
 from casadical.blind_check.numpy_physics import Disturbance, campaign, perturb
 from casadical.blind_check.synthetic.stops import Stops, only
 from casadical.core.errors import InputError
+from casadical.diagnosis.details import Details
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
+from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.line_search import Line
 from casadical.diagnosis.spectrum import JointCurve, Spectrum, spectrum, with_multiples
+from casadical.diagnosis.text import WIDTH, page_of
 from casadical.measurements.reading import from_table
 
 # Joint, cycles a turn, amplitude [rad] and phase at reading zero.
@@ -123,3 +126,37 @@ def test_what_lines_suggest_is_said_of_shared_and_of_known_ratios() -> None:
     assert sum("ratio 50" in s for s in both) == 2
     assert not any("23.4" in s for s in both)
     assert Spectrum((joint(1, line(1, 41.3)),), 60).suggestions == ()
+
+
+def table_of_curves() -> list[str]:
+    lines = page_of(rippled(), Details(curves=found())).splitlines()
+    start = next(k for k, line in enumerate(lines) if line.split()[:2] == ["joint", "rms"])
+    return lines[start : start + 1 + len(found().joints)]
+
+
+def test_the_page_has_a_row_for_each_joint_and_no_coefficient() -> None:
+    page = page_of(rippled(), Details(curves=found()))
+    assert max(map(len, page.splitlines())) <= WIDTH
+    assert "s1_q" not in page
+    assert "harmonics of each joint 60" in page
+    head, *rows = table_of_curves()
+    assert head.split()[-1] == "urad)"
+    assert [int(row.split()[0]) for row in rows[:2]] == [2, 3]
+    assert sorted(int(row.split()[0]) for row in rows) == [1, 2, 3, 4, 5, 6]
+    assert "= 2 x" in rows[0]
+    assert "nothing seen" in rows[-1]
+
+
+def test_the_answer_has_lines_and_no_coefficients() -> None:
+    answer = as_json(rippled(), "rippled", Details(curves=found()))
+    assert answer["causes"][0]["effect"] == "joint_error_curve"
+    assert answer["causes"][0]["parameters"] == {}
+    curves = answer["curves"]
+    assert curves["harmonics"] == 60
+    second = curves["joints"][1]
+    assert [round(line["cycles"]) for line in second["lines"]] == [17, 34]
+    assert second["lines"][1]["factor"] == 2
+    q = np.rad2deg(rippled().case.m.q[:, 1])
+    inside = [(low <= (q + 180) % 360 - 180) & ((q + 180) % 360 - 180 <= high) for low, high in second["covered_deg"]]
+    assert np.any(inside, axis=0).mean() > 0.95
+    assert "curves" not in as_json(rippled(), "rippled")

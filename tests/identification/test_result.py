@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from casadical import InputError, identify
-from casadical.identification.tables import stiffness
+from casadical.effects.joint_error_curve import JointErrorCurve
+from casadical.identification.tables import correlated, parameter_tables, stiffness
 
 ARM = arms.six_axis()
 
@@ -200,3 +201,15 @@ def test_a_stiffness_that_may_be_rigid_is_said_to_be() -> None:
     assert stiffness(5.0, 1.0) == "2e+05"
     assert stiffness(5.0, float("nan")) == "2e+05"
     assert stiffness(3.0, 4.9) == "above 7.9e+04 (rigid is possible)"
+
+
+def test_effects_of_too_many_coefficients_are_summed_up(built):
+    robot = ARM.with_effect(JointErrorCurve(None, (2e-5,) * 6, orders=2))
+    found = identify(
+        robot, arms.positions(built, arms.readings(built, 60, 2), 3), ["kinematic", "joint_error_curve"], priors=True
+    )
+    table, *words = parameter_tables(found, whole=True)
+    assert len(found.parameters) - len(table.rows) == 24
+    assert not [row[0] for row in table.rows if row[0].startswith("joint_error_curve")]
+    assert any("harmonics of each joint 2" in w.text and "20, 20, 20, 20, 20, 20 urad" in w.text for w in words)
+    assert not any("joint_error_curve" in w.text for w in correlated(found))

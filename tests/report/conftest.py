@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from casadical.diagnosis.details import analyse
 from casadical.diagnosis.diagnose import diagnose
+from casadical.diagnosis.line_search import Line, Scan
+from casadical.diagnosis.spectrum import JointCurve, Spectrum
 from casadical.measurements.reading import read_measurements
 from casadical.project.problem import read_campaign_robot
 from casadical.report import calibration_report, diagnosis_report
@@ -30,8 +34,30 @@ def diagnosis():
 
 
 @pytest.fixture(scope="session")
-def details(diagnosis):
-    return analyse(diagnosis)
+def curves() -> Spectrum:
+    """Of six joints, made up: the second has two lines, the last was not seen."""
+    angle, frequency = np.linspace(-np.pi, np.pi, 181), np.arange(0.5, 60, 0.5)
+    lines = (
+        Line(2, 17.0, 0.03, 8e-5, 3e-6, 0.3, 0.1, 1e-40),
+        Line(2, 34.0, 0.1, 4e-5, 3e-6, 1.0, 0.1, 1e-20, (), 17.0, 2),
+    )
+    joints = []
+    for j in range(1, 7):
+        waves = [line.amplitude * np.sin(line.frequency * angle + line.phase) for line in lines]
+        value = np.sum(waves, axis=0) * (j == 2)
+        amplitude = 3e-6 + 7e-5 / (1 + (frequency - 17) ** 2) * (j == 2)
+        scan = Scan(frequency, amplitude * (j < 6), np.full(len(frequency), 3e-5 if j < 6 else np.inf), 17.0)
+        error, rms = np.where(np.abs(angle) < 2, 5e-6, 6e-5), float(np.sqrt((value**2).mean()))
+        lost, shown = 99.0 * (j == 2), lines if j == 2 else ()
+        joints.append(
+            JointCurve(j, angle, value, error, np.abs(angle) < 2, rms, 8e-6, lost, lost / 99, (16.0, 18.0), shown, scan)
+        )
+    return Spectrum(tuple(joints), 60)
+
+
+@pytest.fixture(scope="session")
+def details(diagnosis, curves):
+    return replace(analyse(diagnosis), curves=curves)
 
 
 @pytest.fixture(scope="session")

@@ -71,6 +71,25 @@ def test_shares_and_probabilities_sum_to_one(diagnosis, details) -> None:
     assert held_out == pytest.approx([1e3 * diagnosis.gap.before, 1e3 * diagnosis.gap.after], rel=0.01)
 
 
+def test_curves_are_drawn_with_their_bands_and_lines(diagnosis, details, curves) -> None:
+    figures = diagnosis_figures(diagnosis, details)
+    angles, lines = figures["curves/angles"], figures["curves/lines"]
+    drawn = [t for t in angles.data if t.name == "curve"]
+    assert len(drawn) == 6
+    second = curves.joints[1]
+    assert np.array(drawn[1].y) == pytest.approx(1e6 * second.value, abs=0.06)
+    assert np.array(drawn[1].customdata) == pytest.approx(1.96e6 * second.error, abs=0.6)
+    covered = [t for t in angles.data if t.name == "angles with readings"][1]
+    x = [v for v in covered.x if v is not None]
+    assert (min(x), max(x)) == pytest.approx((-np.rad2deg(2), np.rad2deg(2)), abs=2)
+    dots = [t for t in lines.data if t.name == "line"]
+    assert [len(t.x) for t in dots] == [0, 2, 0, 0, 0, 0]
+    assert list(dots[1].text) == ["17.0", "34.0"]
+    assert [t.showlegend for t in dots].count(True) == 1
+    words = {a.text for a in angles.layout.annotations}
+    assert {"joint 2: 100 %", "joint 6: not seen", "reading [deg]", "error [urad]"} <= words
+
+
 def test_the_history_of_a_training_ends_at_the_loss_of_the_network_it_made(hh800, figures) -> None:
     networks = hh800.networks
     assert len(figures["training"].data) == len(networks.results)

@@ -54,8 +54,8 @@ def test_the_order_is_that_of_a_reader(calibration_file, diagnosis_file) -> None
         *first, "Which causes", "Parameters", "Training of the networks", "What to measure next", "Provenance",
     ]  # fmt: skip
     assert diagnosis.headings == [
-        *first, "Which causes, and how sure", "What these poses cannot tell", "Replayed in a simulator",
-        "Parameters of the base model", "What to measure next", "Provenance",
+        *first, "Which causes, and how sure", "Joint error curves", "What these poses cannot tell",
+        "Replayed in a simulator", "Parameters of the base model", "What to measure next", "Provenance",
     ]  # fmt: skip
     for page in (calibration, diagnosis):
         assert page.sources == []
