@@ -12,8 +12,8 @@ import pytest
 from site_of_docs import ROOT, TUTORIALS
 
 
-def test_there_are_seven() -> None:
-    assert [name.split("_")[1] for name in TUTORIALS] == list("1234567")
+def test_there_are_eight() -> None:
+    assert [name.split("_")[1] for name in TUTORIALS] == list("12345678")
 
 
 @pytest.mark.parametrize("name", TUTORIALS)

@@ -160,7 +160,7 @@ TABLE = "q1_deg,q2_deg,x_mm,y_mm,z_mm,set,tag\n" + "".join(
 
 PROBLEM_FAULTS = {
     "no such kind": (('file = "table.csv"', 'file = "table.csv"\nkind = "angle"'), ["kind = 'angle'", "'contact'"]),
-    "no such method": (("[[", 'methods = ["BP"]\n[['), ["methods[1] = 'BP'", "'KM', 'SKCM', 'NN-SKCM'"]),
+    "no such method": (("[[", 'methods = ["BP"]\n[['), ["methods[1] = 'BP'", "allowed: KM, SKCM, NN-SKCM"]),
     "no such loss": (("[[", 'loss = "cauchy"\n[['), ["loss = 'cauchy'", "'soft_l1'"]),
     "neither real nor synthetic": (('"synthetic"', '"made up"'), ["data = 'made up'", "'real' or 'synthetic'"]),
     "no such table": (('"table.csv"', '"tables.csv"'), ["tables.csv", "no such file", "named in", "problem.toml"]),
