@@ -32,6 +32,8 @@ BLOCK = 256
 WIDE = 64
 # A wide group is judged at the likely rhos alone: where log evidence is within so much of the best found.
 REACH = 25.0
+# It is not judged any further where it is so much less likely than nothing.
+HOPELESS = 50.0
 # Models that are kept ready for judging further groups.
 MOST_BESIDE = 2
 
@@ -375,6 +377,8 @@ class Sums:
                 out[k] = _log_gain(beside.log_base[k], value[None], turned[None])[0]
                 if out[k].max() < top - REACH:
                     break
+                if out[k].max() < float(beside.log_base.max()) - HOPELESS:
+                    return
                 top = max(top, float(out[k].max()))
                 i += step
 

@@ -94,6 +94,7 @@ def wide_problem(n: int) -> Evidence:
 def test_a_wide_group_is_the_normal_density(monkeypatch: pytest.MonkeyPatch, n: int, chosen: list[int]) -> None:
     monkeypatch.setattr(evidence, "WIDE", 20)
     monkeypatch.setattr(evidence, "REACH", np.inf)
+    monkeypatch.setattr(evidence, "HOPELESS", np.inf)
     e, also, group = wide_problem(n), np.array(chosen, dtype=np.int64), np.arange(35)
     grid, base = e.log_grids([group], also)[0], e.log_base(also)
     J, E = e.J.reshape(3 * n, -1), e.E.reshape(3 * n, -1)
