@@ -68,13 +68,13 @@ class Scan:
     """What one sine alone explains of a joint's error, at each frequency that was tried.
 
     frequency : [cycles a turn]; amplitude : [rad]; needed : from which on it stands out [rad]; shapes (k,)
-    strongest : frequency of the sine that explains most; None where nothing is seen
+    strongest : index of the sine that explains most; None where nothing is seen
     """
 
     frequency: Array
     amplitude: Array
     needed: Array
-    strongest: float | None
+    strongest: int | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,6 +196,7 @@ class Search:
         self.step = min(1 / (PER_CYCLE * self.turns), WIDEST_STEP)
         lowest = max(LOWEST, 0.5 / self.turns)
         self.frequency = np.arange(lowest, top + 1e-9, self.step)
+        weight = weight / weight.max() if weight.any() else np.ones(len(q))
         spread = np.sqrt(np.average((q - np.average(q, weights=weight)) ** 2, weights=weight)) / (2 * np.pi)
         self.width = float(max(top - lowest, 0.0) * np.sqrt(4 * np.pi) * spread)
         self.grid = background.waves(self.frequency)
@@ -216,7 +217,7 @@ class Search:
             scale = (self.b.square - both.t @ x) / self.b.rows
             for band in self.bands:
                 determined = float((1 - np.diag(inverse)[band] * weights[band]).sum())
-                factor = float(weights[band] @ x[band] ** 2) / (scale * max(determined, 1.0))
+                factor = max(float(weights[band] @ x[band] ** 2) / (scale * max(determined, 1.0)), 1e-12)
                 weights[band] = np.clip(weights[band] / factor, known[band] / MOST**2, known[band] / LEAST**2)
         return replace(both, weights=weights)
 
@@ -265,12 +266,14 @@ class Search:
         own = self.beside([])
         tried = np.geomspace(1, 1e4, 4000)
         enough = tried[np.argmax(self.chance(tried, self.b.rows) <= CHANCE)] * self.unit(own)
-        strongest = float(self.frequency[np.argmax(gain)]) if gain.any() else None
+        strongest = int(np.argmax(gain)) if gain.any() else None
         return Scan(self.frequency, amplitude, np.sqrt(enough * self.sines(self.grid, own)[2]), strongest)
 
-    def best(self, own: _Columns) -> tuple[float, tuple[float, ...]]:
-        """The frequency that explains most, and others that are hardly less probable."""
+    def best(self, own: _Columns) -> tuple[float, tuple[float, ...]] | None:
+        """The frequency that explains most, and others that are hardly less probable; None where nothing is seen."""
         gain = self.sines(self.grid, own)[0]
+        if not gain.any():
+            return None
         padded = np.concatenate([[-1.0], gain, [-1.0]])
         peaks = np.flatnonzero((gain >= padded[:-2]) & (gain >= padded[2:]))
         near = self.frequency[peaks[np.argsort(-gain[peaks])][:PEAKS]]
@@ -294,9 +297,10 @@ class Search:
         named: dict[float, tuple[float, ...]] = {}
         unnamed: list[float] = []
         while self.turns >= LEAST_TURNS and len(named) < MOST_LINES and len(unnamed) < MOST_UNNAMED:
-            f, rivals = self.best(self.beside([*named, *unnamed]))
-            if self.chances([*named, *unnamed, f])[-1] > CHANCE:
+            found = self.best(self.beside([*named, *unnamed]))
+            if found is None or self.chances([*named, *unnamed, found[0]])[-1] > CHANCE:
                 break
+            f, rivals = found
             edge = not self.frequency[0] + self.step <= f <= self.frequency[-1] - self.step
             if edge or any(abs(f - g) < APART / self.turns for g in (*named, *unnamed)):
                 unnamed.append(f)

@@ -16,6 +16,8 @@ from casadical.diagnosis.result import Cause, Diagnosis
 from casadical.effects.joint_error_curve import JointErrorCurve
 from casadical.measurements.noise import Noise
 
+# Highest frequency that may be asked for [cycles a turn].
+MOST = 2000
 # Joints are gone through so often, the lines of the others in the model as far as they are known.
 SWEEPS = 2
 # Multiples of a line of at least so many cycles a turn are its harmonics; so are its fractions.
@@ -74,9 +76,11 @@ def spectrum(found: Diagnosis, highest: float | None = None) -> Spectrum:
     highest : up to which frequency lines are looked for [cycles a turn]; the curves' highest harmonic by default.
         Beyond that, a line need not stand out of the curve, only of the noise.
 
-    Raises InputError where no joint_error_curve is among the causes.
+    Raises InputError where no joint_error_curve is among the causes, and for a frequency that cannot be.
     """
     effect = curve_of(found.causes)
+    if highest is not None and not 1 <= highest <= MOST:
+        raise InputError(f"highest is {highest}; give cycles a turn from 1 to {MOST}")
     if effect is None:
         named = ", ".join(c.label for c in found.causes) or "none"
         raise InputError(f"no joint error curve was found, so there is no spectrum of one; causes: {named}")

@@ -25,7 +25,8 @@ def lines_of(c: JointCurve) -> str:
     if not seen(c):
         return "nothing seen in these readings"
     if not c.lines:
-        strongest = "" if c.scan.strongest is None else f"; strongest near {c.scan.strongest:.1f}"
+        k = c.scan.strongest
+        strongest = "" if k is None else f"; strongest near {c.scan.frequency[k]:.1f} ({1e6 * c.scan.amplitude[k]:.0f})"
         return f"no line stands out{strongest}, half of it from {c.middle[0]:.0f} to {c.middle[1]:.0f}"
     more = len(c.lines) - MOST_SHOWN
     return ", ".join(map(_line, c.lines[:MOST_SHOWN])) + (f" and {more} more" if more > 0 else "")
@@ -64,13 +65,24 @@ def as_json(s: Spectrum) -> dict[str, Any]:
                 "share": round(c.share, 4),
                 "log_evidence_lost": round(c.lost, 2),
                 "covered_deg": [[round(float(np.rad2deg(v)), 1) for v in part] for part in covered_parts(c)],
-                "strongest_cycles": None if c.scan.strongest is None else round(c.scan.strongest, 2),
+                **_strongest(c),
                 "middle_half_cycles": list(c.middle),
                 "lines": [_line_as_json(line) for line in c.lines],
             }
             for c in s.joints
         ],
         "suggestions": list(s.suggestions),
+    }
+
+
+def _strongest(c: JointCurve) -> dict[str, float]:
+    """The one sine that explains most, a line or not."""
+    k = c.scan.strongest
+    if k is None:
+        return {}
+    return {
+        "strongest_cycles": round(float(c.scan.frequency[k]), 2),
+        "strongest_urad": _urad(float(c.scan.amplitude[k])),
     }
 
 

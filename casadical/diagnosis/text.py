@@ -58,7 +58,7 @@ def _causes(d: Diagnosis, more: Details | None) -> Iterator[str]:
         yield from (f"   {line}" for line in rest)
         yield from _wrapped(row.named, "     ", "     ")
         values = (
-            f"{name} {value} +- {error} {unit}".rstrip() if error else f"{name} {value}"
+            (f"{name} {value} +- {error} {unit}" if error else f"{name} {value} {unit}").rstrip()
             for name, value, error, unit in row.parameters
         )
         if row.parameters:

@@ -127,8 +127,7 @@ class Identification:
     @property
     def shown(self) -> pd.DataFrame:
         """`parameters` without those of effects that have too many to be shown, as joint_error_curve has."""
-        many = [effect.label for effect in self.start.effects if effect.summary]
-        return self.parameters[~self.parameters["group"].isin(many)].reset_index(drop=True)
+        return self.parameters[self.parameters["name"].isin(self.start.shown)].reset_index(drop=True)
 
     def correlations(self, above: float = 0.95) -> pd.DataFrame:
         """Pairs of identified parameters whose estimates are correlated by more than `above`, the strongest first."""

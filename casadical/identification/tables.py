@@ -98,6 +98,6 @@ def held_table(result: Identification) -> Table | Words:
 def correlated(result: Identification, most: int = 8) -> list[Words]:
     """The strongest of the pairs of estimates that are correlated above 0.95, if there are any."""
     pairs = result.correlations()
-    pairs = pairs[pairs[["parameter", "with"]].isin(set(result.shown["name"])).all(axis=1)]
+    pairs = pairs[pairs[["parameter", "with"]].isin(result.start.shown).all(axis=1)]
     text = ", ".join(f"{a}/{b} {c:+.3f}" for a, b, c in pairs.head(most).itertuples(index=False))
     return [Words(f"Correlated above 0.95: {text}" + (" ..." if len(pairs) > most else ""))] if text else []

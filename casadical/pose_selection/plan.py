@@ -139,4 +139,5 @@ def _errors(plan: Selection) -> Table:
     told = ((plan.robot.parameters[name], error) for name, error in zip(plan.names, plan.standard_errors, strict=True))
     rows = [(p.name, f"{p.readable(error):.3g}", p.readable_unit) for p, error in told]
     rows += [(u.name, "-", f"not identifiable: {u.reason}") for u in plan.held]
+    rows = [row for row in rows if row[0] in plan.robot.shown]
     return Table("Expected standard errors", ("parameter", "std error", "unit"), rows, frozenset({1}))

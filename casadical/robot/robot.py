@@ -67,6 +67,12 @@ class Robot(Arm):
         """Every parameter of the model, with its nominal value, bounds and prior."""
         return Parameters(parameters_of(self, self.effects, self.effect_values))
 
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """Names of the parameters that tables show: all but those of effects with a `summary` in their place."""
+        many = {effect.label for effect in self.effects if effect.summary}
+        return tuple(p.name for p in self.parameters if p.group not in many)
+
     @cached_property
     def torque_scale(self) -> Array:
         """Great gravity torques on each joint, shape (n,) [N m or N]: 95 % quantile over its range, full payload.

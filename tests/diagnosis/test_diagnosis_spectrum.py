@@ -1,6 +1,6 @@
 """Lines of joint error curves: their truth is a simulator's that knows nothing of the effect."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -14,7 +14,7 @@ from casadical.diagnosis.details import Details
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.line_search import Line
-from casadical.diagnosis.spectrum import JointCurve, Spectrum, spectrum, with_multiples
+from casadical.diagnosis.spectrum import JointCurve, Spectrum, curve_of, spectrum, spectrum_of, with_multiples
 from casadical.diagnosis.text import WIDTH, page_of
 from casadical.measurements.reading import from_table
 
@@ -104,6 +104,26 @@ def test_shares_are_of_the_joints_that_have_curves() -> None:
 def test_a_diagnosis_without_curves_has_no_spectrum() -> None:
     with pytest.raises(InputError, match="no joint error curve was found"):
         spectrum(diagnosed("ur10e-P03"))
+
+
+@pytest.mark.parametrize("highest", [0.0, -3.0, float("nan"), 1e9])
+def test_a_frequency_that_cannot_be_is_refused(highest: float) -> None:
+    with pytest.raises(InputError, match="give cycles a turn from 1 to"):
+        spectrum(rippled(), highest)
+
+
+@pytest.mark.parametrize("why", ["it did not move", "it moves nothing"])
+def test_a_joint_that_shows_nothing_has_no_lines(why: str) -> None:
+    d = rippled()
+    q, Jq = d.case.m.q.copy(), d.case.whole.Jq.copy()
+    if why == "it did not move":
+        q[:, 2] = 0.3
+    else:
+        Jq[:, :, 2] = 0.0
+    case = replace(d.case, m=replace(d.case.m, q=q), whole=replace(d.case.whole, Jq=Jq))
+    third = spectrum_of(case, curve_of(d.causes), d.columns, d.noise).joints[2]
+    assert third.lines == ()
+    assert np.isfinite(third.error).all()
 
 
 def test_multiples_of_the_same_joint_alone_are_marked() -> None:
