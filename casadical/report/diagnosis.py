@@ -82,7 +82,7 @@ _CURVES = (
 _LINES = (
     "What one sine of a joint's reading explains by itself, at each frequency. A line (dot, with a 95 % interval) "
     "stands out of the noise and of the rest of the curve; a broad spectrum without dots is a curve that is no sum of "
-    "a few sines."
+    "a few sines. Dotted: what a line needs beside the curve as it is; side lobes of a larger sine may cross it."
 )
 _SPACE = (
     "Turn it with the mouse; point at the dot that ends a vector for its error. Each line runs from the measured point "
