@@ -10,6 +10,7 @@ from casadical.diagnosis.changes import changes
 from casadical.diagnosis.conclusion import conclude
 from casadical.diagnosis.evidence import SIGMAS
 from casadical.diagnosis.linear_problem import make_case
+from casadical.diagnosis.posterior import Rivals, no_rivals
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import Show, search
 from casadical.effects import Effect
@@ -30,6 +31,7 @@ def diagnose(
     seed: int = 0,
     bootstrap: int = 0,
     prior: Robot | Prior | None = None,
+    rivals: Rivals = no_rivals,
     show: Show = lambda _text: None,
 ) -> Diagnosis:
     """Diagnose the gap that calibration leaves on a campaign.
@@ -42,6 +44,8 @@ def diagnose(
     bootstrap : draws of noise alone that calibrate whether something is there (2000 take some seconds); 0 for none
     prior : the same robot as another campaign found it, whose effects are in the base model with their values and
         covariance as a prior; what changed is found first (`Diagnosis.changes`). Or as of `carry_over`, with its robot
+
+    rivals : what competes with the candidates at every ranking, as a search for laws does (see `posterior.Rival`)
 
     Raises InputError where the measurements cannot carry a diagnosis.
     """
@@ -65,7 +69,7 @@ def diagnose(
         show("what changed since the campaign of the prior")
         changed, known = changes(case, known)
         case = case.with_prior(known, identification.sigmas[0][0])
-    state, end, p_nothing = search(case, seed, bootstrap, show)
+    state, end, p_nothing = search(case, seed, bootstrap, show, rivals)
     found = conclude(identification, state, end, seed, p_nothing)
     return _refuse_coarse(replace(found, prior=prior if isinstance(prior, Prior) else None, changes=changed))
 

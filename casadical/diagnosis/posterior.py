@@ -1,8 +1,8 @@
 """Which cause: posteriors over none, every listed cause and the unknown, step by step while the gap shrinks."""
 
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,14 +22,15 @@ class Ranking:
     """What the data say about the next cause, given those already chosen.
 
     none : probability that there is no further one; probability : of each candidate, by label, summing to one with it
-    log_factor : log Bayes factor of each candidate against none, by label
-    variant : its most likely settings, by label (index of the variant)
+    log_factor : log Bayes factor of each candidate against none, by label; log_mass : with the log of its prior
+    variant : its most likely settings, by label (index of the variant); a rival has none
     noise : most likely noise, without a further cause (key "") and with each candidate
     """
 
     none: float
     probability: Mapping[str, float]
     log_factor: Mapping[str, float]
+    log_mass: Mapping[str, float]
     variant: Mapping[str, int]
     noise: Mapping[str, Noise]
 
@@ -38,18 +39,53 @@ class Ranking:
         """Labels, the most probable first."""
         return tuple(sorted(self.probability, key=lambda label: -self.probability[label]))
 
+    def among(self, labels: Collection[str]) -> "Ranking":
+        """The same between none and these candidates alone."""
+        kept = {k: p for k, p in self.probability.items() if k in labels}
+        total = self.none + sum(kept.values())
+        return replace(self, none=self.none / total, probability={k: p / total for k, p in kept.items()})
+
+
+@dataclass(frozen=True)
+class Rival:
+    """What is compared at a ranking beside the case's candidates, such as a law that a search found; on no list.
+
+    label : unlike that of any candidate
+    log_factor : log Bayes factor against none, averaged over its settings, with the log of its share of all rivals'
+        prior: what it was selected from is paid for
+    noise : most likely with it
+    """
+
+    label: str
+    log_factor: float
+    noise: Noise
+
+
+# The rivals at a ranking: of a case and the columns of the causes that are in the model already.
+Rivals = Callable[[Case, Array], Sequence[Rival]]
+
+
+def no_rivals(_case: Case, _chosen: Array) -> Sequence[Rival]:
+    """The candidates of the case alone."""
+    return ()
+
 
 # A further cause at a joint that has one already is more likely a flaw of the first one's equation.
 SAME_JOINT = 0.05
 
 
 def rank(
-    case: Case, chosen: Array, skip: frozenset[str] = frozenset(), covered: frozenset[str] = frozenset()
+    case: Case,
+    chosen: Array,
+    skip: frozenset[str] = frozenset(),
+    covered: frozenset[str] = frozenset(),
+    rivals: Rivals = no_rivals,
 ) -> Ranking:
     """Posterior over the next cause.
 
     chosen : columns of causes that are in the model already; skip : their labels, no longer candidates
     covered : labels of those that a cause in the model holds already, no candidates either
+    rivals : what else competes; together they have the prior of the unknown
     """
     judged = [k for k, (c, _) in enumerate(case.variants) if case.candidates[c].label not in skip | covered]
     grids = case.evidence.log_grids([case.groups[k] for k in judged], chosen) + np.log(KAPPA_WEIGHTS)
@@ -67,9 +103,13 @@ def rank(
             best = int(own[np.argmax(log_variant[own])])
             variant[candidate.label] = case.variants[judged[best]][1]
             noise[candidate.label] = likely_noise(grids[best])
-    logs = np.array([np.log(prior["none"]), *(np.log(weights[k]) + f for k, f in factor.items())])
+    for rival in rivals(case, chosen):
+        weights[rival.label] = prior["unknown"]
+        factor[rival.label], noise[rival.label] = rival.log_factor, rival.noise
+    mass = {k: float(np.log(weights[k])) + f for k, f in factor.items()}
+    logs = np.array([np.log(prior["none"]), *mass.values()])
     share = np.exp(logs - log_sum(logs))
-    return Ranking(float(share[0]), dict(zip(factor, share[1:].tolist(), strict=True)), factor, variant, noise)
+    return Ranking(float(share[0]), dict(zip(factor, share[1:].tolist(), strict=True)), factor, mass, variant, noise)
 
 
 def prior_weights(

@@ -15,7 +15,14 @@ from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import remainders
 from casadical.diagnosis.evidence import log_sum
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, prior_weights, rank
+from casadical.diagnosis.posterior import (
+    PRIOR_FIRST,
+    PRIOR_FURTHER,
+    Ranking,
+    Rivals,
+    no_rivals,
+    rank,
+)
 from casadical.diagnosis.settings_search import refined
 from casadical.diagnosis.thresholds import (
     CLAIM,
@@ -55,11 +62,15 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """How far a search has come: the case with its outliers, the causes in the model, the ranking of each round."""
+    """How far a search has come: the case with its outliers, the causes in the model, the ranking of each round.
+
+    rivals : what competes with the case's candidates at every ranking
+    """
 
     case: Case
     steps: tuple[Step, ...] = ()
     rankings: tuple[Ranking, ...] = ()
+    rivals: Rivals = no_rivals
 
     @cached_property
     def by_label(self) -> Mapping[str, Candidate]:
@@ -72,13 +83,13 @@ class State:
 
     def listed(self, ranking: Ranking) -> list[str]:
         """Labels of listed effects, the most probable first."""
-        return [label for label in ranking.order if self.by_label[label].listed]
+        return [k for k in ranking.order if k in self.by_label and self.by_label[k].listed]
 
     def rank(self, beside: Sequence[Step]) -> Ranking:
         """Posterior over one more cause beside those of some steps."""
         covers = frozenset[str]().union(*(e.covers for s in beside for e in s.effects))
         covered = frozenset(c.label for c in self.case.candidates if c.variants[0][0].name in covers)
-        return rank(self.case, self.columns(beside), frozenset(s.labels[0] for s in beside), covered)
+        return rank(self.case, self.columns(beside), frozenset(s.labels[0] for s in beside), covered, self.rivals)
 
     def ranked(self) -> State:
         """The state with one more round's ranking."""
@@ -117,12 +128,15 @@ class State:
         return state
 
 
-def search(case: Case, seed: int, bootstrap: int, show: Show) -> tuple[State, End, float | None]:
+def search(
+    case: Case, seed: int, bootstrap: int, show: Show, rivals: Rivals = no_rivals
+) -> tuple[State, End, float | None]:
     """The last state, why it is the last, and the bootstrap's p-value of "nothing" (None without a bootstrap).
 
     bootstrap : draws of noise alone, 0 for none; show : called with a line of progress
+    rivals : what competes with the case's candidates at every ranking
     """
-    state, p_nothing = State(case), None
+    state, p_nothing = State(case, rivals=rivals), None
     end: End = "none"
     while len(state.steps) < MOST_CAUSES:
         show(f"cause {len(state.steps) + 1}: evidence of {len(state.by_label)} candidates")
@@ -145,7 +159,7 @@ def _next(state: State, ranking: Ranking, p_nothing: float | None) -> tuple[End,
     if not _detected(state, ranking, p_nothing):
         return "none", ()
     listed = state.listed(ranking)
-    unknown = sum(p for label, p in ranking.probability.items() if not state.by_label[label].listed)
+    unknown = 1 - ranking.none - sum(ranking.probability[label] for label in listed)
     if not listed or unknown > 0.5:
         return "unknown", ()
     if state.steps and ranking.probability[listed[0]] < LEAST_FURTHER * (1 - ranking.none):
@@ -178,18 +192,14 @@ def most_probable_pair(case: Case, first: Ranking) -> tuple[str, str] | None:
     """
     listed = {c.label for c in case.candidates if c.listed}
     variants = {c.label: c.variants for c in case.candidates}
-    single = prior_weights(case, PRIOR_FIRST, frozenset())
-    alone = {k: float(np.log(single[k])) + f for k, f in first.log_factor.items()}
+    alone = first.log_mass
     seeds = [k for k in sorted(alone, key=lambda k: -alone[k]) if k in listed][:PAIR_SEEDS]
     pairs: dict[frozenset[str], float] = {}
     for seed in seeds:
-        skip = frozenset([seed])
-        beside = rank(case, case.group(variants[seed][first.variant[seed]]), skip)
-        further = prior_weights(case, PRIOR_FURTHER, skip)
-        for label, factor in beside.log_factor.items():
+        beside = rank(case, case.group(variants[seed][first.variant[seed]]), frozenset([seed]))
+        for label, mass in beside.log_mass.items():
             pair = frozenset([seed, label])
-            mass = alone[seed] + float(np.log(further[label])) + factor
-            pairs[pair] = max(mass, pairs.get(pair, -np.inf))
+            pairs[pair] = max(alone[seed] + mass, pairs.get(pair, -np.inf))
     one = [np.log(PRIOR_FIRST["none"]), *(m + np.log(PRIOR_FURTHER["none"]) for m in alone.values())]
     known = {pair: m for pair, m in pairs.items() if pair <= listed}
     if not known:

@@ -38,6 +38,7 @@ def _forms(
     ranking : the last one; named : columns and labels of the named causes; noise : that these leave
     """
     by_label = {c.label: c for c in case.candidates}
+    ranking = ranking.among(by_label)
     if ranking.none > DETECT_FURTHER or by_label[ranking.order[0]].listed:
         return None
     forms: dict[str, tuple[Effect, ...]] = {}

@@ -4,15 +4,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from cases import robot, simulated
 
 from casadical.blind_check.numpy_physics import disturbances
+from casadical.core.arrays import Array
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.json_answer import as_json, diagnosis_files
-from casadical.diagnosis.linear_problem import make_case
-from casadical.diagnosis.posterior import rank
+from casadical.diagnosis.linear_problem import Case, make_case
+from casadical.diagnosis.posterior import Rival, rank
 from casadical.diagnosis.search import most_probable_pair
 from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.diagnosis.text import page_of
@@ -78,3 +80,26 @@ def test_a_bump_in_a_joints_own_angle_is_unknown_and_its_joint_named(tmp_path: P
     found, unseen = diagnose(r, moved[:75]), moved[75:]
     base, mapped = (errors(found.apply(unlisted=u), unseen).mean() for u in (None, describe_unlisted(found)))
     assert mapped < 0.75 * base
+
+
+@pytest.mark.parametrize(("gain", "verdict"), [(3.0, "unknown"), (-12.0, "explained")])
+def test_a_rival_competes_at_every_ranking(gain: float, verdict: str) -> None:
+    """A law from outside, more or less probable than the best listed cause; it names no cause."""
+    asked: list[int] = []
+
+    def rivals(case: Case, chosen: Array) -> list[Rival]:
+        asked.append(len(chosen))
+        best = rank(case, chosen)
+        label = best.order[0]
+        # The law pays like the unknown does: per listed cause there is less prior.
+        return [Rival("law", best.log_factor[label] + gain if not len(chosen) else -1.0, best.noise[label])]
+
+    hidden = disturbances.GearEccentricity(4, 150e-6)
+    d = diagnose(robot("ur10e"), simulated("ur10e", 12, hidden, n=60), rivals=rivals)
+    assert d.verdict == verdict
+    assert asked[0] == 0
+    assert max(asked) > 0 or verdict == "unknown"
+    assert [c.label for c in d.causes] == ([] if verdict == "unknown" else ["gear_eccentricity@4"])
+    assert "law" in d.rankings[0].probability
+    assert as_json(d, "campaign")["verdict"] == verdict
+    assert ("most like law" in " ".join(page_of(d).split())) == (verdict == "unknown")

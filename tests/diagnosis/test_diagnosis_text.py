@@ -52,7 +52,7 @@ def fixed(true: Diagnosis) -> Diagnosis:
         ("+ thermal_zero_drift@3", 0.046, 0.041, 0.052, 0.045, 0.055, 0.038, 0.031, 0.044),
     ]
     noise = Noise(12e-6, 5e-6)
-    one = Ranking(1e-9, {label: 0.55, rival: 0.45}, {}, {}, {"": noise})
+    one = Ranking(1e-9, {label: 0.55, rival: 0.45}, {}, {}, {}, {"": noise})
     return replace(
         true,
         verdict="ambiguous",
