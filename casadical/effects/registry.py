@@ -36,3 +36,4 @@ from casadical.effects.smooth import SmoothInJoints as SmoothInJoints
 from casadical.effects.smooth import SmoothInTime as SmoothInTime
 from casadical.effects.smooth import SmoothInSpace as SmoothInSpace
 from casadical.effects.smooth import SmoothInLoad as SmoothInLoad
+from casadical.effects.law import Law as Law

@@ -11,6 +11,7 @@ from casadical.measurements.measurements import Measurements
 
 _WARMTH = re.compile(r"warmth_(\d+)s")
 _APPROACH = re.compile(r"approach(\d+)")
+_MOVE = re.compile(r"move(\d+)")
 
 
 def derive(m: Measurements, names: Iterable[str]) -> tuple[Measurements, tuple[str, ...]]:
@@ -19,6 +20,7 @@ def derive(m: Measurements, names: Iterable[str]) -> tuple[Measurements, tuple[s
     progress : place in the order of measuring, 0 to 1 (column pose or time_s; else the order of the rows)
     warmth_600s : temperature_degC behind a first-order lag of 600 s, less its mean [K]
     approach2 : direction of joint 2's last motion, -1 or 1; from the order of the poses where it was not logged
+    move2 : joint 2's way from the pose before, 0 for the first [rad or m]
     """
     columns = dict(m.conditions)
     missing = []
@@ -42,6 +44,9 @@ def _derived(m: Measurements, name: str) -> Array | None:
     if found := _APPROACH.fullmatch(name):
         joint = int(found[1])
         return _approach(m, joint - 1) if joint <= m.q.shape[1] else None
+    if found := _MOVE.fullmatch(name):
+        joint = int(found[1])
+        return _moves(m, joint - 1) if 1 <= joint <= m.q.shape[1] else None
     return None
 
 
@@ -71,6 +76,13 @@ def _warmth(m: Measurements, lag: float) -> Array | None:
     warmth = np.empty(len(m))
     warmth[order] = behind
     return np.asarray(warmth - warmth.mean())
+
+
+def _moves(m: Measurements, joint: int) -> Array:
+    order = np.argsort(_order(m), kind="stable")
+    way = np.empty(len(m))
+    way[order] = np.diff(m.q[order, joint], prepend=m.q[order[0], joint])
+    return way
 
 
 def _approach(m: Measurements, joint: int) -> Array:

@@ -14,13 +14,14 @@ from controller_arms import NAMES, nominal_path, planted, poses, positions, rigi
 
 from casadical.compensator import Compensator, save_compensator
 from casadical.core.errors import InputError
-from casadical.effects import GearEccentricity, PayloadError, ThermalGrowth
+from casadical.effects import GearEccentricity, Law, PayloadError, ThermalGrowth
 from casadical.export.controller.commands import Sources, command_of, network_of
 from casadical.export.controller.correction import model_corrector
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot_file import read_robot, write_robot
 
 MICROMETRE = 1e-6
+LAW = Law(2, "joint", "a * max(0, abs(tau2) - 0.3) * step(q1) + a * tanh(q4)")
 
 
 @pytest.fixture(scope="module")
@@ -81,8 +82,9 @@ def test_after_correction_the_real_tool_is_where_the_nominal_one_would_be(name, 
 
 
 def test_a_robot_with_effects_in_its_model_is_corrected_like_its_file(files):
-    robot = read_robot(files / "hh800.toml").with_effect(GearEccentricity(3), PayloadError())
-    robot = robot.with_values({"gear_eccentricity@3.sin1": 300e-6, "payload_error.mass": 0.05})
+    robot = read_robot(files / "hh800.toml").with_effect(GearEccentricity(3), PayloadError(), LAW)
+    values = {"gear_eccentricity@3.sin1": 300e-6, "payload_error.mass": 0.05, f"{LAW.label}.a": 200e-6}
+    robot = robot.with_values(values)
     sources = Sources(robot, read_robot(nominal_path("hh800")))
     q = poses(robot, 100)
     wanted = positions(rigid("hh800", tool=robot.tool), q)
@@ -97,6 +99,9 @@ def test_a_robot_with_effects_in_its_model_is_corrected_like_its_file(files):
 def test_an_effect_of_what_the_controller_does_not_know_is_refused(files):
     robot = read_robot(files / "hh800.toml").with_effect(ThermalGrowth(None, 300.0))
     with pytest.raises(InputError, match="thermal_growth: follows warmth_300s"):
+        command_of(Sources(robot, nominal_path("hh800")))
+    robot = read_robot(files / "hh800.toml").with_effect(Law(2, "joint", "a * step(t - 0.5)"))
+    with pytest.raises(InputError, match="law at joint 2 by t: follows progress"):
         command_of(Sources(robot, nominal_path("hh800")))
 
 

@@ -1,0 +1,81 @@
+"""Formulas as text: what they compute, and what is refused before anything is computed."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from casadical.core.errors import InputError
+from casadical.effects.formula import NUMERIC, parse
+
+X = np.linspace(-2.0, 2.0, 9)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("a * max(0, abs(x) - 0.3)", 3.0 * np.clip(np.abs(X) - 0.3, 0.0, None)),
+        ("-a*x**3 + 2/4", -3.0 * X * X * X + 0.5),
+        ("a * (sin(2*x) - cos(x))", 3.0 * (2 * np.sin(X) * np.cos(X) - np.cos(X))),
+        ("step(x) * a", np.where(X > 0, 3.0, 0.0)),
+        ("a * tanh(x) + min(x, 1) * sign(x) * exp(-x) * sqrt(4)", None),
+    ],
+)
+def test_a_formula_is_computed_alike_with_numbers_and_symbols(text: str, expected: np.ndarray | None) -> None:
+    formula = parse(text)
+    (numbers,) = formula.values({"a": 3.0, "x": X}, NUMERIC)
+    a, x = ca.SX.sym("a"), ca.SX.sym("x")
+    (symbol,) = formula.values({"a": a, "x": x})
+    f = ca.Function("f", [a, x], [symbol])
+    np.testing.assert_allclose([float(f(3.0, v)) for v in X], numbers, rtol=1e-14, atol=1e-14)
+    if expected is not None:
+        np.testing.assert_allclose(numbers, expected, rtol=1e-14, atol=1e-14)
+
+
+def test_three_components() -> None:
+    formula = parse("[a, b, 0] * x - [0, 0, x] / 2")
+    assert formula.components == 3
+    assert formula.names == ("a", "b", "x")
+    assert formula.values({"a": 2.0, "b": 3.0, "x": 4.0}, NUMERIC) == [8.0, 12.0, -2.0]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "it is empty"),
+        ("a * foo(x)", "column 5: unknown function 'foo'; allowed are sin, cos"),
+        ("__import__('os')", 'column 12: character "\'"'),
+        ("a.real * x", "column 1: attribute is not allowed"),
+        ("a if x else b", "column 1: ifexp is not allowed"),
+        ("(lambda)(x)", "column 8: it cannot be read"),
+        ("a * x ** y", "column 10: a power must be a whole number from 1 to 6"),
+        ("a * x ** 99", "column 10: a power must be"),
+        ("9**9**9", "column 7: a power must be"),
+        ("1e300 * a", "column 1: number out of range"),
+        ("a * 1e999", "column 5: number out of range"),
+        ("True * a", "column 1: True is no number"),
+        ("a * 2j", "column 5: 2j is no number"),
+        ("a * max(x)", "column 5: max takes 2 arguments"),
+        ("max * a", "column 1: max is a function"),
+        ("[a, b] * x", "column 1: brackets hold three components"),
+        ("[a, b, 0] + x", "column 1: one side has three components"),
+        ("[a, b, 0] * [x, x, x]", "column 1: three components can be multiplied"),
+        ("sin([a, b, 0])", "column 1: sin takes no three components"),
+        ("(" * 199 + "a" + "]" * 199, "it cannot be read"),
+        ("a + ", "it cannot be read"),
+        ("a b", "it cannot be read"),
+        ("a, x", "column 1: tuple is not allowed"),
+        ("[x for x in a]", "column 1: listcomp is not allowed"),
+        ("\u0430 * x", "column 1: character"),
+        ("(" * 250 + "a" + ")" * 250, "it has 501 characters"),
+        ("-" * 60 + "a", "nested more than 20 levels deep"),
+        ("+".join(["a"] * 19), "^$"),
+        ("(" + "+".join(["a*x"] * 18) + ")*(" + "+".join(["a*x"] * 18) + ")", "at most 120 are allowed"),
+        ("a" * 500, "it has 500 characters; at most 400 are allowed"),
+    ],
+)
+def test_what_is_no_formula_is_refused(text: str, message: str) -> None:
+    if message == "^$":
+        assert parse(text).names == ("a",)
+        return
+    with pytest.raises(InputError, match=message.replace("(", r"\(").replace("*", r"\*")):
+        parse(text)

@@ -1,0 +1,183 @@
+"""Laws given as text: what each place does to the robot, by another way; files; what is refused."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bench import campaign, robot, with_columns
+
+from casadical.core.errors import InputError
+from casadical.diagnosis.linearisation import signatures
+from casadical.effects import Law
+from casadical.export.mjcf.drives import counterparts
+from casadical.export.omission import left_out
+from casadical.identification.accuracy import predicted
+from casadical.measurements.derived_columns import derive
+from casadical.measurements.measurements import Measurements
+from casadical.robot.robot import Robot
+from casadical.robot.robot_file import read_robot, write_robot
+
+NAME = "ur10e"
+VECTOR = (("a", 3e-5), ("b", 3e-5), ("c", 3e-5))
+
+
+def with_law(law: Law, *values: float) -> Robot:
+    names = [p.name for p in law.parameters()]
+    return robot(NAME).with_effect(law).with_values(dict(zip(names, values, strict=True)))
+
+
+def shift(law: Law, *values: float) -> np.ndarray:
+    poses = with_columns(campaign(NAME)[:30], [law])
+    return predicted(with_law(law, *values), poses)[0] - predicted(robot(NAME), poses)[0]
+
+
+def rotation(name: str) -> np.ndarray:
+    return robot(name).base.T[:3, :3]
+
+
+def turned(joint: int, angle: np.ndarray) -> np.ndarray:
+    """What a wrong reading of one joint does, to 1e-2 or so, for torques change with it."""
+    poses = campaign(NAME)[:30]
+    q = poses.q.copy()
+    q[:, joint - 1] += angle
+    return predicted(robot(NAME), replace(poses, q=q))[0] - predicted(robot(NAME), poses)[0]
+
+
+def test_a_law_of_a_joint_adds_to_its_reading() -> None:
+    poses = campaign(NAME)[:30]
+    law = Law(3, "joint", "a * max(0, abs(q2) - 0.4) + b * payload * q5**2", (("a", 3e-5), ("b", 3e-5)))
+    assert law.conditions == ("payload_kg",)
+    angle = 4e-4 * np.maximum(0, np.abs(poses.q[:, 1]) - 0.4)
+    angle += 1e-5 * poses.conditions["payload_kg"] * poses.q[:, 4] ** 2
+    expected = turned(3, angle)
+    np.testing.assert_allclose(shift(law, 4e-4, 1e-5), expected, rtol=0, atol=1e-2 * np.abs(expected).max())
+
+
+def test_the_tilt_of_a_link_about_its_own_axis_is_its_joints_angle() -> None:
+    same = Law(4, "joint", "a * sin(3*q4)"), Law(4, "tilt", "[0, 0, a] * sin(3*q4)")
+    np.testing.assert_allclose(shift(same[0], 2e-4), shift(same[1], 2e-4), rtol=0, atol=1e-11)
+    assert np.abs(shift(same[0], 2e-4)).max() > 1e-5
+
+
+def test_every_joint_follows_its_own_driver() -> None:
+    law = Law(None, "joints", "a * sin(5*q)")
+    alone = sum(turned(j, 1e-5 * j * np.sin(5 * campaign(NAME).q[:30, j - 1])) for j in range(1, 7))
+    found = shift(law, *(1e-5 * j for j in range(1, 7)))
+    np.testing.assert_allclose(found, alone, rtol=0, atol=1e-2 * np.abs(alone).max())
+
+
+def test_the_foot_moves_everything_with_time() -> None:
+    poses = with_columns(campaign(NAME)[:30], [Law(None, "base shift", "[a, b, c] * t", VECTOR)])
+    law = Law(None, "base shift", "[a, b, c] * step(t - 0.5)", VECTOR)
+    when = (poses.conditions["progress"] > 0.5)[:, None]
+    found = shift(law, 1e-4, 2e-4, -3e-4)
+    np.testing.assert_allclose(found, when * (rotation(NAME) @ [1e-4, 2e-4, -3e-4]), rtol=0, atol=1e-12)
+
+
+def test_the_beam_moves_points_along_it() -> None:
+    station = (3.0, 1.0, 0.5)
+    law = Law(None, "beam", "a * sin(6*r)", station=station)
+    p = predicted(robot(NAME), campaign(NAME)[:30])[0]
+    way = p - station
+    r = np.linalg.norm(way, axis=1, keepdims=True)
+    np.testing.assert_allclose(shift(law, 1e-4), way / r * 1e-4 * np.sin(6 * r), rtol=0, atol=1e-12)
+    assert law.of_measurement
+
+
+def test_a_payload_law_is_an_error_of_its_mass() -> None:
+    poses = campaign(NAME)[:30]
+    found = shift(Law(None, "payload", "a * payload"), 0.01)
+    kg = poses.conditions["payload_kg"]
+    heavier = replace(poses, conditions={**poses.conditions, "payload_kg": kg * (1 + 0.01 * kg)})
+    expected = predicted(robot(NAME), heavier)[0] - predicted(robot(NAME), poses)[0]
+    assert np.abs(expected).max() > 1e-6
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-3 * np.abs(expected).max())
+
+
+LAWS = [
+    Law(3, "joint", "a * max(0, abs(tau3) - 0.3) + b * sign(tau2)*tau2**2", (("a", 3e-5), ("b", 3e-5))),
+    Law(2, "tilt", "[a, b, c] * warmth_600s", VECTOR),
+    Law(5, "shift", "[a, b, c] * tanh((q4 - 0.2) / 0.3)", VECTOR),
+    Law(None, "tool shift", "[a, b, c] * step(t - 0.5)", VECTOR),
+    Law(None, "base tilt", "[a, b, c] * m2x", VECTOR),
+    Law(None, "joints", "a * approach * abs(tau) + b * tanh(move)", (("a", 3e-5), ("b", 3e-5))),
+    Law(None, "beam", "a * r**2 * gz", (("a", 3e-5),), (1.0, 2.0, 0.5)),
+    Law(None, "payload", "a * t", (("a", 0.05),)),
+]
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.place)
+def test_the_column_of_a_law_is_what_it_does(law: Law) -> None:
+    poses = with_columns(campaign(NAME)[:40], [law])
+    size = np.array([size for size, _ in law.sizes().values()])
+    E, _, _ = signatures(robot(NAME), [law], poses, robot(NAME).parameters.values)
+    values = 0.1 * size * np.random.default_rng(0).normal(size=len(size))
+    both = [predicted(with_law(law, *(sign * values)), poses)[0] for sign in (1, -1)]
+    moved = (both[0] - both[1]) / 2
+    assert np.abs(moved).max() > 1e-8
+    np.testing.assert_allclose(E @ values, moved, rtol=0, atol=2e-4 * np.abs(moved).max())
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.place)
+def test_a_file_gives_the_same_positions(law: Law, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    whole = with_law(law, *(1e-4 * rng.normal(size=len(law.sizes()))))
+    write_robot(whole, tmp_path / "law.toml")
+    again = read_robot(tmp_path / "law.toml")
+    assert again.effects == (law,)
+    poses = with_columns(campaign(NAME)[:40], [law])
+    np.testing.assert_allclose(predicted(again, poses)[0], predicted(whole, poses)[0], rtol=0, atol=1e-12)
+
+
+def test_a_file_with_a_bad_formula_is_refused(tmp_path: Path) -> None:
+    write_robot(with_law(Law(2, "joint", "a * abs(tau3)"), 1e-4), tmp_path / "law.toml")
+    text = (tmp_path / "law.toml").read_text().replace("abs(tau3)", "eval(tau3)")
+    (tmp_path / "bad.toml").write_text(text)
+    with pytest.raises(InputError, match=r"bad.toml: effect\[1\].*column 5: unknown function 'eval'"):
+        read_robot(tmp_path / "bad.toml")
+
+
+def test_a_simulator_has_no_counterpart() -> None:
+    whole = with_law(Law(2, "joint", "a * abs(tau3)"), 1e-4)
+    omissions = counterparts(whole).left_out
+    with pytest.raises(InputError, match=r"law at joint 2 by tau3: no counterpart in MuJoCo; lost without it: 0\."):
+        left_out(whole, omissions, "a MuJoCo model", leave_out=False)
+    assert len(left_out(whole, omissions, "a MuJoCo model", leave_out=True)) == 1
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"formula": "a * q7"}, "q7; robot 'Universal Robots UR10e, synthetic' has joints 1 to 6"),
+        ({"formula": "a * speed"}, "column 5: unknown name 'speed'; allowed are a, q1"),
+        ({"formula": "a * q2 + 0.1"}, "must be zero where a are zero"),
+        ({"formula": "q2"}, "factor 'a' is not in it"),
+        ({"formula": "[a, 0, 0] * q2"}, "seam 'joint' needs 1 of its components"),
+        ({"formula": "a * q2", "seam": "elbow"}, "seam = 'elbow'; allowed: joint, joints, tilt"),
+        ({"formula": "a * q2", "seam": "beam"}, "joint does not belong at the seam 'beam'"),
+        ({"formula": "a * q2", "factors": [["aa", 1e-5]]}, "different single letters"),
+        ({"formula": "a * q2", "factors": [["a", 0.0]]}, "between 0 and 1"),
+        ({"formula": 3}, "must be a valid string"),
+    ],
+)
+def test_what_is_no_law_is_refused(settings: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        robot(NAME).with_effect(Law.from_dict({"joint": 2, "settings": settings}))
+    assert message in str(caught.value)
+
+
+def test_a_payload_law_needs_no_loads_and_a_payload() -> None:
+    with pytest.raises(InputError, match="unknown name 'tau2'"):
+        Law(None, "payload", "a * tau2")
+    law = Law(None, "payload", "a * t")
+    with pytest.raises(InputError, match="declares no payload"):
+        law.refuse_joints(replace(robot(NAME), payload=None))
+
+
+def test_moves_follow_the_order_of_measuring() -> None:
+    q = np.array([[0.1], [0.5], [0.2]])
+    m = Measurements(q, "position", np.zeros((3, 3)), conditions={"time_s": np.array([20.0, 0.0, 10.0])})
+    moves = derive(m, ["move1", "move2"])
+    np.testing.assert_allclose(moves[0].conditions["move1"], [-0.1, 0.0, -0.3])
+    assert moves[1] == ("move2",)
