@@ -11,16 +11,15 @@ from multiprocessing import get_context
 from signal import SIG_IGN, SIGINT, signal
 from typing import Any, TypeVar
 
-Result = TypeVar("Result")
+from casadical.core.threads import one_thread
 
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+Result = TypeVar("Result")
 
 
 def start_worker() -> None:
     """Let a worker use one thread, as there is one for each core; Ctrl-C is left to the process that started it."""
     signal(SIGINT, SIG_IGN)
-    for name in _THREADS:
-        os.environ.setdefault(name, "1")
+    one_thread()
 
 
 @contextmanager

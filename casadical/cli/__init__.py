@@ -9,10 +9,12 @@ import traceback
 from casadical.cli.root import app as app
 from casadical.cli.terminal import BAD_INPUT, NO_CONVERGENCE, OUR_BUG
 from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.threads import one_thread
 
 
 def main() -> None:
     """Run the command line; a user's mistake ends in a message and an exit code, never in a traceback."""
+    one_thread()
     try:
         app()
     except InputError as error:

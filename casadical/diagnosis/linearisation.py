@@ -22,7 +22,7 @@ from casadical.core.casadi_buffers import call
 from casadical.core.transforms import Symbolic, small_frame
 from casadical.effects import Context, Effect
 from casadical.measurements.measurements import Measurements
-from casadical.robot.model import Structure, expressions, frame_numbers, rigid_context
+from casadical.robot.model import Structure, constants_of, expressions, rigid_context
 from casadical.robot.robot import Robot
 from casadical.robot.statics import deflections, gravity_torques
 
@@ -69,9 +69,9 @@ class _Probe(Effect):
 class _Seams:
     """Robots of one structure at their seams, nothing under judgement in them.
 
-    function : (q, w, phi, frames)->(J[3, P], S[3, seams], seen), the last what effects look at, one number each
+    function : (q, w, phi, constants)->(J[3, P], S[3, seams], seen), the last what effects look at, one number each
     exact : a context of the model's own expressions; free : the same with `seen` as symbols
-    inputs : q, w, phi and the nominal frames; point : the measured one, as a symbol
+    inputs : q, w, phi and the constants; point : the measured one, as a symbol
     """
 
     function: ca.Function
@@ -83,7 +83,7 @@ class _Seams:
 
     @lru_cache(maxsize=64)  # noqa: B019 - seams live in a cache themselves
     def mapped(self, n: int) -> ca.Function:
-        """The function over n poses, parameters and frames shared."""
+        """The function over n poses, parameters and constants shared."""
         return self.function.map("poses", "serial", n, [2, 3], [])
 
 
@@ -103,8 +103,8 @@ def _seams(structure: Structure, count: int) -> _Seams:
     point, J, S = ca.substitute(parts, [model.loaded], [ca.vertcat(phi, zero)])
     conditions = dict(zip(structure.conditions, ca.vertsplit(model.w) if structure.conditions else [], strict=True))
     values = dict(zip(structure.parameters.names[:count], ca.vertsplit(phi), strict=True))
-    base = ca.vertcat(ca.reshape(model.frames[:12], 3, 4), ca.DM([[0, 0, 0, 1]]))
-    exact = rigid_context(arm, structure.torque_scale, model.q, conditions, values, base)
+    base = ca.vertcat(ca.reshape(model.constants[:12], 3, 4), ca.DM([[0, 0, 0, 1]]))
+    exact = rigid_context(arm, model.constants[24:], model.q, conditions, values, base)
     others = [e.energy(exact) for e in structure.effects]
     exact = replace(exact, torque=gravity_torques(exact, sum(others)))
     frames = [ca.reshape(T[:3, :], 12, 1) for T in exact.frames]
@@ -114,9 +114,9 @@ def _seams(structure: Structure, count: int) -> _Seams:
     parts = ca.vertsplit(seen[6 + arm.n :], 12)
     rigid = tuple(ca.vertcat(ca.reshape(part, 3, 4), ca.DM([[0, 0, 0, 1]])) for part in parts)
     free = replace(exact, torque=torque, gravity=gravity, frames=rigid)
-    inputs = (model.q, model.w, phi, model.frames)
+    inputs = (model.q, model.w, phi, model.constants)
     outputs = [ca.densify(part) for part in (J, S, looked_at)]
-    function = ca.Function("seams", [*inputs], outputs, ["q", "w", "phi", "frames"], ["J", "S", "seen"])
+    function = ca.Function("seams", [*inputs], outputs, ["q", "w", "phi", "constants"], ["J", "S", "seen"])
     return _Seams(function, exact, free, inputs, seen, seen[:3])
 
 
@@ -138,7 +138,7 @@ def _formula(s: _Seams, template: Effect, settings: tuple[str, ...]) -> _Formula
     """The formula of an effect whose settings of these names are inputs; None where it must know their values."""
     symbols: dict[str, Any] = {name: ca.SX.sym(name) for name in settings}
     conditions = tuple(dict.fromkeys((*s.exact.conditions, *template.conditions)))
-    q, own, phi, frames = s.inputs
+    q, own, phi, constants = s.inputs
     w = ca.vertcat(own, ca.SX.sym("w", len(conditions) - own.numel()))
     logged = dict(zip(conditions, ca.vertsplit(w) if conditions else [], strict=True))
     try:
@@ -148,7 +148,7 @@ def _formula(s: _Seams, template: Effect, settings: tuple[str, ...]) -> _Formula
         if symbols:
             return None
         raise
-    inputs = [q, w, phi, frames, s.seen, ca.vertcat(*symbols.values())]
+    inputs = [q, w, phi, constants, s.seen, ca.vertcat(*symbols.values())]
     function = ca.Function("formula", [ca.SX(i) for i in inputs], [derivative])
     rows, columns = (np.array(k, dtype=np.int64) for k in derivative.sparsity().get_triplet())
     return _Formula(ArrayFunction(function), conditions, rows, columns)
@@ -192,7 +192,7 @@ class Linearisation:
     robot : nothing of what is judged is in it; phi : its parameters, shape (P,) [SI]
     q, conditions : of the poses, shapes (n, joints) and (n,) each
     J : by the base model's parameters, shape (n, 3, P); S : by all seam variables, shape (n, 3, seams)
-    seen : what effects look at, shape (n, numbers)
+    seen : what effects look at, shape (n, numbers); constants : of the model with effects in it
     """
 
     robot: Robot
@@ -202,6 +202,7 @@ class Linearisation:
     J: Array
     S: Array
     seen: Array
+    constants: Array
 
     @property
     def Jq(self) -> Array:
@@ -243,7 +244,7 @@ class Linearisation:
         settings = [np.array([getattr(e, name) for e in effects]) for name in names]
         logged = [self._condition(c)[:, None] for c in formula.conditions]
         q, seen = ([c[:, None] for c in part.T] for part in (self.q, self.seen))
-        (found,) = formula.function(q, logged, list(self.phi), list(frame_numbers(self.robot)), seen, settings)
+        (found,) = formula.function(q, logged, list(self.phi), list(self.constants), seen, settings)
         for seam, parameter, value in zip(formula.rows, formula.columns, found, strict=True):
             factor = np.broadcast_to(value, (len(self.q), len(effects)))
             out[:, :, starts + parameter] += self.S[:, :, seam, None] * factor[:, None, :]
@@ -275,17 +276,17 @@ def linearise(robot: Robot, m: Measurements, phi: Array) -> Linearisation:
 
     m : with every condition that the effects to be judged need; phi : the robot's parameters, shape (P,) [SI]
     """
-    s = seams_of(robot)
+    s, constants = seams_of(robot), constants_of(robot, robot.torque_scale)
     w = m.condition_matrix(robot.conditions, robot.declared)
     parts: list[list[Array]] = [[], [], []]
     for first in range(0, len(m), BLOCK):
         some = slice(first, first + BLOCK)
         n = len(m.q[some])
-        found = call(s.mapped(n), m.q[some].T, w[some].T, phi, frame_numbers(robot))
+        found = call(s.mapped(n), m.q[some].T, w[some].T, phi, constants)
         for part, value in zip(parts, found, strict=True):
             part.append(value.reshape(value.shape[0], n, -1).transpose(1, 0, 2))
     J, S, seen = (np.concatenate(part) for part in parts)
-    return Linearisation(robot, phi, m.q, dict(m.conditions), J, S, seen[:, :, 0])
+    return Linearisation(robot, phi, m.q, dict(m.conditions), J, S, seen[:, :, 0], constants)
 
 
 def signatures(robot: Robot, effects: Sequence[Effect], m: Measurements, values: Array) -> tuple[Array, Array, Array]:

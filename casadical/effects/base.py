@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import reduce
 from itertools import product
 from typing import Any, ClassVar, Self, get_type_hints
 
@@ -26,7 +27,7 @@ from casadical.effects.counterparts import Counterparts
 
 @dataclass(frozen=True)
 class Context:
-    """What an effect may look at; every entry but the first two is symbolic.
+    """What an effect may look at; every entry but the first is symbolic.
 
     arm : rows, masses, limits, loops, payload
     torque_scale : great gravity torques on each joint, shape (n,) [N m or N] (see `Robot.torque_scale`)
@@ -39,7 +40,7 @@ class Context:
     """
 
     arm: Arm
-    torque_scale: Array
+    torque_scale: Symbolic
     q: Symbolic
     conditions: Mapping[str, Symbolic]
     values: Mapping[str, Symbolic]
@@ -67,9 +68,13 @@ class Context:
         return total
 
     @property
-    def great_moment(self) -> float:
+    def great_moment(self) -> Symbolic:
         """The greatest of the joints' great torques [N m]."""
-        return float(self.torque_scale.max())
+        return self.greatest(1, self.arm.n)
+
+    def greatest(self, first: int, last: int) -> Symbolic:
+        """The greatest great torque of the joints (1-based) from the first to the last [N m or N]."""
+        return reduce(ca.fmax, ca.vertsplit(self.torque_scale[first - 1 : last]))
 
 
 # One sigma, in realistic sizes, of an effect once it is in a model: wide, because a user had a reason to put it there,

@@ -37,10 +37,10 @@ class BearingPlay(Effect):
             0, 0, 0, *self._rock(moment, context), 0
         )
 
-    def _great(self, context: Context) -> float:
+    def _great(self, context: Context) -> Symbolic:
         """The greatest torque that joints here or one joint before carry, since moments across are like theirs."""
         assert self.joint is not None
-        return float(context.torque_scale[max(self.joint - 2, 0) : self.joint].max())
+        return context.greatest(max(self.joint - 1, 1), self.joint)
 
     def _rock(self, moment: Symbolic, context: Context) -> tuple[Symbolic, Symbolic]:
         size = ca.sqrt(moment[0] ** 2 + moment[1] ** 2 + 1e-8)

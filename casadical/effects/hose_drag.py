@@ -47,5 +47,5 @@ class HoseDrag(Effect):
         rows = context.values[f"d{n - 1}"] ** 2 + context.values[f"d{n}"] ** 2 + float(np.dot(end, end))
         usual = ca.sqrt(rows + 1e-3) + (1 - self.clip) * ca.sqrt(ca.sumsqr(forearm))
         drawn = length / usual - 1
-        pull = float(context.torque_scale[n - 2])
+        pull = context.torque_scale[n - 2]
         return pull * (self.value(context, "tension") * drawn + self.value(context, "spring") * drawn**2)

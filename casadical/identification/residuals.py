@@ -20,7 +20,7 @@ from casadical.core.errors import InputError
 from casadical.measurements.kinds.base import MeasurementKind, PoseExpression
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
-from casadical.robot.model import Expressions, expressions, frame_numbers
+from casadical.robot.model import Expressions, expressions
 from casadical.robot.robot import Robot
 
 Loss = Literal["linear", "huber", "soft_l1"]
@@ -61,7 +61,7 @@ _LOSS: dict[Loss, Callable[[ca.SX, float], tuple[ca.SX, ca.SX]]] = {
 class PoseFunctions:
     """Functions of one pose, each made when it is first asked for; shared by all robots of one structure.
 
-    robot : the numbers that differ between them: nominal parameters, nominal frames, scales (see `robot_numbers`)
+    robot : the numbers that differ between them: nominal parameters, constants, scales (see `robot_numbers`)
     residual : (z, data, robot)->(r[m], J[m, z]), in units of sigma, without the loss
     cost, gradient, hessian : (z, data, robot)->f, (f, g[z]), h, with the loss; h is the upper triangle by columns
     point : whether z ends with an unknown point; observed : names of the observed arrays in data, in their order
@@ -79,14 +79,15 @@ class PoseFunctions:
         self.point = point
         x = ca.SX.sym("x", len(chosen))
         u = ca.SX.sym("u", 3 if point else 0)
-        nominal, frames = ca.SX.sym("nominal", model.phi.numel()), ca.SX.sym("frames", 24)
+        nominal = ca.SX.sym("nominal", model.phi.numel())
+        constants = ca.SX.sym("constants", model.constants.numel())
         scale = ca.SX.sym("scale", len(chosen))
         phi = ca.SX(nominal)
         for k, index in enumerate(chosen):
             phi[index] += scale[k] * x[k]
         q, w = ca.SX.sym("q", model.q.numel()), ca.SX.sym("w", model.w.numel())
         function, loaded = model.function("p", "R"), nominal if fixed_loads else phi
-        pose = PoseExpression(lambda at: function(at, w, phi, frames, loaded), q, POINT_SCALE * u if point else None)
+        pose = PoseExpression(lambda at: function(at, w, phi, constants, loaded), q, POINT_SCALE * u if point else None)
         r = kind.residual(pose)
         if r.numel() != kind.numbers:
             raise InputError(f"kind {kind.name!r}: its residual has {r.numel()} numbers; it observes {kind.numbers}")
@@ -96,7 +97,7 @@ class PoseFunctions:
         self.observed = tuple(pose.observed)
         self._z = ca.vertcat(x, u)
         columns = [q, w, *pose.observed.values(), inverse, root]
-        self._inputs = [self._z, ca.vertcat(*columns), ca.vertcat(nominal, frames, scale)]
+        self._inputs = [self._z, ca.vertcat(*columns), ca.vertcat(nominal, constants, scale)]
         cost, self._slope = _LOSS[loss](ca.dot(self._r, self._r), _KNEE[r.numel()])
         self._cost = 0.5 * cost
         self._mapped: dict[tuple[str, int, bool, bool], ca.Function] = {}
@@ -154,9 +155,9 @@ def kernel(
 
 
 def robot_numbers(robot: Robot, names: Sequence[str]) -> Array:
-    """The input `robot` of a kernel: nominal parameters [SI], nominal frames [m], scales of the chosen parameters."""
+    """The input `robot` of a kernel: nominal parameters [SI], the model's constants, scales of the chosen ones."""
     scale = [robot.parameters[n].scale for n in names]
-    return np.concatenate([robot.parameters.values, frame_numbers(robot), scale])
+    return np.concatenate([robot.parameters.values, robot.constants, scale])
 
 
 def data_columns(

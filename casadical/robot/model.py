@@ -26,14 +26,14 @@ from casadical.robot.statics import deflections, gravity_torques
 class Expressions:
     """Symbols and expressions that all robots of one structure share; see `Model`.
 
-    frames : nominal T_M0 and T_nE, their upper three rows column by column, shape (24,)
+    constants : what is no parameter and differs between robots of one structure (see `constants_of`)
     loaded : the parameters at which gravity torques are taken, shape (P,); phi itself except for fixed loads
     """
 
     q: ca.SX
     w: ca.SX
     phi: ca.SX
-    frames: ca.SX
+    constants: ca.SX
     loaded: ca.SX
     p: ca.SX
     R: ca.SX
@@ -42,9 +42,9 @@ class Expressions:
     functions: dict[tuple[str, ...], ca.Function]
 
     def function(self, *outputs: str) -> ca.Function:
-        """model:(q, w, phi, frames, loaded)->outputs, made once."""
+        """model:(q, w, phi, constants, loaded)->outputs, made once."""
         if outputs not in self.functions:
-            inputs = {n: getattr(self, n) for n in ("q", "w", "phi", "frames", "loaded")}
+            inputs = {n: getattr(self, n) for n in ("q", "w", "phi", "constants", "loaded")}
             results = [getattr(self, o) for o in outputs]
             made = ca.Function("model", list(inputs.values()), results, list(inputs), list(outputs))
             self.functions[outputs] = made
@@ -52,7 +52,7 @@ class Expressions:
 
     @lru_cache(maxsize=64)  # noqa: B019 - expressions live in a cache themselves
     def mapped(self, outputs: tuple[str, ...], n: int) -> ca.Function:
-        """The same over n poses, parameters and frames shared."""
+        """The same over n poses, parameters and constants shared."""
         return self.function(*outputs).map("poses", "serial", n, [2, 3, 4], [])
 
 
@@ -63,11 +63,12 @@ class Model:
     q : joint readings (n,) [rad or m]; w : conditions (k,); phi : parameters (P,) [SI]
     p, R : position (3,) [m] and orientation (3, 3) of the tool frame in the measuring frame
     tau : gravity torques (n,) [N m or N]; margin : of each loop
-    declared : values of the conditions where nothing was logged, shape (k,)
+    declared : values of the conditions where nothing was logged, shape (k,); constants : see `constants_of`
     """
 
     arm: Arm
     declared: Array
+    constants: Array
     shared: Expressions
 
     @property
@@ -100,7 +101,7 @@ class Model:
     def function(self, name: str, outputs: tuple[str, ...]) -> ca.Function:
         """name:(q, w, phi)->outputs, out of p, R, tau, margin."""
         whole = self.shared.function(*outputs)
-        results = whole.call([self.q, self.w, self.phi, ca.DM(frame_numbers(self.arm)), self.phi])
+        results = whole.call([self.q, self.w, self.phi, ca.DM(self.constants), self.phi])
         return ca.Function(name, [self.q, self.w, self.phi], results, ["q", "w", "phi"], list(outputs))
 
     def at_declared(self, name: str, outputs: tuple[str, ...]) -> ca.Function:
@@ -111,27 +112,29 @@ class Model:
     def evaluate(self, outputs: tuple[str, ...], q: Array, w: Array, phi: Array) -> list[Array]:
         """Outputs at many poses, one array each, poses side by side; q : (n, joints), w : (n, k), phi : (P,) [SI]."""
         mapped = self.shared.mapped(outputs, len(q))
-        return call(mapped, q.T, w.T, phi, frame_numbers(self.arm), phi)
+        return call(mapped, q.T, w.T, phi, self.constants, phi)
 
 
-def frame_numbers(arm: Arm) -> Array:
-    """Nominal base and tool frames as the numbers of `Expressions.frames`, shape (24,)."""
-    return np.concatenate([T[:3].ravel(order="F") for T in (arm.base.T, arm.tool.T)])
+def constants_of(arm: Arm, torque_scale: Array) -> Array:
+    """Numbers of `Expressions.constants`: nominal frames and great torques, shape (24 + n,).
+
+    The frames are T_M0 and T_nE, their upper three rows column by column. torque_scale : shape (n,) [N m or N], which
+    only effects look at
+    """
+    return np.concatenate([*(T[:3].ravel(order="F") for T in (arm.base.T, arm.tool.T)), torque_scale])
 
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """What a model is composed of; robots that differ only in numbers which enter as parameters or frames are equal.
+    """What a model is composed of; robots that differ only in numbers which enter as parameters or constants are equal.
 
     conditions : names of the logged columns that it uses
-    torque_scale : shape (n,) [N m or N], empty without effects, for which alone it is
     """
 
     arm: Arm
     parameters: Parameters
     effects: tuple[Effect, ...]
     conditions: tuple[str, ...]
-    torque_scale: Array
 
     @cached_property
     def key(self) -> tuple[object, ...]:
@@ -146,7 +149,7 @@ class Structure:
         gravity = (*arm.gravity, arm.gravity_frame)
         return (
             joints, sides, loops, payload, gravity, arm.base.unknown, arm.tool.unknown, self.conditions,
-            self.parameters.names, self.effects, *self.torque_scale,
+            self.parameters.names, self.effects,
         )  # fmt: skip
 
     def __hash__(self) -> int:
@@ -168,14 +171,14 @@ def expressions(structure: Structure, fixed_loads: bool = False) -> Expressions:
     w = ca.SX.sym("w", len(structure.conditions))
     phi = ca.SX.sym("phi", len(names))
     loaded = ca.SX.sym("loaded", len(names))
-    frames = ca.SX.sym("frames", 24)
+    constants = ca.SX.sym("constants", 24 + arm.n)
     last_row = ca.DM([[0, 0, 0, 1]])
-    base, tool = (ca.vertcat(ca.reshape(frames[k : k + 12], 3, 4), last_row) for k in (0, 12))
+    base, tool = (ca.vertcat(ca.reshape(constants[k : k + 12], 3, 4), last_row) for k in (0, 12))
     values: dict[str, Symbolic] = dict(zip(names, ca.vertsplit(phi), strict=True))
     conditions = dict(zip(structure.conditions, ca.vertsplit(w) if structure.conditions else [], strict=True))
 
     at = dict(zip(names, ca.vertsplit(loaded), strict=True)) if fixed_loads else values
-    unloaded = replace(rigid_context(arm, structure.torque_scale, q, conditions, at, base), values=values)
+    unloaded = replace(rigid_context(arm, constants[24:], q, conditions, at, base), values=values)
     tau = gravity_torques(unloaded, sum(e.energy(unloaded) for e in effects))
     context = replace(unloaded, torque=tau)
     factors = [base_frame(arm, values, base), *_to_tool(arm, effects, tool, context)]
@@ -184,18 +187,21 @@ def expressions(structure: Structure, fixed_loads: bool = False) -> Expressions:
         point = effect.measurement(point, context)
     margin = ca.vertcat(*loop_margins(arm, ca.vertsplit(q), values)) if arm.loops else ca.SX.zeros(0)
     outputs = (ca.SX(point), ca.SX(T_ME[:3, :3]), ca.SX(tau), ca.SX(margin))
-    return Expressions(q, w, phi, frames, loaded, *outputs, functions={})
+    return Expressions(q, w, phi, constants, loaded, *outputs, functions={})
 
 
 def rigid_context(
     arm: Arm,
-    torque_scale: Array,
+    torque_scale: Symbolic,
     q: Symbolic,
     conditions: Mapping[str, Symbolic],
     values: Mapping[str, Symbolic],
     base: Symbolic,
 ) -> Context:
-    """What an effect may look at before there are torques; base : nominal T_M0, shape (4, 4) [m]."""
+    """What an effect may look at before there are torques.
+
+    torque_scale : shape (n,) [N m or N]; base : nominal T_M0, shape (4, 4) [m]
+    """
     gravity = gravity_in_base(arm, base_frame(arm, values, base))
     rigid = link_frames(arm, ca.vertsplit(q), values)
     return Context(arm, torque_scale, q, conditions, values, rigid, gravity)

@@ -21,7 +21,7 @@ from casadical.core.parts import FourBar, Joint
 from casadical.core.transforms import frame, small_frame, to_rpy
 from casadical.effects import Effect
 from casadical.robot.knowledge import Knowledge
-from casadical.robot.model import Model, Structure, expressions
+from casadical.robot.model import Model, Structure, constants_of, expressions
 from casadical.robot.parameter_list import SIX, bar_names, parameters_of
 
 # Share of the greatest torque for which the smallest gear of a robot is made.
@@ -82,20 +82,25 @@ class Robot(Arm):
         bare = self.with_only(())
         lower, upper = np.array([(j.lower, j.upper) for j in self.joints]).T
         q = np.random.default_rng(0).uniform(lower, upper, (512, self.n))
-        tau = np.abs(bare.torque.map(512)(q.T, bare.parameters.values).full())
+        w = np.tile(bare.declared, (len(q), 1))
+        tau = np.abs(bare.model.evaluate(("tau",), q, w, bare.parameters.values)[0])
         great = np.nanquantile(tau, 0.95, axis=1)
         return np.asarray(np.maximum(great, SMALLEST_GEAR * max(1e-9, float(np.nanmax(great)))))
 
     @cached_property
     def model(self) -> Model:
         """The symbolic model and its CasADi functions."""
-        return Model(self, self.declared, expressions(self.structure))
+        return Model(self, self.declared, self.constants, expressions(self.structure))
 
     @cached_property
     def structure(self) -> Structure:
         """What the symbolic model is composed of."""
-        scale = self.torque_scale if self.effects else np.zeros(0)
-        return Structure(self, self.parameters, self.effects, self.conditions, scale)
+        return Structure(self, self.parameters, self.effects, self.conditions)
+
+    @cached_property
+    def constants(self) -> Array:
+        """Numbers of the model that are no parameters, shape (24 + n,) (see `constants_of`)."""
+        return constants_of(self, self.torque_scale if self.effects else np.zeros(self.n))
 
     @cached_property
     def position(self) -> ca.Function:

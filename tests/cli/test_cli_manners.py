@@ -152,3 +152,18 @@ def test_progress_is_shown_on_a_terminal_and_nowhere_else() -> None:
     assert done.stderr == ""
     assert "iteration" not in done.stdout
     assert on_terminal("calibrate", "problems/planar", "--quiet") == ("", "")
+
+
+def test_linear_algebra_has_one_thread_unless_the_environment_says_how_many() -> None:
+    code = (
+        "import os, sys; from casadical import cli; assert 'numpy' not in sys.modules\n"
+        "sys.argv = ['casadical', '--help']\n"
+        "try: cli.main()\n"
+        "except SystemExit: print(os.environ['OMP_NUM_THREADS'], os.environ.get('OPENBLAS_NUM_THREADS'))"
+    )
+    bare = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
+    for given, expected in (({}, "1 1"), ({"OMP_NUM_THREADS": "3"}, "3 None")):
+        run = subprocess.run(
+            [sys.executable, "-c", code], env={**bare, **given}, capture_output=True, text=True, check=True
+        )
+        assert run.stdout.splitlines()[-1] == expected
