@@ -17,7 +17,7 @@ VENV = "python3 -m venv .venv && .venv/bin/pip install "
 def test_the_two_commands_are_whole() -> None:
     calibrate, tests = (block.strip() for block in fenced(README, "sh"))
     assert calibrate.startswith(f"{VENV}. && .venv/bin/casadical calibrate ")
-    assert tests == f"{VENV}-e '.[dev]' && .venv/bin/python -m pytest"
+    assert tests == f"{VENV}-e '.[dev]' && .venv/bin/python -m pytest -n auto"
 
 
 def test_the_calibrate_command_runs() -> None:

@@ -1,0 +1,56 @@
+"""The command that says which tests a change touches."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+from affected import affected, own_tests
+from repository import ROOT
+
+
+@pytest.mark.parametrize(
+    ("path", "wanted"),
+    [
+        ("casadical/effects/backlash.py", ["tests/effects"]),
+        ("casadical/export/c/write.py", ["tests/export/c"]),
+        ("casadical/measurements/kinds/contact.py", ["tests/measurements"]),
+        ("tests/cli/test_cli.py", ["tests/cli/test_cli.py"]),
+        ("tests/effects/bench.py", ["tests/effects"]),
+        ("tests/conftest.py", ["tests"]),
+        ("casadical/__init__.py", ["tests"]),
+        ("docs/plan.md", ["tests/docs"]),
+        ("LICENSE", []),
+    ],
+)
+def test_a_file_has_the_own_tests_its_folder(path: str, wanted: list[str]) -> None:
+    assert own_tests(path) == wanted
+
+
+def test_every_room_of_the_package_has_tests() -> None:
+    rooms = {path.parent.name for path in (ROOT / "casadical").glob("*/__init__.py")}
+    assert len(rooms) > 10
+    assert [room for room in rooms if own_tests(f"casadical/{room}/new.py") != [f"tests/{room}"]] == []
+
+
+def test_rooms_above_are_those_that_import_it() -> None:
+    assert affected(["casadical/pose_selection/plan.py"], above=True) == [
+        f"tests/{room}" for room in ("cli", "diagnosis", "house", "pose_selection", "project")
+    ]
+
+
+def test_nothing_is_named_twice_and_nothing_that_is_gone() -> None:
+    assert affected(["tests/cli/test_gone.py", "tests/cli/helper.py", "tests/cli/test_cli.py"]) == [
+        "tests/cli",
+        "tests/house",
+    ]
+    assert affected(["pyproject.toml", "casadical/core/errors.py"]) == ["tests"]
+
+
+def test_the_command_prints_paths() -> None:
+    command = [sys.executable, "tests/affected.py", "HEAD"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    printed = done.stdout.split()
+    assert printed
+    assert [path for path in printed if not (ROOT / path).exists()] == []
