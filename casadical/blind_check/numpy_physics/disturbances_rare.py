@@ -116,7 +116,7 @@ class SawtoothRack(_OfReading):
 
     def course(self, stops: Stops) -> Array:
         turns = (2 + round(2 * self.share)) * self.own(stops) / (2 * np.pi) + self.phase
-        return np.subtract(2 * (turns - np.floor(turns)), 1)
+        return np.asarray(2 * (turns - np.floor(turns)) - 1)
 
 
 class SquareCam(_OfReading):
@@ -148,14 +148,14 @@ class StribeckLag(_OfReading):
 
     def course(self, stops: Stops) -> Array:
         way = np.abs(np.diff(self.own(stops), prepend=self.own(stops)[0]))
-        return np.multiply(-stops.approach[:, self.joint - 1], np.exp(-way / (0.3 + 0.5 * self.share)))
+        return np.asarray(-stops.approach[:, self.joint - 1] * np.exp(-way / (0.3 + 0.5 * self.share)))
 
 
 class RunningIn(_OfReading):
     """Grease spreads: the lag behind the last motion fades with time."""
 
     def course(self, stops: Stops) -> Array:
-        return np.multiply(-stops.approach[:, self.joint - 1], np.exp(-stops.progress / (0.1 + 0.3 * self.share)))
+        return np.asarray(-stops.approach[:, self.joint - 1] * np.exp(-stops.progress / (0.1 + 0.3 * self.share)))
 
 
 class LostClamp(_OfReading):
@@ -179,7 +179,7 @@ class WormSlack(_OfLoad):
 
     def course(self, state: State) -> Array:
         load, free = self.load(state), 0.2 + 0.2 * self.share
-        return np.multiply(np.sign(load), 2 * np.maximum(0, np.abs(load) - free))
+        return np.asarray(np.sign(load) * 2 * np.maximum(0, np.abs(load) - free))
 
 
 class RelayMemory(_OfLoad):
@@ -239,7 +239,7 @@ class OpenBolt(_OfLink):
     def course(self, state: State) -> Array:
         _, about = state.axis(self.link)
         moment = np.linalg.norm(state.wrench_beyond(self.link, about)[1], axis=1)
-        return np.multiply(2 / np.ptp(moment), np.maximum(0, moment - _placed(moment, self.share)))
+        return np.asarray(2 / np.ptp(moment) * np.maximum(0, moment - _placed(moment, self.share)))
 
 
 class OilFilm(_OfLink):
@@ -334,7 +334,7 @@ class RangeRipple(Disturbance):
     def measured(self, xyz: Array, stops: Stops, rng: np.random.Generator) -> Array:
         beam = xyz - np.array(self.station_m)
         r = np.linalg.norm(beam, axis=1, keepdims=True)
-        return np.add(xyz, self.size * np.sin((4 + 6 * self.share) * r + 1.0) * beam / r)
+        return np.asarray(xyz + self.size * np.sin((4 + 6 * self.share) * r + 1.0) * beam / r)
 
 
 @dataclass(frozen=True)
