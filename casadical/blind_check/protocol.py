@@ -40,7 +40,7 @@ class _Strict(BaseModel):
 
 
 class CampaignEntry(_Strict):
-    """What everyone knows of a campaign: which robot it is of."""
+    """The public part of a campaign: which robot it is of."""
 
     robot: str
 

@@ -39,7 +39,7 @@ def make_command(
     ] = None,
     n: Annotated[int, typer.Option("--n", "-n", min=4, help="Number of campaigns.")] = 60,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Of everything drawn; default: one that nobody knows, kept in the key.")
+        int | None, typer.Option(min=0, help="Of everything drawn; default: a random one, kept in the key.")
     ] = None,
     poses: Annotated[str, typer.Option(metavar="N,N", help="Poses of a campaign, one of these.")] = "40,100,200",
     reality: Annotated[

@@ -10,7 +10,7 @@ from casadical.core.arrays import Array
 
 @dataclass(frozen=True)
 class Errors:
-    """Figures of the error lengths of a set of poses [mm]; the standard deviation is taken about their mean (1/n)."""
+    """Figures of the error lengths of a set of poses [mm]; the standard deviation is the sample's (n - 1)."""
 
     poses: int
     mean_mm: float
@@ -21,7 +21,8 @@ class Errors:
     def of(cls, errors_mm: Array) -> Self:
         """Summarise error vectors, shape (n, outputs) [mm]."""
         length = np.linalg.norm(errors_mm, axis=1)
-        return cls(len(length), float(length.mean()), float(length.max()), float(length.std()))
+        spread = float(length.std(ddof=1)) if len(length) > 1 else 0.0
+        return cls(len(length), float(length.mean()), float(length.max()), spread)
 
 
 @dataclass(frozen=True)

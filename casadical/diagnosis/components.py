@@ -17,7 +17,7 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.noise import Noise
 
-# More poses sharpen the shares no further, and cost the third power of their number.
+# More poses make the shares no more accurate, and cost the third power of their number.
 MOST_POSES = 120
 ROUNDS = 40
 DRAWS = 200

@@ -53,7 +53,7 @@ def conclude(
 
 
 def _final_noise(state: State, end: End) -> Noise:
-    """The noise that the best model in sight leaves, the unknown included."""
+    """The noise that the best model found leaves, the unknown included."""
     last = state.rankings[-1]
     return last.noise["" if end == "none" else last.order[0]]
 

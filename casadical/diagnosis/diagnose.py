@@ -40,7 +40,7 @@ def diagnose(
         identification, whose own measurements are diagnosed unless others of the same robot are given
     m : one set of measured positions; of full poses, the positions are used
     effects : "standard" or "extended", or names (backlash), labels (backlash@5) and own effects
-    seed : of all chance; show : called with a line of progress
+    seed : of everything random; show : called with a line of progress
     bootstrap : draws of noise alone that calibrate whether something is there (2000 take some seconds); 0 for none
     prior : the same robot as another campaign found it, whose effects are in the base model with their values and
         covariance as a prior; what changed is found first (`Diagnosis.changes`). Or as of `carry_over`, with its robot

@@ -44,7 +44,7 @@ class Case:
     given, values : the robot that was given, and its parameters that make it the calibrated one
     candidates : that the logged columns allow; missing : label -> columns that were not logged
     whole : residuals and columns of all poses; kept : mask of those that are no outliers, shape (n,)
-    prior : what is known from another campaign; units : parameters that hang together in it, as sums of independent
+    prior : what is known from another campaign; units : parameters that are correlated in it, as sums of independent
         ones of size one, shape (P, P), or None
     """
 
@@ -68,7 +68,7 @@ class Case:
     def prior_parts(self, prior: Prior) -> tuple[Array, Array, list[tuple[Array, Array]]]:
         """Mean less present values and one sigma of the base model's parameters, shapes (P,) [SI], with a prior.
 
-        And the covariances of the known effects' parameters that hang together, each with its places.
+        And the covariances of the known effects' parameters that are correlated, each with its places.
         """
         mean, sigma = self.whole.delta0.copy(), self.whole.prior.copy()
         places = {name: k for k, name in enumerate(self.given.parameters.names)}

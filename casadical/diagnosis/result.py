@@ -101,7 +101,7 @@ class Diagnosis:
     replicates : scatter of repeated poses, of which there may be none
     rankings : what each step saw; outliers : poses that were left out
     missing : label -> columns that would be needed to judge it
-    case, identification : what it was computed from; seed : of all chance
+    case, identification : what it was computed from; seed : of everything random
     prior : what another campaign told, before these data, or None; changes : what of it changed
     p_nothing : how often noise alone would look as much like some cause; None without a bootstrap
 

@@ -7,6 +7,7 @@ other and its marginal likelihood competes with those of named causes on equal t
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import combinations
+from typing import ClassVar
 
 import casadi as ca
 
@@ -19,10 +20,25 @@ SIZE_LENGTH = 30e-6
 
 
 @dataclass(frozen=True)
-class _Series(Effect):
+class _Smooth(Effect):
+    on_list = "unknown"
+    # Its label, with the places of settings in it.
+    words: ClassVar[str] = ""
+
+    @property
+    def label(self) -> str:
+        return self.words.format(**vars(self))
+
+
+@dataclass(frozen=True)
+class _Series(_Smooth):
     """Errors of all joint variables as a series; `terms` gives its functions and their share of the size."""
 
     moved: int = 6
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(None, arm.n),)
 
     def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
         raise NotImplementedError
@@ -45,15 +61,11 @@ class SmoothInJoint(_Series):
     driver: int = setting(1, joint=True)
 
     name = "unknown_in_joint"
-    on_list = "unknown"
+    words = "smooth in q{driver}"
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
         return (cls(None, arm.n, i) for i in arm.numbers)
-
-    @property
-    def label(self) -> str:
-        return f"smooth in q{self.driver}"
 
     def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
         q = context.q[self.driver - 1] if context else 0.0
@@ -61,21 +73,17 @@ class SmoothInJoint(_Series):
 
 
 @dataclass(frozen=True)
-class AnyOfOwnAngle(Effect):
+class AnyOfOwnAngle(_Smooth):
     """An error of one joint that is any function of its own angle, as a damaged tooth or a stained disc gives."""
 
     orders: int = 12
 
     name = "unknown_of_own_angle"
-    on_list = "unknown"
+    words = "any function of q{joint} in joint {joint}"
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
         return (cls(j) for j in arm.revolute)
-
-    @property
-    def label(self) -> str:
-        return f"any function of q{self.joint} in joint {self.joint}"
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {f"{n}{h}": (SIZE, "rad") for h in range(1, self.orders + 1) for n in "sc"}
@@ -93,15 +101,11 @@ class SmoothInJoints(_Series):
     second: int = setting(2, joint=True)
 
     name = "unknown_in_joints"
-    on_list = "unknown"
+    words = "smooth in q{first} and q{second}"
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
         return (cls(None, arm.n, i, j) for i, j in combinations(arm.numbers, 2))
-
-    @property
-    def label(self) -> str:
-        return f"smooth in q{self.first} and q{self.second}"
 
     def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
         a, b = (context.q[self.first - 1], context.q[self.second - 1]) if context else (0.0, 0.0)
@@ -114,15 +118,7 @@ class SmoothInTime(_Series):
     """A smooth function of time, of the joints, the measuring frame and the tool."""
 
     name = "unknown_in_time"
-    on_list = "unknown"
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        return (cls(None, arm.n),)
-
-    @property
-    def label(self) -> str:
-        return "smooth in time"
+    words = "smooth in time"
 
     @property
     def conditions(self) -> tuple[str, ...]:
@@ -152,21 +148,17 @@ class SmoothInTime(_Series):
 
 
 @dataclass(frozen=True)
-class SmoothInSpace(Effect):
+class SmoothInSpace(_Smooth):
     """A quadratic distortion of the measuring space, as an instrument's scale or refraction error gives."""
 
     reach: float = 2.0
 
     name = "unknown_in_space"
-    on_list = "unknown"
+    words = "smooth in the measured space"
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
         return (cls(None, max(arm.reach, 0.1)),)
-
-    @property
-    def label(self) -> str:
-        return "smooth in the measured space"
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         products = [a + b for k, a in enumerate("xyz") for b in "xyz"[k:]]
@@ -190,15 +182,7 @@ class SmoothInLoad(_Series):
     """Errors of all joints that follow the direction of gravity in the flange and the approach directions."""
 
     name = "unknown_in_load"
-    on_list = "unknown"
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        return (cls(None, arm.n),)
-
-    @property
-    def label(self) -> str:
-        return "smooth in load and approach"
+    words = "smooth in load and approach"
 
     @property
     def conditions(self) -> tuple[str, ...]:

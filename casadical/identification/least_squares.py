@@ -56,7 +56,7 @@ class LeastSquares:
     """One identification problem; see the module's text.
 
     names : parameters that are variables; sigmas : of one coordinate [m] and angle [rad], for each set
-    known : priors that hang together: names and their covariance [SI]; their means are those of `priors`
+    known : correlated priors: names and their covariance [SI]; their means are those of `priors`
     priors : whether the robot's own priors hold the variables back, or name -> (mean, one sigma) [SI] of other priors
     fixed_loads : whether gravity torques are those of the nominal geometry (see `Model`)
     """

@@ -25,7 +25,7 @@ def place_frames(robot: Robot, m: Measurements) -> Robot:
     known = None if robot.tool.unknown != "none" else robot.tool.T[:3, 3]
     compliant = robot.gravity_frame == "measuring" and any(j.compliance for j in robot.joints)
     T_M0, t = robot.base.T, robot.tool.T[:3, 3]
-    for _ in range(3 if compliant else 1):  # a compliant arm hangs by where gravity points in its base
+    for _ in range(3 if compliant else 1):  # how a compliant arm is deflected depends on gravity in its base frame
         p, R = _flange(robot, m, T_M0)
         T_M0, t = _solve(p, R, m.position, known)
     turn = robot.tool.T[:3, :3]

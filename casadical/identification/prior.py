@@ -32,7 +32,7 @@ class Prior:
     """Of parameters that are known from elsewhere.
 
     free : names of all parameters that it is about, which an identification frees
-    means : name -> (mean, one sigma) [SI]; known : names and covariances [SI] of those that hang together
+    means : name -> (mean, one sigma) [SI]; known : names and covariances [SI] of those that are correlated
     labels : of the effects that were carried over; knowledge : of the campaign that they come from
     frozen : whether they are held at their values (then there is nothing in free, means and known)
     """

@@ -28,7 +28,7 @@ Loss = Literal["linear", "huber", "soft_l1"]
 LOSSES: tuple[Loss, ...] = ("linear", "huber", "soft_l1")
 POINT_SCALE = 1e-3
 CHUNK = 512
-# From this many poses on, a C compiler pays for itself.
+# From this many poses on, compiling saves more time than it takes.
 COMPILE_FROM = 2000
 
 # Square of the normalised residual at which a robust loss leaves the parabola: the 95 % quantile of a chi-squared

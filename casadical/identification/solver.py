@@ -12,7 +12,7 @@ from casadical.core.errors import ConvergenceError
 
 Progress = Callable[[int, float], None]
 
-# At 1e-8 Ipopt reaches the optimum and then burns iterations at round-off level in its line search.
+# At 1e-8 Ipopt reaches the optimum and then spends iterations at round-off level in its line search.
 TOLERANCE = 1e-6
 MAX_ITERATIONS = 200
 

@@ -22,6 +22,8 @@ _APPROACH = re.compile(r"approach\d+")
 _STEPS = 200
 # After a campaign, an arm is warmed up by at least so much [K] where a column follows the temperature.
 RISE_K = 5.0
+# How often as many readings as are wanted are drawn before it is given up.
+ATTEMPTS = 100
 
 
 @dataclass(frozen=True)
@@ -94,36 +96,27 @@ def expected(robot: Robot, q: Array, conditions: Mapping[str, Array], source: st
     return replace(m, position=predicted(robot, m)[0])
 
 
-def draw(robot: Robot, count: int, workspace: Workspace, rng: np.random.Generator) -> Array:
-    """Readings that the workspace allows, shape (count, joints): every other one drawn towards the joints' ends.
+def draw(robot: Robot, count: int, workspace: Workspace, rng: np.random.Generator, *, to_ends: bool = False) -> Array:
+    """Readings that the workspace allows, shape (count, joints), drawn evenly.
 
-    Good poses often lie there. Raises InputError where hardly any reading is allowed.
+    to_ends : every other one rather towards the joints' ends, where good poses often lie
+    Raises InputError where hardly any reading is allowed.
     """
     lower, upper = workspace.ranges(robot)
     kept = np.empty((0, robot.n))
-    for _ in range(50):
+    for _ in range(ATTEMPTS):
         share = rng.uniform(size=(count, robot.n))
-        share[::2] = 0.5 - 0.5 * np.cos(np.pi * share[::2])
+        if to_ends:
+            share[::2] = 0.5 - 0.5 * np.cos(np.pi * share[::2])
         q = lower + (upper - lower) * share
         kept = np.concatenate([kept, q[workspace.allows(robot, q)]])[:count]
         if len(kept) == count:
             return kept
     refused = {reason: int(mask.sum()) for reason, mask in workspace.refusals(robot, q).items()}
     raise InputError(
-        f"only {len(kept)} of {50 * count} readings drawn are allowed; of the last {count} were refused: "
+        f"only {len(kept)} of {ATTEMPTS * count} readings drawn are allowed; of the last {count} were refused: "
         f"{', '.join(f'{reason} {number}' for reason, number in refused.items())}; widen the tightest of these"
     )
-
-
-def draw_uniform(robot: Robot, count: int, workspace: Workspace, rng: np.random.Generator) -> Array:
-    """Readings that the workspace allows, shape (count, joints), drawn evenly. Raises InputError."""
-    lower, upper = workspace.ranges(robot)
-    kept = np.empty((0, robot.n))
-    for _ in range(100):
-        kept = np.concatenate([kept, _allowed(robot, count, workspace, lower, upper, rng)])[:count]
-        if len(kept) == count:
-            return kept
-    raise InputError(f"only {len(kept)} of {100 * count} readings drawn are allowed by the workspace; widen it")
 
 
 def _allowed(

@@ -11,7 +11,7 @@ from casadical.identification.identifiability import Unidentifiable
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
-from casadical.pose_selection.candidates import Candidates, Circumstances, candidates_at, draw, draw_uniform
+from casadical.pose_selection.candidates import Candidates, Circumstances, candidates_at, draw
 from casadical.pose_selection.criteria import Criterion, checked
 from casadical.pose_selection.experimental_design import Design, Determinant, Linear, Spectral, inverse
 from casadical.pose_selection.information import independent, noise_covariance, scaled_jacobian, whitened
@@ -91,7 +91,11 @@ def prepare(
     criterion = checked(criterion)
     words = ("kinematic", "compliance", *(e.label for e in robot.effects)) if free is None else tuple(free)
     wanted = robot.parameters.select(words)
-    q = draw(robot, pool, workspace, rng) if candidates is None else _allowed(robot, candidates, workspace)
+    q = (
+        draw(robot, pool, workspace, rng, to_ends=True)
+        if candidates is None
+        else _allowed(robot, candidates, workspace)
+    )
     ready = candidates_at(robot, q, circumstances, n, rng)
     m = ready.measurements(robot)
     if measured is not None:
@@ -103,7 +107,7 @@ def prepare(
             f"{total} poses give {3 * total} numbers, but {len(names)} parameters are to be identified; "
             f"at least {-(-len(names) // 3)} poses are needed, and some more to estimate their accuracy"
         )
-    task_q = draw_uniform(robot, TASK_POSES, workspace, rng) if task is None else np.atleast_2d(task)
+    task_q = draw(robot, TASK_POSES, workspace, rng) if task is None else np.atleast_2d(task)
     one = replace(circumstances, every_payload=False, both_approaches=False, repeats=1)
     goal = candidates_at(robot, task_q, one, n, rng).measurements(robot, "task")
     p = len(names)

@@ -1,6 +1,5 @@
 """The accuracy of a calibration, as tables and sentences."""
 
-import math
 from collections.abc import Iterator, Mapping
 
 from casadical.core.blocks import Table, Words, mm
@@ -117,7 +116,5 @@ def _beside(
         found = c and (c.training if name == "calibration" else c.validation)
         if found:
             e = found.after
-            # A compensator's own figures divide by n.
-            sample = math.sqrt(e.poses / max(e.poses - 1, 1))
             of_set = "train" if name == "calibration" else base
-            yield result.method, of_set, (e.mean_mm, e.max_mm, sample * e.std_mm)
+            yield result.method, of_set, (e.mean_mm, e.max_mm, e.std_mm)

@@ -38,7 +38,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Tile:
-    """A figure to be seen at first glance."""
+    """A main figure, shown large at the top of a part."""
 
     label: str
     value: str

@@ -64,7 +64,7 @@ def campaign_files(folder: Path, campaigns: Sequence[Path]) -> list[Path]:
 
 
 def _short(path: Path) -> str:
-    """Without the detours of "..", relative to where the command runs if it is beneath."""
+    """Resolved, without ".."; relative to the working directory if it is below it."""
     whole = path.resolve()
     return str(whole.relative_to(Path.cwd()) if whole.is_relative_to(Path.cwd()) else whole)
 

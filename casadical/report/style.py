@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 else:
     Figure = Any
 
-# Role: light, dark. The methods' hues are those of Okabe and Ito (2008), shifted to be read on either ground.
+# Role: light, dark. The methods' colours are those of Okabe and Ito (2008), shifted to be read on either ground.
 COLOURS: dict[str, tuple[str, str]] = {
     "paper": ("#ffffff", "#171c23"),
     "ink": ("#1c2530", "#e4e9ef"),
@@ -65,12 +65,12 @@ def style(model: str) -> tuple[str, str, str]:
 
 
 def plain(text: object) -> str:
-    """A user's text inside of a figure, where some HTML would be obeyed."""
+    """A user's text inside of a figure, which would take some HTML as such."""
     return html.escape(str(text), quote=False)
 
 
 def new_figure(title: str, x: str = "", y: str = "", height: int = 360, **layout: Any) -> Figure:
-    """An empty figure in the house's look; x, y : what the axes show, with units."""
+    """An empty figure in the common style; x, y : what the axes show, with units."""
     figure = plotly().Figure()
     axis = {
         "gridcolor": GRID,

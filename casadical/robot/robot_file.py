@@ -288,37 +288,27 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
     document = tomlkit.document()
     for line in comment.splitlines():
         document.add(tomlkit.comment(line))
-    document.add("casadical", tomlkit.item(2 if more else 1))
-    if more:
-        document.add("written_by", tomlkit.item(f"casadical {__version__}"))
-    document.add("name", tomlkit.item(robot.name))
-    if robot.notes:
-        document.add("notes", tomlkit.item(list(robot.notes)))
-    document.add("base", tomlkit.item(_frame_table(robot.base)))
-    document.add("tool", tomlkit.item(_frame_table(robot.tool)))
-    document.add(
-        "gravity", tomlkit.item({"frame": robot.gravity_frame, "vector_m_per_s2": [float(g) for g in robot.gravity]})
-    )
-    if robot.payload:
-        document.add("payload", tomlkit.item(_body_table(robot.payload)))
-    document.add("width", tomlkit.item(_width_tables(robot)))
-    rows = tomlkit.aot()
-    for joint in robot.joints:
-        rows.append(tomlkit.item(_joint_table(joint)))
-    document.add("joint", rows)
-    if robot.loops:
-        loops = tomlkit.aot()
-        for loop in robot.loops:
-            loops.append(tomlkit.item(_loop_table(loop)))
-        document.add("four_bar", loops)
+    tables = {
+        "casadical": 2 if more else 1,
+        "written_by": f"casadical {__version__}" if more else None,
+        "name": robot.name,
+        "notes": list(robot.notes) or None,
+        "base": _frame_table(robot.base),
+        "tool": _frame_table(robot.tool),
+        "gravity": {"frame": robot.gravity_frame, "vector_m_per_s2": [float(g) for g in robot.gravity]},
+        "payload": _body_table(robot.payload) if robot.payload else None,
+        "width": _width_tables(robot),
+        "joint": [_joint_table(joint) for joint in robot.joints],
+        "four_bar": [_loop_table(loop) for loop in robot.loops] or None,
+    }
+    document.update({key: value for key, value in tables.items() if value is not None})
     text = tomlkit.dumps(document)
     if not more:
         return text
     known = robot.knowledge
     if known:  # of parameters that it had before a change, nothing is kept
         known = known.without(set(known.std_errors) - set(robot.parameters.names))
-    tables = text_of(robot, robot.effects, robot.effect_values, known)
-    return "\n".join([text.rstrip("\n"), *tables, ""])
+    return "\n".join([text.rstrip("\n"), *text_of(robot, robot.effects, robot.effect_values, known), ""])
 
 
 def _mm(value: float) -> float:

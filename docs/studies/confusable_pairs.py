@@ -28,7 +28,7 @@ from casadical.diagnosis.thresholds import CLAIM, detection
 from casadical.identification.identification import identify
 from casadical.measurements.reading import from_table
 from casadical.pose_selection import Workspace
-from casadical.pose_selection.candidates import draw_uniform
+from casadical.pose_selection.candidates import draw
 from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]
@@ -104,7 +104,7 @@ def poor_campaign(robot, pair, n, rng):
     lower, upper = (np.array([getattr(j, side) for j in robot.joints]) for side in ("lower", "upper"))
     for joint, (low, high) in pair.ranges.items():
         lower[joint - 1], upper[joint - 1] = np.deg2rad([low, high])
-    q = np.rad2deg(draw_uniform(robot, n, Workspace(lower, upper), rng))
+    q = np.rad2deg(draw(robot, n, Workspace(lower, upper), rng))
     kg = robot.payload.mass * np.array(pair.payloads)[np.arange(n) * 2 * len(pair.payloads) // n % len(pair.payloads)]
     degC = COLD + pair.rise * -np.expm1(-30.0 * np.arange(1, n + 1) / 1200.0)
     return table_of(q, degC, kg, rng.choice([-1, 1], (n, 6)))
@@ -133,7 +133,7 @@ def chosen(case, ranking, pair, first, seed, rng):
 
 def drawn(robot, first, rng):
     """At random over the robot's ranges, payloads, approaches and states."""
-    q = np.rad2deg(draw_uniform(robot, MORE, Workspace(), rng))
+    q = np.rad2deg(draw(robot, MORE, Workspace(), rng))
     kg = rng.choice([0.0, robot.payload.mass], MORE)
     return later(first, q, rng.random(MORE) < 0.5, kg, rng.choice([-1, 1], (MORE, 6)))
 

@@ -19,7 +19,7 @@ from casadical import identify, read_robot
 from casadical.blind_check.numpy_physics import Plant, campaign, perturb
 from casadical.measurements.reading import from_table
 from casadical.pose_selection import Box, Noise, Tracker, Workspace, forecast, select_poses
-from casadical.pose_selection.candidates import draw_uniform, expected
+from casadical.pose_selection.candidates import draw, expected
 from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian, whitened
 
@@ -100,7 +100,7 @@ def identified(robot, m):
 def held_out(robot, plant, q, seed):
     """Root mean square and mean error [m] of a calibration from readings q, at readings that nobody has measured."""
     result = identified(robot, measured(plant, q, seed, robot.payload.mass)[0])
-    test = draw_uniform(robot, HELD_OUT, Workspace(), np.random.default_rng((7, seed)))
+    test = draw(robot, HELD_OUT, Workspace(), np.random.default_rng((7, seed)))
     _, truth = measured(plant, test, seed + 1000, robot.payload.mass)
     p, _ = result.predict(test)
     error = np.linalg.norm(p - truth, axis=1)
@@ -158,7 +158,7 @@ def by_formula(name, robot, _plant):
         bound = bound or least_variance(robot, chosen.names, chosen.task)
         least = 1e-3 * np.sqrt(bound / n)
         rng = np.random.default_rng(4)
-        random = np.mean([accuracy_of(chosen, draw_uniform(robot, n, Workspace(), rng)) for _ in range(50)])
+        random = np.mean([accuracy_of(chosen, draw(robot, n, Workspace(), rng)) for _ in range(50)])
         print(
             f"{name:6s} {n:4d}  {1e3 * random:.4f}  {1e3 * chosen.accuracy:.4f} {1 - chosen.accuracy / random:6.1%}  "
             f"{1e3 * least:.4f}   {1 - least / random:6.1%}",
@@ -187,7 +187,7 @@ def compare(robot, plant, q, room):
     errors = {"random": [], "V": []}
     for k in range(CAMPAIGNS):
         real = perturb(plant, 100 + k)
-        by_chance = draw_uniform(robot, len(q), room, np.random.default_rng((3, len(q), k)))
+        by_chance = draw(robot, len(q), room, np.random.default_rng((3, len(q), k)))
         errors["random"].append(held_out(robot, real, by_chance, k))
         errors["V"].append(held_out(robot, real, q, k))
     wins = np.mean(np.less(errors["V"], errors["random"])[:, 0])
@@ -206,7 +206,7 @@ def in_a_room(name, robot, plant):
         floor=-0.1 * reach, boxes=(Box(np.array([-2.0, -2.0, -0.2]) * reach, np.array([-0.3, 2.0, 1.0]) * reach),),
         tracker=Tracker(np.array([2.5, 0.0, 0.4]) * reach, np.array([0.0, 0.0, 0.3]) * reach, np.deg2rad(20)),
     )  # fmt: skip
-    everywhere = draw_uniform(robot, 300, Workspace(), np.random.default_rng(6))
+    everywhere = draw(robot, 300, Workspace(), np.random.default_rng(6))
     for n in SIZES:
         chosen = select_poses(robot, room, n, "V", task=everywhere, noise=NOISE)
         errors, wins = compare(robot, plant, chosen.q, room)
@@ -231,7 +231,7 @@ def standard_errors(name, robot, plant):
     kept = [k for k, n in enumerate(chosen.names) if not n.startswith("base_")]
     values = np.array([[r.robot.parameters[chosen.names[k]].value for k in kept] for r in results])
     ratio = values.std(axis=0, ddof=1) / chosen.standard_errors[kept]
-    test = draw_uniform(robot, 300, Workspace(), np.random.default_rng(9))
+    test = draw(robot, 300, Workspace(), np.random.default_rng(9))
     points = np.array([r.predict(test)[0] for r in results])
     realised = np.sqrt(points.var(axis=0, ddof=1).sum(axis=1).mean())
     m = expected(robot, test, {}, "test")

@@ -18,7 +18,7 @@ import numpy as np
 
 from casadical import read_robot
 from casadical.pose_selection import Noise, Workspace, observability, select_poses
-from casadical.pose_selection.candidates import draw_uniform, expected
+from casadical.pose_selection.candidates import draw, expected
 from casadical.pose_selection.information import independent, scaled_jacobian
 
 HERE = Path(__file__).parent
@@ -72,7 +72,7 @@ def ours(robot, among, n, min_distance=0.0):
 
 
 def compare(name, robot, python):
-    q = draw_uniform(robot, POOL, Workspace(), np.random.default_rng(1))
+    q = draw(robot, POOL, Workspace(), np.random.default_rng(1))
     m = expected(robot, q, {}, "pool")
     names, _ = independent(robot, robot.parameters.select(["kinematic", "compliance"]), m, 50, NOISE)
     J = scaled_jacobian(robot, names, m)

@@ -46,7 +46,7 @@ def test_helps_on_a_smooth_residual_and_its_figures_are_true(helping):
     for data, row in ((smooth(50, 0), helping.training), (smooth(300, 1), helping.validation)):
         length = np.linalg.norm(data[1] - helping.correction_mm(data[0]), axis=1)
         figures = (row.after.mean_mm, row.after.max_mm, row.after.std_mm)
-        assert figures == pytest.approx((length.mean(), length.max(), length.std()), rel=1e-12)
+        assert figures == pytest.approx((length.mean(), length.max(), length.std(ddof=1)), rel=1e-12)
     assert helping.validation.after.mean_mm < 0.6 * helping.validation.before.mean_mm
 
 

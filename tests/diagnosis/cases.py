@@ -68,9 +68,11 @@ def plant(r: Robot) -> Plant:
     )
 
 
-def simulated(name: str, seed: int, *disturbances: Disturbance, n: int = 100, drop: tuple[str, ...] = ()):
+def simulated(
+    name: str, seed: int, *disturbances: Disturbance, n: int = 100, drop: tuple[str, ...] = (), noise_mm: float = 0.015
+):
     """A campaign of a serial robot from the simulator, as measurements; drop : columns that were not logged."""
-    table = campaign(perturb(plant(robot(name)), seed), n, seed, disturbances=disturbances, noise_mm=0.015)
+    table = campaign(perturb(plant(robot(name)), seed), n, seed, disturbances=disturbances, noise_mm=noise_mm)
     return from_table(table.drop(columns=[c for c in table if c.startswith(drop)] if drop else []), 6)
 
 

@@ -18,7 +18,7 @@ from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table
 from casadical.pose_selection import Workspace
-from casadical.pose_selection.candidates import draw_uniform, later_poses
+from casadical.pose_selection.candidates import draw, later_poses
 
 EFFECTS = ("nonlinear_stiffness@2", "backlash@2", "gear_eccentricity@2", "frame_drift", "thermal_growth")
 
@@ -104,7 +104,7 @@ def poor():
     """A campaign without payload, joint 1 in a small range, approached from one side, the arm hardly warm."""
     rng = np.random.default_rng(3)
     r = robot("ur10e")
-    q = draw_uniform(r, 40, Workspace(*np.deg2rad([[-30, -170, -90, -90, -90, -90], [30, -20, 90, 90, 90, 90]])), rng)
+    q = draw(r, 40, Workspace(*np.deg2rad([[-30, -170, -90, -90, -90, -90], [30, -20, 90, 90, 90, 90]])), rng)
     columns = {f"approach{j}": np.ones(40) for j in range(1, 7)}
     columns |= {"payload_kg": np.zeros(40), "time_s": 30.0 * np.arange(40), "temperature_degC": np.linspace(20, 21, 40)}
     m = Measurements(q=q, kind="position", position=np.zeros((40, 3)), conditions=columns)

@@ -76,10 +76,17 @@ def test_a_bump_in_a_joints_own_angle_is_unknown_and_its_joint_named(tmp_path: P
     assert np.abs(predicted(read_robot(file), m)[0] - predicted(robot_with, m)[0]).max() < 1e-12
     file.write_text(without[file])
     assert not read_robot(file).effects
-    moved = replace(m, position=m.position + case.whole.Jq[:, :, 2] * bump[:, None])
-    found, unseen = diagnose(r, moved[:75]), moved[75:]
+    wrong = case.whole.Jq[:, :, 2] * bump[:, None]
+    moved = replace(m, position=m.position + wrong)
+    # Judged by the true positions at poses that it has not seen. Noise, alike in both, would hide what is gained: by
+    # measured positions the ratio is .706. (It was .694 before refits weighed each pose by its own covariance; that
+    # made the base model better, 46.1 to 45.3 um, and left the described one as it was, 32.0 um.)
+    exact = simulated("ur10e", 8, noise_mm=0.0)
+    assert exact.position is not None
+    np.testing.assert_array_equal(exact.q, m.q)
+    found, unseen = diagnose(r, moved[:75]), replace(moved, position=exact.position + wrong)[75:]
     base, mapped = (errors(found.apply(unlisted=u), unseen).mean() for u in (None, describe_unlisted(found)))
-    assert mapped < 0.75 * base
+    assert mapped < 0.7 * base
 
 
 @pytest.mark.parametrize(("gain", "verdict"), [(3.0, "unknown"), (-12.0, "explained")])

@@ -11,7 +11,7 @@ import casadical
 from casadical import InputError, identify
 from casadical.effects import Backlash, FrameDrift, PayloadError, ThermalGrowth
 from casadical.pose_selection import Circumstances, Noise, Workspace, forecast, select_poses
-from casadical.pose_selection.candidates import candidates_at, draw_uniform, expected
+from casadical.pose_selection.candidates import candidates_at, draw, expected
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian, whitened
 from casadical.pose_selection.pose_order import distances, travel
 from casadical.pose_selection.stopping_rule import Forecast
@@ -89,9 +89,7 @@ def test_chosen_poses_are_better_than_random_ones_by_their_own_measure(robot, cr
         return {"V": 1 / s.accuracy, "A": 1 / np.trace(s._covariance)}.get(criterion) or s.observability[criterion]
 
     rng = np.random.default_rng(5)
-    random = [
-        replace(found, m=expected(robot, draw_uniform(robot, 20, Workspace(), rng), {}, "random")) for _ in range(20)
-    ]
+    random = [replace(found, m=expected(robot, draw(robot, 20, Workspace(), rng), {}, "random")) for _ in range(20)]
     assert worth(found) > max(worth(s) for s in random)
 
 

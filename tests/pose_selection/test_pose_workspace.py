@@ -8,7 +8,7 @@ from pose_arms import elbow, planar, readings, with_loop
 
 from casadical import InputError
 from casadical.pose_selection import Box, Tracker, Workspace
-from casadical.pose_selection.candidates import draw, draw_uniform
+from casadical.pose_selection.candidates import draw
 from casadical.pose_selection.workspace import _places
 from casadical.pose_selection.workspace_file import read_workspace
 
@@ -87,7 +87,7 @@ def test_a_room_without_a_way_says_what_refuses() -> None:
     with pytest.raises(InputError, match=r"of the last 20 were refused: joint range 0, floor 20"):
         draw(elbow(), 20, Workspace(floor=5.0), np.random.default_rng(0))
     with pytest.raises(InputError, match="widen"):
-        draw_uniform(elbow(), 20, Workspace(floor=5.0), np.random.default_rng(0))
+        draw(elbow(), 20, Workspace(floor=5.0), np.random.default_rng(0), to_ends=True)
     with pytest.raises(InputError, match="needs 6 readings"):
         Workspace(lower=np.zeros(5)).ranges(elbow())
     with pytest.raises(InputError, match="the first below the second"):

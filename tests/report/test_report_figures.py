@@ -158,6 +158,6 @@ def test_without_plotly_the_message_says_what_to_install(monkeypatch) -> None:
     def missing(name: str):
         raise ModuleNotFoundError(f"No module named {name!r}", name=name.partition(".")[0])
 
-    monkeypatch.setattr(libraries.importlib, "import_module", missing)
-    with pytest.raises(InputError, match=r"plotly is not installed; .*pip install 'casadical\[report\]'"):
+    monkeypatch.setattr("casadical.core.errors.importlib.import_module", missing)
+    with pytest.raises(InputError, match=r"plotly and jinja2.*pip install 'casadical\[report\]'"):
         libraries.require()

@@ -37,14 +37,14 @@ FAULTS = {
         {},
         "branches; its ends are b, c; name .* tip_link",
     ),
-    "two roots": (robot(ABC, AB), {}, r"2 links hang on no joint \(a, c\); name one as base_link"),
-    "wrong way": (robot(ABC, AB, BC), {"base_link": "c", "tip_link": "a"}, "'a' does not hang on 'c'"),
+    "two roots": (robot(ABC, AB), {}, r"2 links are below no joint \(a, c\); name one as base_link"),
+    "wrong way": (robot(ABC, AB, BC), {"base_link": "c", "tip_link": "a"}, "'a' is not below 'c'"),
     "closed loop": (
         robot(ABC, AB, BC, joint("j3", "revolute", "a", "c")),
         {},
-        "'c' hangs on two joints, 'j2' and 'j3'",
+        "'c' is below two joints, 'j2' and 'j3'",
     ),
-    "ring": (robot(ABC, AB, joint("j2", "revolute", "b", "a")), {"base_link": "a"}, "'a' hangs on itself"),
+    "ring": (robot(ABC, AB, joint("j2", "revolute", "b", "a")), {"base_link": "a"}, "'a' is below itself"),
     "mimic": (
         robot(ABC, AB, joint("j2", "revolute", "b", "c", extra='<mimic joint="j1"/>')),
         {},

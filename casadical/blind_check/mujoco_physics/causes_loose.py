@@ -6,8 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from casadical.blind_check.mujoco_physics.cause import Cause, JointCause, beam_axes, length_of, triple
-from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Mechanism, X, Y, Z
-from casadical.blind_check.mujoco_physics.robot import SLOW, spring
+from casadical.blind_check.mujoco_physics.mechanism import Body, Mechanism
+from casadical.blind_check.mujoco_physics.robot import SLOW, spring, springs
 from casadical.blind_check.numpy_physics.state import GRAVITY
 from casadical.blind_check.numpy_physics.statics import stretched_moments
 from casadical.blind_check.synthetic.plant import Plant
@@ -20,10 +20,7 @@ class BearingPlay(JointCause):
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
         weight = GRAVITY * (plant.mass[self.joint - 1 :].sum() + plant.payload_kg)
         k = 0.1 * weight / self.size
-        slides = tuple(
-            spring(f"worn{self.joint}_{n}", k, kind="slide", axis=axis, limits=(-self.size, self.size))
-            for n, axis in (("x", X), ("y", Y))
-        )
+        slides = springs(f"worn{self.joint}", k, self.size, "xy", kind="slide")
         name = next(
             j.name for j in mechanism.body(f"link{self.joint}").joints if j.name in (f"joint{self.joint}", "elbow")
         )
@@ -75,10 +72,7 @@ class LooseFlange(Cause):
 
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
         moment = GRAVITY * plant.payload_kg * float(np.linalg.norm(plant.payload_com))
-        hinges = tuple(
-            spring(f"flange_{n}", 0.3 * moment / self.size, axis=axis, limits=(-self.size, self.size))
-            for n, axis in (("x", X), ("y", Y))
-        )
+        hinges = springs("flange", 0.3 * moment / self.size, self.size, "xy")
         tool = mechanism.body("tool")
         return mechanism.with_body(replace(tool, joints=hinges))
 
@@ -98,19 +92,9 @@ class ToolSlip(Cause):
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
         weight = GRAVITY * plant.payload_kg
         k = weight / self.size
-        slides = tuple(
-            Joint(
-                f"plate_{n}",
-                "slide",
-                axis,
-                friction=self.grip * weight,
-                limits=(-self.size, self.size),
-                inertia=10 * k * SLOW**2,  # heavy, for what sticks in the engine creeps the less
-                damping=k * SLOW,
-                keeps=True,
-            )
-            for n, axis in (("x", X), ("y", Y))
-        )
+        heavy = 10 * k * SLOW**2  # for what sticks in the engine creeps the less
+        sticking = {"friction": self.grip * weight, "inertia": heavy, "damping": k * SLOW, "keeps": True}
+        slides = springs("plate", 0.0, self.size, "xy", kind="slide", **sticking)
         tool = mechanism.body("tool")
         return mechanism.with_body(replace(tool, joints=slides))
 
@@ -129,8 +113,5 @@ class LooseCargo(Cause):
         weight = GRAVITY * plant.payload_kg
         slide = self.size * float(plant.stiffness[4]) / weight
         pad = 0.1 * weight / slide
-        slides = tuple(
-            spring(f"cargo_{n}", pad, inertia_of=3 * pad, kind="slide", axis=axis, limits=(-slide, slide))
-            for n, axis in (("x", X), ("y", Y), ("z", Z))
-        )
+        slides = springs("cargo", pad, slide, "xyz", inertia_of=3 * pad, kind="slide")
         return mechanism.with_body(replace(mechanism.body("payload"), joints=slides))

@@ -77,7 +77,7 @@ class BaseCompliance(Cause):
 
 @dataclass(frozen=True)
 class AxisWobble(JointCause):
-    """A joint's turning ring rides on three pads; its track waves ``cycles`` times a turn over two of them.
+    """A joint's turning ring rests on three pads; its track waves ``cycles`` times a turn over two of them.
 
     ``size`` [rad] is about the tilt of the plane through the pads when one of them is on a crest; the ring also shifts
     by up to ``shift_m`` sideways.

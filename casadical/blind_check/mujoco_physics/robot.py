@@ -1,16 +1,18 @@
 """The mechanism of a six-axis robot as built: links on springs, a four-bar of real bodies, the payload as a body."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Loop, Mechanism
+from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Loop, Mechanism, X, Y, Z
 from casadical.blind_check.synthetic.fourbar import close_loop, pivot
 from casadical.blind_check.synthetic.plant import Plant
 from casadical.blind_check.synthetic.rigid import Array, turn
 
 SLOW = 0.1  # s: every spring joint alone would come to rest with this time constant
 NONE = np.zeros(3)
+AXES = {"x": X, "y": Y, "z": Z}
 
 
 def mechanism(plant: Plant) -> Mechanism:
@@ -67,6 +69,12 @@ def spring(name: str, stiffness: float, *, inertia_of: float | None = None, **mo
     k = float(stiffness if inertia_of is None else inertia_of)
     joint = Joint(name, stiffness=float(stiffness), inertia=k * SLOW**2, damping=2 * k * SLOW)
     return replace(joint, **more)  # type: ignore[arg-type]
+
+
+def springs(name: str, stiffness: float, limit: float, axes: str, **more: Any) -> tuple[Joint, ...]:
+    """A joint on a spring for each of the axes ("xy", say), within +-limit [rad or m]; more : as of `spring`."""
+    limits = (-limit, limit)
+    return tuple(spring(f"{name}_{c}", stiffness, axis=AXES[c], limits=limits, **more) for c in axes)
 
 
 def free(name: str, like: float, **more: object) -> Joint:

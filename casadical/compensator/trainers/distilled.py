@@ -14,7 +14,6 @@ from casadical.compensator.task import Task
 from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.gaussian_process import GaussianProcess
 from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt, LmRun
-from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 
 
@@ -35,13 +34,13 @@ class Taught(Trainer):
         if self.lessons < 10:
             raise InputError(f"lessons must be at least 10 poses; got {self.lessons}")
 
-    def begin(self, task: Task, seed: int) -> "TaughtRun":
+    def begin(self, task: Task, seed: int) -> LmRun:
         lessons, note = self._lessons(task, seed)
-        return TaughtRun(self.lm.begin(lessons, seed), note)
+        return self.lm.begin(lessons, seed).noted(note)
 
-    def resume(self, task: Task, seed: int, state: dict[str, Any]) -> "TaughtRun":
+    def resume(self, task: Task, seed: int, state: dict[str, Any]) -> LmRun:
         lessons, note = self._lessons(task, seed)  # the same ones: nothing in it is left to chance
-        return TaughtRun(self.lm.resume(lessons, seed, state["lm"]), note)
+        return self.lm.resume(lessons, seed, state).noted(note)
 
     def _lessons(self, task: Task, seed: int) -> tuple[Task, str]:
         """The task to learn from, and what the process found."""
@@ -58,29 +57,3 @@ class Taught(Trainer):
         return Task(
             task.layout, np.vstack([rows.T, np.full(len(rows), ones[0])]), taught, task.scale_mm, task.loss
         ), note
-
-
-class TaughtRun:
-    """One training; a step is one of Levenberg-Marquardt's on the lessons."""
-
-    def __init__(self, run: LmRun, note: str):
-        self.run, self._note = run, note
-
-    @property
-    def steps(self) -> int:
-        return self.run.steps
-
-    def step(self) -> None:
-        self.run.step()
-
-    def reasons(self) -> tuple[str, ...]:
-        return self.run.reasons()
-
-    def best(self) -> Array:
-        return self.run.best()
-
-    def note(self) -> str:
-        return self._note
-
-    def state(self) -> dict[str, Any]:
-        return {"lm": self.run.state()}

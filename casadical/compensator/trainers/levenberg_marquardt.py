@@ -73,6 +73,7 @@ class LmRun:
         self.folds = min(trainer.folds, task.targets.shape[1])
         self._candidates = trainer.ridges[::-1]
         self.steps, self.level, self.inner = 0, 0, 0
+        self._note = ""
         self.ridge: float | None = trainer.ridges[0] if len(trainer.ridges) == 1 or self.folds < 2 else None
         self.scores: list[float] = []
         self._unit = float(np.mean(np.sum(task.targets**2, axis=0)))
@@ -99,7 +100,14 @@ class LmRun:
     def best(self) -> Array:
         return np.asarray(self.batch.weights[np.argmin(self.batch.cost)])
 
+    def noted(self, text: str) -> Self:
+        """With these words in place of the own `note`."""
+        self._note = text
+        return self
+
     def note(self) -> str:
+        if self._note:
+            return self._note
         if not self.scores:
             return f"ridge {self.ridge:g}, given"
         return f"ridge {self.ridge:g}, chosen by {self.folds}-fold cross-validation from {len(self.scores)} candidates"

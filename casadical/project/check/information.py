@@ -16,7 +16,7 @@ from casadical.identification.least_squares import SIGMA_ANGLE_GUESS, SIGMA_GUES
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection import Workspace, observability
-from casadical.pose_selection.candidates import draw_uniform, expected
+from casadical.pose_selection.candidates import draw, expected
 from casadical.pose_selection.information import MM, scaled_jacobian
 from casadical.robot.robot import Robot
 
@@ -106,6 +106,6 @@ def _scatter(r: Array, J: Array, freedom: int) -> float:
 
 def _accuracy(robot: Robot, names: tuple[str, ...], C: Array, seed: int) -> float:
     """Root mean square position error over the joints' ranges [m]; C : covariance, shape (p, p), units of scale."""
-    q = draw_uniform(robot, TASK_POSES, Workspace(), np.random.default_rng(seed))
+    q = draw(robot, TASK_POSES, Workspace(), np.random.default_rng(seed))
     J = scaled_jacobian(robot, names, expected(robot, q, {}, "task"))
     return MM * float(np.sqrt(np.einsum("kip,pq,kiq->", J, C, J) / len(J)))

@@ -86,7 +86,7 @@ def _median_error(robot: Robot, m: Measurements) -> float:
             e = errors(place_frames(robot, m), m)
         except np.linalg.LinAlgError:
             return np.inf
-    # The median: a few wild readings are outliers, not such a mistake.
+    # The median: a few gross errors are outliers, not such a mistake.
     return float(np.median(e)) if np.isfinite(e).all() else np.inf
 
 

@@ -8,7 +8,7 @@ from casadical.core.arrays import Array
 from casadical.core.transforms import frame, from_rpy
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection import Workspace
-from casadical.pose_selection.candidates import draw_uniform, expected
+from casadical.pose_selection.candidates import draw, expected
 from casadical.robot.robot import Robot
 
 POSES = 60
@@ -23,7 +23,7 @@ def synthetic_poses(robot: Robot, seed: int = 0) -> str:
     """A CSV table of readings and noisy positions, of a robot that departs a little from its drawing."""
     rng = np.random.default_rng(seed)
     built = _as_built(robot, rng)
-    q = draw_uniform(_one_turn(robot), POSES, Workspace(), rng)
+    q = draw(_one_turn(robot), POSES, Workspace(), rng)
     m = expected(built, q, {}, "synthetic")
     assert m.position is not None
     return _table(robot, m, m.position + rng.normal(0.0, NOISE, m.position.shape))

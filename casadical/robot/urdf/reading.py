@@ -85,12 +85,12 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
     for j in moving:
         _refuse_unusable(j, str(path))
     own = {j.name for j in moving}
-    frames, rides = tree.at_zero(base, own)
+    frames, movers = tree.at_zero(base, own)
     placed = [(frames[j.child], j.axis / np.linalg.norm(j.axis)) for j in moving]
     dh = rows_from_axes([Axis(T[:3, 3], T[:3, :3] @ axis) for T, axis in placed], frames[tip])
-    bodies = _bodies(urdf, tree, dh, frames, rides)
+    bodies = _bodies(urdf, tree, dh, frames, movers)
     notes = [f"from {path.name}: {base} to {tip}"]
-    if aside := [j.name for j in urdf.joints if j.type != "fixed" and rides.get(j.child) and j.name not in own]:
+    if aside := [j.name for j in urdf.joints if j.type != "fixed" and movers.get(j.child) and j.name not in own]:
         notes.append(f"masses on side branches stand as at zero reading of {', '.join(aside)}")
     if not any(bodies):
         notes.append("the URDF states no masses; without them no compliance can be identified")
@@ -131,7 +131,7 @@ def _joint(row: Joint, joint: Any, body: Body | None, source: str) -> Joint:
 
 
 def _bodies(
-    urdf: Any, tree: Tree, dh: Chain, frames: dict[str, Array], rides: dict[str, int]
+    urdf: Any, tree: Tree, dh: Chain, frames: dict[str, Array], movers: dict[str, int]
 ) -> tuple[Body | None, ...]:
     """Mass and mass centre of what each joint moves and the next does not, in our link frames."""
     parts: list[list[tuple[float, Array]]] = [[] for _ in range(len(dh.rows) + 1)]
@@ -142,7 +142,7 @@ def _bodies(
         if not 0 < mass < np.inf:
             raise InputError(f"{tree.source}: link {link.name!r} has the mass {mass:g} kg; it must be positive or zero")
         centre = frames[link.name] @ tree.origin(link.inertial)
-        parts[rides[link.name]].append((float(mass), centre[:3, 3]))
+        parts[movers[link.name]].append((float(mass), centre[:3, 3]))
     return tuple(_lumped(p, T) for p, T in zip(parts[1:], dh.frames, strict=True))
 
 

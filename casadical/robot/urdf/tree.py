@@ -51,32 +51,32 @@ class Tree:
         self.names: list[str] = [link.name for link in urdf.links]
         self.above: dict[str, Any] = {}
         self.below: dict[str, list[Any]] = {name: [] for name in self.names}
-        _refuse_twins(urdf, source)
+        _refuse_repeated(urdf, source)
         if not self.names:
             raise InputError(f"{source}: holds no link; a xacro must be expanded first")
         for j in urdf.joints:
-            self._hang(j)
+            self._attach(j)
         for name in self.names:
-            self._refuse_ring(name)
+            self._refuse_cycle(name)
 
-    def _hang(self, j: Any) -> None:
+    def _attach(self, j: Any) -> None:
         for end in (j.parent, j.child):
             if end not in self.below:
                 raise InputError(f"{self.source}: joint {j.name!r} names link {end!r}, which is not there")
         if j.child in self.above:
             raise InputError(
-                f"{self.source}: link {j.child!r} hangs on two joints, {self.above[j.child].name!r} and {j.name!r}; "
+                f"{self.source}: link {j.child!r} is below two joints, {self.above[j.child].name!r} and {j.name!r}; "
                 "a URDF is a tree, closed loops belong in a robot file"
             )
         self.above[j.child] = j
         self.below[j.parent].append(j)
 
-    def _refuse_ring(self, name: str) -> None:
+    def _refuse_cycle(self, name: str) -> None:
         link = name
         while link in self.above:
             link = self.above[link].parent
             if link == name:
-                raise InputError(f"{self.source}: link {name!r} hangs on itself; a URDF is a tree")
+                raise InputError(f"{self.source}: link {name!r} is below itself; a URDF is a tree")
 
     @property
     def root(self) -> str:
@@ -84,7 +84,7 @@ class Tree:
         roots = [name for name in self.names if name not in self.above]
         if len(roots) > 1:
             raise InputError(
-                f"{self.source}: {len(roots)} links hang on no joint ({', '.join(roots)}); name one as base_link"
+                f"{self.source}: {len(roots)} links are below no joint ({', '.join(roots)}); name one as base_link"
             )
         return roots[0]
 
@@ -100,7 +100,7 @@ class Tree:
         link: str = tip
         while link != base:
             if link not in self.above:
-                raise InputError(f"{self.source}: link {tip!r} does not hang on {base!r}; no chain joins them")
+                raise InputError(f"{self.source}: link {tip!r} is not below {base!r}; no chain connects them")
             joints.append(self.above[link])
             link = joints[-1].parent
         return joints[::-1]
@@ -122,15 +122,15 @@ class Tree:
 
     def at_zero(self, base: str, moving: Collection[str]) -> tuple[dict[str, Array], dict[str, int]]:
         """Frames at zero readings of all links on the base, in its frame, and how many of the joints move each."""
-        frames, rides = {base: np.eye(4)}, {base: 0}
+        frames, movers = {base: np.eye(4)}, {base: 0}
         waiting = [base]
         while waiting:
             link = waiting.pop()
             for j in self.below[link]:
                 frames[j.child] = frames[link] @ self.origin(j)
-                rides[j.child] = rides[link] + (j.name in moving)
+                movers[j.child] = movers[link] + (j.name in moving)
                 waiting.append(j.child)
-        return frames, rides
+        return frames, movers
 
     def frame_of(self, link: str) -> Array:
         """A link's frame in that of the link at the top, at zero readings, shape (4, 4)."""
@@ -149,7 +149,7 @@ class Tree:
         return np.asarray(item.origin)
 
 
-def _refuse_twins(urdf: Any, source: str) -> None:
+def _refuse_repeated(urdf: Any, source: str) -> None:
     for kind, items in (("link", urdf.links), ("joint", urdf.joints)):
         names = [item.name for item in items]
         if twice := sorted({n for n in names if names.count(n) > 1}):

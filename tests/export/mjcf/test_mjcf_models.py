@@ -32,7 +32,7 @@ from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import read_measurements
 from casadical.pose_selection import Workspace
-from casadical.pose_selection.candidates import draw_uniform
+from casadical.pose_selection.candidates import draw
 from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot import Robot
 from casadical.robot.urdf import new_urdf
@@ -56,7 +56,7 @@ def as_built(robot: Robot, seed: int = 3) -> Robot:
 
 
 def poses(robot: Robot, n: int = 12, seed: int = 5, **conditions: np.ndarray) -> Measurements:
-    q = draw_uniform(robot, n, Workspace(), np.random.default_rng(seed))
+    q = draw(robot, n, Workspace(), np.random.default_rng(seed))
     return Measurements(q=q, kind="position", position=np.zeros((n, 3)), conditions=conditions)
 
 
