@@ -145,7 +145,7 @@ def test_gain_error_against_the_bootstrap():
 
 def test_errors_by_hand():
     errors = Errors.of(np.array([[3.0, 4, 0], [0, 0, 1]]))
-    assert errors == Errors(2, 3.0, 5.0, 2.0)
+    assert errors == Errors(2, 3.0, 5.0, 8**0.5)
 
 
 def test_zero_residual_is_refused_without_dividing_by_zero():

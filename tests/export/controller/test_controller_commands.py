@@ -172,8 +172,8 @@ def test_the_robot_file_corrects_as_its_export_does(files, exported, tmp_path, m
 HEAD = "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg"
 BAD = {
     "no number": (f"{HEAD}\n1,90,180,0,0,0\n1,90,x,0,0,0\n", ["row 3", "'q3_deg'", "'x' is not a finite number"]),
-    "nan": (f"{HEAD}\n1,90,180,0,nan,0\n1,90,180,0,0,0\n", ["row 2", "'q5_deg'", "nan is not a finite number"]),
-    "empty cell": (f"{HEAD}\n1,90,180,0,0,0\n1,90,180,0,,0\n", ["row 3", "'q5_deg'", "nan is not a finite number"]),
+    "nan": (f"{HEAD}\n1,90,180,0,nan,0\n1,90,180,0,0,0\n", ["row 2", "'q5_deg'", "is not a finite number"]),
+    "empty cell": (f"{HEAD}\n1,90,180,0,0,0\n1,90,180,0,,0\n", ["row 3", "'q5_deg'", "is not a finite number"]),
     "empty column": (f"{HEAD}\n1,90,180,0,,0\n", ["q5_deg or q5_rad is missing"]),
     "short row": (f"{HEAD}\n1,90,180,0,0,0\n1,90,180\n", ["row 3 has 3 cells, the header 6"]),
     "after a blank row": (f"{HEAD}\n\n1,90,180,0,0,0\n1,90\n", ["row 4 has 2 cells"]),
