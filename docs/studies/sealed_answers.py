@@ -1,31 +1,57 @@
-"""Answers for every sealed campaign: python docs/studies/sealed_answers.py (about five minutes).
+"""Answers for every sealed campaign of a round: python docs/studies/sealed_answers.py A (about five minutes), or B.
 
-Writes data/campaigns/answers/CAMPAIGN.json, one a campaign, as `casadical diagnose PROBLEM CAMPAIGN.csv --json` does.
-The key to these campaigns is not in this repository; nothing here was tuned on them.
+Round B has 160 campaigns and takes half an hour. Writes data/campaigns/answers/CAMPAIGN.json (round B: answers_B), one
+a campaign, as `casadical diagnose PROBLEM CAMPAIGN.csv --json` does. The keys to these campaigns are not in this
+repository; nothing here was tuned on them. A campaign that is refused has no answer; its reason is printed.
+`--jobs N` answers N campaigns at a time.
 """
 
+import argparse
 import json
+import os
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from casadical import diagnose, next_poses, read_measurements
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+from casadical import InputError, diagnose, next_poses, read_measurements
 from casadical.core.files import write_whole
 from casadical.diagnosis import Details, as_json, describe_unlisted, localise
 from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]
+CAMPAIGNS = ROOT / "data" / "campaigns"
+FOLDERS = {"A": ("sealed", "answers"), "B": ("sealed_B", "answers_B")}
+
+
+def answered(path: Path, answers: Path) -> str:
+    """The line printed for a campaign, whose answer is written."""
+    name = path.stem.split("-")[0]
+    own = CAMPAIGNS / "robots_B" / f"{name}.robot.toml"
+    robot = read_campaign_robot(own if own.is_file() else ROOT / "problems" / name)
+    try:
+        found = diagnose(robot, read_measurements(path, robot.n))
+    except InputError as error:
+        return f"{path.stem}  refused    {error}"
+    more = Details(localise(found), unlisted=describe_unlisted(found), poses=next_poses(found, 15))
+    write_whole(answers / f"{path.stem}.json", json.dumps(as_json(found, path.stem, more), indent=1) + "\n")
+    causes = ", ".join(f"{c.label} {c.confidence:.2f}" for c in found.causes)
+    return f"{path.stem}  {found.verdict:<10} {1e3 * found.gap.before:.4f} -> {1e3 * found.gap.after:.4f} mm  {causes}"
 
 
 def main() -> None:
-    robots = {name: read_campaign_robot(ROOT / "problems" / name) for name in ("hh800", "kr210", "ur10e")}
-    for path in sorted((ROOT / "data" / "campaigns" / "sealed").glob("*.csv")):
-        robot = robots[path.stem.split("-")[0]]
-        found = diagnose(robot, read_measurements(path, robot.n))
-        more = Details(localise(found), unlisted=describe_unlisted(found), poses=next_poses(found, 15))
-        answer = as_json(found, path.stem, more)
-        write_whole(ROOT / "data" / "campaigns" / "answers" / f"{path.stem}.json", json.dumps(answer, indent=1) + "\n")
-        causes = ", ".join(f"{c.label} {c.confidence:.2f}" for c in found.causes)
-        gap = f"{1e3 * found.gap.before:.4f} -> {1e3 * found.gap.after:.4f} mm"
-        print(f"{path.stem}  {found.verdict:<10} {gap}  {causes}", flush=True)
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("round", choices=FOLDERS, nargs="?", default="A")
+    options.add_argument("--jobs", type=int, default=1)
+    options.add_argument("--answers", type=Path, help="another folder for the answers")
+    given = options.parse_args()
+    sealed, folder = (CAMPAIGNS / name for name in FOLDERS[given.round])
+    answers = given.answers or folder
+    answers.mkdir(exist_ok=True)
+    paths = sorted(sealed.glob("*.csv"))
+    with ProcessPoolExecutor(given.jobs) as pool:
+        for line in pool.map(answered, paths, [answers] * len(paths)):
+            print(line, flush=True)
 
 
 if __name__ == "__main__":
