@@ -1,13 +1,18 @@
 """The command `casadical new`."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
+import click
 import typer
 from rich.console import Console
 
 from casadical.cli.options import Json, Quiet
 from casadical.cli.terminal import keep_json
+from casadical.core.errors import InputError
+
+if TYPE_CHECKING:
+    from casadical.measurements.headings import Question
 
 
 def new(
@@ -32,23 +37,40 @@ def new(
     data: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.csv",
-            help="Measured poses: q1_deg .., x_mm, y_mm, z_mm; default: synthetic ones, marked as such.",
+            metavar="FILE",
+            help="Measured poses: CSV or text in any usual form, or .xlsx, headings in five languages; default: "
+            "synthetic ones, marked as such.",
         ),
     ] = None,
+    yes: Annotated[
+        bool, typer.Option("--yes", "-y", help="Take the most probable answer to every question on the table.")
+    ] = False,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
     """Write a commented problem folder that runs: from a URDF, a DH table, or as an example.
 
+    What was understood of the measured poses is printed as a table and kept as `columns` in problem.toml. What the
+    table does not tell is asked.
+
+    Example: casadical new arm --dh dh.csv --data messung.csv
+
     Exit codes: 0 written, 2 bad input (then nothing was written), 70 a bug in casadical.
     """
     from casadical.project.new import new_problem
 
-    problem = new_problem(
-        folder, urdf=urdf, base_link=base_link, tip_link=tip_link, dh=dh, convention=convention, data=data
-    )
     console = Console(quiet=quiet)
+    problem = new_problem(
+        folder,
+        urdf=urdf,
+        base_link=base_link,
+        tip_link=tip_link,
+        dh=dh,
+        convention=convention,
+        data=data,
+        ask=None if yes else _ask,
+        show=console.print,
+    )
     files = sorted(str(p) for p in folder.iterdir() if p.is_file())
     console.print(f"{folder}: {problem.robot.name}, {problem.robot.n} joints, {problem.origin}", soft_wrap=True)
     for path in files:
@@ -56,3 +78,18 @@ def new(
     console.print(f"next: casadical check {folder}; casadical calibrate {folder}", soft_wrap=True)
     figures = {"problem": problem.folder.name, "robot": problem.robot.name, "data": problem.data, "files": files}
     keep_json(json_file, figures, console)
+
+
+def _ask(question: "Question") -> str:
+    """The answer that is typed. Raises InputError where nobody answers."""
+    choices = list(question.choices)
+    for k, words in enumerate(choices, 1):
+        typer.echo(f"  {k}: {words}", err=True)
+    try:
+        number = int(typer.prompt(question.text, default=1, type=click.IntRange(1, len(choices)), err=True))
+    except click.Abort:
+        raise InputError(
+            f"{question.text} Nobody answered; --yes takes the first choice ({choices[0]}), or name the columns with "
+            "their units in the file"
+        ) from None
+    return choices[number - 1]

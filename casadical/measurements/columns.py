@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
@@ -18,6 +18,26 @@ _TO_SI = {"_mm": 1e-3, "_m": 1.0, "_deg": np.pi / 180, "_rad": 1.0}
 MOST_TURNS, RADIANS = 4, 6.3
 # Readings, weights and sets.
 _NO_CONDITIONS = r"q\d+_(deg|rad|mm|m)|weight|set"
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where one of our columns comes from: times * (a column of the file) + factors * (others) + plus.
+
+    plus : in the unit of our name; add : factors of further columns of the file
+    rows : that of so many rows later (earlier: negative), where a logger was ahead or behind
+    """
+
+    name: str
+    times: float = 1.0
+    plus: float = 0.0
+    add: Mapping[str, float] = field(default_factory=dict)
+    rows: int = 0
+
+    @property
+    def plain(self) -> bool:
+        """Whether it is the column as it stands."""
+        return self == Source(self.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,22 +62,56 @@ class Columns:
         """Columns of a pandas table; its rows count as in a file, from 2 on. Raises InputError."""
         return _columns(table, source, np.arange(len(table)) + 2)
 
-    def mapped(self, columns: Mapping[str, str], point_from: Sequence[str] = ()) -> Columns:
+    def mapped(self, columns: Mapping[str, str | Source], point_from: Sequence[str] = ()) -> Columns:
         """With our names where the table's headers differ.
 
-        columns : our name -> name in the table; point_from : columns whose words, joined by "/", name the touched point
-        Raises InputError where a named column is missing.
+        columns : our name -> name in the table, or how it is made of the table's columns
+        point_from : columns whose words, joined by "/", name the touched point
+        Raises InputError where a named column is missing. Rows to which a shift of rows gives no value are left out.
         """
-        named = [(theirs, f"named for {ours!r}") for ours, theirs in columns.items()]
+        sources = {ours: Source(given) if isinstance(given, str) else given for ours, given in columns.items()}
+        named = [(name, f"named for {ours!r}") for ours, s in sources.items() for name in (s.name, *s.add)]
         for theirs, where in [*named, *((name, "named in point_from") for name in point_from)]:
             if theirs not in self.table:
                 raise InputError(f"{self.source}: column {theirs!r}, {where}, is missing; there are {self.names}")
         # A header that keeps its own name elsewhere in the map is copied, not moved.
-        made = {ours: self.table[theirs] for ours, theirs in columns.items()}
+        made = {ours: self._made(source) for ours, source in sources.items()}
         if point_from:
             made["point"] = self.table[list(point_from)].astype(str).agg("/".join, axis=1)
-        moved = [name for name, theirs in columns.items() if name in self.table and theirs != name]
-        return replace(self, table=self.table.drop(columns=moved).assign(**made))
+        moved = {name for name, s in sources.items() if name in self.table and s.name != name}
+        # q3_rad = "q3_deg" says that the unit in the header is wrong.
+        moved |= {s.name for ours, s in sources.items() if s.name not in sources and _stem(ours) == _stem(s.name)}
+        shifts = [s.rows for s in sources.values()]
+        first, last = max(0, -min(shifts, default=0)), len(self.row) - max(0, *shifts, 0)
+        table = self.table.drop(columns=sorted(moved)).assign(**made)
+        return replace(self, table=table.iloc[first:last].reset_index(drop=True), row=self.row[first:last])
+
+    def _made(self, source: Source) -> pd.Series:
+        """A column as its source says; cells that are no numbers stay as they are where nothing is computed."""
+        if source.plain:
+            return self.table[source.name]
+        terms = {source.name: source.times, **{n: source.add[n] for n in source.add if n != source.name}}
+        number = {name: pd.to_numeric(self.table[name], errors="coerce") for name in terms}
+        total = sum(
+            (factor * number[name] for name, factor in terms.items()), start=pd.Series(source.plus, self.table.index)
+        )
+        words = self.table[source.name].where(number[source.name].isna())
+        return total.where(words.isna(), words).shift(-source.rows)
+
+    def without(self, rows: Collection[int], why: str) -> Columns:
+        """Without some rows of the file. Raises InputError for one that is not there; why : where they are named."""
+        missing = sorted(set(rows) - set(self.row.tolist()))
+        if missing:
+            raise InputError(f"{self.source}: row {missing[0]}, named in {why}, is no row of the table")
+        kept = ~np.isin(self.row, list(rows))
+        return replace(self, table=self.table[kept].reset_index(drop=True), row=self.row[kept])
+
+    def without_numbers(self, needed: Iterable[str]) -> tuple[int, ...]:
+        """Rows of the file in which one of these columns holds no number."""
+        bad = np.zeros(len(self.row), dtype=bool)
+        for name in needed:
+            bad |= ~np.isfinite(pd.to_numeric(self.table[name], errors="coerce").to_numpy(dtype=float))
+        return tuple(int(k) for k in self.row[bad])
 
     @property
     def names(self) -> str:
@@ -151,6 +205,10 @@ class Columns:
             if numeric.mean() >= 0.5:  # some words among numbers are mistakes: `column` says where
                 found[name] = self.column(name)
         return found
+
+
+def _stem(name: str) -> str:
+    return name.rpartition("_")[0]
 
 
 def _columns(table: pd.DataFrame, source: str, row: Array) -> Columns:

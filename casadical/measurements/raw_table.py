@@ -1,30 +1,47 @@
-"""The reader of CSV files: the content of a file, checked for its form only, not for the meaning of its columns."""
+"""The reader of tables: the content of a file, checked for its form only, not for the meaning of its columns."""
 
 import csv
 import io
-from collections.abc import Iterable
-from dataclasses import dataclass
+import re
+import zipfile
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pandas as pd
 
-from casadical.core.errors import InputError
+from casadical.core.errors import InputError, optional
+from casadical.measurements.table_form import (
+    Form,
+    Record,
+    as_plain_number,
+    commented,
+    decimal_of,
+    decoded,
+    is_data,
+    is_number,
+    is_units,
+    records_of,
+    separator_of,
+    unit_word,
+)
 
 
 @dataclass(frozen=True, eq=False)
 class RawTable:
     """A table as it stands in a file.
 
-    path : of the file; text : all of it
-    header : names of the columns, without blanks around them
-    cells : of each row, as text; line : of the file at which each row begins, the header being line 1
+    path : of the file; header : names of the columns, without blanks around them
+    cells : of each row, as text, numbers with decimal points; line : of the file at which each row begins
+    form : how the file writes its table; comments : lines that are comments, as they stand
     """
 
     path: Path
-    text: str
     header: tuple[str, ...]
     cells: tuple[tuple[str, ...], ...]
     line: tuple[int, ...]
+    form: Form = field(default_factory=Form)
+    comments: tuple[str, ...] = ()
 
     def frame(self) -> pd.DataFrame:
         """The rows as a pandas table: numbers where a column holds nothing else, columns named as in `header`."""
@@ -35,44 +52,135 @@ class RawTable:
 
 
 def read_table(path: str | Path) -> RawTable:
-    """A CSV file in UTF-8 with commas, decimal points and a header; blank lines are skipped.
+    """A table with headings: text in any usual encoding, separator and decimal sign, or a workbook (.xlsx).
 
-    Raises InputError that names the file, and the row where one is wrong: no such file, not a text file, other
-    separators, a name twice in the header, no rows, or a row with more cells than the header.
+    Comments, titles above the headings, a row of units, repeated headings and blank lines are no rows.
+    Raises InputError that names the file, and the row where one is wrong: no such file, neither text nor a workbook,
+    a name twice in the header, no rows, or a row with more cells than the header.
     """
     path = Path(path)
     try:
-        text = path.read_bytes().decode("utf-8-sig")
-        records = _records(text)
+        data = path.read_bytes()
+        text, encoding, sheet = _text(path, data)
+        separator = "," if sheet else separator_of(text)
+        records = records_of(text, separator)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: not a readable CSV table: {getattr(error, 'strerror', None) or error}") from None
     if not records:
         raise InputError(f"{path}: not a readable CSV table: it is empty; a header and at least one row are needed")
-    header = tuple(name.strip() for name in records[0][1])
-    if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
-        raise InputError(f"{path}: its columns are separated by ';' or tabs; allowed: commas, with decimal points")
-    refuse_repeated_names(header, str(path))
-    for line, cells in records[1:]:
-        if len(cells) > len(header):
-            sizes = f"row {line} has {len(cells)} cells, the header {len(header)}"
+    return _table(path, records, Form(encoding, separator, sheet=sheet))
+
+
+def _text(path: Path, data: bytes) -> tuple[str, str, str]:
+    """Text, its encoding, and the sheet that it is from. Raises UnicodeDecodeError, InputError."""
+    if data.startswith(b"PK\x03\x04"):
+        return _sheet(path)
+    if data.startswith(b"\xd0\xcf\x11\xe0"):
+        raise InputError(f"{path}: a workbook of the old format; save it as .xlsx or as CSV")
+    return (*decoded(data), "")
+
+
+def _sheet(path: Path) -> tuple[str, str, str]:
+    """The sheet of a workbook with the most numbers, as CSV with the sheet's rows as lines."""
+    optional("openpyxl", f"{path}: reading .xlsx needs openpyxl: pip install 'casadical[xlsx]', or save it as CSV")
+    try:
+        sheets = pd.read_excel(path, sheet_name=None, header=None, dtype=object)
+    except (ValueError, KeyError, OSError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path}: not a readable workbook: {error}") from None
+    name = max(
+        sheets, key=lambda s: int(sheets[s].map(lambda v: isinstance(v, int | float) and v == v).to_numpy().sum())
+    )
+    out = io.StringIO(newline="")
+    rows = sheets[name].map(lambda v: "" if v is None or v != v else " ".join(str(v).split()))
+    csv.writer(out).writerows(rows.to_numpy().tolist())
+    return out.getvalue(), "workbook", str(name)
+
+
+def _table(path: Path, records: list[Record], form: Form) -> RawTable:
+    """Headings and rows out of all records. Raises InputError."""
+    comments = [(line, cells) for line, cells in records if commented(cells)]
+    rest = [record for record in records if not commented(record[1])]
+    decimal = decimal_of(rest)
+    if not rest:
+        rest, comments = comments, []
+    place, header, units = _headings(rest, comments)
+    body = rest[place:]
+    head_line = 0 if header is None else header[0]
+    width = max(len(cells) for _, cells in body) if body else 0
+    names = tuple(f"column {k}" for k in range(1, width + 1)) if header is None else tuple(c.strip() for c in header[1])
+    refuse_repeated_names(names, str(path))
+    skipped = [r for r in [*comments, *rest[:place]] if r is not header and not (units and r[1] is units[1])]
+    rows = []
+    last = max((k for k, (_, cells) in enumerate(body) if is_data(cells)), default=len(body) - 1)
+    for k, (line, cells) in enumerate(body):
+        few = sum(bool(cell.strip()) for cell in cells) < 2 and len(names) > 1
+        if (k > last and few) or (k and tuple(c.strip() for c in cells) == names):
+            skipped.append((line, cells))
+        else:
+            rows.append((line, cells))
+    spare = {len(cells) - len(names) for _, cells in rows}
+    if len(rows) > 1 and len(spare) == 1 and not any("".join(cells[len(names) :]).strip() for _, cells in rows):
+        rows = [(line, cells[: len(names)]) for line, cells in rows]
+    for line, cells in rows:
+        if len(cells) > len(names):
+            sizes = f"row {line} has {len(cells)} cells, the header {len(names)}"
             raise InputError(f"{path}: not a readable CSV table: {sizes}; correct the row")
-    if len(records) == 1:
+    if not rows:
         raise InputError(f"{path}: a header but no rows; at least one row is needed")
+    found = replace(
+        form, decimal=decimal, header_line=head_line,
+        units=tuple(map(unit_word, units[1])) if units else (),
+        skipped=tuple((line, " ".join(" ".join(cells).split())[:80]) for line, cells in sorted(skipped)),
+    )  # fmt: skip
+    texts = tuple(tuple(as_plain_number(cell, decimal) if cell else cell for cell in cells) for _, cells in rows)
     return RawTable(
-        path, text, header, tuple(tuple(cells) for _, cells in records[1:]), tuple(line for line, _ in records[1:])
+        path, names, texts, tuple(line for line, _ in rows), found, tuple(" ".join(cells) for _, cells in comments)
     )
 
 
-def _records(text: str) -> list[tuple[int, list[str]]]:
-    """Cells of every line that is not blank, with its number; a quoted cell may go over several lines."""
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    found, line = [], 1
-    for cells in reader:
-        if len(cells) > 1 or any(cell.strip() for cell in cells):
-            found.append((line, cells))
-        line = reader.line_num + 1
+def _headings(rest: list[Record], comments: list[Record]) -> tuple[int, Record | None, Record | None]:
+    """Index of the first row of the table, the record of its headings or None, and that of its units or None."""
+    first = next((k for k, (_, cells) in enumerate(rest) if is_data(cells)), None)
+    if first is None:
+        return 1, rest[0], None
+    if first == 0:
+        # SpatialAnalyzer and numpy write the headings into the last comment above the rows.
+        width, line = len(rest[0][1]), rest[0][0]
+        above = [(k, _uncommented(cells)) for k, cells in comments if k < line]
+        named = [record for record in above if len(record[1]) == width > 1]
+        if not named:
+            return 0, None, None
+        if len(named) > 1 and is_units(named[-1][1]):
+            return 0, named[-2], named[-1]
+        return 0, named[-1], None
+    above = rest[:first]
+    place = max(range(first), key=lambda k: (_names_in(above[k][1]), -k))
+    header, units = above[place], None
+    after = place + 1
+    if after < first and is_units(above[after][1]):
+        units, after = above[after], after + 1
+    if place and len(set(header[1])) < len([c for c in header[1] if c.strip()]):
+        header = (header[0], _grouped(above[place - 1][1], header[1]))
+    return after, header, units
+
+
+def _names_in(cells: Sequence[str]) -> int:
+    return 0 if is_units(cells) else sum(bool(cell.strip()) and not is_number(cell) for cell in cells)
+
+
+def _uncommented(cells: list[str]) -> list[str]:
+    first = re.sub(r"^(#|//|%|!)+", "", cells[0].lstrip())
+    return [first, *cells[1:]] if first.strip() else cells[1:]
+
+
+def _grouped(groups: Sequence[str], names: Sequence[str]) -> list[str]:
+    """Headings under the headings of groups, which stand in the first column of each group."""
+    found, group = [], ""
+    for k, name in enumerate(names):
+        group = (groups[k].strip() if k < len(groups) else "") or group
+        found.append(f"{group} {name.strip()}" if name.strip() and list(names).count(name) > 1 else name)
     return found
 
 

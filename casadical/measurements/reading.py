@@ -8,10 +8,11 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.errors import InputError
-from casadical.measurements.columns import Columns
+from casadical.measurements.columns import Columns, Source
+from casadical.measurements.headings import understand
 from casadical.measurements.kinds.registry import find_kind, kind_of, kinds
 from casadical.measurements.measurements import FIELDS, Measurements
-from casadical.measurements.raw_table import read_table
+from casadical.measurements.raw_table import RawTable, read_table
 
 _POSITIONS = {f"{c}{u}" for c in "xyz" for u in ("_mm", "_m")}
 
@@ -21,23 +22,42 @@ def read_measurements(
     joints: int | Sequence[str],
     kind: str | None = None,
     *,
-    columns: Mapping[str, str] | None = None,
+    columns: Mapping[str, str | Source] | None = None,
     point_from: Sequence[str] = (),
     sigma_mm: float | None = None,
     sigma_deg: float | None = None,
 ) -> Measurements:
-    """Measurements from a CSV file.
+    """Measurements from a table in a file (see `casadical.measurements.raw_table`).
 
     joints : number of joints, or the kind of each ("revolute", "prismatic")
     kind : what was observed; by default what the columns say
-    columns : our name -> name in the file, where the file's headers differ from ours
+    columns : our name -> name in the file, where the file's headers differ from ours and do not tell it themselves
     point_from : columns that together name the touched point, of kind contact
     sigma_mm, sigma_deg : standard deviation of one coordinate [mm] and angle [deg]; None: estimated from the fit
 
     Raises InputError that names the file, row and column where something is wrong.
     """
-    table = Columns.of_file(read_table(path)).mapped(columns or {}, point_from)
+    table = named_columns(read_table(path), joints, columns or {}, point_from)
     return from_columns(table, joints, kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
+
+
+def named_columns(
+    raw: RawTable, joints: int | Sequence[str], columns: Mapping[str, str | Source], point_from: Sequence[str] = ()
+) -> Columns:
+    """The columns of a file under our names: as `columns` says, and what it leaves open as the headings say.
+
+    Raises InputError where the headings leave a question.
+    """
+    kinds = ["revolute"] * joints if isinstance(joints, int) else list(joints)
+    found = understand(raw, kinds, columns)
+    for question in found.questions:
+        first = next(iter(question.choices.values()))
+        line = ", ".join(f'{ours} = "{source.name}"' for ours, source in first.items())
+        raise InputError(
+            f"{raw.path}: {question.text} Allowed: {'; '.join(question.choices)}. "
+            f"Say it in problem.toml, for example columns = {{ {line} }}"
+        )
+    return Columns.of_file(raw).mapped({**found.sources, **columns}, point_from)
 
 
 def from_table(

@@ -15,12 +15,12 @@ from casadical.core.errors import InputError
 from casadical.core.schema import FaultError, check, load_toml
 from casadical.identification.prior import Prior
 from casadical.identification.residuals import Loss
-from casadical.measurements.columns import Columns
+from casadical.measurements.columns import Columns, Source
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.measurements import SETS, Measurements
 from casadical.measurements.raw_table import RawTable, read_table
-from casadical.measurements.reading import from_columns, readings_alone
+from casadical.measurements.reading import from_columns, named_columns, readings_alone
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
@@ -42,10 +42,23 @@ class _Separation(_Strict):
     distance_mm: float = Field(gt=0)
 
 
+class _Source(_Strict):
+    """How a column is made (see `casadical.measurements.columns.Source`)."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True, populate_by_name=True)
+
+    name: str = Field(alias="from")
+    times: float = 1.0
+    plus: float = 0.0
+    add: dict[str, float] = {}
+    rows: int = 0
+
+
 class _Data(_Strict):
     file: str
     kind: str | None = None
-    columns: dict[str, str] = {}
+    columns: dict[str, str | _Source] = {}
+    leave_out: list[int] = []
     point_from: list[str] = []
     separation: list[_Separation] = []
     sigma_mm: float | None = Field(default=None, gt=0)
@@ -58,11 +71,20 @@ class _Data(_Strict):
             raise ValueError(f"must be {', '.join(map(repr, kinds()))}")
         return kind
 
+    @property
+    def sources(self) -> dict[str, str | Source]:
+        """Where each named column comes from."""
+        return {
+            ours: given if isinstance(given, str) else Source(**given.model_dump())
+            for ours, given in self.columns.items()
+        }
+
     def named_in(self, header: Sequence[str]) -> _Data:
-        """With only those of its own names for columns that a header has."""
-        columns = {ours: theirs for ours, theirs in self.columns.items() if theirs in header}
+        """With only those of its own names for columns that a header has, without rows of its file."""
+        needs = {o: {g} if isinstance(g, str) else {g.name, *g.add} for o, g in self.columns.items()}
+        columns = {ours: given for ours, given in self.columns.items() if needs[ours] <= set(header)}
         point_from = self.point_from if set(self.point_from) <= set(header) else []
-        return self.model_copy(update={"columns": columns, "point_from": point_from})
+        return self.model_copy(update={"columns": columns, "point_from": point_from, "leave_out": []})
 
 
 class _Sets(_Strict):
@@ -277,7 +299,7 @@ def read_campaign(folder: str | Path, path: str | Path, robot: Robot, *, reading
     folder, raw = Path(folder), read_table(path)
     tables = _problem_file(folder).measurements if (folder / "problem.toml").exists() else []
     data = _fitting(folder, raw, tables)
-    columns, joints = Columns.of_file(raw).mapped(data.columns, data.point_from), [j.kind for j in robot.joints]
+    columns, joints = _columns(raw, data, robot), [j.kind for j in robot.joints]
     found = readings_alone(columns, joints) if readings_only else from_columns(columns, joints, data.kind)
     return _with_conditions(found, robot)
 
@@ -294,11 +316,16 @@ def _fitting(folder: Path, raw: RawTable, tables: Sequence[_Data]) -> _Data:
     return _Data(file=raw.path.name)
 
 
+def _columns(raw: RawTable, data: _Data, robot: Robot) -> Columns:
+    found = named_columns(raw, [j.kind for j in robot.joints], data.sources, data.point_from)
+    return found.without(data.leave_out, "leave_out")
+
+
 def _read(folder: Path, data: _Data, robot: Robot, sets: _Sets) -> dict[str, Measurements]:
     path = folder / data.file
     if not path.exists():
         raise InputError(f"{path}: no such file; it is named in {folder / 'problem.toml'}")
-    columns = Columns.of_file(read_table(path)).mapped(data.columns, data.point_from)
+    columns = _columns(read_table(path), data, robot)
     joints = [j.kind for j in robot.joints]
     found = from_columns(columns, joints, data.kind, sigma_mm=data.sigma_mm, sigma_deg=data.sigma_deg)
     # Before the split: progress and the direction of approach follow from the order of all poses.

@@ -33,8 +33,6 @@ def folder_with(tmp_path: Path, text: str, problem: str = '[[measurements]]\nfil
 
 
 WRONG = {
-    "semicolons": (CAMPAIGN.read_text().replace(",", ";"), "separated by ';' or tabs; allowed: commas"),
-    "tabs": (CAMPAIGN.read_text().replace(",", "\t"), "separated by ';' or tabs; allowed: commas"),
     "nothing": ("", "not a readable CSV table: it is empty"),
     "a header": ("q1_deg,q2_deg,x_mm\n", "a header but no rows"),
     "a cell too many": ("q1_deg,q2_deg,x_mm,y_mm,z_mm\n1,2,3,4,5,\n", "row 2 has 6 cells, the header 5"),

@@ -1,7 +1,7 @@
 """Every fault of a measurement table at once: reading stops at the first, and a table often has several."""
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import pandas as pd
 
 from casadical.core.errors import InputError
 from casadical.core.schema import load_toml
+from casadical.measurements.headings import understand
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.project.check.findings import Finding
 
@@ -29,8 +30,10 @@ def table_faults(folder: Path, joints: int | None) -> list[Finding]:
             table = read_table(path)
         except InputError:
             continue  # read_problem has reported it
-        renamed = {str(theirs): str(ours) for ours, theirs in dict(data.get("columns", {})).items()}
-        found += _missing([renamed.get(name, name) for name in table.header], joints, path.name) + _not_numbers(table)
+        named = list(dict(data.get("columns", {})))
+        known = understand(table, ["revolute"] * (joints or 0), named).sources
+        found += _missing([*table.header, *named, *known], joints, path.name)
+        found += _not_numbers(table, set(data.get("leave_out", [])))
     return found
 
 
@@ -48,10 +51,11 @@ def _missing(header: Sequence[str], joints: int | None, source: str) -> list[Fin
     return [Finding("error", "columns", text + "`columns` in problem.toml")]
 
 
-def _not_numbers(table: RawTable) -> list[Finding]:
+def _not_numbers(table: RawTable, left_out: Collection[int]) -> list[Finding]:
     found = []
+    out = np.isin(table.line, list(left_out))
     for name, cells in table.frame().items():
-        bad = np.flatnonzero(~np.isfinite(pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)))
+        bad = np.flatnonzero(~np.isfinite(pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)) & ~out)
         if 0 < len(bad) <= len(cells) // 2:
             rows = ", ".join(str(table.line[k]) for k in bad[:8]) + (" ..." if len(bad) > 8 else "")
             found.append(Finding("error", "cells", f"{table.path.name}: column {name!r} holds no number in row {rows}"))
@@ -62,7 +66,7 @@ def unknown_columns(conditions: Sequence[str], source: str) -> list[Finding]:
     """Columns that are almost a name that something asks for, and those that are kept."""
     found = []
     for name in conditions:
-        near = difflib.get_close_matches(name, KNOWN, 1, 0.7)
+        near = difflib.get_close_matches(name, KNOWN, 1, 0.84)
         if name not in KNOWN and near and not name.startswith(("warmth_", "approach")):
             text = f"{source}: column {name!r} is no name that anything asks for; is {near[0]!r} meant?"
             found.append(Finding("warning", "columns", text))

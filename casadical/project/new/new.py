@@ -1,15 +1,21 @@
 """Compose the files of a new problem, check that they can be read, and then write them."""
 
+import re
 import tempfile
 import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
+from casadical.core.blocks import Table, Words
 from casadical.core.errors import InputError
 from casadical.core.files import write_together
-from casadical.measurements.raw_table import read_table
+from casadical.measurements.columns import Columns, Source
+from casadical.measurements.headings import Question, Understanding, understand
+from casadical.measurements.raw_table import RawTable, read_table
 from casadical.project.new.dh_table import robot_text
 from casadical.project.new.synthetic import POSES, synthetic_poses
-from casadical.project.new.texts import EXAMPLE_ROBOT, problem_text, readme_text
+from casadical.project.new.texts import EXAMPLE_ROBOT, column_lines, problem_text, readme_text
 from casadical.project.problem import Problem, read_problem
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
@@ -25,12 +31,16 @@ def new_problem(
     convention: str = "modified",
     data: Path | None = None,
     seed: int = 0,
+    ask: Callable[[Question], str] | None = None,
+    show: Callable[[Words | Table], None] | None = None,
 ) -> Problem:
     """Write a problem folder that runs, and give it back as it reads.
 
     urdf, base_link, tip_link : the robot from a URDF; dh, convention : from a table of DH rows (modified, standard);
         neither: an example arm
     data : measured poses; None: poses that the model itself makes up from the seed, marked synthetic everywhere
+    ask : takes a question on the table and gives one of its choices; None: the first choice, which is the most probable
+    show : takes what was understood of the table, before anything is asked
     Nothing is overwritten. Raises InputError: a file that is there already, or input that does not read.
     """
     folder = Path(folder)
@@ -41,26 +51,65 @@ def new_problem(
     name = folder.resolve().name
     texts, robot = _robot_files(name, urdf, base_link, tip_link, dh, convention)
     given = read_table(data) if data else None
+    understood = understand(given, [j.kind for j in robot.joints]) if given else Understanding()
+    if given and show and understood.columns:
+        show(table_of(given, understood))
+    columns = understood.sources
+    for question in understood.questions:
+        columns = _answered(columns, question, ask)
+    left_out = rows_without_numbers(given, columns) if given else {}
+    if left_out and show:
+        show(Words(f"Rows without numbers are left out: {', '.join(map(str, left_out))} (leave_out in problem.toml)."))
     compliant = any(j.compliance is not None for j in robot.joints)
     links = (base_link, tip_link) if urdf else None
     sets = given is not None and "set" in given.header
+    file = f"poses{data.suffix.lower() if data and data.suffix else '.csv'}"
+    lines = column_lines(columns, left_out)
     texts |= {
-        "poses.csv": given.text if given else synthetic_poses(robot, seed),
-        "problem.toml": problem_text(robot.name, bool(data), links, compliant, sets, seed, POSES),
-        "README.md": readme_text(name, robot.name, *(path.name if path else None for path in (data, urdf, dh))),
+        file: data.read_bytes() if data else synthetic_poses(robot, seed),
+        "problem.toml": problem_text(robot.name, bool(data), links, compliant, sets, seed, POSES, file, lines),
+        "README.md": readme_text(name, robot.name, file, *(p.name if p else None for p in (data, urdf, dh))),
     }
     _refuse_taken(folder, texts)
     with tempfile.TemporaryDirectory() as scratch:
-        trial = Path(scratch) / name
-        write_together({trial / file: text for file, text in texts.items()})
-        _read_on_trial(trial, data)
-    write_together({folder / file: text for file, text in texts.items()})
+        trial = Path(scratch) / folder.resolve().name
+        write_together({trial / name: text for name, text in texts.items()})
+        _read_on_trial(trial, data, file)
+    write_together({folder / name: text for name, text in texts.items()})
     return read_problem(folder)
+
+
+def _answered(
+    columns: dict[str, Source], question: Question, ask: Callable[[Question], str] | None
+) -> dict[str, Source]:
+    """The columns with one answer; a unit that an answer changes is another name of the same column."""
+    answer = question.choices[ask(question) if ask else next(iter(question.choices))]
+    stems = {name.rpartition("_")[0] or name: name for name in columns}
+    if all(name in stems for name in answer):  # which columns, their units as they were
+        return {**columns, **{stems[name]: replace(columns[stems[name]], name=s.name) for name, s in answer.items()}}
+    taken = {name.rpartition("_")[0] for name in answer}
+    return {**{name: s for name, s in columns.items() if name.rpartition("_")[0] not in taken}, **answer}
+
+
+def rows_without_numbers(raw: RawTable, columns: Mapping[str, Source]) -> dict[int, str]:
+    """Rows in which a reading or a position is no number, with the cell; none where these are no few."""
+    found = Columns.of_file(raw).mapped(columns)
+    needed = [name for name in map(str, found.table) if re.fullmatch(r"q\d+_\w+|[xyz]_mm?", name)]
+    rows = found.without_numbers(needed)
+    return {} if 2 * len(rows) > len(found.row) else dict.fromkeys(rows, "a cell is no number")
+
+
+def table_of(raw: RawTable, found: Understanding) -> Table:
+    """What was understood of a table, for the terminal."""
+    frame = raw.frame()
+    rows = [(c.ours, c.source.name, c.unit, f"{frame[c.source.name].iloc[0]}", f"from {c.why}") for c in found.columns]
+    rows += [("not used", name, "", "", "") for name in found.left]
+    return Table(f"{raw.path.name}: {raw.form.words}", ("casadical", "file", "unit", "first row", "known"), rows)
 
 
 def _robot_files(
     name: str, urdf: Path | None, base_link: str | None, tip_link: str | None, dh: Path | None, convention: str
-) -> tuple[dict[str, str], Robot]:
+) -> tuple[dict[str, str | bytes], Robot]:
     if urdf:
         from casadical.robot.urdf import read_urdf
 
@@ -80,16 +129,16 @@ def _read(path: Path) -> str:
         raise InputError(f"{path}: not a text file in UTF-8") from None
 
 
-def _read_on_trial(folder: Path, data: Path | None) -> None:
+def _read_on_trial(folder: Path, data: Path | None, file: str) -> None:
     """Refuse what would not read, by the name of the file that the user gave."""
     try:
         read_problem(folder)
     except InputError as error:
         text = str(error).replace(f"{folder}/", "")
-        raise InputError(text.replace("poses.csv", str(data)) if data else text) from None
+        raise InputError(text.replace(file, str(data)) if data else text) from None
 
 
-def _refuse_taken(folder: Path, texts: dict[str, str]) -> None:
+def _refuse_taken(folder: Path, texts: Mapping[str, str | bytes]) -> None:
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; name a folder")
     taken = [file for file in texts if (folder / file).exists()]

@@ -1,5 +1,10 @@
 """The texts of a new problem folder, with comments that say what may be changed."""
 
+import json
+from collections.abc import Mapping
+
+from casadical.measurements.columns import Source
+
 EXAMPLE_ROBOT = """\
 # An example arm with six joints: change the numbers to those of yours. Every key: docs/robot-file.md.
 # Units stand in the keys (_mm or _m, _deg or _rad); a wrong or missing one is refused with a message.
@@ -97,10 +102,9 @@ methods = [{methods}]{why}
 # loss = "huber"                   # where single measurements are far off
 {urdf}
 [[measurements]]                   # several of these tables go into one fit
-file = "poses.csv"
-# columns = {{ x_mm = "X" }}         # our name = the file's name, where headers differ
+file = "{file}"
 # sigma_mm = 0.02                  # of one coordinate; left out, it is estimated from the fit
-
+{columns}
 [sets]                             # no pose is in two sets
 {sets}
 """
@@ -114,8 +118,13 @@ def problem_text(
     named_sets: bool,
     seed: int,
     poses: int,
+    file: str = "poses.csv",
+    columns: str = "",
 ) -> str:
-    """problem.toml; given : whether poses were given; links : base and tip link of a URDF, None for a robot file."""
+    """problem.toml; given : whether poses were given; links : base and tip link of a URDF, None for a robot file.
+
+    columns : lines that say what the table's columns are (see `column_lines`)
+    """
     title = robot.replace('"', "'").replace("\\", "/")
     mark = f"                 # poses.csv is MADE UP: {poses} poses of the model itself (seed {seed}); put yours there"
     share = "identify = 0.7                     # used in the fit\nreport = 0.3                       # held out\n"
@@ -131,9 +140,38 @@ def problem_text(
         if compliant
         else '                   # geometry; add "SKCM" once joints are compliant',
         urdf=_urdf(links) if links else "",
+        file=file,
+        columns=columns or '# columns = { x_mm = "X" }         # our name = the file\'s name, where headers differ\n',
         sets='column = "set"                     # of poses.csv: names every pose\'s set' if named_sets
         else f"seed = {seed}\n{share}".rstrip(),
     )  # fmt: skip
+
+
+def column_lines(columns: Mapping[str, Source], left_out: Mapping[int, str]) -> str:
+    """The keys `columns` and `leave_out` of [[measurements]]; left_out : reason by row of the file."""
+    lines = []
+    if left_out:
+        lines += ["leave_out = [                      # rows of the file"]
+        lines += [f"    {row}, # {why}" for row, why in left_out.items()]
+        lines += ["]"]
+    if columns:
+        lines += ["", "[measurements.columns]             # our name = the file's heading"]
+        lines += [f"{ours} = {source_text(source)}" for ours, source in columns.items()]
+    return "\n".join([*lines, ""]) if lines else ""
+
+
+def source_text(source: Source) -> str:
+    """Where a column comes from, as a value of TOML."""
+    name = json.dumps(source.name, ensure_ascii=False)
+    if source.plain:
+        return name
+    parts = [f"from = {name}"]
+    parts += [f"{key} = {value!r}" for key, value in (("times", source.times),) if value != 1.0]
+    parts += [f"{key} = {value!r}" for key, value in (("plus", source.plus), ("rows", source.rows)) if value]
+    if source.add:
+        terms = ", ".join(f"{json.dumps(n, ensure_ascii=False)} = {float(k)!r}" for n, k in source.add.items())
+        parts.append(f"add = {{ {terms} }}")
+    return f"{{ {', '.join(parts)} }}"
 
 
 def _urdf(links: tuple[str | None, str | None]) -> str:
@@ -143,7 +181,7 @@ def _urdf(links: tuple[str | None, str | None]) -> str:
     return "\n".join([*lines, "# compliant = [2, 3]               # joints whose compliance is identified too", ""])
 
 
-def readme_text(name: str, robot: str, data: str | None, urdf: str | None, dh: str | None) -> str:
+def readme_text(name: str, robot: str, file: str, data: str | None, urdf: str | None, dh: str | None) -> str:
     """README.md: what is real, and what to do next."""
     origin = f"from `{urdf}`" if urdf else f"from the DH table `{dh}`" if dh else "an example, every number made up"
     poses = (
@@ -158,7 +196,7 @@ def readme_text(name: str, robot: str, data: str | None, urdf: str | None, dh: s
 | file | what it is |
 |---|---|
 | `robot.{"urdf" if urdf else "toml"}` | the nominal robot, {origin} |
-| `poses.csv` | joint readings and positions: {poses} |
+| `{file}` | joint readings and positions: {poses} |
 | `problem.toml` | what is calibrated, from what |
 
 Next:

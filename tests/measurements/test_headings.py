@@ -1,0 +1,136 @@
+"""Foreign tables: form, headings and units; what is unsure is a question, what is written is what was measured."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "cli"))
+import first_hour
+
+from casadical import InputError, read_measurements
+from casadical.measurements.columns import Columns, Source
+from casadical.measurements.headings import understand, words_of
+from casadical.measurements.raw_table import read_table
+
+SIX = ["revolute"] * 6
+
+
+@pytest.mark.parametrize("name", first_hour.TABLES)
+def test_a_foreign_table_reads_as_it_was_measured(name: str, tmp_path: Path) -> None:
+    q, p = first_hour.measured(40)
+    m = read_measurements(first_hour.write(tmp_path, name, q, p), 6)
+    assert m.position is not None
+    assert np.abs(np.rad2deg(m.q) - q).max() < 1e-4
+    assert np.abs(1e3 * m.position - p).max() < 1e-4
+
+
+def test_rows_count_as_in_the_file(tmp_path: Path) -> None:
+    """Titles, units and comments included."""
+    q, p = first_hour.measured(12)
+    raw = read_table(first_hour.write(tmp_path, "messung.csv", q, p))
+    assert raw.form.header_line == 4
+    assert raw.line == tuple(range(5, 17))
+    assert read_table(first_hour.write(tmp_path, "einheiten.csv", q, p)).line[0] == 3
+    assert read_table(first_hour.write(tmp_path, "poses.xlsx", q, p)).line[0] == 4
+
+
+@pytest.mark.parametrize(
+    ("text", "numbers"),
+    [
+        ("a;b\n1.234,5;2\n3,25;4\n", (1234.5, 3.25)),  # points set off thousands
+        ('a,b\n"1,234.5",2\n3.25,4\n', (1234.5, 3.25)),  # commas do
+        ("a\tb\n１２，５\t2\n−3,25\t4\n", (12.5, -3.25)),  # digits of full width, the sign of typography
+        ("a|b\n1.5|2\n3.25|4\n\n", (1.5, 3.25)),
+        ("a;b;\n1,5;2;\n3,25;4;\n", (1.5, 3.25)),  # a separator at the end of each line
+    ],
+)
+def test_decimal_signs_and_separators(text: str, numbers: tuple[float, float], tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text(text, encoding="utf-8")
+    assert tuple(read_table(path).frame()["a"]) == numbers
+
+
+@pytest.mark.parametrize(
+    ("heading", "words", "unit"),
+    [
+        ("Achse 1 [°]", ["achse", "1"], "°"),
+        ("JointAngle3 (rad)", ["joint", "angle", "3"], "rad"),
+        ("第2軸(度)", ["第", "2", "軸"], "度"),
+        ("x_inch", ["x"], "inch"),
+        ("Position Y in mm", ["position", "y"], "mm"),
+        ("m", ["m"], ""),
+    ],
+)
+def test_words_and_unit_of_a_heading(heading: str, words: list[str], unit: str) -> None:
+    assert words_of(heading) == (words, unit)
+
+
+def few(tmp_path: Path, positions: str = "1,2,3") -> Path:
+    """Three poses whose numbers tell no unit."""
+    path = tmp_path / "few.csv"
+    rows = [f"{k / 10},{k / 5},{positions.replace('1', str(k))}" for k in (1, 2, 4)]
+    path.write_text("\n".join(["A1,A2,X,Y,Z", *rows]) + "\n")
+    return path
+
+
+def test_what_the_numbers_do_not_tell_is_a_question(tmp_path: Path) -> None:
+    found = understand(read_table(few(tmp_path)), ["revolute"] * 2)
+    assert [q.text for q in found.questions] == ["In which unit are A1, A2?", "In which unit are X, Y, Z?"]
+    assert [list(q.choices) for q in found.questions] == [["rad", "deg"], ["m", "mm"]]
+    with pytest.raises(InputError, match=r"few\.csv: In which unit are A1, A2\? Allowed: rad; deg\. Say it in"):
+        read_measurements(few(tmp_path), 2)
+    said = {"q1_deg": "A1", "q2_deg": "A2", "x_mm": "X", "y_mm": "Y", "z_mm": "Z"}
+    assert read_measurements(few(tmp_path), 2, columns=said).q[0, 0] == pytest.approx(np.deg2rad(0.1))
+
+
+def test_two_groups_of_joints_are_a_question_and_deviations_none(tmp_path: Path) -> None:
+    q, p = first_hour.measured(20)
+    names = [f"{w}{k} [deg]" for w in "AJ" for k in range(1, 7)] + ["X mm", "Y mm", "Z mm", "dX mm", "Abw. X mm"]
+    path = tmp_path / "two.csv"
+    path.write_text(first_hour.table(names, np.column_stack([q, q]), np.column_stack([p, p[:, :2]])))
+    (question,) = understand(read_table(path), SIX).questions
+    assert question.text == "Which columns are the joint readings?"
+    assert len(question.choices) == 2
+    assert {s.name for c in question.choices.values() for s in c.values()} == set(names[:12])
+
+
+def test_our_own_names_are_never_understood_otherwise(tmp_path: Path) -> None:
+    path = tmp_path / "ours.csv"
+    path.write_text("q1_deg,q2_deg,A1,A2,x_mm,y_mm,z_mm,Temperatur [°C]\n1,2,3,4,5,6,7,8\n")
+    assert understand(read_table(path), ["revolute"] * 2).columns == ()
+
+
+def test_a_column_is_made_as_its_source_says(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("A1,A2,X,Y,Z\n10,1,5,6,7\n20,2,8,9,10\n30,3,11,12,13\n")
+    mapped = Columns.of_file(read_table(path)).mapped(
+        {
+            "q1_deg": Source("A1", times=-1.0, plus=90.0),
+            "q2_deg": Source("A2", add={"A1": 0.5}),
+            "x_mm": Source("X", times=25.4, rows=1),
+        }
+    )
+    # x of the row after: the last row has none and is left out.
+    assert mapped.row.tolist() == [2, 3]
+    assert mapped.column("q1_deg").tolist() == [80.0, 70.0]
+    assert mapped.column("q2_deg").tolist() == [6.0, 12.0]
+    assert mapped.column("x_mm").tolist() == pytest.approx([8 * 25.4, 11 * 25.4])
+
+
+def test_a_wrong_unit_in_a_heading_of_ours_is_renamed(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("q1_deg,x_mm,y_mm,z_mm\n0.5,5,6,7\n0.7,8,9,10\n")
+    assert read_measurements(path, 1, columns={"q1_rad": "q1_deg"}).q.ravel().tolist() == [0.5, 0.7]
+
+
+def test_files_that_are_no_tables_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "old.xls").write_bytes(bytes.fromhex("d0cf11e0a1b11ae1") + bytes(600))
+    (tmp_path / "broken.xlsx").write_bytes(b"PK\x03\x04" + bytes(600))
+    with pytest.raises(InputError, match=r"old\.xls: a workbook of the old format; save it as \.xlsx or as CSV"):
+        read_table(tmp_path / "old.xls")
+    with pytest.raises(InputError, match=r"broken\.xlsx: not a readable workbook"):
+        read_table(tmp_path / "broken.xlsx")
