@@ -38,6 +38,13 @@ def diagnose(
     prior: Prior = None,
     prior_effects: PriorEffects = None,
     frozen: Frozen = False,
+    nuisance_masses: Annotated[
+        bool,
+        typer.Option(
+            "--nuisance-masses",
+            help="Wrong declared masses of links are part of the base model, not a cause that may be named.",
+        ),
+    ] = False,
     measure_next: Annotated[
         Path | None,
         typer.Option("--next", metavar="FILE", help="Write poses that distinguish the leading causes, as CSV."),
@@ -73,6 +80,7 @@ def diagnose(
     from casadical.core.errors import InputError
     from casadical.core.files import write_whole
     from casadical.diagnosis.details import analyse
+    from casadical.diagnosis.diagnose import Masses
     from casadical.diagnosis.diagnose import diagnose as run
     from casadical.diagnosis.json_answer import as_json, diagnosis_files
     from casadical.diagnosis.text import page_of, titled
@@ -99,8 +107,9 @@ def diagnose(
     for path in campaigns:
         m = read_campaign(problem, path, robot)
         with working(quiet, "diagnosing", path.stem) as show:
+            masses: Masses = "nuisance" if nuisance_masses else "candidate"
             chosen = effects.split(",") if effects else "standard"
-            found = run(robot, m, chosen, seed=seed, bootstrap=bootstrap, prior=known, show=show)
+            found = run(robot, m, chosen, seed=seed, bootstrap=bootstrap, prior=known, masses=masses, show=show)
             file = measure_next if len(campaigns) == 1 else None
             name_of_file = file.name if file else ""
             more = analyse(found, poses=next_n, workspace=workspace, networks=network, file=name_of_file, show=show)

@@ -9,7 +9,18 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.parts import WIDTHS, Body, FourBar, Joint, Placement, Width, parallel, refuse_joint, with_hayati
+from casadical.core.parts import (
+    WIDTHS,
+    Body,
+    BodyWidth,
+    FourBar,
+    Joint,
+    Placement,
+    Width,
+    parallel,
+    refuse_joint,
+    with_hayati,
+)
 
 STANDARD_GRAVITY = 9.80665
 
@@ -22,7 +33,7 @@ class Arm:
     base : T_M0, robot base in the measuring frame; tool : T_nE, measured point in the last link's frame
     gravity : shape (3,) [m/s^2], given in `gravity_frame`
     payload : declared mass and mass centre in the last link's frame; poses may carry another mass (column payload_kg)
-    widths : how far the parameters of each group may be off
+    widths : how far the parameters of each group may be off; body_width : masses and mass centres of the links
     Raises InputError for a structure that cannot be built.
     """
 
@@ -35,6 +46,7 @@ class Arm:
     gravity_frame: Literal["measuring", "base"] = "measuring"
     payload: Body | None = None
     widths: Mapping[str, Width] = field(default_factory=lambda: dict(WIDTHS))
+    body_width: BodyWidth = field(default_factory=BodyWidth)
 
     def __post_init__(self) -> None:
         if not self.joints:

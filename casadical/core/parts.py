@@ -105,6 +105,14 @@ WIDTHS: Mapping[str, Width] = {
 }
 
 
+@dataclass(frozen=True)
+class BodyWidth:
+    """One sigma of what is declared of links: of their masses, as a share, and of coordinates of mass centres [m]."""
+
+    share: float = 0.2
+    centre: float = 0.03
+
+
 def parallel(joints: tuple[Joint, ...], i: int) -> bool:
     """Whether the axes of joints i and i+1 (0-based rows) are nearly parallel or antiparallel."""
     return i + 1 < len(joints) and abs(np.sin(joints[i + 1].alpha)) < np.sin(NEAR_PARALLEL)

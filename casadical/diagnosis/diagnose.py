@@ -13,14 +13,17 @@ from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.posterior import Rivals, no_rivals
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import Show, search
-from casadical.effects import Effect
+from casadical.effects import Effect, LinkMasses
 from casadical.identification.identification import Identification, identify
 from casadical.identification.least_squares import robust_std
 from casadical.identification.prior import Prior, carry_over
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
-__all__ = ["Diagnosis", "diagnose"]
+__all__ = ["Diagnosis", "Masses", "diagnose"]
+
+# What wrong declared masses of links are: a cause like others, or part of the base model.
+Masses = Literal["candidate", "nuisance"]
 
 
 def diagnose(
@@ -31,6 +34,7 @@ def diagnose(
     seed: int = 0,
     bootstrap: int = 0,
     prior: Robot | Prior | None = None,
+    masses: Masses = "candidate",
     rivals: Rivals = no_rivals,
     show: Show = lambda _text: None,
 ) -> Diagnosis:
@@ -45,6 +49,8 @@ def diagnose(
     prior : the same robot as another campaign found it, whose effects are in the base model with their values and
         covariance as a prior; what changed is found first (`Diagnosis.changes`). Or as of `carry_over`, with its robot
 
+    masses : whether wrong declared masses of links are a cause that may be named, or are in the base model, free within
+        the robot's `body_width`, and never named
     rivals : what competes with the candidates at every ranking, as a search for laws does (see `posterior.Rival`)
 
     Raises InputError where the measurements cannot carry a diagnosis.
@@ -55,15 +61,20 @@ def diagnose(
         raise InputError("prior: this robot is identified already; give the nominal robot and the measurements")
     if isinstance(prior, Robot) and isinstance(robot, Robot):
         robot, prior = carry_over(robot, prior)
+    free: tuple[str, ...] = ()
+    if masses == "nuisance":
+        if isinstance(robot, Identification):
+            raise InputError("masses='nuisance': this robot is identified already; give the nominal robot instead")
+        robot, free = _with_free_masses(robot)
     known = prior if isinstance(prior, Prior) else Prior()
     if isinstance(robot, Identification):
-        identification = robot if m is None else _of(robot.given, m, known, show)
+        identification = robot if m is None else _of(robot.given, m, known, free, show)
     elif m is None:
         raise InputError("measurements are missing; give diagnose(robot, measurements), or an identification alone")
     else:
-        identification = _of(robot, m, known, show)
+        identification = _of(robot, m, known, free, show)
     show("signatures of the candidates")
-    case = make_case(identification, candidates_of(identification.given, effects))
+    case = make_case(identification, candidates_of(identification.given, effects), free)
     changed: tuple[Change, ...] = ()
     if known.free:
         show("what changed since the campaign of the prior")
@@ -74,12 +85,19 @@ def diagnose(
     return _refuse_coarse(replace(found, prior=prior if isinstance(prior, Prior) else None, changes=changed))
 
 
-def _of(robot: Robot, m: Measurements, prior: Prior, show: Show) -> Identification:
+def _with_free_masses(robot: Robot) -> tuple[Robot, tuple[str, ...]]:
+    """The robot with masses and mass centres of links in its model, and their label; none where none are declared."""
+    if not any(isinstance(e, LinkMasses) for e in robot.effects):
+        robot = robot.with_effect(*LinkMasses.candidates(robot))
+    return robot, tuple(e.label for e in robot.effects if isinstance(e, LinkMasses))
+
+
+def _of(robot: Robot, m: Measurements, prior: Prior, free: tuple[str, ...], show: Show) -> Identification:
     """The base model calibrated; gross errors have little weight, and are screened with the causes, not before."""
     show("calibrating the base model")
     if m.position is not None:  # an orientation that is off by a convention would spoil the base model
         m = m.positions_alone()
-    return identify(robot, m, ("kinematic", "compliance"), loss="huber", priors=True, prior=prior, screen=False)
+    return identify(robot, m, ("kinematic", "compliance", *free), loss="huber", priors=True, prior=prior, screen=False)
 
 
 def _refuse_coarse(found: Diagnosis) -> Diagnosis:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -44,6 +44,7 @@ class Case:
     given, values : the robot that was given, and its parameters that make it the calibrated one
     candidates : that the logged columns allow; missing : label -> columns that were not logged
     whole : residuals and columns of all poses; kept : mask of those that are no outliers, shape (n,)
+    free : labels of effects of the given robot that are part of the base model, as uncertain as the effect says
     prior : what is known from another campaign; units : parameters that are correlated in it, as sums of independent
         ones of size one, shape (P, P), or None
     """
@@ -57,6 +58,7 @@ class Case:
     whole: Evidence
     kept: Array
     columns: dict[Effect, Array]
+    free: tuple[str, ...] = ()
     prior: Prior = field(default_factory=Prior)
     units: Array | None = None
 
@@ -152,9 +154,10 @@ class Case:
         return more
 
 
-def make_case(identification: Identification, candidates: Sequence[Candidate]) -> Case:
+def make_case(identification: Identification, candidates: Sequence[Candidate], free: tuple[str, ...] = ()) -> Case:
     """Residuals and signatures of an identification on its own measurements (kind position).
 
+    free : see `Case`
     Raises InputError for other kinds of measurement.
     """
     measured = [m for m in identification.measurements if m.position is not None]
@@ -179,9 +182,9 @@ def make_case(identification: Identification, candidates: Sequence[Candidate]) -
     E = Columns(linear, effects)
     again = replicates(m, r, kept)
     repeats = (again.sigma, min(again.freedom, MOST_FREEDOM)) if again.enough else (0.0, 0)
-    whole = Evidence(r, linear.J, linear.Jq, delta0, base_prior(robot), E, held=E.held, repeats=repeats)
+    whole = Evidence(r, linear.J, linear.Jq, delta0, base_prior(robot, free), E, held=E.held, repeats=repeats)
     columns = column_numbers(effects, 0)
-    return Case(identification.robot, robot, values, m, possible, missing, whole, kept, columns)
+    return Case(identification.robot, robot, values, m, possible, missing, whole, kept, columns, free)
 
 
 def _with_declared_payload(m: Measurements, robot: Robot) -> Measurements:
@@ -206,9 +209,12 @@ def _prior_mean(identification: Identification) -> Array:
     return identification.given.parameters.values
 
 
-def base_prior(robot: Robot) -> Array:
-    """One sigma of every parameter of the base model, shape (P,) [SI]; effects that the robot has are held."""
-    held = {e.label for e in robot.effects}
+def base_prior(robot: Robot, free: Collection[str] = ()) -> Array:
+    """One sigma of every parameter of the base model, shape (P,) [SI]; effects that the robot has are held, but some.
+
+    free : labels of those that are not
+    """
+    held = {e.label for e in robot.effects} - set(free)
 
     def sigma(p: Parameter) -> float:
         if p.group in held:

@@ -25,8 +25,9 @@ def refit(case: Case, effects: Sequence[Effect], noise: Noise, use: Array | None
     """
     m = refit_measurements(case, effects, noise)
     m = m if use is None else m[use]
-    base = case.robot if use is None else identify(case.given, m, priors=True, prior=case.prior).robot
-    free = ("kinematic", "compliance", *dict.fromkeys(e.label for e in effects))
+    own = ("kinematic", "compliance", *case.free)
+    base = case.robot if use is None else identify(case.given, m, own, priors=True, prior=case.prior).robot
+    free = (*own, *dict.fromkeys(e.label for e in effects))
     return identify(base.with_effect(*effects), m, free, priors=_priors(case), prior=case.prior)
 
 

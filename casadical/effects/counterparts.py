@@ -77,13 +77,15 @@ class Counterparts:
     base : stiffness about the base frame's x and y [N m/rad], infinite where it is rigid
     flexures : of a link (1-based), stiffness [N m/rad] about its axes of the whole link as a beam
     balancers : springs between a link and the one before it
-    payload : the true one, payload_factor : its mass as a multiple of the declared one
+    bodies : of the links, the true ones; payload : the true one
+    payload_factor : its mass as a multiple of the declared one
     written : what became of each effect, in words; left_out : why others have none
     """
 
     drives: tuple[Drive, ...]
     torque_scale: Array
     mean_load: Array
+    bodies: tuple[Body | None, ...] = ()
     payload: Body | None = None
     payload_factor: float = 1.0
     base: tuple[float, float] = (np.inf, np.inf)

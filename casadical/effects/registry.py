@@ -13,6 +13,7 @@ from casadical.effects.friction_windup import FrictionWindup as FrictionWindup
 from casadical.effects.thermal_growth import ThermalGrowth as ThermalGrowth
 from casadical.effects.target_shift import TargetShift as TargetShift
 from casadical.effects.payload_error import PayloadError as PayloadError
+from casadical.effects.link_masses import LinkMasses as LinkMasses
 from casadical.effects.gravity_compensator import GravityCompensator as GravityCompensator
 from casadical.effects.base_compliance import BaseCompliance as BaseCompliance
 from casadical.effects.frame_drift import FrameDrift as FrameDrift

@@ -20,7 +20,7 @@ from casadical.core.arm import STANDARD_GRAVITY
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.files import write_whole
-from casadical.core.parts import WIDTHS, Body, FourBar, Joint, Placement, Width
+from casadical.core.parts import WIDTHS, Body, BodyWidth, FourBar, Joint, Placement, Width
 from casadical.core.schema import (
     ANGLE,
     LENGTH,
@@ -136,12 +136,18 @@ class _Width(TomlTable):
     angle_prior: HalfAngle = None
 
 
+class _BodyWidth(TomlTable):
+    mass_share: float = Field(default=BodyWidth().share, ge=0)
+    com: Annotated[float, LENGTH, Field(ge=0)] = BodyWidth().centre
+
+
 class _Widths(TomlTable):
     base: _Width = _Width()
     geometry: _Width = _Width()
     loop: _Width = _Width()
     tool: _Width = _Width()
     compliance: _Width = _Width()
+    body: _BodyWidth = _BodyWidth()
 
     def widths(self) -> dict[str, Width]:
         given = {group: getattr(self, group).model_dump(exclude_none=True) for group in WIDTHS}
@@ -198,6 +204,7 @@ class _RobotFile(TomlTable):
             gravity_frame=self.gravity.frame,
             payload=payload,
             widths=self.width.widths(),
+            body_width=BodyWidth(self.width.body.mass_share, self.width.body.com),
             effects=effects,
             effect_values=values,
             notes=tuple(self.notes),
@@ -364,7 +371,8 @@ def _loop_table(loop: FourBar) -> dict[str, Any]:
 
 
 def _width_tables(robot: Robot) -> dict[str, Any]:
-    return {
+    of_bodies = {"mass_share": robot.body_width.share, "com_mm": _mm(robot.body_width.centre)}
+    groups = {
         group: {
             "length_bound_mm": _mm(w.length_bound),
             "angle_bound_deg": _deg(w.angle_bound),
@@ -374,3 +382,4 @@ def _width_tables(robot: Robot) -> dict[str, Any]:
         for group, w in robot.widths.items()
         if w != WIDTHS[group]
     }
+    return groups | ({} if robot.body_width == BodyWidth() else {"body": of_bodies})

@@ -115,7 +115,7 @@ def _bodies(world: ET.Element, robot: Robot, found: Counterparts) -> ET.Element:
         for balancer in found.balancers:
             if balancer.joint == i:
                 add_sites(balancer, *ends[-1], body, row)
-        mass = row.body or Body(0.0, np.zeros(3))
+        mass = found.bodies[i - 1] or Body(0.0, np.zeros(3))
         parent, behind = body, np.eye(4)
         if i in found.flexures and i < robot.n:
             end = row_matrix(robot.joints[i])[:3, 3]

@@ -1,0 +1,97 @@
+"""Declared masses and mass centres of links that are wrong: a cause of their own, or part of the base model."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cases import robot, simulated
+
+from casadical.blind_check.numpy_physics import disturbances
+from casadical.core.errors import InputError
+from casadical.core.parts import BodyWidth
+from casadical.diagnosis.candidates import standard_candidates
+from casadical.diagnosis.diagnose import diagnose
+from casadical.effects import LinkMasses
+from casadical.identification.identification import identify
+from casadical.robot.robot import Robot
+from casadical.robot.robot_file import read_robot, write_robot
+
+
+def misdeclared(name: str, seed: int) -> Robot:
+    """The robot with masses off by 10 to 30 % and mass centres by up to 30 mm a coordinate."""
+    rng = np.random.default_rng(seed)
+    joints = [
+        replace(
+            j,
+            body=j.body
+            and replace(
+                j.body,
+                mass=j.body.mass * (1 + rng.choice([-1, 1]) * rng.uniform(0.1, 0.3)),
+                com=j.body.com + rng.uniform(-0.03, 0.03, 3),
+            ),
+        )
+        for j in robot(name).joints
+    ]
+    return replace(robot(name), joints=tuple(joints))
+
+
+def test_wrong_masses_are_named_as_such_and_a_cause_beside_them_is_found() -> None:
+    declared = misdeclared("kr210", 3)
+    d = diagnose(declared, simulated("kr210", 21, n=70))
+    assert (d.verdict, [c.label for c in d.causes]) == ("explained", ["link_masses"])
+    assert d.causes[0].estimates == {}
+    assert d.effects()[0].summary[0] == ("one sigma of each mass", "20, 20, 20, 20, 20, 20", "%")
+    beside = diagnose(declared, simulated("kr210", 21, disturbances.GearEccentricity(4, 200e-6), n=70))
+    assert {c.label for c in beside.causes} == {"link_masses", "gear_eccentricity@4"}
+    # Refitted, masses come nearer to the true ones where gravity shows them.
+    refit = d.refit()
+    true, said = (np.array([j.body.mass * j.body.com[0] for j in r.joints]) for r in (robot("kr210"), declared))
+    v = {n: x for n, x in refit.robot.effect_values.items() if n.startswith("link_masses.")}
+    found = np.array(
+        [j.body.mass * ((1 + v[f"link_masses.m{i}"]) * j.body.com[0] + v[f"link_masses.x{i}"]) for i, j in
+         enumerate(declared.joints, 1)]
+    )  # fmt: skip
+    assert abs(found[2] - true[2]) < abs(said[2] - true[2])
+
+
+def test_as_a_nuisance_they_are_in_the_base_model_and_never_named() -> None:
+    declared = misdeclared("kr210", 3)
+    d = diagnose(declared, simulated("kr210", 21, n=70), masses="nuisance")
+    assert (d.verdict, d.causes) == ("none", ())
+    names = d.case.given.parameters.names
+    assert d.case.whole.prior[names.index("link_masses.m2")] == pytest.approx(0.2)
+    assert d.case.whole.prior[names.index("link_masses.x2")] == pytest.approx(0.03)
+    found = identify(robot("kr210"), simulated("kr210", 21, n=40))
+    with pytest.raises(InputError, match="identified already"):
+        diagnose(found, masses="nuisance")
+
+
+def test_widths_are_those_of_the_robot_file(tmp_path: Path) -> None:
+    own = replace(robot("ur10e"), body_width=BodyWidth(0.1, 0.005))
+    write_robot(own, tmp_path / "own.robot.toml")
+    again = read_robot(tmp_path / "own.robot.toml")
+    assert again.body_width == own.body_width
+    (effect,) = LinkMasses.candidates(again)
+    sizes = effect.sizes()
+    assert (sizes["m3"], sizes["y3"]) == ((0.1, "kg/kg"), (0.005, "m"))
+    exact = replace(own, body_width=BodyWidth(0.0, 0.0))
+    assert not list(LinkMasses.candidates(exact))
+    assert "link_masses" not in {c.label for c in standard_candidates(exact)}
+
+
+def test_a_mass_centre_that_nobody_declared_is_as_uncertain_as_the_link_is_long() -> None:
+    """`new` writes [0, 0, 0] where a centre is not known."""
+    bare = robot("ur10e")
+    joints = [replace(j, body=j.body and replace(j.body, com=np.zeros(3))) for j in bare.joints]
+    (effect,) = LinkMasses.candidates(replace(bare, joints=tuple(joints)))
+    assert effect.centre[1] == pytest.approx(0.5 * abs(bare.joints[2].a), rel=0.1)  # the upper arm
+    assert min(effect.centre) >= 0.03
+
+
+def test_a_robot_without_masses_or_springs_has_no_such_cause() -> None:
+    bare = robot("ur10e")
+    massless = tuple(replace(j, body=None) for j in bare.joints)
+    stiff = tuple(replace(j, compliance=None) for j in bare.joints)
+    assert not list(LinkMasses.candidates(replace(bare, joints=massless)))
+    assert not list(LinkMasses.candidates(replace(bare, joints=stiff)))
