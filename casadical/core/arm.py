@@ -72,6 +72,12 @@ class Arm:
         """Numbers of the joints that turn."""
         return tuple(i for i in self.numbers if self.joints[i - 1].kind == "revolute")
 
+    @property
+    def reading_units(self) -> dict[str, float]:
+        """Key of each joint's reading, as columns of measurements are named (q1_deg, q2_mm), and its factor to SI."""
+        units = {"revolute": ("deg", np.pi / 180), "prismatic": ("mm", 1e-3)}
+        return {f"q{i}_{units[j.kind][0]}": units[j.kind][1] for i, j in enumerate(self.joints, 1)}
+
     def near(self, joint: int) -> tuple[int, ...]:
         """Numbers of the joints whose motors can move this one: those right before it and behind it."""
         return tuple(i for i in (joint - 2, joint - 1, joint + 1, joint + 2) if i in self.numbers)

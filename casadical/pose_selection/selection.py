@@ -17,7 +17,6 @@ from casadical.pose_selection.criteria import Criterion, observability
 from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.information import MM, noise_covariance, scaled_jacobian
 from casadical.pose_selection.pose_order import arranged
-from casadical.robot.effect_tables import reading_keys
 from casadical.robot.robot import Robot
 
 
@@ -141,5 +140,5 @@ class Selection:
 
 def readings_table(robot: Robot, q: Array) -> pd.DataFrame:
     """Readings as columns q1_deg, q2_mm, ..., to 1e-6 of a degree or millimetre."""
-    columns = reading_keys(robot)
+    columns = robot.reading_units
     return pd.DataFrame(np.round(q / list(columns.values()), 6), columns=list(columns))

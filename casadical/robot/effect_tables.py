@@ -76,7 +76,7 @@ class LearntTable(TomlTable):
 
     def ranges(self, arm: Arm) -> Array:
         """Of the joints' readings, shape (n, 2) [rad or m], or (0, 2). Raises InputError for other joints or units."""
-        factors = reading_keys(arm)
+        factors = arm.reading_units
         for key in self.readings:
             if key not in factors:
                 raise InputError(f"learnt.readings.{key}: not a known key; allowed: {', '.join(factors)}")
@@ -86,12 +86,6 @@ class LearntTable(TomlTable):
         if not self.readings:
             return np.zeros((0, 2))
         return np.array([np.multiply(self.readings[key], factor) for key, factor in factors.items()])
-
-
-def reading_keys(arm: Arm) -> dict[str, float]:
-    """Key of each joint's range, as columns of measurements are named, and its factor to SI."""
-    units = {"revolute": ("deg", np.pi / 180), "prismatic": ("mm", 1e-3)}
-    return {f"q{i}_{units[j.kind][0]}": units[j.kind][1] for i, j in enumerate(arm.joints, 1)}
 
 
 def knowledge_of(
@@ -170,7 +164,7 @@ def _learnt_lines(arm: Arm, knowledge: Knowledge) -> Iterator[str]:
     yield from ("", "[learnt]", f"campaign = {_text(knowledge.campaign)}", f"poses = {knowledge.poses}")
     if len(knowledge.readings):
         yield "[learnt.readings]"
-        for (key, factor), pair in zip(reading_keys(arm).items(), knowledge.readings, strict=True):
+        for (key, factor), pair in zip(arm.reading_units.items(), knowledge.readings, strict=True):
             yield f"{key} = {_text([float(v / factor) for v in pair])}"
     if knowledge.conditions:
         yield "[learnt.conditions]"

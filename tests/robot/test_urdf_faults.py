@@ -16,7 +16,7 @@ FAULTS = {
     "not XML": ("<robot name='r'><link name='a'>", {}, "malformed XML.*line 1"),
     "empty": ("", {}, "malformed XML"),
     "mismatched tag": (robot(ABC, AB, "</joint>"), {}, "malformed XML: mismatched tag"),
-    "another format": ("<sdf><model/></sdf>", {}, "root element is <sdf>, a URDF has <robot>"),
+    "another format": ("<sdf><model/></sdf>", {}, "root element is <sdf>, not <robot>"),
     "robot without name": ("<robot><link name='a'/></robot>", {}, "not a readable URDF.*need a name"),
     "no links": (robot(), {}, "holds no link"),
     "xacro": (robot(ABC, joint("j1", "fixed", "a", "b").replace("0.0", "${x}", 1)), {}, "xacro must be expanded"),

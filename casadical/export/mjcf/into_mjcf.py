@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from xml.dom import minidom
-from xml.parsers.expat import ExpatError
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from casadical.export.mjcf.elements import inert, numbers, quaternion
 from casadical.export.mjcf.equilibrium import load_mujoco
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
+from casadical.robot.urdf.tree import parse_xml
 
 SAME_AXIS = 1e-5  # m or rad
 HELD = 1e-9  # m or rad, of the file that was written
@@ -43,7 +43,7 @@ def into_mjcf(nominal: Robot, calibrated: Robot, path: Path, joints: Sequence[st
     B = _foot(N, axes, points, joints, str(path))
     C = [np.linalg.inv(B @ n) @ x for n, x in zip(N, X, strict=True)]
     new = [B @ n @ c for n, c in zip(after, C, strict=True)]
-    document = _parsed(path)
+    document = parse_xml(path, "mujoco")
     _, data = _at_zero(spec, joints)
     before, moved = np.eye(4), np.eye(4)
     for name, x, target in zip(bodies, X, new, strict=True):
@@ -60,13 +60,6 @@ def into_mjcf(nominal: Robot, calibrated: Robot, path: Path, joints: Sequence[st
     for name, row in zip(joints, calibrated.joints, strict=True) if springs else ():
         _add_spring(document, name, row.compliance or 0.0, str(path))
     return "\n".join(node.toxml() for node in document.childNodes) + "\n"
-
-
-def _parsed(path: Path) -> minidom.Document:
-    try:
-        return minidom.parse(str(path))
-    except (ExpatError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: malformed XML: {error}") from None
 
 
 def _element(document: minidom.Document, tag: str, name: str, source: str) -> minidom.Element:

@@ -34,13 +34,11 @@ class JointCoverage:
 def coverage(robot: Robot, m: Measurements) -> tuple[JointCoverage, ...]:
     """Ranges covered by the readings; of a joint that turns more than once, a full turn is all there is to cover."""
     found = []
-    for i, joint in enumerate(robot.joints):
-        turns = joint.kind == "revolute"
-        factor = 180 / np.pi if turns else 1e3
+    for i, (joint, (key, factor)) in enumerate(zip(robot.joints, robot.reading_units.items(), strict=True)):
         low, high = float(m.q[:, i].min()), float(m.q[:, i].max())
-        whole = min(joint.upper - joint.lower, 2 * np.pi) if turns else joint.upper - joint.lower
-        ends = (factor * low, factor * high, factor * joint.lower, factor * joint.upper)
-        found.append(JointCoverage(i + 1, "deg" if turns else "mm", *ends, min(1.0, (high - low) / whole)))
+        whole = min(joint.upper - joint.lower, 2 * np.pi if joint.kind == "revolute" else np.inf)
+        ends = (low / factor, high / factor, joint.lower / factor, joint.upper / factor)
+        found.append(JointCoverage(i + 1, key.split("_")[1], *ends, min(1.0, (high - low) / whole)))
     return tuple(found)
 
 

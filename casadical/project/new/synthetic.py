@@ -54,10 +54,8 @@ def _as_built(robot: Robot, rng: np.random.Generator) -> Robot:
 
 
 def _table(robot: Robot, m: Measurements, position: Array) -> str:
-    turns = [j.kind == "revolute" for j in robot.joints]
-    names = [f"q{i}_{'deg' if t else 'mm'}" for i, t in enumerate(turns, 1)]
-    readings = m.q * np.where(turns, 180 / np.pi, 1e3)
-    lines = [",".join([*names, "x_mm", "y_mm", "z_mm"])]
-    for q, p in zip(readings, 1e3 * position, strict=True):
+    units = robot.reading_units
+    lines = [",".join([*units, "x_mm", "y_mm", "z_mm"])]
+    for q, p in zip(m.q / list(units.values()), 1e3 * position, strict=True):
         lines.append(",".join([*(f"{v:.6f}" for v in q), *(f"{v:.4f}" for v in p)]))
     return "\n".join(lines) + "\n"

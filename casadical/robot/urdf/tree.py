@@ -12,8 +12,8 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError, optional
 
 
-def parse_xml(path: Path) -> minidom.Document:
-    """The file's XML. Raises InputError where it is no well-formed URDF."""
+def parse_xml(path: Path, root: str = "robot") -> minidom.Document:
+    """The file's XML. Raises InputError where it is not well-formed, or its root element is another one."""
     try:
         document = minidom.parse(str(path))
     except OSError as error:
@@ -22,8 +22,8 @@ def parse_xml(path: Path) -> minidom.Document:
         raise InputError(f"{path}: malformed XML: {error}") from None
     element = document.documentElement
     assert element is not None
-    if element.tagName != "robot":
-        raise InputError(f"{path}: the root element is <{element.tagName}>, a URDF has <robot>")
+    if element.tagName != root:
+        raise InputError(f"{path}: the root element is <{element.tagName}>, not <{root}>")
     return document
 
 
