@@ -1,6 +1,8 @@
-"""Answers on disk: a line of JSON for each campaign, added when it is answered, so that a killed run loses nothing."""
+"""Answers on disk: a line of JSON with its SHA-256 for each campaign, added when it is answered, never rewritten."""
 
+import hashlib
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -10,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from casadical.blind_check.protocol import content, label, stored
 from casadical.core.errors import InputError
 
+_CHECKED = re.compile(rb'(.*),"sha256":"([0-9a-f]{64})"\}')
 Rows = tuple[tuple[float, float, float], ...]
 
 
@@ -85,12 +88,38 @@ def relabelled(text: str) -> str:
 
 
 def json_line(data: Mapping[str, Any]) -> str:
-    return json.dumps(data, allow_nan=False, separators=(",", ":")) + "\n"
+    """A line of a file of answers; its last entry is the SHA-256 of the text before it."""
+    text = json.dumps(data, allow_nan=False, separators=(",", ":"))
+    return f'{text[:-1]},"sha256":"{_sum(text.encode())}"}}\n'
+
+
+def _sum(text: bytes) -> str:
+    return hashlib.sha256(text).hexdigest()
+
+
+def _intact(line: bytes) -> bool:
+    """Whether a line is as it was written; one without a checksum, of an earlier casadical, if it is JSON."""
+    found = _CHECKED.fullmatch(line)
+    if found:
+        return _sum(found[1] + b"}") == found[2].decode()
+    try:
+        return isinstance(json.loads(line), dict)
+    except ValueError:
+        return False
+
+
+def whole_lines(path: Path) -> int:
+    """Bytes of the lines that were written to their end; 0 where there is no file. Raises InputError."""
+    try:
+        return path.read_bytes().rfind(b"\n") + 1 if path.exists() else 0
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def read_answers(path: Path) -> tuple[Header, dict[str, Answer]]:
-    """A file of answers by campaign, without what failed and a last line that was cut short. Raises InputError.
+    """A file of answers by campaign, without what failed and lines that are damaged. Raises InputError.
 
+    A damaged line (a process was killed, a disk was full) counts as no answer, so that `predict` answers it again.
     Where a file is missing, the one packed by xz beside it is read.
     """
     path = stored(path)
@@ -104,7 +133,7 @@ def read_answers(path: Path) -> tuple[Header, dict[str, Answer]]:
         raise InputError(f"{path}: holds no answers; its first line must say which check they answer")
     head = _read(Header, lines[0], f"{path}: line 1", "predict into another file (--out)")
     # Quotes inside of a text are escaped, so that this can only be the entry.
-    answered = [(k, text) for k, text in enumerate(lines[1:], 2) if b'"failed":' not in text]
+    answered = [(k, t) for k, t in enumerate(lines[1:], 2) if b'"failed":' not in t and _intact(t)]
     remedy = "delete this line, and run predict again to answer the campaign again"
     answers = [_read(Answer, text, f"{path}: line {k}", remedy) for k, text in answered]
     return head, {a.campaign: a for a in answers}

@@ -32,7 +32,7 @@ from casadical.blind_check.synthetic.campaigns import APPROACHES, MEASURED, TRUE
 from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.arrays import Array
 from casadical.core.errors import ConvergenceError, InputError
-from casadical.core.files import write_together
+from casadical.core.files import claimed, write_together
 from casadical.measurements.reading import from_table
 from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot_file import to_toml
@@ -97,11 +97,14 @@ def make(
     manifest = Manifest(
         key_sha256=sha256(inside.text()), campaigns={p.name: CampaignEntry(robot=p.robot) for p in todo}
     )
-    texts = {folder / ROBOTS / f"{name}.robot.toml": text for name, (_, text) in drawings.items()}
+    # The key first: campaigns whose key was lost would be of no use.
+    texts = {key_folder / KEY: inside.text()}
+    texts |= {folder / ROBOTS / f"{name}.robot.toml": text for name, (_, text) in drawings.items()}
     texts |= {folder / f"{c.name}.csv": c.seen for c in made.values()}
     texts |= {folder / f"{c.name}.unseen.csv": c.unseen for c in made.values()}
-    texts |= {folder / MANIFEST: manifest.model_dump_json(indent=1) + "\n", key_folder / KEY: inside.text()}
-    write_together(texts)
+    texts |= {folder / MANIFEST: manifest.model_dump_json(indent=1) + "\n"}
+    with claimed([folder, key_folder]):
+        write_together(texts)
     return manifest
 
 

@@ -1,19 +1,18 @@
 """Answer a blind check: diagnose each campaign from its folder alone, and predict positions at its unseen poses."""
 
-import os
 from collections.abc import Callable
 from concurrent.futures import Executor
 from importlib.metadata import version
 from pathlib import Path
-from typing import IO, Any
 
 import pandas as pd
 
-from casadical.blind_check.answers import json_line, read_answers
+from casadical.blind_check.answers import json_line, read_answers, whole_lines
 from casadical.blind_check.predictor import METHODS, answer_campaign
 from casadical.blind_check.protocol import MANIFEST, ROBOTS, Manifest, read_manifest, read_table
 from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.errors import InputError
+from casadical.core.files import appending
 from casadical.robot.robot_file import read_robot, to_toml
 
 
@@ -46,34 +45,24 @@ def predict(
     robots = {c.robot: folder / ROBOTS / f"{c.robot}.robot.toml" for c in manifest.campaigns.values()}
     models = {robot: to_toml(read_robot(path)) for robot, path in robots.items()}
     tasks = [(by, name, models[manifest.campaigns[name].robot], *_tables(folder, name)) for name in left]
-    with workers(executor) as pool, path.open("a", encoding="utf-8") as file:
+    with workers(executor) as pool, appending(path, whole_lines(path)) as add:
         if not path.stat().st_size:
             versions = {package: version(package) for package in ("casadical", "casadi", "numpy")}
-            _write(file, {"key_sha256": manifest.key_sha256, "by": by, "versions": versions})
+            add(json_line({"key_sha256": manifest.key_sha256, "by": by, "versions": versions}))
         for count, answer in enumerate(completed(pool, answer_campaign, tasks), len(done) + 1):
-            _write(file, answer)
+            add(json_line(answer))
             show(answer["campaign"], count, len(manifest.campaigns))
     return path
 
 
 def _begun(path: Path, manifest: Manifest, by: str) -> set[str]:
-    """Campaigns that are answered already; of a last line that was cut short the beginning is removed.
-
-    The file is truncated in place, never rewritten: complete answers are kept whenever this run ends.
-    """
-    if not path.exists() or not path.stat().st_size:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    """Campaigns that are answered already. Raises InputError for answers to another check."""
+    if not whole_lines(path):
         return set()
     head, answers = read_answers(path)
     if (head.key_sha256, head.by) != (manifest.key_sha256, by):
         raise InputError(f"{path}: holds answers by {head.by} to another check; name another file by --out")
-    os.truncate(path, path.read_bytes().rfind(b"\n") + 1)
     return set(answers)
-
-
-def _write(file: IO[str], data: dict[str, Any]) -> None:
-    file.write(json_line(data))
-    file.flush()
 
 
 def _tables(folder: Path, name: str) -> tuple[pd.DataFrame, pd.DataFrame]:

@@ -1,5 +1,6 @@
 """A score as text: metrics beside their targets, the same by parts, the confusion matrix, and every wrong claim."""
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,7 +11,8 @@ from rich.text import Text
 from casadical.blind_check.metrics import part_metrics
 from casadical.blind_check.scoring import Score
 from casadical.blind_check.sign_test import sign_tests
-from casadical.core.errors import optional
+from casadical.core.errors import InputError, optional
+from casadical.core.files import write_together
 
 _LAST = ("at another joint", "unknown", "none")
 
@@ -115,4 +117,9 @@ def draw_confusion(s: Score, path: Path) -> None:
     axes.set_yticks(range(len(rows)), [f"{r.replace('_', ' ')} ({sum(n)})" for r, n in zip(rows, counts, strict=True)])
     axes.set_xlabel("answered first")
     axes.set_ylabel("hidden (campaigns)")
-    canvas.savefig(path, dpi=120)
+    drawn = io.BytesIO()
+    try:
+        canvas.savefig(drawn, dpi=120, format=path.suffix[1:] or "png")
+    except ValueError as error:
+        raise InputError(f"{path}: no such kind of picture: {error}") from None
+    write_together({path: drawn.getvalue()})

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from casadical.cli.options import Compensator, Json, LeaveOut, Nominal, Overwrite, Payload, Quiet
-from casadical.cli.terminal import keep_json, plain, refuse_taken
+from casadical.cli.terminal import plain, refuse_taken, with_json
 from casadical.core.errors import InputError
 
 
@@ -40,7 +40,7 @@ def correct(
 
     Exit codes: 0 written, with or without refused rows; 2 bad input; 70 a bug in casadical.
     """
-    from casadical.core.files import write_whole
+    from casadical.core.files import write_together
     from casadical.export.controller.commands import Sources, command_of, followed
     from casadical.export.controller.correction import corrected, kernel_corrector, model_corrector
     from casadical.export.controller.offline_program import read_program
@@ -66,15 +66,15 @@ def correct(
         sources = Sources(model, nominal, compensator, payload, tool or "shared", leave_out)  # type: ignore[arg-type]
         corrector, (_, lines) = model_corrector(command_of(sources, steps or 2)), followed(sources)
     result = corrected(corrector, read_program(program, corrector.joints))
-    write_whole(out, result.to_csv())
+    write_together(with_json({out: result.to_csv()}, json_file, result.to_json()))
     console = plain(quiet)
     console.print(result.report())
     for line in lines:
         console.print(f"LEFT OUT {line}")
     if model.is_dir():
         console.print(_stated(model))
-    console.print(f"wrote {out}")
-    keep_json(json_file, result.to_json(), console)
+    for path in filter(None, (out, json_file)):
+        console.print(f"wrote {path}")
 
 
 def _stated(folder: Path) -> str:

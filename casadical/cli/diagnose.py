@@ -77,8 +77,7 @@ def diagnose(
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
-    from casadical.core.errors import InputError
-    from casadical.core.files import write_whole
+    from casadical.core.errors import InputError, shown
     from casadical.diagnosis.details import analyse
     from casadical.diagnosis.diagnose import Masses
     from casadical.diagnosis.diagnose import diagnose as run
@@ -123,8 +122,9 @@ def diagnose(
         console.print()
         if file and more.poses is not None:
             if len(more.poses):
-                write_whole(file, more.poses.to_csv(index=False))
-            console.print(f"wrote {file}" if len(more.poses) else f"{file}: not written, for nothing is in question")
+                texts[file] = more.poses.to_csv(index=False)
+            else:
+                console.print(f"{shown(file)}: not written, for nothing is in question", markup=False)
     if json_file:
         texts[json_file] = as_text(answers)
     if report_file:

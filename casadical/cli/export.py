@@ -12,6 +12,7 @@ import typer
 from casadical.cli import completion as words
 from casadical.cli.export_model import export_mjcf, export_urdf
 from casadical.cli.options import Compensator, Json, LeaveOut, Nominal, Payload, Quiet, Tool
+from casadical.cli.outputs import guarded
 from casadical.cli.terminal import keep_json, plain
 from casadical.core.errors import InputError
 
@@ -33,6 +34,7 @@ def _group() -> None:
 
 
 @export_app.command("c")
+@guarded
 def export_c(
     robot: Annotated[Path, typer.Argument(metavar="ROBOT.toml", help="A calibrated robot file.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files; other files in it stay.")],
@@ -144,5 +146,5 @@ def _about(sources: Sources, what: str, networked: bool) -> list[str]:
     return lines
 
 
-export_app.command("mjcf")(export_mjcf)
-export_app.command("urdf")(export_urdf)
+export_app.command("mjcf")(guarded(export_mjcf))
+export_app.command("urdf")(guarded(export_urdf))

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from casadical.cli.options import Effects, Json, LeaveOut, Nominal, Overwrite, Quiet
-from casadical.cli.terminal import keep_json, plain, refuse_taken, working
+from casadical.cli.terminal import plain, refuse_taken, with_json, working
 from casadical.core.errors import InputError
 
 _Source = Annotated[
@@ -57,7 +57,7 @@ def export_mjcf(
 
     Exit codes: 0 written, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
-    from casadical.core.files import write_whole
+    from casadical.core.files import write_together
     from casadical.export.mjcf.mjcf import mjcf
     from casadical.export.mjcf.sources import into_users, robot_to_write
     from casadical.export.omission import left_out
@@ -69,15 +69,16 @@ def export_mjcf(
         robot, _ = robot_to_write(source, campaign, effects, show)
     made = mjcf(robot) if into is None else into_users(source, campaign, nominal, robot, into, joints or "", springs)
     lines = (*left_out(robot, made.omitted, "a MuJoCo model", leave_out), *made.notes)
-    write_whole(out, made.text)
+    kept = {"file": str(out), "robot": robot.name, "written": list(made.written), "left_out": list(lines)}
+    write_together(with_json({out: made.text}, json_file, kept))
     console = plain(quiet)
     for text in made.written:
         console.print(f"effect {text}")
     for text in lines:
         console.print(f"LEFT OUT {text}")
     console.print(f"wrote {out}: {robot.name}, {robot.n} joints")
-    kept = {"file": str(out), "robot": robot.name, "written": list(made.written), "left_out": list(lines)}
-    keep_json(json_file, kept, console)
+    if json_file:
+        console.print(f"wrote {json_file}")
 
 
 def export_urdf(
@@ -94,7 +95,7 @@ def export_urdf(
 
     Exit codes: 0 written, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
-    from casadical.core.files import write_whole
+    from casadical.core.files import write_together
     from casadical.effects.counterparts import Omission
     from casadical.export.mjcf.sources import calibrated, robot_to_write
     from casadical.export.omission import left_out
@@ -111,10 +112,11 @@ def export_urdf(
     omissions = [Omission(e.label, "a URDF holds geometry and masses only") for e in robot.effects]
     lines = left_out(robot, omissions, "a URDF", leave_out)
     text = calibration.problem.calibrated_urdf(robot) if into else new_urdf(robot)
-    write_whole(out, text)
+    kept = {"file": str(out), "robot": robot.name, "into": into[0].name if into else None, "left_out": list(lines)}
+    write_together(with_json({out: text}, json_file, kept))
     console = plain(quiet)
     for line in lines:
         console.print(f"LEFT OUT {line}")
     console.print(f"wrote {out}: {robot.name}, {robot.n} joints" + (f", after {into[0].name}" if into else ""))
-    kept = {"file": str(out), "robot": robot.name, "into": into[0].name if into else None, "left_out": list(lines)}
-    keep_json(json_file, kept, console)
+    if json_file:
+        console.print(f"wrote {json_file}")

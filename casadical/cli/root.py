@@ -11,6 +11,7 @@ from casadical.cli.correct import correct
 from casadical.cli.diagnose import diagnose
 from casadical.cli.export import export_app
 from casadical.cli.new import new
+from casadical.cli.outputs import guarded
 from casadical.cli.plan import plan
 from casadical.cli.replay import replay
 from casadical.cli.withheld import withheld_app
@@ -46,6 +47,6 @@ def _root(
 
 
 for command in (new, check, calibrate, diagnose, plan, replay, correct):
-    app.command()(command)
+    app.command()(guarded(command, also=("folder",) if command is new else ()))
 app.add_typer(export_app, name="export")
 app.add_typer(withheld_app, name="withheld")

@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from casadical.core.errors import InputError
+from casadical.core.errors import InputError, shown
 from casadical.core.files import json_text, write_together
 
 BAD_INPUT, NO_CONVERGENCE, OUR_BUG = 2, 3, 70
@@ -34,11 +34,16 @@ def keep_json(path: Path | None, figures: Mapping[str, Any] | Sequence[Mapping[s
         keep({path: as_text(figures)}, console)
 
 
+def with_json(texts: Mapping[Path, str], path: Path | None, figures: Mapping[str, Any]) -> dict[Path, str]:
+    """Files, and among them the one of `--json`, if there is one."""
+    return {**texts, **({} if path is None else {path: as_text(figures)})}
+
+
 def keep(texts: Mapping[Path, str], console: Console) -> None:
     """Write files, all or none, and print their names. Raises InputError."""
     write_together(texts)
     for path in texts:
-        console.print(f"wrote {path}", soft_wrap=True)
+        console.print(f"wrote {shown(path)}", soft_wrap=True, markup=False, emoji=False)
 
 
 def refuse_taken(out: Path, overwrite: bool) -> None:

@@ -1,6 +1,7 @@
 """The commands `casadical withheld ...`."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -8,6 +9,7 @@ import typer
 from rich.console import Console
 
 from casadical.cli.options import Json, Quiet
+from casadical.cli.outputs import guarded
 from casadical.cli.terminal import Show, keep_json, working
 from casadical.core.errors import InputError
 
@@ -32,6 +34,7 @@ def _counted(show: Show) -> Callable[[str, int, int], None]:
 
 
 @withheld_app.command("make")
+@partial(guarded, also=("key",))
 def make_command(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the campaigns.")],
     key: Annotated[
@@ -81,6 +84,7 @@ def _whole(text: str) -> tuple[int, ...]:
 
 
 @withheld_app.command("predict")
+@guarded
 def predict_command(
     folder: Folder,
     out: Annotated[
@@ -116,6 +120,7 @@ def predict_command(
 
 
 @withheld_app.command("score")
+@guarded
 def score_command(
     folder: Folder,
     key: Annotated[Path, typer.Argument(metavar="KEYDIR", help="Folder with the key.")],

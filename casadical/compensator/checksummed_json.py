@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from casadical.core.errors import InputError
-from casadical.core.files import json_text, write_whole
+from casadical.core.files import json_text, read_bytes, write_whole
 
 
 def digest(body: dict[str, Any]) -> str:
@@ -36,10 +36,10 @@ def read_checksummed(path: str | os.PathLike[str], kind: str, version: int) -> d
     Raises InputError when it is not there, truncated, changed, of another kind, or of a later version.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = read_bytes(Path(path)).decode()
         document = json.loads(text)
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}") from None
+    except InputError:
+        raise
     except (UnicodeDecodeError, ValueError, RecursionError) as error:
         raise InputError(f"{path} is truncated or not JSON ({error}); take an undamaged copy") from None
     if not isinstance(document, dict) or document.get("format") != kind:

@@ -22,3 +22,9 @@ def optional(module: str, otherwise: str) -> Any:
         return importlib.import_module(module)
     except ImportError:
         raise InputError(otherwise) from None
+
+
+def shown(value: object) -> str:
+    """A name or path as a message shows it: control characters escaped, and cut where it is very long."""
+    text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(value))
+    return text if len(text) <= 300 else f"{text[:297]}..."

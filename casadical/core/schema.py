@@ -10,7 +10,8 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from casadical.core.errors import InputError
+from casadical.core.errors import InputError, shown
+from casadical.core.files import read_bytes
 
 
 class FaultError(ValueError):
@@ -91,13 +92,11 @@ def _to_si(value: Any, factor: float) -> Any:
 def load_toml(path: Path) -> dict[str, Any]:
     """Tables of a TOML file. Raises InputError."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+        return tomllib.loads(read_bytes(path).decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from None
+        raise InputError(f"{shown(path)}: not valid TOML: {error}") from None
+    except RecursionError:
+        raise InputError(f"{shown(path)}: not valid TOML: nested too deeply") from None
 
 
 def check(schema: type[Schema], data: Mapping[str, Any], source: str) -> Schema:

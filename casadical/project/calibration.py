@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from casadical.compensator import compensator_text
 from casadical.core.blocks import Table, Words, plain_text, terminal
 from casadical.core.errors import InputError
-from casadical.core.files import json_text, write_together
+from casadical.core.files import claimed, json_text, write_together
 from casadical.identification.accuracy import Accuracy
 from casadical.identification.identification import Identification, identify
 from casadical.identification.residuals import LOSSES
@@ -138,7 +138,8 @@ class Calibration:
 
     def write(self, folder: str | Path) -> None:
         """Write `files`: all of them or none. Raises InputError where one cannot be written."""
-        write_together(self.files(folder))
+        with claimed([folder]):
+            write_together(self.files(folder))
 
 
 def calibrate(

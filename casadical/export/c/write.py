@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from casadical.core.errors import CasadicalError, InputError
-from casadical.core.files import write_together
+from casadical.core.files import claimed, write_together
 from casadical.export.c.c_source import SCHEMA
 from casadical.export.c.coefficients import Real
 from casadical.export.c.language import Label
@@ -90,7 +90,8 @@ def write_c(
         raise CasadicalError("the compiled C differs from its reference; nothing was written:\n" + "\n".join(wrong))
     figures = accuracy(program)
     blobs["manifest.json"] = _manifest(program, label, blobs, comparisons, figures, found)
-    write_together({folder / key: blob for key, blob in blobs.items()})
+    with claimed([folder]):
+        write_together({folder / key: blob for key, blob in blobs.items()})
     return Export(folder, tuple(sorted(blobs)), tuple(comparisons), figures)
 
 

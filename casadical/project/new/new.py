@@ -9,7 +9,7 @@ from pathlib import Path
 
 from casadical.core.blocks import Table, Words
 from casadical.core.errors import InputError
-from casadical.core.files import write_together
+from casadical.core.files import claimed, write_together
 from casadical.measurements.columns import Columns, Source
 from casadical.measurements.headings import Question, Understanding, understand
 from casadical.measurements.raw_table import RawTable, read_table
@@ -75,7 +75,8 @@ def new_problem(
         trial = Path(scratch) / folder.resolve().name
         write_together({trial / name: text for name, text in texts.items()})
         _read_on_trial(trial, data, file)
-    write_together({folder / name: text for name, text in texts.items()})
+    with claimed([folder]):
+        write_together({folder / name: text for name, text in texts.items()})
     return read_problem(folder)
 
 

@@ -1,0 +1,154 @@
+"""What a command will write is checked before it works: no input, no foreign file, no name twice, no other writer."""
+
+import inspect
+import json
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from fnmatch import fnmatch
+from functools import wraps
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from casadical.core.errors import InputError, shown
+from casadical.core.files import claimed, real_path
+
+# Parameters of commands that name outputs; every other path is an input.
+_OUTPUTS = ("out", "json_file", "report_file", "measure_next", "figure")
+# Names in a folder of outputs, so that no other output and no input may have them.
+_SET = (
+    "result.json", "*.robot.toml", "*.robot.urdf", "*.parameters.csv", "*.compensator.json", "manifest.json",
+    "diagnosis.json", "diagnosis.txt",
+)  # fmt: skip
+# Of each kind of JSON that `--json` writes, names by which it is known again.
+_OURS = (
+    {"problem", "robot"}, {"campaign"}, {"forecast"}, {"rows", "corrected"}, {"folder", "files", "verified"},
+    {"file", "robot", "left_out"}, {"key_sha256"}, {"answers", "by"}, {"by", "figures"},
+)  # fmt: skip
+_MEASURED = {"x_mm", "x_m", "y_mm", "y_m", "z_mm", "z_m"}
+
+
+def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[..., Any]:
+    """A command that first checks what it would write, and holds its folders against other writers while it works.
+
+    also : names of further parameters that are outputs
+    """
+    folders = {name for name, text in _metavars(command).items() if text.startswith("DIR")}
+    outputs = {*_OUTPUTS, *also}
+
+    @wraps(command)
+    def run(**given: Any) -> Any:
+        paths = {name: value for name, value in given.items() if isinstance(value, Path)}
+        inputs = [path for name, path in paths.items() if name not in outputs]
+        inputs += [p for v in given.values() if isinstance(v, list) for p in v if isinstance(p, Path)]
+        into = [paths[name] for name in outputs if name in paths and name in folders]
+        files = [paths[name] for name in outputs if name in paths and name not in folders]
+        _check(files, into, inputs, bool(given.get("overwrite")))
+        with claimed(into):
+            return command(**given)
+
+    return run
+
+
+def _metavars(command: Callable[..., Any]) -> Mapping[str, str]:
+    """How the help of a command shows its parameters."""
+    hints = get_type_hints(command, include_extras=True)
+    found = {name: getattr(hints[name], "__metadata__", (None,))[0] for name in inspect.signature(command).parameters}
+    return {name: getattr(option, "metavar", None) or "" for name, option in found.items()}
+
+
+def _check(files: Sequence[Path], folders: Sequence[Path], inputs: Sequence[Path], overwrite: bool) -> None:
+    """Raises InputError for an output that would replace an input, another output, or a file that is not ours."""
+    read = {real: path for path in inputs for real in _inputs(path)}
+    taken: dict[Path, Path] = {}
+    within = {_real(folder) for folder in folders}
+    for path in (*folders, *files):
+        real = _real(path)
+        if real in taken:
+            raise InputError(f"{shown(path)}: two outputs have this name; give each a name of its own")
+        if real in read:
+            raise InputError(f"{shown(path)}: is an input of this command and is not replaced; name another file")
+        taken[real] = path
+    for path in files:
+        if path.suffix == "" and path.is_dir():
+            raise InputError(f"{shown(path)}: is a folder; name a file")
+        if _real(path).parent in within and _of_a_set(path.name):
+            raise InputError(f"{shown(path)}: a file of this name is among those of --out; name another one")
+        if not overwrite and path.is_file():
+            _refuse_foreign(path)
+    for real, path in read.items():
+        if real.parent in within and _of_a_set(real.name) and path.is_file():
+            raise InputError(f"{shown(path)}: is an input, and --out may replace it; name another folder")
+    for folder in folders:
+        if folder.is_dir():
+            for path in sorted(folder.iterdir()):
+                if path.name in ("result.json", "diagnosis.json") and path.is_file():
+                    _refuse_foreign(path)
+
+
+def _of_a_set(name: str) -> bool:
+    return any(fnmatch(name, pattern) for pattern in _SET)
+
+
+def _real(path: Path) -> Path:
+    try:
+        return real_path(path)
+    except (OSError, ValueError, RuntimeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{shown(path)}: cannot be written: {reason}; nothing was written") from None
+
+
+def _inputs(path: Path) -> Iterator[Path]:
+    """An input's real path; of a folder the files that it is read from."""
+    with suppress(OSError, ValueError, RuntimeError):
+        real = real_path(path)
+        yield real
+        if not real.is_dir():
+            return
+        always = ("robot.toml", "withheld.json", "key.json", "manifest.json")
+        yield from (p.resolve() for name in always if (p := real / name).exists())
+        problem = real / "problem.toml"
+        if problem.is_file():
+            yield problem
+            named = [real / text for text in _texts(tomllib.loads(problem.read_text(encoding="utf-8")))]
+            yield from (p.resolve() for p in named if p.is_file())
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """Every text in nested tables and lists."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict | list):
+        for inner in value.values() if isinstance(value, dict) else value:
+            yield from _texts(inner)
+
+
+def _refuse_foreign(path: Path) -> None:
+    """Raises InputError for a file that is there and is no earlier output of casadical."""
+    try:
+        text = path.read_bytes().decode("utf-8", "replace")
+    except OSError as error:
+        raise InputError(f"{shown(path)}: is there and cannot be read: {error.strerror}; name another file") from None
+    if text.strip() and not _ours(path, text):
+        raise InputError(
+            f"{shown(path)}: is there and was not written by casadical, or was changed since; name another file, or "
+            "move this one away"
+        )
+
+
+def _ours(path: Path, text: str) -> bool:
+    if text.lstrip().startswith(("{", "[")):
+        return _our_json(text)
+    if path.suffix == ".csv":
+        header = text.partition("\n")[0].strip().split(",")
+        return len(header) > 1 and not _MEASURED & set(header)
+    return "casadical" in text or text.startswith("\ufffdPNG")
+
+
+def _our_json(text: str) -> bool:
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError):
+        return False
+    tables = [data, *(data if isinstance(data, list) else data.values())]
+    return any(isinstance(t, dict) and any(names <= t.keys() for names in _OURS) for t in tables)

@@ -1,0 +1,76 @@
+"""What the operating system has for files and Python has not: locks that end with their process, folders exchanged."""
+
+import ctypes
+import os
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+try:
+    import fcntl
+except ImportError:  # a system without flock: nothing is locked there
+    fcntl = None  # type: ignore[assignment]
+
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of renameat2(2)
+
+
+class Lock:
+    """A file or folder, opened to be locked; the lock ends with the `with`, or with the process.
+
+    Raises OSError if it cannot be opened.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._handle = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        os.close(self._handle)
+
+    @staticmethod
+    def keep(handle: int, *, wait: bool = True) -> bool:
+        """Lock an open file; whether that was possible. Without `wait` it is not while another process has it."""
+        if fcntl is not None:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            except BlockingIOError:
+                return False
+            except OSError:  # a file system without locks
+                return True
+        return True
+
+    def wait(self) -> None:
+        """Lock it; wait while another process has it."""
+        self.keep(self._handle)
+
+    def taken(self) -> bool:
+        """Whether it could be locked at once, and still is what the path names."""
+        return self.keep(self._handle, wait=False) and os.path.samestat(os.fstat(self._handle), self._path.stat())
+
+
+def exchange(one: Path, other: Path) -> None:
+    """Let two paths change places in one step. Raises OSError, also where the system cannot do that."""
+    call = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if call is None:
+        raise OSError(0, "this system cannot exchange two folders")
+    if call(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE) != 0:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number))
+
+
+def exchange_works(folder: Path) -> bool:
+    """Whether the file system of an empty folder can exchange two folders: tried with two new ones."""
+    one, other = folder / "1", folder / "2"
+    one.mkdir()
+    other.mkdir()
+    try:
+        exchange(one, other)
+    except OSError:
+        return False
+    finally:
+        one.rmdir()
+        other.rmdir()
+    return True

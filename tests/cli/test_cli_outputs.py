@@ -1,0 +1,78 @@
+"""Outputs are checked before the work: no input, no foreign file and no other output is ever replaced."""
+
+from __future__ import annotations
+
+import contextvars
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from command_line import main
+
+from casadical.core.files import claimed
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def problem(tmp_path: Path) -> Path:
+    folder = tmp_path / "p"
+    shutil.copytree(ROOT / "problems" / "planar", folder)
+    text = (folder / "problem.toml").read_text().replace("../../data/planar/planar.csv", "poses.csv")
+    (folder / "problem.toml").write_text(text)
+    shutil.copy(ROOT / "data" / "planar" / "planar.csv", folder / "poses.csv")
+    return folder
+
+
+@pytest.mark.parametrize("name", ["robot.toml", "poses.csv", "problem.toml", "link"])
+def test_an_input_is_not_replaced(monkeypatch, capsys, problem: Path, name: str) -> None:
+    (problem / "link").symlink_to("poses.csv")
+    before = {p.name: p.read_bytes() for p in problem.iterdir()}
+    assert main(monkeypatch, "calibrate", problem, "--json", problem / name) == 2
+    assert "is an input of this command and is not replaced" in capsys.readouterr().err
+    assert {p.name: p.read_bytes() for p in problem.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [(("--json", "a"), ("--report", "a")), (("--json", "o"), ("--out", "o")), (("--json", "l"), ("--report", "a"))],
+)
+def test_two_outputs_of_one_name_are_refused(monkeypatch, capsys, tmp_path, problem, first, second) -> None:
+    (tmp_path / "l").symlink_to("a")
+    pairs = [(option, tmp_path / name) for option, name in (first, second)]
+    assert main(monkeypatch, "calibrate", problem, *pairs[0], *pairs[1]) == 2
+    assert "two outputs have this name" in capsys.readouterr().err
+
+
+def test_a_name_of_the_set_in_its_folder_is_refused(monkeypatch, capsys, tmp_path, problem) -> None:
+    assert main(monkeypatch, "calibrate", problem, "--out", tmp_path / "o", "--json", tmp_path / "o/result.json") == 2
+    assert "among those of --out" in capsys.readouterr().err
+    assert not (tmp_path / "o").exists()
+
+
+def test_a_foreign_file_is_not_replaced_and_an_earlier_output_is(monkeypatch, capsys, tmp_path, problem) -> None:
+    kept = tmp_path / "kept.json"
+    for text in ("shopping list", '{"name": "another program", "files": []}'):
+        kept.write_text(text)
+        assert main(monkeypatch, "calibrate", problem, "--json", kept) == 2
+        assert "was not written by casadical" in capsys.readouterr().err
+        assert kept.read_text() == text
+    kept.unlink()
+    for _ in range(2):
+        assert main(monkeypatch, "calibrate", problem, "-q", "--json", kept) == 0
+    assert json.loads(kept.read_text())["problem"] == "p"
+    assert main(monkeypatch, "check", problem, "-q", "--json", kept) == 0
+
+
+def test_a_plan_that_was_measured_is_not_replaced(monkeypatch, capsys, tmp_path, problem) -> None:
+    shutil.copy(problem / "poses.csv", tmp_path / "plan.csv")
+    assert main(monkeypatch, "plan", problem, "-n", 6, "--out", tmp_path / "plan.csv") == 2
+    assert "move this one away" in capsys.readouterr().err
+
+
+def test_the_second_writer_of_a_folder_is_told_before_it_works(monkeypatch, capsys, tmp_path, problem) -> None:
+    with claimed([tmp_path / "o"]):  # in another context, as another process has one of its own
+        code = contextvars.Context().run(main, monkeypatch, "calibrate", problem, "--out", tmp_path / "o")
+    assert code == 2
+    assert "another casadical is writing to this folder" in capsys.readouterr().err

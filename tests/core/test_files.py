@@ -1,0 +1,124 @@
+"""Sets of files appear whole or not at all, whatever happens; proven by kills at every system call."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from casadical.core.errors import InputError
+from casadical.core.files import MOST_BYTES, appending, claimed, read_bytes, write_together, write_whole
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None or sys.platform != "linux", reason="the shim needs gcc and Linux")
+def test_a_process_killed_at_any_system_call_leaves_no_mixed_set() -> None:
+    command = [sys.executable, "docs/studies/kills.py", "--made-up", "--kills", "300"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    kills, bad = re.search(r"(\d+) kills, (\d+) mixed or lost", done.stdout).groups()  # type: ignore[union-attr]
+    assert int(kills) >= 300
+    assert int(bad) == 0
+    control = re.search(r"control: (\d+) of 8 sets mixed", done.stdout)
+    assert control is not None
+    assert int(control[1]) > 3, "the study finds no mixed set where there must be some"
+
+
+def test_another_writer_of_a_folder_is_told(tmp_path: Path) -> None:
+    code = f"from casadical.core.files import claimed\nwith claimed([{str(tmp_path / 'a')!r}]): pass"
+    with claimed([tmp_path / "a"]):
+        done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert "another casadical is writing to this folder" in done.stderr
+    assert not (tmp_path / "a").exists(), "a folder that stayed empty is removed"
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, check=False).returncode == 0
+
+
+def test_foreign_files_modes_and_links_of_a_folder_stay(tmp_path: Path) -> None:
+    folder = tmp_path / "results"
+    (folder / "deep" / "er").mkdir(parents=True)
+    (folder / "deep" / "er" / "notes").write_text("mine")
+    (folder / "link").symlink_to("deep/er/notes")
+    (folder / "a.json").write_text("before")
+    (folder / "a.json").chmod(0o640)
+    folder.chmod(0o750)
+    with claimed([folder]):
+        write_together({folder / "a.json": "after", folder / "new" / "b": b"b"})
+    assert (folder / "a.json").read_text() == "after"
+    assert stat.S_IMODE((folder / "a.json").stat().st_mode) == 0o640
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o750
+    assert (folder / "link").is_symlink()
+    assert (folder / "link").read_text() == "mine"
+    assert [p.name for p in tmp_path.iterdir()] == ["results"]
+
+
+def test_a_link_is_followed_and_a_pipe_is_written_into(tmp_path: Path) -> None:
+    (tmp_path / "real").write_text("before")
+    (tmp_path / "link").symlink_to("real")
+    write_whole(tmp_path / "link", "after")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "real").read_text() == "after"
+    os.mkfifo(tmp_path / "pipe")
+    reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    write_whole(tmp_path / "pipe", "through")
+    assert os.read(reader, 99) == b"through"
+    os.close(reader)
+    assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_a_full_disk_is_said_and_nothing_is_changed(tmp_path: Path) -> None:
+    (tmp_path / "a").write_text("before")
+    with pytest.raises(InputError, match=r"/dev/full: cannot be written: No space left on device; nothing was written"):
+        write_together({tmp_path / "a": "after", Path("/dev/full"): "x"})
+    assert (tmp_path / "a").read_text() == "before"
+    assert stat.S_ISCHR(Path("/dev/full").stat().st_mode)
+    assert [p.name for p in tmp_path.iterdir()] == ["a"]
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("a\0b", "embedded null byte"),
+        ("x" * 5000, "File name too long"),
+        ("loop", "Too many levels"),
+        ("", "is a folder"),
+    ],
+)
+def test_names_that_cannot_be(tmp_path: Path, name: str, told: str) -> None:
+    (tmp_path / "loop").symlink_to("loop")
+    with pytest.raises(InputError, match=told):
+        write_whole(tmp_path / name, "text")
+    with pytest.raises(InputError):
+        read_bytes(tmp_path / name)
+
+
+def test_two_outputs_of_one_file_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="two outputs have this name"):
+        write_together({tmp_path / "a": "1", tmp_path / "b" / ".." / "a": "2"})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_device_and_a_file_that_is_too_large_are_not_read(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is a device"):
+        read_bytes(Path("/dev/zero"))
+    with (tmp_path / "large").open("wb") as file:
+        file.truncate(MOST_BYTES + 1)
+    with pytest.raises(InputError, match="at most"):
+        read_bytes(tmp_path / "large")
+
+
+def test_lines_are_added_behind_what_is_whole_by_one_process(tmp_path: Path) -> None:
+    path = tmp_path / "lines"
+    path.write_bytes(b"one\ntw")
+    with appending(path, 4) as add:
+        add("two\n")
+        with pytest.raises(InputError, match="another casadical"), appending(path, 0):
+            pass
+    assert path.read_bytes() == b"one\ntwo\n"
