@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, Evidence, Whitened, log_sum
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, Evidence, Whitened, log_sum
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, prior_weights
 
@@ -51,14 +51,14 @@ def noise_odds(case: Case, draws: int, rng: np.random.Generator) -> Iterator[Arr
     share = np.exp(e.log_base() - log_sum(e.log_base()))
     rhos, sigmas = (np.flatnonzero(share.sum(axis=a) > LEAST) for a in (1, 0))
     # A draw's own best sigma may lie one step aside.
-    sigmas = np.arange(max(sigmas[0] - 1, 0), min(sigmas[-1] + 2, len(SIGMAS)))
+    sigmas = np.arange(max(sigmas[0] - 1, 0), min(sigmas[-1] + 2, len(e.sigmas)))
     E = e.take(np.arange(e.width))
     whitened = {k: e.white(float(RHOS[k]), E) for k in rhos}
     groups = [_groups(case, whitened[k]) for k in rhos]
     for first in range(0, draws, BATCH):
         noise = _noise(e, share, min(BATCH, draws - first), rng)
         total = [
-            _log_likelihoods(whitened[k], e.white(float(RHOS[k]), noise).E, groups[i], sigmas)
+            _log_likelihoods(whitened[k], e.white(float(RHOS[k]), noise).E, groups[i], e.sigmas[sigmas])
             for i, k in enumerate(rhos)
         ]
         nothing, something = (np.logaddexp.reduce([t[s] for t in total], axis=0) for s in (0, 1))
@@ -69,7 +69,7 @@ def _noise(e: Evidence, share: Array, count: int, rng: np.random.Generator) -> A
     """Noise alone as columns, shape (n, 3, count) [m]; its size by chance as probable as the data make it."""
     rho, sigma = np.unravel_index(rng.choice(share.size, count, p=share.ravel()), share.shape)
     joints = RHOS[rho] * rng.standard_normal((len(e.r), e.Jq.shape[2], count))
-    return np.asarray(SIGMAS[sigma] * (rng.standard_normal((*e.r.shape, count)) + e.Jq @ joints))
+    return np.asarray(e.sigmas[sigma] * (rng.standard_normal((*e.r.shape, count)) + e.Jq @ joints))
 
 
 def _groups(case: Case, w: Whitened) -> list[_Group]:
@@ -85,9 +85,8 @@ def _groups(case: Case, w: Whitened) -> list[_Group]:
     return found
 
 
-def _log_likelihoods(w: Whitened, Y: Array, groups: list[_Group], sigmas: Array) -> tuple[Array, Array]:
+def _log_likelihoods(w: Whitened, Y: Array, groups: list[_Group], sigma: Array) -> tuple[Array, Array]:
     """Of each column of Y, shape (rows, draws): without any cause, and with some cause, shapes (draws,)."""
-    sigma = SIGMAS[sigmas]
     base = w.log_norm - w.rows * np.log(sigma)[:, None] - 0.5 * (Y**2).sum(axis=0) / sigma[:, None] ** 2
     b = w.E.T @ Y
     something = np.full(Y.shape[1], -np.inf)

@@ -10,7 +10,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.diagnosis.cross_validation import Fit
-from casadical.diagnosis.evidence import SIGMAS, log_sum
+from casadical.diagnosis.evidence import log_sum
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.result import Change
 from casadical.identification.least_squares import robust_std
@@ -85,5 +85,5 @@ def _log_evidence(case: Case, fit: Fit, sigma: float, prior: Prior) -> float:
     solved = np.linalg.solve(L, right / scale)
     square = float(fit.y @ fit.y + mean @ precision @ mean - solved @ solved)
     log_norm = 0.5 * log_det - float(np.log(np.diag(L)).sum() + np.log(scale).sum())
-    grid = SIGMAS / sigma
+    grid = case.evidence.sigmas / sigma
     return float(log_sum(log_norm - len(fit.y) * np.log(grid) - 0.5 * square / grid**2))

@@ -24,11 +24,11 @@ MOST_ROWS = 1500
 MOST_BYTES = 250_000_000
 
 
-def likely_noise(log_grid: Array) -> Noise:
+def likely_noise(log_grid: Array, sigmas: Array = SIGMAS) -> Noise:
     """The most probable noise of a log likelihood over (rhos, sigmas, ...)."""
-    grid = log_grid.reshape(len(RHOS), len(SIGMAS), -1).max(axis=2)
+    grid = log_grid.reshape(len(RHOS), len(sigmas), -1).max(axis=2)
     rho, sigma = np.unravel_index(int(np.argmax(grid)), grid.shape)
-    return Noise(float(SIGMAS[sigma]), float(RHOS[rho] * SIGMAS[sigma]))
+    return Noise(float(sigmas[sigma]), float(RHOS[rho] * sigmas[sigma]))
 
 
 class Fit:

@@ -8,8 +8,8 @@ from casadical.core.errors import InputError
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.changes import changes
 from casadical.diagnosis.conclusion import conclude
-from casadical.diagnosis.evidence import SIGMAS
-from casadical.diagnosis.linear_problem import make_case
+from casadical.diagnosis.evidence import ALL_SIGMAS
+from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.posterior import Rivals, no_rivals
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import Show, search
@@ -80,9 +80,17 @@ def diagnose(
         show("what changed since the campaign of the prior")
         changed, known = changes(case, known)
         case = case.with_prior(known, identification.sigmas[0][0])
-    state, end, p_nothing = search(case, seed, bootstrap, show, rivals)
-    found = conclude(identification, state, end, seed, p_nothing)
-    return _refuse_coarse(replace(found, prior=prior if isinstance(prior, Prior) else None, changes=changed))
+
+    def searched(case: Case) -> Diagnosis:
+        state, end, p_nothing = search(case, seed, bootstrap, show, rivals)
+        return conclude(identification, state, end, seed, p_nothing)
+
+    found = searched(case)
+    usual = case.whole.sigmas
+    if not usual[0] < found.noise.sigma < usual[-1]:
+        show("the noise lies beyond the usual grid: searched again on a wider one")
+        found = _refuse_coarser(searched(case.with_all_sigmas()))
+    return replace(found, prior=prior if isinstance(prior, Prior) else None, changes=changed)
 
 
 def _with_free_masses(robot: Robot) -> tuple[Robot, tuple[str, ...]]:
@@ -100,13 +108,13 @@ def _of(robot: Robot, m: Measurements, prior: Prior, free: tuple[str, ...], show
     return identify(robot, m, ("kinematic", "compliance", *free), loss="huber", priors=True, prior=prior, screen=False)
 
 
-def _refuse_coarse(found: Diagnosis) -> Diagnosis:
-    """Where even the best model leaves more than the noise grid holds, noise would be taken for structure."""
-    most = float(SIGMAS[-1])
+def _refuse_coarser(found: Diagnosis) -> Diagnosis:
+    """Where even the best model leaves more than the widest noise grid holds, the robot is not the file's."""
+    most = float(ALL_SIGMAS[-1])
     if found.noise.sigma < most:
         return found
     left = 1e3 * robust_std(found.case.whole.r)
     raise InputError(
-        f"{found.case.m.source}: {left:.2g} mm a coordinate are left, and noise beyond {1e3 * most:.2g} mm cannot be "
-        "distinguished from its causes; correct the robot file or units, or measure with a finer instrument"
+        f"{found.case.m.source}: {left:.2g} mm a coordinate are left, and noise beyond {1e3 * most:.2g} mm is not "
+        "diagnosed; correct the robot file or the units"
     )

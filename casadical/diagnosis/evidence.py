@@ -12,7 +12,7 @@ grow with poses times columns.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -22,6 +22,8 @@ from casadical.diagnosis.linearisation import Columns
 from casadical.effects.base import CHOSEN
 
 SIGMAS = np.geomspace(3e-6, 300e-6, 33)
+# The same steps from 1 um to 11 mm, for instruments that are finer or coarser.
+ALL_SIGMAS = SIGMAS[0] * (SIGMAS[-1] / SIGMAS[0]) ** (np.arange(-8, 58) / (len(SIGMAS) - 1))
 # Joint repeatability over the instrument's sigma [rad/m].
 RHOS = np.array([0.0, 0.1, 0.2, 0.4, 0.8, 1.6])
 KAPPAS = np.array([0.35, 0.7, 1.4, 2.8, 5.6])
@@ -64,6 +66,7 @@ class Evidence:
     held : one sigma of each column's parameter once it is in the model, in sizes, shape (columns,); CHOSEN by default
     near : numbers of the rhos that are looked at; all of them until an effect of many parameters is in the model
     repeats : scatter of a coordinate over repeated poses [m], and its degrees of freedom; none without them
+    sigmas : of the instrument, on a grid [m]
     """
 
     r: Array
@@ -76,6 +79,7 @@ class Evidence:
     held: Array | None = None
     near: tuple[int, ...] = tuple(range(len(RHOS)))
     repeats: tuple[float, int] = (0.0, 0)
+    sigmas: Array = field(default_factory=lambda: SIGMAS)
 
     @property
     def width(self) -> int:
@@ -299,7 +303,7 @@ class Sums:
         prior = np.concatenate([e.prior, e.width_in_model(chosen)])
         mean = np.concatenate([e.delta0, np.zeros(len(chosen))])
         weights = e.reference / prior
-        log_base = np.full((len(RHOS), len(SIGMAS)), -np.inf)
+        log_base = np.full((len(RHOS), len(e.sigmas)), -np.inf)
         root, fitted = {}, {}
         for i, k in enumerate(e.near):
             normal = np.diag(weights**2)
@@ -316,15 +320,15 @@ class Sums:
             fitted[k] = root[k] @ right
             square = float(self.base[k, P, P] + (weights * mean) @ (weights * mean) - fitted[k] @ fitted[k])
             log_norm = -0.5 * self.log_det[k] - float((np.log(np.diag(L)) - np.log(scale)).sum())
-            log_base[k] = log_norm - e.r.size * np.log(SIGMAS) - 0.5 * square / SIGMAS**2 + self._log_repeats(k)
+            log_base[k] = log_norm - e.r.size * np.log(e.sigmas) - 0.5 * square / e.sigmas**2 + self._log_repeats(k)
         return Beside(log_base, chosen, root, fitted, {}, {})
 
     def _log_repeats(self, k: int) -> Array:
         """Log likelihood of the scatter of repeated poses at a rho, shape (sigmas,)."""
         scatter, freedom = self.e.repeats
         # Mean over coordinates of the noise's variance in units of sigma^2.
-        total = float(1 + RHOS[k] ** 2 * (self.e.Jq**2).sum(axis=2).mean()) * SIGMAS**2
-        return np.asarray(-0.5 * freedom * (np.log(total / SIGMAS[-1] ** 2) + scatter**2 / total))
+        total = float(1 + RHOS[k] ** 2 * (self.e.Jq**2).sum(axis=2).mean()) * self.e.sigmas**2
+        return np.asarray(-0.5 * freedom * (np.log(total / self.e.sigmas[-1] ** 2) + scatter**2 / total))
 
     def _judging(self, beside: Beside, known: int = 0) -> Beside:
         """The same with what is needed to judge all columns, the first of which may be known."""
@@ -346,7 +350,7 @@ class Sums:
     def log_grids(self, groups: Sequence[Array], also: Array | None = None) -> Array:
         """See `Evidence.log_grids`."""
         beside = self.beside(also)
-        out = np.full((len(groups), len(RHOS), len(SIGMAS), len(KAPPAS)), -np.inf)
+        out = np.full((len(groups), len(RHOS), len(self.e.sigmas), len(KAPPAS)), -np.inf)
         self.own(groups)
         widths = np.array([len(g) for g in groups])
         for width in np.unique(widths):
@@ -361,7 +365,7 @@ class Sums:
                 V = beside.V[k].T[columns]
                 value, vector = np.linalg.eigh(own[:, k] - V @ V.transpose(0, 2, 1))
                 turned = np.einsum("gij,gi->gj", vector, beside.b[k][columns])
-                out[which, k] = _log_gain(beside.log_base[k], value, turned)
+                out[which, k] = _log_gain(self.e.sigmas, beside.log_base[k], value, turned)
         return out
 
     def _wide(self, group: Array, beside: Beside, also: Array | None, out: Array) -> None:
@@ -374,7 +378,7 @@ class Sums:
             while 0 <= i < len(near):
                 k = near[i]
                 value, turned = self._spectrum(group, beside, also, k)
-                out[k] = _log_gain(beside.log_base[k], value[None], turned[None])[0]
+                out[k] = _log_gain(self.e.sigmas, beside.log_base[k], value[None], turned[None])[0]
                 if out[k].max() < top - REACH:
                     break
                 if out[k].max() < float(beside.log_base.max()) - HOPELESS:
@@ -394,14 +398,14 @@ class Sums:
         return value, vector.T @ beside.b[k][group]
 
 
-def _log_gain(log_base: Array, value: Array, turned: Array) -> Array:
+def _log_gain(sigmas: Array, log_base: Array, value: Array, turned: Array) -> Array:
     """Log likelihood with groups of columns, shape (groups, sigmas, kappas), from that without, shape (sigmas,).
 
     value, turned : eigenvalues of their visible products, and products with what is left, shapes (groups, width)
     """
-    signal = (KAPPAS[None, :] / SIGMAS[:, None]) ** 2
+    signal = (KAPPAS[None, :] / sigmas[:, None]) ** 2
     gain = 1 + signal[None, :, :, None] * np.maximum(value, 0)[:, None, None, :]
-    quad = (signal[None, :, :, None] * turned[:, None, None, :] ** 2 / gain).sum(axis=3) / SIGMAS[None, :, None] ** 2
+    quad = (signal[None, :, :, None] * turned[:, None, None, :] ** 2 / gain).sum(axis=3) / sigmas[None, :, None] ** 2
     return np.asarray(log_base[None, :, None] - 0.5 * np.log(gain).sum(axis=3) + 0.5 * quad)
 
 

@@ -12,7 +12,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.parameters import Parameter
 from casadical.diagnosis.candidates import Candidate, choose
-from casadical.diagnosis.evidence import RHOS, Evidence, Sums
+from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, Evidence, Sums
 from casadical.diagnosis.linearisation import Columns, linearise
 from casadical.diagnosis.noise_floor import replicates
 from casadical.effects import Effect
@@ -93,6 +93,24 @@ class Case:
         whole = replace(self.whole, J=self.whole.J @ units, delta0=mean, prior=sigma, reference=reference)
         return replace(self, whole=whole, prior=prior, units=units)
 
+    def with_all_sigmas(self) -> Case:
+        """The case with the widest noise grid.
+
+        Where the base model leaves more than the usual grid holds, its priors hold at this noise, and effects are
+        larger in the same proportion.
+        """
+        left, most = float(np.sqrt(np.mean(self.evidence.r**2))), float(self.whole.sigmas[-1])
+        whole = replace(self.whole, sigmas=ALL_SIGMAS)
+        if left > most:
+            assert isinstance(whole.E, Columns)
+            whole = replace(whole, reference=left, E=replace(whole.E, growth=left / most))
+        return replace(self, whole=whole)
+
+    @property
+    def growth(self) -> float:
+        """Of the usual sizes of effects."""
+        return self.whole.E.growth if isinstance(self.whole.E, Columns) else 1.0
+
     def with_kept(self, kept: Array) -> Case:
         """The case with other poses left out."""
         return self if np.array_equal(kept, self.kept) else replace(self, kept=kept)
@@ -115,7 +133,8 @@ class Case:
 
         factors : on the size of each part; noise : that is left, at which the priors hold from now on
         """
-        learnt, columns = effect.with_sizes(factors), self.columns[effect]
+        learnt = effect.with_sizes({part: self.growth * factor for part, factor in factors.items()})
+        columns = self.columns[effect]
         held = self.whole.width_in_model(np.arange(self.whole.width)).copy()
         for part, places in effect.parts.items():
             held[columns[places]] *= factors[part]

@@ -308,15 +308,17 @@ class Columns:
     """Columns of effects at poses in units of their parameters' sizes, made when they are asked for.
 
     linear : the poses; effects : one after the other; sizes : of every parameter, shape (columns,)
+    growth : of the sizes, for a robot that leaves more than others do
     """
 
     linear: Linearisation
     effects: tuple[Effect, ...]
+    growth: float = 1.0
 
     @cached_property
     def sizes(self) -> Array:
         """Realistic size of every parameter, shape (columns,)."""
-        return np.array([size for e in self.effects for size, _ in e.sizes().values()])
+        return self.growth * np.array([size for e in self.effects for size, _ in e.sizes().values()])
 
     @cached_property
     def held(self) -> Array:
@@ -379,5 +381,5 @@ class Columns:
         linear = replace(self.linear, conditions=dict(conditions))
         more = replace(self, linear=linear, effects=(*self.effects, *effects))
         if more._few:
-            more.__dict__["_all"] = np.concatenate([self._all, Columns(linear, effects)._all], axis=2)
+            more.__dict__["_all"] = np.concatenate([self._all, Columns(linear, effects, self.growth)._all], axis=2)
         return more

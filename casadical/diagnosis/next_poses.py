@@ -98,7 +98,7 @@ def _causes(case: Case, labels: Sequence[str], beside: Sequence[str] = ()) -> li
     found: list[_Cause] = []
     for label in dict.fromkeys((*labels, *beside)):
         if label == NONE:
-            found.append(_Cause(NONE, (), likely_noise(case.evidence.log_base())))
+            found.append(_Cause(NONE, (), likely_noise(case.evidence.log_base(), case.evidence.sigmas)))
             continue
         if label not in known:
             raise InputError(f"cause {label!r} is no candidate of this case; there are none, {', '.join(known)}")
@@ -109,7 +109,7 @@ def _causes(case: Case, labels: Sequence[str], beside: Sequence[str] = ()) -> li
         spread = allowed[np.linspace(0, len(allowed) - 1, MOST_VARIANTS).astype(int)]
         others = spread.tolist() if label in labels else []
         for k in dict.fromkeys([int(np.argmax(likely)), *others]):
-            found.append(_Cause(label, variants[k], likely_noise(grids[k])))
+            found.append(_Cause(label, variants[k], likely_noise(grids[k], case.evidence.sigmas)))
     # The cause that leaves the least noise comes first: its noise is taken for all.
     return sorted(found, key=lambda cause: cause.noise.sigma)
 

@@ -95,14 +95,14 @@ def rank(
     owner = np.array([case.variants[k][0] for k in judged])
     prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
     weights = prior_weights(case, prior, skip, covered)
-    factor, variant, noise = {}, {}, {"": likely_noise(base_grid)}
+    factor, variant, noise = {}, {}, {"": likely_noise(base_grid, case.evidence.sigmas)}
     for c, candidate in enumerate(case.candidates):
         if candidate.label in weights:
             own = np.flatnonzero(owner == c)
             factor[candidate.label] = float(log_sum(log_variant[own])) - float(np.log(len(own)))
             best = int(own[np.argmax(log_variant[own])])
             variant[candidate.label] = case.variants[judged[best]][1]
-            noise[candidate.label] = likely_noise(grids[best])
+            noise[candidate.label] = likely_noise(grids[best], case.evidence.sigmas)
     for rival in rivals(case, chosen):
         weights[rival.label] = prior["unknown"]
         factor[rival.label], noise[rival.label] = rival.log_factor, rival.noise

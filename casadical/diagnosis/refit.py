@@ -28,7 +28,8 @@ def refit(case: Case, effects: Sequence[Effect], noise: Noise, use: Array | None
     own = ("kinematic", "compliance", *case.free)
     base = case.robot if use is None else identify(case.given, m, own, priors=True, prior=case.prior).robot
     free = (*own, *dict.fromkeys(e.label for e in effects))
-    return identify(base.with_effect(*effects), m, free, priors=_priors(case), prior=case.prior)
+    priors = _priors(case) | _priors_of_effects(case, effects)
+    return identify(base.with_effect(*effects), m, free, priors=priors, prior=case.prior)
 
 
 def _priors(case: Case) -> dict[str, tuple[float, float]]:
@@ -37,6 +38,19 @@ def _priors(case: Case) -> dict[str, tuple[float, float]]:
     priors = zip(case.given.parameters.names, values, strict=True)
     own = {name: prior for name, prior in priors if not name.startswith("base_")}
     return {name: prior for name, prior in own.items() if name not in case.prior.means}
+
+
+def _priors_of_effects(case: Case, effects: Sequence[Effect]) -> dict[str, tuple[float, float]]:
+    """Mean and one sigma of the effects' parameters where these are larger than usual."""
+    if case.growth == 1.0:
+        return {}
+    found: dict[str, tuple[float, float]] = {}
+    for effect in (e for e in effects if e in case.columns):
+        columns = case.columns[effect]
+        sigma = case.sizes(columns) * case.whole.width_in_model(columns)
+        names = (p.name for p in effect.parameters())
+        found |= {name: (0.0, float(s)) for name, s in zip(names, sigma, strict=True)}
+    return found
 
 
 def refit_measurements(case: Case, effects: Sequence[Effect], noise: Noise) -> Measurements:

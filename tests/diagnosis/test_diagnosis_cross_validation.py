@@ -15,7 +15,7 @@ from casadical.diagnosis.cross_validation import (
     remainders,
     shrink_interval,
 )
-from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence
+from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, SIGMAS, Evidence
 from casadical.effects.base import CHOSEN
 from casadical.measurements.noise import Noise
 
@@ -88,6 +88,10 @@ def test_most_likely_noise_is_the_grids_top() -> None:
     grid = np.full((len(RHOS), len(SIGMAS), 2), -5.0)
     grid[2, 11, 1] = 0.0
     assert likely_noise(grid) == Noise(SIGMAS[11], RHOS[2] * SIGMAS[11])
+    wide = np.full((len(RHOS), len(ALL_SIGMAS), 2), -5.0)
+    wide[2, 19, 1] = 0.0
+    assert likely_noise(wide, ALL_SIGMAS).sigma == pytest.approx(SIGMAS[11], rel=1e-12)
+    assert ALL_SIGMAS[0] < 1e-6 < 1e-2 < ALL_SIGMAS[-1]
 
 
 def test_shrink_interval_of_a_sure_thing_is_a_point() -> None:

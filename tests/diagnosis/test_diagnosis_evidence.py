@@ -1,11 +1,13 @@
 """Marginal likelihoods against the normal distribution that they are, written out in full."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from cases import small_problem
 from scipy.stats import multivariate_normal
 
-from casadical.diagnosis.evidence import KAPPAS, RHOS, SIGMAS, Evidence, log_sum
+from casadical.diagnosis.evidence import ALL_SIGMAS, KAPPAS, RHOS, SIGMAS, Evidence, log_sum
 from casadical.effects.base import CHOSEN
 
 
@@ -45,6 +47,15 @@ def test_log_evidence_is_the_normal_density(chosen: list[int]) -> None:
                 for kappa in (0, 4):
                     expected = direct(e, *at, float(KAPPAS[kappa]), group, also)
                     assert grids[g, rho, sigma, kappa] + constant(e, also) == pytest.approx(expected, abs=1e-6)
+
+
+def test_wider_noise_grid_holds_the_usual_one() -> None:
+    e = small_problem()
+    wide, groups = replace(e, sigmas=ALL_SIGMAS), [np.array([0]), np.array([1, 2])]
+    usual = slice(8, 8 + len(SIGMAS))
+    np.testing.assert_allclose(ALL_SIGMAS[usual], SIGMAS, rtol=1e-12)
+    np.testing.assert_allclose(wide.log_base()[:, usual], e.log_base(), rtol=1e-9)
+    np.testing.assert_allclose(wide.log_grids(groups)[:, :, usual], e.log_grids(groups), rtol=1e-9)
 
 
 def test_column_inside_the_base_says_nothing() -> None:

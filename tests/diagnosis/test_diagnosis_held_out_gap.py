@@ -10,8 +10,9 @@ from test_diagnosis_cross_validation import NOISE, refit
 from casadical import InputError
 from casadical.blind_check.numpy_physics import disturbances
 from casadical.compensator import LevenbergMarquardt
-from casadical.diagnosis.cross_validation import held_out_errors, random_folds
+from casadical.diagnosis.cross_validation import covariance, held_out_errors, random_folds
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
+from casadical.diagnosis.evidence import SIGMAS
 from casadical.diagnosis.held_out_gap import Stage, check_refit, course, network_gap, of_time, time_blocks
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_floor import replicates
@@ -129,11 +130,34 @@ def test_full_poses_are_diagnosed_by_their_positions() -> None:
     assert errors(d.apply(), m).mean() < 1.3 * d.gap.after
 
 
-def test_coarse_instrument_is_refused() -> None:
-    m = practice("ur10e-P03")
-    rough = m.position + 6e-4 * np.random.default_rng(0).standard_normal(m.position.shape)
-    with pytest.raises(InputError, match="finer instrument"):
-        diagnose(robot("ur10e"), replace(m, position=rough), FEW)
+def rougher(m: Measurements, sigma: float) -> Measurements:
+    assert m.position is not None
+    return replace(m, position=m.position + sigma * np.random.default_rng(0).standard_normal(m.position.shape))
+
+
+def scatter(d: Diagnosis) -> float:
+    """Of a coordinate, instrument and joints together [m]."""
+    return float(np.sqrt(np.trace(covariance(d.case.evidence, d.noise), axis1=1, axis2=2).mean() / 3))
+
+
+def test_coarse_instrument_is_diagnosed_on_a_wider_grid() -> None:
+    usual = diagnose(robot("ur10e"), practice("ur10e-P03"), FEW)
+    assert len(usual.case.whole.sigmas) == len(SIGMAS)
+    rough = diagnose(robot("ur10e"), rougher(practice("ur10e-P03"), 6e-4), FEW)
+    assert rough.verdict == "none"
+    np.testing.assert_allclose(scatter(rough), 6e-4, rtol=0.1)
+    np.testing.assert_allclose(rough.gap.floor, rough.gap.before, rtol=0.1)
+
+
+def test_cause_is_found_with_a_coarse_instrument() -> None:
+    d = diagnose(robot("ur10e"), rougher(simulated("ur10e", 12, disturbances.FrictionWindup(2, 3e-3)), 6e-4), FEW)
+    assert [c.label for c in d.causes] == ["friction_windup@2"]
+    np.testing.assert_allclose(scatter(d), 6e-4, rtol=0.1)
+
+
+def test_more_than_the_widest_grid_is_refused() -> None:
+    with pytest.raises(InputError, match=r"noise beyond 11 mm is not diagnosed; correct the robot file or the units"):
+        diagnose(robot("ur10e"), rougher(practice("ur10e-P03"), 2e-2), FEW)
 
 
 def repeated(m: Measurements, times: int, sigma: float) -> Measurements:
