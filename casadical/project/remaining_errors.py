@@ -26,7 +26,7 @@ SETS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Left:
+class ModelErrors:
     """What one model leaves.
 
     length : of each pose [m], shape (n,); vector : measured less computed [m], shape (n, 3), where positions are known
@@ -58,7 +58,7 @@ class PoseErrors:
     row: Array
     q: Array
     position: Array | None
-    models: tuple[Left, ...]
+    models: tuple[ModelErrors, ...]
 
     def __len__(self) -> int:
         return len(self.row)
@@ -75,7 +75,8 @@ class PoseErrors:
             return self
         k = np.linspace(0, len(self) - 1, most).round().astype(int)
         models = tuple(
-            Left(x.model, x.length[k], None if x.vector is None else x.vector[k], x.note, x.shown) for x in self.models
+            ModelErrors(x.model, x.length[k], None if x.vector is None else x.vector[k], x.note, x.shown)
+            for x in self.models
         )
         position = None if self.position is None else self.position[k]
         return PoseErrors(self.name, self.held_out, self.row[k], self.q[k], position, models)
@@ -102,10 +103,10 @@ def where_left(calibration: Calibration) -> Localisation | None:
     return localise_residual(make_case(result, ()), Noise(result.sigmas[0][0], 0.0))
 
 
-def _models(m: Measurements, calibration: Calibration) -> Iterator[Left]:
-    yield _left_by(BEFORE, calibration.identification.placed, m, shown=False)
+def _models(m: Measurements, calibration: Calibration) -> Iterator[ModelErrors]:
+    yield _errors_of(BEFORE, calibration.identification.placed, m, shown=False)
     for method, result in calibration.identifications.items():
-        yield _left_by(method, result.robot, m)
+        yield _errors_of(method, result.robot, m)
     paper = calibration.problem.paper
     published = {*paper.calibration, *paper.validation} if paper else set()
     for trained in calibration.networks.results.values() if calibration.networks else ():
@@ -114,9 +115,9 @@ def _models(m: Measurements, calibration: Calibration) -> Iterator[Left]:
             rest = 1e-3 * (residual_mm(calibration.identifications["SKCM"].robot, m) - network.output_mm(m.q))
             note = "" if trained.helps else "refused"
             length = np.linalg.norm(rest, axis=1)
-            yield Left(trained.method, length, rest, note, trained.helps or trained.method in published)
+            yield ModelErrors(trained.method, length, rest, note, trained.helps or trained.method in published)
 
 
-def _left_by(model: str, robot: Robot, m: Measurements, shown: bool = True) -> Left:
+def _errors_of(model: str, robot: Robot, m: Measurements, shown: bool = True) -> ModelErrors:
     vector = None if m.position is None else 1e-3 * residual_mm(robot, m)
-    return Left(model, errors(robot, m), vector, shown=shown)
+    return ModelErrors(model, errors(robot, m), vector, shown=shown)

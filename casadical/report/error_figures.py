@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from casadical.project.remaining_errors import BEFORE, Left, PoseErrors
+from casadical.project.remaining_errors import BEFORE, ModelErrors, PoseErrors
 from casadical.report.style import GRID, MUTED, PAPER, Figure, new_figure, plain, style
 
 # More poses than this are drawn evenly thinned (and said to be), or the file grows and the eye gains nothing.
@@ -40,7 +40,7 @@ def errors_by_pose(poses: PoseErrors) -> Figure:
     return figure.update_yaxes(rangemode="tozero")
 
 
-def _marker(left: Left, size: float) -> dict[str, object]:
+def _marker(left: ModelErrors, size: float) -> dict[str, object]:
     colour, marker, _ = style(left.model)
     return {"size": size, "symbol": marker, "color": colour, "line": {"width": 1.2, "color": colour}}
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadical.diagnosis.cross_validation import fitted_without, partitioned_errors
-from casadical.project.remaining_errors import BEFORE, Left, PoseErrors
+from casadical.project.remaining_errors import BEFORE, ModelErrors, PoseErrors
 from casadical.report.cause_figures import gap_course, posteriors, shrinks
 from casadical.report.curve_figures import curve_figures
 from casadical.report.error_figures import before_after
@@ -49,9 +49,9 @@ def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> dict[str, Fi
 def held_out_poses(d: Diagnosis) -> PoseErrors:
     """Held-out error of every pose that is no outlier: base model, and with the causes in it."""
     e, none = d.case.evidence, np.zeros(0, dtype=np.int64)
-    models = [Left(BEFORE, partitioned_errors(e, none, d.rankings[0].noise[""], d.seed))]
+    models = [ModelErrors(BEFORE, partitioned_errors(e, none, d.rankings[0].noise[""], d.seed))]
     if d.columns.size:
-        models.append(Left(WITH, partitioned_errors(e, d.columns, d.noise, d.seed)))
+        models.append(ModelErrors(WITH, partitioned_errors(e, d.columns, d.noise, d.seed)))
     return _poses(d, tuple(models), "Held-out poses")
 
 
@@ -59,14 +59,14 @@ def fitted_poses(d: Diagnosis) -> PoseErrors:
     """What a fit to all poses leaves at each, as vectors: base model, and with the causes in it."""
     k = d.case.kept
     base = d.case.evidence.r
-    models = [Left("base model", np.linalg.norm(base, axis=1), base)]
+    models = [ModelErrors("base model", np.linalg.norm(base, axis=1), base)]
     if d.columns.size:
         rest = fitted_without(d.case.whole, d.columns, d.noise, ~k)[k]
-        models.append(Left(WITH, np.linalg.norm(rest, axis=1), rest))
+        models.append(ModelErrors(WITH, np.linalg.norm(rest, axis=1), rest))
     return _poses(d, tuple(models), "All poses fitted")
 
 
-def _poses(d: Diagnosis, models: tuple[Left, ...], name: str) -> PoseErrors:
+def _poses(d: Diagnosis, models: tuple[ModelErrors, ...], name: str) -> PoseErrors:
     m, k = d.case.m, d.case.kept
     assert m.position is not None
     return PoseErrors(name, name.startswith("Held"), m.row[k], m.q[k], m.position[k], models)

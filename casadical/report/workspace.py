@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.project.remaining_errors import Left, PoseErrors
+from casadical.project.remaining_errors import ModelErrors, PoseErrors
 from casadical.report.style import COLOURS, GRID, INK, LINE, MUTED, STYLES, Figure, new_figure, plain, style
 from casadical.robot.kinematics import link_frames
 from casadical.robot.model import base_frame
@@ -52,7 +52,7 @@ def round_factor(factor: float) -> float:
     return float(max(step * power for step in (1, 2, 5) if step * power <= max(factor, 1.0)))
 
 
-def _add_vectors(figure: Figure, poses: PoseErrors, left: Left, factor: float, shown: bool) -> None:
+def _add_vectors(figure: Figure, poses: PoseErrors, left: ModelErrors, factor: float, shown: bool) -> None:
     """A line for each pose from the measured point, and its tip coloured by the error."""
     assert poses.position is not None
     assert left.vector is not None

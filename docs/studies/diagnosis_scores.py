@@ -110,7 +110,7 @@ def power(visible: float, poses: int, parameters: int = 3) -> float:
     return float(stats.ncx2.sf(edge, parameters, 3 * poses * visible**2))
 
 
-def told_apart(t: Trial) -> tuple[float, float]:
+def discrimination(t: Trial) -> tuple[float, float]:
     """Of a judge who knows the noise and both signatures and must tell the truth from its nearest rival alone: how
     often right, and mean probability given to the truth. The log odds are normal, of mean d/2 and variance d."""
     d = max(3 * t.poses * t.visible**2 * (1 - t.rival), 1e-9)
@@ -159,7 +159,7 @@ def _nothing(trials: Sequence[Trial]) -> list[Row]:
 def _isolation(trials: Sequence[Trial]) -> list[Row]:
     every = _counted(trials)
     seen, errors = metrics.detectable(every), metrics.shrink_errors(every)
-    told = np.mean([told_apart(t) for t in trials if t.visible >= metrics.DETECTABLE], axis=0)
+    told = np.mean([discrimination(t) for t in trials if t.visible >= metrics.DETECTABLE], axis=0)
     n = f"{trials[0].poses} poses"
     return [
         (f"FIA: probability of the true cause, {n}", metrics.isolation(seen), ">= .92", _limit(told[1])),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from casadical.core.errors import InputError
-from casadical.project.remaining_errors import Left, PoseErrors
+from casadical.project.remaining_errors import ModelErrors, PoseErrors
 from casadical.report import calibration_figures, dark, diagnosis_figures
 from casadical.report import optional_imports as libraries
 from casadical.report.page import safe_json
@@ -103,7 +103,7 @@ def test_many_poses_are_thinned_and_said_to_be() -> None:
     n = 3000
     rng = np.random.default_rng(0)
     error = rng.normal(size=(n, 3)) * 1e-4
-    models = (Left("SKCM", np.linalg.norm(error, axis=1), error),)
+    models = (ModelErrors("SKCM", np.linalg.norm(error, axis=1), error),)
     poses = PoseErrors("report", True, np.arange(n) + 2, np.zeros((n, 6)), rng.uniform(-1, 1, (n, 3)), models)
     from casadical.report.error_figures import error_distribution, errors_by_pose
 
