@@ -9,19 +9,20 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence
+from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence, taken
+from casadical.diagnosis.linearisation import EVERY
 from casadical.diagnosis.thresholds import PARTITIONS
 from casadical.measurements.noise import Noise
 
 FOLDS = 5
-# Parts in which the poses are gone through one by one.
-BLOCKS = 20
 # Poses from which on one partition is enough.
 MANY = 400
 # Up to so many numbers, leaving some out is worked out among the observations instead of the parameters.
 MOST_ROWS = 1500
-# Up to so many bytes, columns are kept in a second form that leaves some poses out at little cost.
-MOST_BYTES = 250_000_000
+# Up to so many bytes the white columns are kept, twice; else they are made again, so many bytes at a time.
+MOST_BYTES, PART_BYTES = 60_000_000, 20_000_000
+# Fits that are kept with a problem.
+MOST_FITS = 3
 
 
 def likely_noise(log_grid: Array, sigmas: Array = SIGMAS) -> Noise:
@@ -34,32 +35,60 @@ def likely_noise(log_grid: Array, sigmas: Array = SIGMAS) -> Noise:
 class Fit:
     """Base model and causes fitted together to the poses, and to all but some of them.
 
-    A : columns made white, shape (3 n, p); y : residual made white, shape (3 n,); prior, mean : of every parameter
+    y : residual made white, shape (3 n,); prior, mean : of every parameter, shape (p,)
     W : what makes each pose's columns white, shape (n, 3, 3)
+    H, g : products of the white columns among themselves and with y, shapes (p, p) and (p,)
     """
 
     def __init__(self, e: Evidence, columns: Array, noise: Noise) -> None:
+        self._J, self._E, self._columns = e.J, e.E, columns
         self.W = np.linalg.inv(np.linalg.cholesky(covariance(e, noise)))
-        whole = np.concatenate([e.J, e.take(columns)], axis=2)
-        for some in np.array_split(np.arange(len(whole)), BLOCKS):  # in place: there may be many columns
-            whole[some] = self.W[some] @ whole[some]
-        self.A = whole.reshape(e.r.size, -1)
         self.y = (self.W @ e.r[:, :, None]).ravel()
         self.prior = np.concatenate([e.prior, e.width_in_model(columns)])
         self.mean = np.concatenate([e.delta0, np.zeros(len(columns))])
+        p = len(self.prior)
+        self._kept = np.empty((len(self.y), p)) if 8 * len(self.y) * p <= MOST_BYTES else None
+        self.H, self.g = np.zeros((p, p)), np.zeros(p)
+        for some in self._parts():
+            A = self._white(some)
+            if self._kept is not None:
+                self._kept[3 * some.start : 3 * some.stop] = A
+            self.H += A.T @ A
+            self.g += A.T @ self.y[3 * some.start : 3 * some.stop]
 
-    @cached_property
-    def H(self) -> Array:
-        """Products of the columns, shape (p, p)."""
-        return np.asarray(self.A.T @ self.A)
+    def _parts(self) -> list[slice]:
+        """The poses in parts whose columns take little memory."""
+        step = max(64, PART_BYTES // (24 * len(self.prior)))
+        return [slice(k, min(k + step, len(self.W))) for k in range(0, len(self.W), step)]
 
-    @cached_property
-    def g(self) -> Array:
-        """Products of the columns with the residual, shape (p,)."""
-        return np.asarray(self.A.T @ self.y)
+    def _white(self, poses: Array | slice) -> Array:
+        """Columns of some poses made white, shape (3 poses, p)."""
+        A = np.concatenate([self._J[poses], taken(self._E, self._columns, poses)], axis=2)
+        return np.asarray((self.W[poses] @ A).reshape(-1, A.shape[2]))
 
-    def _rows(self, poses: Array) -> Array:
-        return (3 * poses[:, None] + np.arange(3)).ravel()
+    def _of(self, poses: Array | slice) -> Array:
+        """The same, as kept where they are."""
+        if self._kept is None:
+            return self._white(poses)
+        if isinstance(poses, slice):
+            return np.asarray(self._kept[3 * poses.start : 3 * poses.stop])
+        return np.asarray(self._kept[_rows(poses)])
+
+    @property
+    def A(self) -> Array:
+        """The white columns of all poses, shape (3 n, p)."""
+        return self._white(EVERY) if self._kept is None else self._kept
+
+    def _products(self, poses: Array) -> tuple[Array, Array]:
+        """H and g of some poses alone: theirs, or those of all less the others', whichever are fewer."""
+        out = np.setdiff1d(np.arange(len(self.W)), poses)
+        fewer = out if len(out) < len(poses) else poses
+        H, g = np.zeros_like(self.H), np.zeros_like(self.g)
+        for some in np.array_split(fewer, 1 + len(fewer) // len(self.prior)):
+            A = self._of(some)
+            H += A.T @ A
+            g += A.T @ self.y[_rows(some)]
+        return (self.H - H, self.g - g) if fewer is out else (H, g)
 
     def _normal(self, H: Array) -> tuple[Array, Array]:
         """Root of the inverse of the normal matrix, and the scale that was taken off first."""
@@ -74,10 +103,15 @@ class Fit:
         return np.asarray(np.linalg.solve(normal / np.outer(scale, scale), right) / scale)
 
     @cached_property
-    def _pulled(self) -> Array:
-        """Columns in which the inverse of the normal matrix is one, shape (3 n, p)."""
+    def _root(self) -> Array:
+        """Root of the inverse of the normal matrix, shape (p, p)."""
         root, scale = self._normal(self.H)
-        return np.asarray(self.A / scale @ root.T)
+        return np.asarray(root / scale)
+
+    @cached_property
+    def _pulled(self) -> Array | None:
+        """Columns in which the inverse of the normal matrix is one, shape (3 n, p); None if they are not kept."""
+        return None if self._kept is None else np.asarray(self._kept @ self._root.T)
 
     @cached_property
     def x(self) -> Array:
@@ -87,50 +121,68 @@ class Fit:
     @cached_property
     def covariance(self) -> Array:
         """Of the fit to all poses, shape (p, p)."""
-        root, scale = self._normal(self.H)
-        return np.asarray(root.T @ root / np.outer(scale, scale))
+        return np.asarray(self._root.T @ self._root)
 
     def to(self, poses: Array) -> Array:
         """Fit to some poses alone, given by their numbers, shape (p,)."""
-        if len(poses) == len(self.W):
-            return self.x
-        A, y = self.A[self._rows(poses)], self.y[self._rows(poses)]
-        return self._solution(A.T @ A, A.T @ y)
+        return self.x if len(poses) == len(self.W) else self._solution(*self._products(poses))
+
+    def _left(self, x: Array) -> Array:
+        """What a fit leaves, white, shape (3 n,)."""
+        return np.asarray(self.y - np.concatenate([self._of(some) @ x for some in self._parts()]))
 
     def left(self, x: Array) -> Array:
         """What a fit leaves at every pose, shape (n, 3) [m]; x : its parameters, shape (p,)."""
-        white = (self.y - self.A @ x).reshape(-1, 3, 1)
-        return np.asarray(np.linalg.solve(self.W, white)[:, :, 0])
+        return np.asarray(np.linalg.solve(self.W, self._left(x).reshape(-1, 3, 1))[:, :, 0])
+
+    def distance(self, x: Array, spread: Array) -> Array:
+        """Squared Mahalanobis distance of what a fit leaves at each pose, shape (n,); spread : shape (n, 3, 3)."""
+        white = self._left(x).reshape(-1, 3, 1)
+        return np.asarray((white * np.linalg.solve(spread, white)).sum(axis=(1, 2)))
 
     def pull(self, poses: Array) -> Array:
         """Covariance of the fit to some poses at each pose, in units of its noise, shape (n, 3, 3)."""
-        A = self.A[self._rows(poses)]
-        root, scale = self._normal(self.H if len(poses) == len(self.W) else A.T @ A)
-        parts = np.array_split(self.A.reshape(-1, 3, len(scale)), BLOCKS)
-        return np.concatenate([_blocks(part / scale @ root.T) for part in parts])
+        if len(poses) == len(self.W):
+            if self._pulled is not None:
+                return _blocks(self._pulled.reshape(len(self.W), 3, -1))
+            root = self._root
+        else:
+            root, scale = self._normal(self._products(poses)[0])
+            root /= scale
+        return np.concatenate([_blocks((self._of(s) @ root.T).reshape(-1, 3, len(root))) for s in self._parts()])
 
     @cached_property
     def _left_of(self) -> Array | None:
         """What takes observations to what a fit to all leaves of them, shape (3 n, 3 n); None for too many poses."""
-        rows, p = self.A.shape
-        if rows > MOST_ROWS:
+        rows, p = len(self.y), len(self.prior)
+        if rows > MOST_ROWS or self._kept is None or self._pulled is None:
             return None
         if rows > p:
             return np.asarray(np.eye(rows) - self._pulled @ self._pulled.T)
-        wide = self.A * self.prior
+        wide = self._kept * self.prior
         return np.linalg.inv(np.eye(rows) + wide @ wide.T)
+
+    @cached_property
+    def _missed(self) -> Array:
+        """What the priors' mean leaves, white, shape (3 n,)."""
+        return self._left(self.mean)
+
+    @cached_property
+    def rest(self) -> Array:
+        """What the fit to all poses leaves, white, shape (3 n,)."""
+        return self._left(self.x)
 
     def without(self, poses: Array) -> Array:
         """What is left at some poses by a fit to all others, shape (len(poses), 3) [m]."""
-        rows = self._rows(poses)
+        rows = _rows(poses)
         whole = self._left_of
         if whole is not None:  # what all poses leave, freed of these poses' own pull on the fit
-            left = np.linalg.solve(whole[np.ix_(rows, rows)], whole[rows] @ (self.y - self.A @ self.mean))
-        elif len(rows) < len(self.prior) and self.A.nbytes < MOST_BYTES:
+            left = np.linalg.solve(whole[np.ix_(rows, rows)], whole[rows] @ self._missed)
+        elif len(rows) < len(self.prior) and self._pulled is not None:
             B = self._pulled[rows]
-            left = np.linalg.solve(np.eye(len(rows)) - B @ B.T, self.y[rows] - self.A[rows] @ self.x)
+            left = np.linalg.solve(np.eye(len(rows)) - B @ B.T, self.rest[rows])
         else:
-            A, y = self.A[rows], self.y[rows]
+            A, y = self._of(poses), self.y[rows]
             left = y - A @ self._solution(self.H - A.T @ A, self.g - A.T @ y)
         return np.asarray(np.linalg.solve(self.W[poses], left.reshape(-1, 3, 1))[:, :, 0])
 
@@ -139,8 +191,24 @@ class Fit:
         if self._left_of is not None:
             return np.concatenate([self.without(np.array([k])) for k in range(len(self.W))])
         pull = self.pull(np.arange(len(self.W)))
-        left = np.linalg.solve(np.eye(3) - pull, (self.y - self.A @ self.x).reshape(-1, 3, 1))
+        left = np.linalg.solve(np.eye(3) - pull, self.rest.reshape(-1, 3, 1))
         return np.asarray(np.linalg.solve(self.W, left)[:, :, 0])
+
+
+def fit_of(e: Evidence, columns: Array, noise: Noise) -> Fit:
+    """The fit of these columns, kept with the problem: several questions are asked of the same few."""
+    fits: dict[tuple[bytes, Noise], Fit] = e.__dict__.setdefault("fits", {})
+    key = columns.tobytes(), noise
+    if key not in fits:
+        if len(fits) == MOST_FITS:
+            fits.pop(next(iter(fits)))
+        fits[key] = Fit(e, columns, noise)
+    return fits[key]
+
+
+def _rows(poses: Array) -> Array:
+    """Rows of some poses."""
+    return np.asarray((3 * poses[:, None] + np.arange(3)).ravel())
 
 
 def _blocks(B: Array) -> Array:
@@ -158,7 +226,7 @@ def held_out_errors(e: Evidence, columns: Array, noise: Noise, folds: Array) -> 
 
     columns : of the causes in the model; folds : number of the fold of each pose, shape (n,)
     """
-    return fold_errors(Fit(e, columns, noise), folds)
+    return fold_errors(fit_of(e, columns, noise), folds)
 
 
 def fold_errors(fit: Fit, folds: Array) -> Array:
@@ -179,14 +247,14 @@ def partitions(n: int, seed: int) -> list[Array]:
 
 def partitioned_errors(e: Evidence, columns: Array, noise: Noise, seed: int) -> Array:
     """Held-out error of each pose, shape (n,) [m], averaged over partitions."""
-    fit = Fit(e, columns, noise)
+    fit = fit_of(e, columns, noise)
     runs = [fold_errors(fit, folds) for folds in partitions(len(e.r), seed)]
     return np.asarray(np.mean(runs, axis=0))
 
 
 def fitted_without(e: Evidence, columns: Array, noise: Noise, test: Array) -> Array:
     """What a fit to the poses outside of a mask leaves at every pose, shape (n, 3) [m]."""
-    fit = Fit(e, columns, noise)
+    fit = fit_of(e, columns, noise)
     return fit.left(fit.to(np.flatnonzero(~test)))
 
 
@@ -198,15 +266,13 @@ def remainders(e: Evidence, columns: Array, noise: Noise, kept: Array) -> tuple[
     """
     fit = Fit(e, columns, noise)
     x, pull = fit.to(np.flatnonzero(kept)), fit.pull(np.flatnonzero(kept))
-    white = (fit.y - fit.A @ x).reshape(-1, 3, 1)
     spread = np.eye(3) + np.where(kept[:, None, None], -pull, pull)
-    square = (white * np.linalg.solve(spread, white)).sum(axis=(1, 2))
-    return np.linalg.norm(fit.left(x), axis=1), square
+    return np.linalg.norm(fit.left(x), axis=1), fit.distance(x, spread)
 
 
 def estimates(e: Evidence, columns: Array, noise: Noise) -> tuple[Array, Array]:
     """Values and standard errors of the causes' parameters, in sizes, shapes (len(columns),)."""
-    fit = Fit(e, columns, noise)
+    fit = fit_of(e, columns, noise)
     first = e.J.shape[2]
     return fit.x[first:], np.sqrt(np.diag(fit.covariance))[first:]
 

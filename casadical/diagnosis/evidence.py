@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.linearisation import Columns
+from casadical.diagnosis.linearisation import EVERY, Columns
 from casadical.effects.base import CHOSEN
 
 SIGMAS = np.geomspace(3e-6, 300e-6, 33)
@@ -54,6 +54,11 @@ class Whitened:
     log_norm: float
 
 
+def taken(E: Array | Columns, columns: Array, poses: Array | slice = EVERY) -> Array:
+    """Some columns at some poses, shape (poses, 3, len(columns))."""
+    return E[poses][:, :, columns] if isinstance(E, np.ndarray) else E.take(columns, poses)
+
+
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """Residuals of a calibrated robot, what the base model and the candidate causes do to them.
@@ -86,9 +91,9 @@ class Evidence:
         """Number of columns of all candidates."""
         return int(self.E.shape[2])
 
-    def take(self, columns: Array) -> Array:
-        """Some of the candidates' columns, shape (n, 3, len(columns)) [m per unit of size]."""
-        return self.E[:, :, columns] if isinstance(self.E, np.ndarray) else self.E.take(columns)
+    def take(self, columns: Array, poses: Array | slice = EVERY) -> Array:
+        """Some of the candidates' columns at some poses, shape (poses, 3, len(columns)) [m per unit of size]."""
+        return taken(self.E, columns, poses)
 
     def only(self, columns: Array) -> Array | Columns:
         """Some of the candidates' columns, all those of an effect or none, made when asked for."""

@@ -29,6 +29,8 @@ from casadical.robot.statics import deflections, gravity_torques
 _TWIST = ("x", "y", "z", "rx", "ry", "rz")
 # Poses whose seams are evaluated in one call.
 BLOCK = 512
+# All poses.
+EVERY = slice(None)
 
 
 class _Probe(Effect):
@@ -342,15 +344,18 @@ class Columns:
     def _few(self) -> bool:
         return 8 * int(np.prod(self.shape)) <= KEPT
 
-    def take(self, columns: Array) -> Array:
-        """Some of the columns at all poses, shape (n, 3, len(columns)) [m per unit of size]."""
+    def take(self, columns: Array, poses: Array | slice = EVERY) -> Array:
+        """Some of the columns at some poses, shape (poses, 3, len(columns)) [m per unit of size]."""
         if self._few:
-            return np.asarray(self._all[:, :, columns])
+            return np.asarray(self._all[poses][:, :, columns])
         owners = np.unique(np.searchsorted(self._edges, columns, side="right") - 1)
         some = replace(self, effects=tuple(self.effects[k] for k in owners))
         starts = self._edges[owners] - some._edges[:-1]
         place = np.searchsorted(owners, np.searchsorted(self._edges, columns, side="right") - 1)
-        return np.asarray((some.linear.columns(some.effects) * some.sizes)[:, :, columns - starts[place]])
+        found = self.linear.at(poses).columns(some.effects)
+        found *= some.sizes
+        places = columns - starts[place]
+        return found if np.array_equal(places, np.arange(found.shape[2])) else np.asarray(found[:, :, places])
 
     def only(self, columns: Array) -> Columns:
         """Some of the columns, in rising order, all those of an effect or none."""

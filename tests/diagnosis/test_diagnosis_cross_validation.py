@@ -7,8 +7,10 @@ from scipy.optimize import lsq_linear
 
 from casadical.diagnosis import cross_validation
 from casadical.diagnosis.cross_validation import (
+    Fit,
     covariance,
     estimates,
+    fold_errors,
     held_out_errors,
     likely_noise,
     random_folds,
@@ -73,8 +75,9 @@ def test_many_poses_and_few_are_left_out_alike(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(cross_validation, "MOST_ROWS", 0)
     for most in (cross_validation.MOST_BYTES, 0):
         monkeypatch.setattr(cross_validation, "MOST_BYTES", most)
-        np.testing.assert_allclose(held_out_errors(e, columns, NOISE, folds), expected[0], rtol=1e-7)
-        np.testing.assert_allclose(held_out_errors(e, columns, NOISE, alone), expected[1], rtol=1e-7)
+        fit = Fit(e, columns, NOISE)
+        np.testing.assert_allclose(fold_errors(fit, folds), expected[0], rtol=1e-7)
+        np.testing.assert_allclose(fold_errors(fit, alone), expected[1], rtol=1e-7)
 
 
 def test_folds_are_even_and_seeded() -> None:
