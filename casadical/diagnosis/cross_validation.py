@@ -9,8 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence, taken
+from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence
 from casadical.diagnosis.linearisation import EVERY
+from casadical.diagnosis.sums import taken
 from casadical.diagnosis.thresholds import PARTITIONS
 from casadical.measurements.noise import Noise
 

@@ -12,7 +12,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.parameters import Parameter
 from casadical.diagnosis.candidates import Candidate, choose
-from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, Evidence, Sums
+from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, Evidence
 from casadical.diagnosis.linearisation import Columns, linearise
 from casadical.diagnosis.noise_floor import replicates
 from casadical.effects import Effect
@@ -113,7 +113,12 @@ class Case:
 
     def with_kept(self, kept: Array) -> Case:
         """The case with other poses left out."""
-        return self if np.array_equal(kept, self.kept) else replace(self, kept=kept)
+        if np.array_equal(kept, self.kept):
+            return self
+        lost, gained = (self.whole.at(np.flatnonzero(a & ~b)) for a, b in ((self.kept, kept), (kept, self.kept)))
+        more = replace(self, kept=kept)
+        more.evidence.moving(self.evidence, lost, gained)
+        return more
 
     @cached_property
     def variants(self) -> tuple[tuple[int, int], ...]:
@@ -146,8 +151,7 @@ class Case:
         near = tuple(range(max(rho - 1, 0), min(rho + 2, len(RHOS))))
         whole = replace(self.whole, held=held, reference=noise.sigma, near=near)
         more = replace(self, candidates=candidates, columns={**self.columns, learnt: columns}, whole=whole)
-        if "sums" in self.evidence.__dict__:
-            more.evidence.__dict__["sums"] = Sums(more.evidence, self.evidence.sums)
+        more.evidence.extending(self.evidence)
         return more, learnt
 
     def sizes(self, columns: Array) -> Array:
@@ -168,8 +172,7 @@ class Case:
         assert isinstance(self.whole.E, Columns)
         E = self.whole.E.plus(effects, m.conditions)
         more = replace(self, m=m, candidates=candidates, columns=columns, whole=replace(self.whole, E=E, held=E.held))
-        if "sums" in self.evidence.__dict__:
-            more.evidence.__dict__["sums"] = Sums(more.evidence, self.evidence.sums)
+        more.evidence.extending(self.evidence)
         return more
 
 

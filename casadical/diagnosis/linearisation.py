@@ -223,39 +223,67 @@ class Linearisation:
 
         Raises KeyError for a condition that is not there (see `derived_columns.derive`).
         """
-        n = len(self.q)
-        counts = [len(e.sizes()) for e in effects]
-        starts = np.cumsum([0, *counts])
-        out = np.zeros((n, 3, int(starts[-1])))
         s = seams_of(self.robot)
-        for (template, names), which in _templates(effects).items():
-            formula = _formula(s, template, names)
-            if formula:
-                self._fill(out, formula, [effects[k] for k in which], names, starts[which])
-                continue
-            for k in which:
-                known = _formula(s, effects[k], ())
-                assert known
-                self._fill(out, known, [effects[k]], (), starts[[k]])
+        plan = _plan(s, tuple(effects))
+        out = np.zeros((len(self.q), 3, sum(len(part.starts) * part.width for part in plan)))
+        for part in plan:
+            self._fill(out, part)
         return out
 
-    def _fill(
-        self, out: Array, formula: _Formula, effects: Sequence[Effect], names: tuple[str, ...], starts: Array
-    ) -> None:
-        """Columns of effects that share a formula, from these places on."""
-        settings = [np.array([getattr(e, name) for e in effects]) for name in names]
+    def _fill(self, out: Array, part: _Part) -> None:
+        """Columns of effects that share a formula."""
+        n, formula = len(self.q), part.formula
         logged = [self._condition(c)[:, None] for c in formula.conditions]
-        q, seen = ([c[:, None] for c in part.T] for part in (self.q, self.seen))
-        (found,) = formula.function(q, logged, list(self.phi), list(self.constants), seen, settings)
-        for seam, parameter, value in zip(formula.rows, formula.columns, found, strict=True):
-            factor = np.broadcast_to(value, (len(self.q), len(effects)))
-            out[:, :, starts + parameter] += self.S[:, :, seam, None] * factor[:, None, :]
+        q, seen = ([c[:, None] for c in values.T] for values in (self.q, self.seen))
+        (found,) = formula.function(q, logged, list(self.phi), list(self.constants), seen, part.settings)
+        for seam in np.unique(formula.rows):
+            own = np.flatnonzero(formula.rows == seam)
+            factor = np.stack([np.broadcast_to(found[k], (n, len(part.starts))) for k in own], axis=2)
+            columns = (part.starts[:, None] + formula.columns[own]).ravel()
+            out[:, :, _as_slice(columns)] += self.S[:, :, seam, None] * factor.reshape(n, 1, -1)
 
     def _condition(self, name: str) -> Array:
         if name in self.conditions:
             return self.conditions[name]
         known = dict(zip(self.robot.conditions, self.robot.declared, strict=True))
         return np.full(len(self.q), known[name])
+
+
+def _as_slice(columns: Array) -> Array | slice:
+    """Columns one after the other as a slice, which is faster."""
+    return slice(columns[0], columns[-1] + 1) if (np.diff(columns) == 1).all() else columns
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Effects that share a formula.
+
+    settings : values of each setting that is an input, one for each effect
+    starts : of each effect's columns; width : how many an effect has
+    """
+
+    formula: _Formula
+    settings: list[Array]
+    starts: Array
+    width: int
+
+
+@lru_cache(maxsize=32)
+def _plan(s: _Seams, effects: tuple[Effect, ...]) -> tuple[_Part, ...]:
+    """How the columns of effects, one after the other, are made."""
+    starts = np.cumsum([0, *(len(e.sizes()) for e in effects)])
+    parts = []
+    for (template, names), which in _templates(effects).items():
+        width = len(template.sizes())
+        if formula := _formula(s, template, names):
+            settings = [np.array([getattr(effects[k], name) for k in which]) for name in names]
+            parts.append(_Part(formula, settings, starts[which], width))
+            continue
+        for k in which:
+            known = _formula(s, effects[k], ())
+            assert known
+            parts.append(_Part(known, [], starts[[k]], width))
+    return tuple(parts)
 
 
 def _templates(effects: Sequence[Effect]) -> dict[tuple[Effect, tuple[str, ...]], list[int]]:

@@ -1,0 +1,208 @@
+"""Sums over poses of products of white columns, by which all causes are judged.
+
+In the axes of a pose's joint repeatability its whitening at any rho is a weight for each of three rows, so that columns
+are turned once and weighted for each rho. The products are added up some poses at a time, so that memory does not grow
+with poses times columns, and when they are asked for. Sums of a few poses are taken off or added where these poses
+turn out to be outliers, or none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cached_property
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.diagnosis.linearisation import EVERY, Columns
+
+# Columns that are in memory at a time, in bytes; at least so many poses.
+BYTES, LEAST_POSES = 16_000_000, 64
+# Groups of so many columns are added up one by one, at the rhos that are asked for.
+WIDE = 64
+
+
+def taken(E: Array | Columns, columns: Array, poses: Array | slice = EVERY) -> Array:
+    """Some columns at some poses, shape (poses, 3, len(columns))."""
+    return E[poses][:, :, columns] if isinstance(E, np.ndarray) else E.take(columns, poses)
+
+
+def _only(E: Array | Columns, columns: Array) -> Array | Columns:
+    """Some columns in rising order, all those of an effect or none, made when asked for."""
+    return E[:, :, columns] if isinstance(E, np.ndarray) else E.only(columns)
+
+
+class Sums:
+    """Of one problem: residuals, base model, candidates (see `Evidence`).
+
+    base : products of the base model's columns and the residual, shape (rhos, P + 1, P + 1)
+    log_det : log determinant of the noise's covariance in units of sigma, shape (rhos,)
+    """
+
+    def __init__(self, r: Array, J: Array, Jq: Array, E: Array | Columns, rhos: Array) -> None:
+        self.E = E
+        square, self._turn = np.linalg.eigh(Jq @ Jq.transpose(0, 2, 1))
+        square = np.maximum(square, 0.0).reshape(-1)
+        self._weight = 1 / (1 + np.outer(rhos**2, square))
+        self.log_det = np.log1p(np.outer(rhos**2, square)).sum(axis=1)
+        self._base = self._turned(np.concatenate([J, r[:, :, None]], axis=2), EVERY)
+        self.base = self._base.T @ (self._weight[:, :, None] * self._base)
+        self._own: dict[bytes, Array] = {}
+        self._wide: dict[tuple[bytes, int], Array] = {}
+        self._cross: dict[tuple[int, int, int], Kept] = {}
+
+    @property
+    def rows(self) -> int:
+        """How many numbers were measured."""
+        return len(self._base)
+
+    @cached_property
+    def columns(self) -> Array:
+        """Products of all columns with the base model's and the residual, shape (columns, rhos, P + 1)."""
+        return self._by_base(self.E)
+
+    def _by_base(self, E: Array | Columns) -> Array:
+        total = np.zeros((E.shape[2], self.base.shape[0] * self.base.shape[1]))
+        for some, rows in self._blocks(E):
+            total += some.T @ np.concatenate([*(self._weight[:, rows, None] * self._base[rows])], axis=1)
+        return total.reshape(E.shape[2], *self.base.shape[:2])
+
+    def extend(self, known: Sums) -> None:
+        """Take over sums of the same poses and the first of the columns."""
+        width = known.E.shape[2]
+        self._own, self._wide = dict(known._own), dict(known._wide)
+        self._cross = {key: cross.of(self.E.shape[2]) for key, cross in known._cross.items()}
+        columns = known.columns
+        if self.E.shape[2] > width:
+            new = self.E[:, :, width:] if isinstance(self.E, np.ndarray) else self.E.after(width)
+            columns = np.concatenate([columns, self._by_base(new)])
+        self.__dict__["columns"] = columns
+
+    def move(self, known: Sums, lost: Sums, gained: Sums) -> None:
+        """Take over sums of other poses: known ones without some that are lost, with some that are gained."""
+        parts = [(sign, part) for sign, part in ((-1.0, lost), (1.0, gained)) if part.rows]
+        self.__dict__["columns"] = known.columns + sum(sign * part.columns for sign, part in parts)
+        groups = [np.frombuffer(key, dtype=np.int64) for key in known._own]
+        for _, part in parts:
+            part.add_own(groups)
+        self._own = {k: own + sum(sign * part._own[k] for sign, part in parts) for k, own in known._own.items()}
+        for (key, k), own in known._wide.items():
+            group = np.frombuffer(key, dtype=np.int64)
+            self._wide[key, k] = own + sum(sign * part.wide(group, k) for sign, part in parts)
+        for (first, last, k), cross in known._cross.items():
+            run, at = np.arange(first, last + 1), cross.known
+            self._cross[first, last, k] = more = Kept(len(cross.place), len(run))
+            more.add(at, cross[at] + sum(sign * part.crossed(run, [k], at)[k] for sign, part in parts))
+
+    def _turned(self, part: Array, poses: slice) -> Array:
+        """Columns in the axes of each pose's repeatability, shape (rows, columns)."""
+        turned = self._turn[poses].transpose(0, 2, 1) @ part
+        return np.asarray(turned.reshape(-1, part.shape[2]))
+
+    def _blocks(self, E: Array | Columns) -> Iterator[tuple[Array, slice]]:
+        """All columns of some poses, turned, and the rows where they stand."""
+        n = len(self._turn)
+        step = max(LEAST_POSES, BYTES // (24 * max(E.shape[2], 1)))
+        for first in range(0, n, step):
+            poses = slice(first, min(first + step, n))
+            some = E[poses] if isinstance(E, np.ndarray) else E.block(poses)
+            yield self._turned(some, poses), slice(3 * poses.start, 3 * poses.stop)
+
+    def add_own(self, groups: Iterable[Array]) -> None:
+        """Add up the products of each narrow group's columns among themselves, all in one go."""
+        new = {g.tobytes(): g for g in groups if len(g) <= WIDE and g.tobytes() not in self._own}
+        by_width: dict[int, list[Array]] = {}
+        for g in new.values():
+            by_width.setdefault(len(g), []).append(g)
+        if not new:
+            return
+        stacks = {w: np.stack(gs) for w, gs in by_width.items()}
+        totals = {w: np.zeros((len(self._weight), len(s), w, w)) for w, s in stacks.items()}
+        used = np.unique(np.concatenate([which.ravel() for which in stacks.values()]))
+        for E, rows in self._blocks(_only(self.E, used)):
+            by_column = np.ascontiguousarray(E.T)
+            for w, which in stacks.items():
+                part = by_column[np.searchsorted(used, which)]
+                for k, weight in enumerate(self._weight[:, rows]):
+                    scaled = part * np.sqrt(weight)
+                    totals[w][k] += scaled @ scaled.transpose(0, 2, 1)
+        for w, which in stacks.items():
+            for i, g in enumerate(which):
+                self._own[g.tobytes()] = totals[w][:, i]
+
+    def own(self, groups: Sequence[Array]) -> Array:
+        """These products of groups of one width, shape (groups, rhos, width, width)."""
+        return np.stack([self._own[g.tobytes()] for g in groups])
+
+    def wide(self, group: Array, k: int) -> Array:
+        """Products of a wide group's columns among themselves at one rho, shape (width, width)."""
+        key = group.tobytes(), k
+        if key not in self._wide:
+            total = np.zeros((len(group), len(group)))
+            for E, rows in self._blocks(_only(self.E, group)):
+                E *= np.sqrt(self._weight[k, rows])[:, None]
+                total += E.T @ E
+            self._wide[key] = total
+        return self._wide[key]
+
+    def crossed(self, columns: Array, ks: Sequence[int], wanted: Array) -> dict[int, Array]:
+        """Products of wanted columns with some others at some rhos, shape (wanted, columns) each; kept by runs.
+
+        wanted : in rising order, all columns of an effect or none
+        """
+        runs = np.split(columns, np.flatnonzero(np.diff(columns) != 1) + 1)
+        found: dict[int, list[Array]] = {k: [] for k in ks}
+        for run in runs:
+            keys = {k: (int(run[0]), int(run[-1]), k) for k in ks}
+            for key in keys.values():
+                if key not in self._cross:
+                    self._cross[key] = Kept(self.E.shape[2], len(run))
+                    if len(run) > WIDE:
+                        self._cross[key].add(run, self.wide(run, key[2]))
+            unknown = np.max([self._cross[key].place[wanted] < 0 for key in keys.values()], axis=0)
+            if unknown.any():
+                self._add_crossed(run, wanted[unknown], {k: self._cross[key] for k, key in keys.items()})
+            for k, key in keys.items():
+                found[k].append(self._cross[key][wanted])
+        return {k: np.concatenate(parts, axis=1) for k, parts in found.items()}
+
+    def _add_crossed(self, run: Array, new: Array, to: dict[int, Kept]) -> None:
+        """Add up products of new columns with a run, at some rhos, in one go."""
+        totals = {k: np.zeros((len(new), len(run))) for k in to}
+        for some, rows in self._blocks(_only(self.E, new)):
+            at = slice(rows.start // 3, rows.stop // 3)
+            other = self._turned(taken(self.E, run, at), at)
+            for k, total in totals.items():
+                total += some.T @ (self._weight[k, rows, None] * other)
+        for k, total in totals.items():
+            to[k].add(new, total)
+
+
+class Kept:
+    """Rows of some of the columns, as far as they are known.
+
+    place : of each column among the rows, or -1, shape (columns,); rows : shape (known, numbers)
+    """
+
+    def __init__(self, columns: int, numbers: int) -> None:
+        self.place, self.rows = np.full(columns, -1), np.zeros((0, numbers))
+
+    @property
+    def known(self) -> Array:
+        """Numbers of the columns that are known."""
+        return np.flatnonzero(self.place >= 0)
+
+    def __getitem__(self, columns: Array) -> Array:
+        """Rows of columns, shape (*columns.shape, numbers)."""
+        return np.asarray(self.rows[self.place[columns]])
+
+    def add(self, columns: Array, rows: Array) -> None:
+        """Keep the rows of further columns."""
+        self.place[columns] = len(self.rows) + np.arange(len(columns))
+        self.rows = np.concatenate([self.rows, rows])
+
+    def of(self, columns: int) -> Kept:
+        """The same of at least as many columns."""
+        more = Kept(columns, 0)
+        more.place[: len(self.place)], more.rows = self.place, self.rows
+        return more
