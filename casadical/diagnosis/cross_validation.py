@@ -21,7 +21,7 @@ MANY = 400
 # Up to so many numbers, leaving some out is worked out among the observations instead of the parameters.
 MOST_ROWS = 1500
 # Up to so many bytes the white columns are kept, twice; else they are made again, so many bytes at a time.
-MOST_BYTES, PART_BYTES = 60_000_000, 20_000_000
+MOST_BYTES, PART_BYTES = 60_000_000, 32_000_000
 # Fits that are kept with a problem.
 MOST_FITS = 3
 

@@ -238,7 +238,9 @@ class Linearisation:
         (found,) = formula.function(q, logged, list(self.phi), list(self.constants), seen, part.settings)
         for seam in np.unique(formula.rows):
             own = np.flatnonzero(formula.rows == seam)
-            factor = np.stack([np.broadcast_to(found[k], (n, len(part.starts))) for k in own], axis=2)
+            factor = np.empty((n, len(part.starts), len(own)))
+            for i, k in enumerate(own):
+                factor[:, :, i] = found[k]
             columns = (part.starts[:, None] + formula.columns[own]).ravel()
             out[:, :, _as_slice(columns)] += self.S[:, :, seam, None] * factor.reshape(n, 1, -1)
 

@@ -17,7 +17,7 @@ from casadical.core.arrays import Array
 from casadical.diagnosis.linearisation import EVERY, Columns
 
 # Columns that are in memory at a time, in bytes; at least so many poses.
-BYTES, LEAST_POSES = 16_000_000, 64
+BYTES, LEAST_POSES = 32_000_000, 64
 # Groups of so many columns are added up one by one, at the rhos that are asked for.
 WIDE = 64
 
