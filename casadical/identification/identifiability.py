@@ -7,6 +7,7 @@ parameters far above, so one tolerance serves where the columns are scaled (comp
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +19,8 @@ DEPENDENT = 1e-6
 INVISIBLE = 1e-9
 # Condition number from which on some parameters are nearly confounded.
 CONFOUNDED = 1000
+# From so many parameters on, Cholesky's factors give the inverse faster, if no scaled variance is greater than this.
+MANY, CERTAIN = 200, 1e8
 
 
 @dataclass(frozen=True)
@@ -132,7 +135,14 @@ def drop_poor(
 def scaled_inverse(H: Array) -> Array:
     """Inverse of a positive semidefinite matrix, scaled first; directions at round-off come out as very uncertain."""
     root = np.sqrt(np.maximum(np.diag(H), 1e-300))
-    eigenvalues, V = np.linalg.eigh(H / np.outer(root, root))
+    scaled = H / np.outer(root, root)
+    if len(H) > MANY:
+        with suppress(np.linalg.LinAlgError):
+            L = np.linalg.inv(np.linalg.cholesky(scaled))
+            inverse = np.asarray(L.T @ L)
+            if np.diag(inverse).max() < CERTAIN:  # no direction is at round-off
+                return np.asarray(inverse / np.outer(root, root))
+    eigenvalues, V = np.linalg.eigh(scaled)
     return np.asarray((V / np.maximum(eigenvalues, 1e-15)) @ V.T / np.outer(root, root))
 
 

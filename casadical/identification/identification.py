@@ -14,17 +14,16 @@ from casadical.core.statistics import student_t
 from casadical.identification.accuracy import Accuracy, errors, predicted, summarise
 from casadical.identification.identifiability import Identifiability
 from casadical.identification.least_squares import (
-    POOR_FIT,
     SIGMA_ANGLE_GUESS,
     SIGMA_GUESS,
     LeastSquares,
-    reduce_and_solve,
     robust_std,
     variance,
 )
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against
 from casadical.identification.prior import Prior, carry_over
+from casadical.identification.reduction import POOR_FIT, reduce_and_solve
 from casadical.identification.residuals import LOSSES, Loss, make_block
 from casadical.identification.solver import Progress, Solution
 from casadical.measurements.kinds.registry import find_kind
@@ -346,6 +345,8 @@ def _with_freedom(problem: LeastSquares, solution: Solution) -> list[tuple[Array
 
 def _estimated_sigmas(problem: LeastSquares, solution: Solution) -> tuple[tuple[float, float], ...]:
     """Of each set, from its residuals and their share in the degrees of freedom (Foerstner 1979)."""
+    if all(m.sigma and (m.sigma_angle or not find_kind(m.kind).angles) for m in problem.sets):
+        return tuple((max(sigma, LEAST_SIGMA), max(angle, LEAST_SIGMA)) for sigma, angle in problem.sigmas)
     found = []
     for m, (sigma, angle), both in zip(problem.sets, problem.sigmas, _with_freedom(problem, solution), strict=True):
         r, freedom = (values[m.weight > 0] for values in both)

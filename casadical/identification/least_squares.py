@@ -16,28 +16,23 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.errors import ConvergenceError, InputError
 from casadical.identification.accuracy import predicted
 from casadical.identification.identifiability import (
     Identifiability,
-    Unidentifiable,
     analyse,
-    drop_poor,
     scaled_inverse,
 )
 from casadical.identification.residuals import POINT_SCALE, Block, Loss, loss_slope, loss_value, make_block
 from casadical.identification.solver import Progress, Solution, minimise
+from casadical.identification.steps import solve_in_steps
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
 # Taken where no sigma is given, until it is estimated from the residuals.
 SIGMA_GUESS, SIGMA_ANGLE_GUESS = 1e-4, 1e-4
-# Residuals of this share of the reach are no measuring error.
-POOR_FIT = 0.005
-# More parameters than this are solved for step by step (see `LeastSquares.solve`).
+# More parameters than this are solved for step by step (see `solve_in_steps`).
 WIDE = 200
-MOST_STEPS, LEAST_STEP, NO_GAIN = 20, 1e-3, 1e-7
 
 # They move the robot as a whole.
 _WHOLE_ROBOT = (
@@ -176,7 +171,7 @@ class LeastSquares:
     def solve(self, progress: Progress | None = None) -> Solution:
         """The bounded optimum. Raises ConvergenceError."""
         if self.size > WIDE:
-            return self._solve_in_steps(progress)
+            return solve_in_steps(self.cost, self.gradient, self.bounds, progress)
         v = ca.MX.sym("v", self.size)
         x, u = v[: len(self.names)], ca.reshape(v[len(self.names) :], 3, len(self.labels))
         cost, again, gradient, hessian = ca.MX(0), ca.MX(0), ca.MX.zeros(self.size), ca.MX(self.size, self.size)
@@ -198,36 +193,6 @@ class LeastSquares:
         lower, upper = self.bounds
         return minimise(
             v, cost, (again, gradient), hessian, lower, upper, scale=0.5 * self.residual_count, progress=progress
-        )
-
-    def _solve_in_steps(self, progress: Progress | None) -> Solution:
-        """The bounded optimum of many parameters: Ipopt on the Gauss-Newton quadratic, linearised again at each step.
-
-        A symbolic Hessian would grow with the square of the parameters at every pose; products of the Jacobian do not.
-        """
-        v, history = np.zeros(self.size), [self.cost(np.zeros(self.size))]
-        for _ in range(MOST_STEPS):
-            g, H = self.gradient(v)
-            lower, upper = (bound - v for bound in self.bounds)
-            step = ca.MX.sym("step", self.size)
-            slope = ca.DM(H) @ step + ca.DM(g)
-            quadratic = ca.dot(step, slope + ca.DM(g)) / 2
-            size = max(float(abs(g @ np.linalg.solve(H, g))), 1e-12)
-            upper_half = ca.MX(ca.triu(ca.DM(H)))
-            found = minimise(step, quadratic, (quadratic, slope), upper_half, lower, upper, scale=size)
-            share = 1.0
-            while (cost := self.cost(v + share * found.v)) > history[-1] and share > LEAST_STEP:
-                share *= 0.5
-            gain = history[-1] - cost
-            if gain > 0:
-                v = v + share * found.v
-                history.append(cost)
-            if progress:
-                progress(len(history) - 1, history[-1])
-            if gain < NO_GAIN * history[-1]:
-                return replace(found, v=v, history=tuple(history))
-        raise ConvergenceError(
-            f"no optimum in {MOST_STEPS} Gauss-Newton steps; check the data, or free fewer parameters"
         )
 
     def cost(self, v: Array) -> float:
@@ -265,13 +230,18 @@ class LeastSquares:
         residuals, rows = [], []
         for block in self.blocks:
             r, J = block.evaluate(x, u)
+            residuals.append(r)
+            if not u.size:
+                rows.append(J.reshape(-1, v.size))
+                continue
             whole = np.zeros((*r.shape, v.size))
             whole[:, :, : x.size] = J[:, :, : x.size]
             if block.kernel.point:
                 for j in range(3):
                     whole[np.arange(len(r)), :, x.size + 3 * block.group + j] = J[:, :, x.size + j]
-            residuals.append(r)
             rows.append(whole.reshape(-1, v.size))
+        if not u.size:  # no points, and no distances between them
+            return residuals, np.concatenate(rows) if len(rows) > 1 else rows[0]
         w = ca.MX.sym("v", self.size)
         r_s = self._separations(ca.reshape(w[x.size :], 3, len(self.labels)))
         if r_s.numel():
@@ -284,7 +254,12 @@ class LeastSquares:
         """Gradient and Gauss-Newton Hessian of the cost at v, from residuals: a way apart from the solver's."""
         r, J, slope = self._weighted(v)
         gradient = J.T @ (slope * r) + self.prior_matrix @ (v - self.prior_mean)
-        return gradient, J.T @ (slope[:, None] * J) + self.prior_matrix
+        return gradient, self._products(J, slope) + self.prior_matrix
+
+    def _products(self, J: Array, weights: Array) -> Array:
+        """Weighted products of the columns of the Jacobian, shape (size, size); weights : of its rows, not negative."""
+        J = J if self.loss == "linear" else J * np.sqrt(weights)[:, None]
+        return np.asarray(J.T @ J)
 
     def _weighted(self, v: Array) -> tuple[Array, Array, Array]:
         """All residuals, shape (residuals,), the whole Jacobian, and the weight that the loss gives each row."""
@@ -364,70 +339,22 @@ class LeastSquares:
         """
         _, J, slope = self._weighted(v)
         free = np.flatnonzero(~self.at_bounds(v))
-        H, middle = ((J.T @ ((slope**power)[:, None] * J) + self.prior_matrix)[np.ix_(free, free)] for power in (1, 2))
-        inverse = scaled_inverse(H)
+        inverse = scaled_inverse((self._products(J, slope) + self.prior_matrix)[np.ix_(free, free)])
+        if self.loss != "linear":
+            inverse = inverse @ (self._products(J, slope**2) + self.prior_matrix)[np.ix_(free, free)] @ inverse
         whole = np.full((self.size, self.size), np.nan)
-        whole[np.ix_(free, free)] = variance * (inverse @ middle @ inverse if self.loss != "linear" else inverse)
+        whole[np.ix_(free, free)] = variance * inverse
         p = len(self.names)
         return np.asarray(whole[:p, :p] * np.outer(self.scale, self.scale))
 
     def redundancies(self, v: Array) -> Array:
         """Degrees of freedom of each observed number, one less its leverage; they sum to those of the fit."""
         _, J, slope = self._weighted(v)
-        H = J.T @ (slope[:, None] * J) + self.prior_matrix
+        H = self._products(J, slope) + self.prior_matrix
         return np.asarray(1 - slope * np.einsum("ij,ij->i", J @ scaled_inverse(H), J))
 
     def with_names(self, names: Sequence[str]) -> LeastSquares:
         return replace(self, names=tuple(names))
-
-
-def reduce_and_solve(
-    problem: LeastSquares, progress: Progress | None
-) -> tuple[LeastSquares, Solution, Identifiability]:
-    """Choose the independent parameters, solve, and leave out those that the data determine worse than their prior.
-
-    Independence is decided at the start, where exact dependences are exact. Raises InputError where the data determine
-    no parameter at all, or are no more numbers than there are unknowns.
-    """
-    found = problem.identifiability(np.zeros(problem.size))
-    reduced = problem.with_names(found.independent)
-    if not problem.priors and reduced.residual_count <= reduced.size:
-        raise InputError(
-            f"{problem.sets[0].source}: {problem.residual_count} numbers were measured, but at least "
-            f"{reduced.size} are unknown; measure more poses, free fewer parameters "
-            "(free=['placement', ...]), or use priors"
-        )
-    poor: list[Unidentifiable] = []
-    left = 0.0
-    while reduced.names:
-        solution = reduced.solve(progress)
-        left = left or _misfit(reduced, solution.v)
-        worse = [] if problem.priors else _poor(reduced, solution.v)
-        if not worse:
-            return reduced, solution, replace(found, independent=reduced.names, held=(*found.held, *poor))
-        poor += worse
-        gone = {u.name for u in worse}
-        reduced = reduced.with_names([n for n in reduced.names if n not in gone])
-    if left > POOR_FIT * problem.robot.reach:
-        raise InputError(
-            f"{problem.sets[0].source}: the model does not fit: {1e3 * left:.3g} mm a coordinate are left after the "
-            "best fit; check the signs and zeros of the joints, their order, units and the DH convention"
-        )
-    reasons = "; ".join(f"{u.name}: {u.reason}" for u in (*found.held, *poor))
-    raise InputError(
-        f"{problem.sets[0].source}: these measurements determine none of the parameters to be identified. {reasons}"
-    )
-
-
-def _misfit(problem: LeastSquares, v: Array) -> float:
-    """Standard deviation of a coordinate that a fit leaves, the greatest of all sets [m]."""
-    return float(np.sqrt(variance(problem, v))) * max(sigma for sigma, _ in problem.sigmas)
-
-
-def _poor(problem: LeastSquares, v: Array) -> list[Unidentifiable]:
-    """Parameters that the data determine worse than their prior."""
-    _, H = problem.gradient(v)
-    return drop_poor([problem.robot.parameters[n] for n in problem.names], H, variance(problem, v))[1]
 
 
 def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float:

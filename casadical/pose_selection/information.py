@@ -64,7 +64,7 @@ def independent(
     """Names that an identification from this many poses like these would keep, and the others with the reason.
 
     First the independent ones; then, one by one, those are held that the data would determine less accurately than the
-    prior (as in `least_squares.reduce_and_solve`). Raises InputError where none is left.
+    prior (as in `reduction.reduce_and_solve`). Raises InputError where none is left.
     """
     problem = _problem(robot, names, m[np.arange(min(_PART, len(m)))])
     found = problem.identifiability(np.zeros(problem.size))

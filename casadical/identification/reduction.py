@@ -1,0 +1,65 @@
+"""The parameters that the measurements determine: chosen, solved for, and left out where their prior knows better."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.identification.identifiability import Identifiability, Unidentifiable, drop_poor
+from casadical.identification.least_squares import LeastSquares, variance
+from casadical.identification.solver import Progress, Solution
+
+# Residuals of this share of the reach are no measuring error.
+POOR_FIT = 0.005
+
+
+def reduce_and_solve(
+    problem: LeastSquares, progress: Progress | None
+) -> tuple[LeastSquares, Solution, Identifiability]:
+    """Choose the independent parameters, solve, and leave out those that the data determine worse than their prior.
+
+    Independence is decided at the start, where exact dependences are exact. Raises InputError where the data determine
+    no parameter at all, or are no more numbers than there are unknowns.
+    """
+    found = problem.identifiability(np.zeros(problem.size))
+    reduced = problem.with_names(found.independent)
+    if not problem.priors and reduced.residual_count <= reduced.size:
+        raise InputError(
+            f"{problem.sets[0].source}: {problem.residual_count} numbers were measured, but at least "
+            f"{reduced.size} are unknown; measure more poses, free fewer parameters "
+            "(free=['placement', ...]), or use priors"
+        )
+    poor: list[Unidentifiable] = []
+    left = 0.0
+    while reduced.names:
+        solution = reduced.solve(progress)
+        left = left or _misfit(reduced, solution.v)
+        worse = [] if problem.priors else _poor(reduced, solution.v)
+        if not worse:
+            return reduced, solution, replace(found, independent=reduced.names, held=(*found.held, *poor))
+        poor += worse
+        gone = {u.name for u in worse}
+        reduced = reduced.with_names([n for n in reduced.names if n not in gone])
+    if left > POOR_FIT * problem.robot.reach:
+        raise InputError(
+            f"{problem.sets[0].source}: the model does not fit: {1e3 * left:.3g} mm a coordinate are left after the "
+            "best fit; check the signs and zeros of the joints, their order, units and the DH convention"
+        )
+    reasons = "; ".join(f"{u.name}: {u.reason}" for u in (*found.held, *poor))
+    raise InputError(
+        f"{problem.sets[0].source}: these measurements determine none of the parameters to be identified. {reasons}"
+    )
+
+
+def _misfit(problem: LeastSquares, v: Array) -> float:
+    """Standard deviation of a coordinate that a fit leaves, the greatest of all sets [m]."""
+    return float(np.sqrt(variance(problem, v))) * max(sigma for sigma, _ in problem.sigmas)
+
+
+def _poor(problem: LeastSquares, v: Array) -> list[Unidentifiable]:
+    """Parameters that the data determine worse than their prior."""
+    _, H = problem.gradient(v)
+    return drop_poor([problem.robot.parameters[n] for n in problem.names], H, variance(problem, v))[1]
