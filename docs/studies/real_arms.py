@@ -4,9 +4,10 @@ Two splits of each: the published one (identified on the grid, judged on 20 rand
 grid, judged on the rest of the grid and on the random poses; means over the ten of each one's mean and maximum.
 Published figures are means over the same 20 random poses, for geometric calibration with a graph network (Jacobi 2025).
 
-Then both signs of the published errors. A model that is linear in its parameters leaves mirrored errors equally small,
-so that only two things speak of the sign: terms of second order, and that a joint gives way along its torque, never
-against it. The log-likelihood gains suppose independent noise, which these residuals are not, and so are too large.
+Then both signs of the published errors, of which docs/studies/real_tables.py shows the right one: a check by physics. A
+model that is linear in its parameters leaves mirrored errors equally small, so that only two things speak of the sign:
+terms of second order, and that a joint gives way along its torque, never against it. The log-likelihood gains suppose
+independent noise, which these residuals are not, and so are too large.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ def signs(name: str) -> None:
     robot = read_problem(ROOT / "problems" / name).robot
     soft = replace(robot, widths={**robot.widths, "compliance": SOFT})
     cost: dict[str, float] = {}
-    for sign in (SIGN, -SIGN):
+    for sign in (-SIGN, SIGN):
         grid, random = (
             from_table(measured(published(name, table), use, sign), robot.n, "position") for table, use in SETS.items()
         )

@@ -1,12 +1,14 @@
 """The tables of the UR5 and the WAM: `python docs/studies/real_tables.py > docs/studies/real_tables.txt`.
 
-The published tables hold each pose's target and its error. What the tracker measured is taken as target - error, as the
-formulas of their description are written (P_target - P_actual); it goes beside them, into measured_grid.csv and
-measured_random.csv in casadical's columns, with the published split in the column `set`.
+The published tables hold each pose's target and its error. What the tracker measured is target + error; it goes beside
+them, into measured_grid.csv and measured_random.csv in casadical's columns, with the published split in the column
+`set`. The description of the tables leaves the sign open, the tables themselves do not: target + error has six
+decimals of a millimetre in every row, as the tracker writes its readings, target - error has not (last columns). The
+authors' program that makes such tables (tools/get_clean_own_3D_df.py in their repository ASTGCN-robot-pose-deviation)
+subtracts the target from the measured position, too.
 
-What is printed is a check of angles, units and DH convention by other means than casadical: the nominal table, with one
-point fixed to its flange, gives back the published targets. It does not check the sign of the errors, of which the
-targets know nothing: see docs/studies/real_arms.py.
+The rest of what is printed checks angles, units and DH convention by other means than casadical: the nominal table,
+with one point fixed to its flange, gives back the published targets.
 """
 
 from pathlib import Path
@@ -16,7 +18,7 @@ import pandas as pd
 
 DATA = Path(__file__).parents[2] / "data"
 SETS = {"grid": "identify", "random": "report"}  # as published: identified on the grid, judged on the random poses
-SIGN = -1.0  # of the error in: measured = target + SIGN error
+SIGN = 1.0  # of the error in: measured = target + SIGN error
 # Standard DH rows as the makers publish them: d and a [mm], alpha [deg].
 NOMINAL = {
     "ur5": ((89.159, 0, 90), (0, -425, 0), (0, -392.25, 0), (109.15, 0, 90), (94.65, 0, -90), (82.3, 0, 0)),
@@ -30,9 +32,9 @@ def published(robot: str, name: str) -> pd.DataFrame:
 
 
 def measured(table: pd.DataFrame, use: str, sign: float = SIGN) -> pd.DataFrame:
-    """The same poses as a table of measurements, to 0.1 um and 1e-6 deg; `use` fills the column `set`."""
+    """The same poses as a table of measurements, to 1e-6 mm and 1e-6 deg; `use` fills the column `set`."""
     angles = {name.replace("joint_", "q") + "_deg": table[name].round(6) for name in table if "joint" in name}
-    points = {f"{c}_mm": (table[f"{c}_t"] + sign * table[f"{c}_dif"]).round(4) for c in "xyz"}
+    points = {f"{c}_mm": (table[f"{c}_t"] + sign * table[f"{c}_dif"]).round(6) for c in "xyz"}
     return pd.DataFrame({"pose": table["step_order"], **angles, **points, "set": use})
 
 
@@ -57,10 +59,17 @@ def reproduced(robot: str, table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]
     return point, np.linalg.norm(T[:, :3, :3] @ point + T[:, :3, 3] - target, axis=1)
 
 
+def with_six_decimals(table: pd.DataFrame, sign: float) -> float:
+    """Share of the coordinates target + sign error that are whole millionths of a millimetre."""
+    parts = np.concatenate([1e6 * (table[f"{c}_t"] + sign * table[f"{c}_dif"]) for c in "xyz"])
+    return float((np.abs(parts - np.round(parts)) < 1e-3).mean())
+
+
 def main() -> None:
     print("published targets and those of the nominal DH table, mm")
     print(
         f"{'table':12} {'poses':>5}   {'point on the flange':>24}   {'off, mean':>9} {'max':>7}   {'error, mean':>11}"
+        "   six decimals: target + error  target - error"
     )
     for robot in NOMINAL:
         for name, use in SETS.items():
@@ -69,7 +78,11 @@ def main() -> None:
             point, off = reproduced(robot, table)
             error = np.linalg.norm(table[["x_dif", "y_dif", "z_dif"]], axis=1).mean()
             place = " ".join(f"{v:7.3f}" for v in point + 0.0)
-            print(f"{robot} {name:8} {len(table):5}   {place:>24}   {off.mean():9.4f} {off.max():7.4f}   {error:11.4f}")
+            shares = [f"{100 * with_six_decimals(table, sign):.1f} %" for sign in (1, -1)]
+            print(
+                f"{robot} {name:8} {len(table):5}   {place:>24}   {off.mean():9.4f} {off.max():7.4f}   {error:11.4f}"
+                f"   {shares[0]:>28}  {shares[1]:>14}"
+            )
 
 
 if __name__ == "__main__":
