@@ -7,8 +7,8 @@ UR5's grid at 300, judged on up to 2500 poses that the diagnosis never saw; --fu
 series (2800 poses of A, and 70 % of all its 11,911). --only A150,UR5300 prints some of the rows, which are computed
 independently, so that the study can be run in pieces. The three blunders of series B (lines 534, 856 and 857 of its
 file) are left out of the judging, not of the data that are diagnosed. Columns that follow from the order of the poses
-are derived on the whole campaign before it is split. Number of harmonics and where they begin to fall (60, from 400 poses on 90; 17) were chosen on A, B
-and C; nothing was chosen on the UR5.
+are derived on the whole campaign before it is split. Number of harmonics and where they begin to fall (60, from 400
+poses on 90; 17) were chosen on A, B and C; nothing was chosen on the UR5.
 """
 
 import argparse

@@ -89,8 +89,10 @@ def test_the_measured_tables_come_from_the_published_ones(robot: str, name: str)
     table = tables.published(robot, name)
     stored = pd.read_csv(ROOT / "data" / f"{robot}_laser_tracker" / f"measured_{name}.csv")
     pd.testing.assert_frame_equal(tables.measured(table, tables.SETS[name]), stored, rtol=0, atol=1e-9)
-    sums = stored[["x_mm", "y_mm", "z_mm"]].to_numpy() + table[["x_dif", "y_dif", "z_dif"]].to_numpy()
-    np.testing.assert_allclose(sums, table[["x_t", "y_t", "z_t"]], atol=6e-5)
+    rest = stored[["x_mm", "y_mm", "z_mm"]].to_numpy() - table[["x_dif", "y_dif", "z_dif"]].to_numpy()
+    np.testing.assert_allclose(rest, table[["x_t", "y_t", "z_t"]], rtol=0, atol=1e-9)
+    assert tables.with_six_decimals(table, tables.SIGN) == 1.0  # as the tracker writes its readings
+    assert tables.with_six_decimals(table, -tables.SIGN) < 0.01
     _, off = tables.reproduced(robot, table)
     assert off.mean() < 0.011
     assert off.max() < 0.05
