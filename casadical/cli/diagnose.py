@@ -58,6 +58,16 @@ def diagnose(
         bool,
         typer.Option("--network", help="Also train a 6-5-3 network, instead of the causes and after them (slow)."),
     ] = False,
+    highest_line: Annotated[
+        float | None,
+        typer.Option(
+            min=1,
+            max=2000,
+            metavar="CYCLES",
+            help="Where the joints' error curves are named: look for lines up to so many cycles a turn, beyond the "
+            "curves' harmonics, too (docs/diagnosis.md).",
+        ),
+    ] = None,
     bootstrap: Annotated[
         int,
         typer.Option(min=0, metavar="N", help="Draws of noise alone that calibrate whether something is there: 2000."),
@@ -111,7 +121,15 @@ def diagnose(
             found = run(robot, m, chosen, seed=seed, bootstrap=bootstrap, prior=known, masses=masses, show=show)
             file = measure_next if len(campaigns) == 1 else None
             name_of_file = file.name if file else ""
-            more = analyse(found, poses=next_n, workspace=workspace, networks=network, file=name_of_file, show=show)
+            more = analyse(
+                found,
+                poses=next_n,
+                workspace=workspace,
+                networks=network,
+                highest_line=highest_line,
+                file=name_of_file,
+                show=show,
+            )
             if out:
                 show("the robot with its causes")
                 folder = out if len(campaigns) == 1 else out / path.stem

@@ -10,7 +10,7 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_floor import noise_floor, replicates
 from casadical.diagnosis.result import Cause, Diagnosis, Gap, Outlier, Verdict
 from casadical.diagnosis.search import End, State, Step
-from casadical.diagnosis.thresholds import LEAST_SHARE, MISMATCH, MUCH, OUT, SET_SIZE, WORSE
+from casadical.diagnosis.thresholds import DETECT_FURTHER, LEAST_SHARE, MISMATCH, MUCH, OUT, SET_SIZE, WORSE
 from casadical.identification.identification import Identification
 from casadical.measurements.noise import Noise
 
@@ -24,16 +24,23 @@ def conclude(
     """The result of a search; end, p_nothing : as of `search`."""
     case, columns = state.case, state.columns()
     before = partitioned_errors(case.evidence, columns[:0], state.rankings[0].noise[""], seed)
-    noise = _final_noise(state, end)
-    after = partitioned_errors(case.evidence, columns, noise, seed) if state.steps else before
     repeated = replicates(case.m, case.whole.r, case.kept)
+    noise = _final_noise(state, end)
+    floor = noise_floor(case.evidence, noise, repeated, seed)
+    richer = None if repeated.enough or end != "claimed" else _with_richer_form(state, floor, seed)
+    if richer:
+        state, end, noise = richer, "unknown", _final_noise(richer, "unknown")
+        floor = noise_floor(case.evidence, noise, repeated, seed)
+    after = partitioned_errors(case.evidence, columns, noise, seed) if state.steps else before
     left, distance = remainders(case.whole, columns, noise, case.kept)
     causes = [_cause(state, step, before, seed) for step in state.steps]
     before_all, outliers = _outliers_as_cause(case, before, left, distance, seed)
-    gap = Gap(float(before_all.mean()), float(after.mean()), noise_floor(case.evidence, noise, repeated, seed))
+    gap = Gap(float(before_all.mean()), float(after.mean()), floor)
     causes = sorted([*causes, *outliers], key=lambda c: -c.shrink)
     shrinks = course(case, _stages(state, noise), partitions(int(case.kept.sum()), seed), noise, seed)
     verdict, rest = _verdict(state, end, gap, bool(causes), shrinks)
+    if richer and verdict == "explained":
+        verdict = "unknown"
     return Diagnosis(
         verdict=verdict,
         causes=tuple(causes),
@@ -56,6 +63,22 @@ def _final_noise(state: State, end: End) -> Noise:
     """The noise that the best model found leaves, the unknown included."""
     last = state.rankings[-1]
     return last.noise["" if end == "none" else last.order[0]]
+
+
+def _with_richer_form(state: State, floor: float, seed: int) -> State | None:
+    """The state with one more ranking, where a form beside all causes leaves less than their floor, which is the fit's.
+
+    Only the number of causes ended the search, and their floor counts as noise what none of them describes.
+    """
+    case, further = state.case, state.ranked()
+    ranking = further.rankings[-1]
+    label = ranking.order[0]
+    if ranking.none > DETECT_FURTHER or label not in state.by_label:
+        return None
+    form = case.group(state.by_label[label].variants[ranking.variant[label]])
+    columns = np.union1d(state.columns(), form)
+    left = partitioned_errors(case.evidence, columns, ranking.noise[label], seed).mean()
+    return further if left < floor else None
 
 
 def _stages(state: State, noise: Noise) -> list[Stage]:

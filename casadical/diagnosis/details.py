@@ -43,6 +43,7 @@ def analyse(
     poses: int = NEXT,
     workspace: Workspace | None = None,
     networks: bool = False,
+    highest_line: float | None = None,
     file: str = "",
     show: Callable[[str], None] = lambda _text: None,
 ) -> Details:
@@ -50,6 +51,7 @@ def analyse(
 
     poses : how many to choose to be measured next; workspace : where they may lie
     networks : whether to train networks, instead of the causes and after them
+    highest_line : up to which frequency lines of joint error curves are looked for [cycles a turn], see `spectrum`
     show : called with a line of progress. Raises ConvergenceError.
     """
     show("where it lies")
@@ -58,7 +60,7 @@ def analyse(
     gaps = network_gaps(found, show=show) if networks else None
     if curve_of(found.causes):
         show("joint error curves")
-    curves = spectrum(found) if curve_of(found.causes) else None
+    curves = spectrum(found, highest_line) if curve_of(found.causes) else None
     show("poses to measure next")
     chosen = next_poses(found, poses, workspace=workspace)
     show("what these poses can show")

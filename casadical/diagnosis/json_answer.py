@@ -9,6 +9,7 @@ from casadical.core.files import json_text
 from casadical.diagnosis.cause_table import settings
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import NetworkGap
+from casadical.diagnosis.layers import as_json as layers_as_json
 from casadical.diagnosis.next_poses import discrimination_probability
 from casadical.diagnosis.result import Cause, Diagnosis, Unlisted
 from casadical.diagnosis.spectrum_report import as_json as curves_as_json
@@ -36,6 +37,7 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
         "unknown_rest": round(d.unknown_rest, 4),
         **({} if unlisted is None else {"unlisted": _unlisted(unlisted)}),
         "course": _records(d.course),
+        **({"layers": layers_as_json(d)} if d.effects() else {}),
         **({"where": {name: _records(table) for name, table in more.where.tables()}} if more.where else {}),
         "noise": {"sigma_mm": _mm(d.noise.sigma), "repeatability_urad": round(1e6 * d.noise.repeatability, 2)},
         "replicates": {"sigma_mm": _mm(d.replicates.sigma), "poses": d.replicates.poses, "used": d.replicates.enough},

@@ -67,12 +67,14 @@ class Line:
 class Scan:
     """What one sine alone explains of a joint's error, at each frequency that was tried.
 
-    frequency : [cycles a turn]; amplitude : [rad]; needed : from which on it stands out [rad]; shapes (k,)
+    frequency : [cycles a turn]; amplitude, error : with standard error [rad]; needed : from which on it stands out
+        [rad]; shapes (k,)
     strongest : index of the sine that explains most; None where nothing is seen
     """
 
     frequency: Array
     amplitude: Array
+    error: Array
     needed: Array
     strongest: int | None
 
@@ -262,12 +264,13 @@ class Search:
 
     def scan(self) -> Scan:
         """What one sine alone explains."""
-        gain, amplitude, _ = self.sines(self.grid, self.b.waves([]))
-        own = self.beside([])
+        nothing, own = self.b.waves([]), self.beside([])
+        gain, amplitude, variance = self.sines(self.grid, nothing)
         tried = np.geomspace(1, 1e4, 4000)
         enough = tried[np.argmax(self.chance(tried, self.b.rows) <= CHANCE)] * self.unit(own)
         strongest = int(np.argmax(gain)) if gain.any() else None
-        return Scan(self.frequency, amplitude, np.sqrt(enough * self.sines(self.grid, own)[2]), strongest)
+        error = np.sqrt(variance * self.unit(nothing))
+        return Scan(self.frequency, amplitude, error, np.sqrt(enough * self.sines(self.grid, own)[2]), strongest)
 
     def best(self, own: _Columns) -> tuple[float, tuple[float, ...]] | None:
         """The frequency that explains most, and others that are hardly less probable; None where nothing is seen."""

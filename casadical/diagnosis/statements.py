@@ -27,8 +27,8 @@ TIED = "\u00a0"
 class Statement:
     """One statement.
 
-    about : VERDICT, PRIOR, GAP, WHERE, WHICH (then come the causes, see `cause_rows`), AFTER, CANNOT, UNKNOWN, OUT,
-        MISSING, NEXT
+    about : VERDICT, PRIOR, GAP, WHERE, WHICH (then come the causes, see `cause_rows`), AFTER, LAYERS (then come these,
+        see `layer_rows`), CANNOT, UNKNOWN, OUT, MISSING, NEXT
     doubtful : whether it is a warning
     """
 
@@ -47,6 +47,7 @@ def statements(d: Diagnosis, more: Details | None = None) -> list[Statement]:
         _where(d, more),
         _which(d),
         _after(d, more),
+        _layered(d),
         _cannot(d, more),
         _unknown(d, more),
     ]
@@ -169,6 +170,11 @@ def _after(d: Diagnosis, more: Details) -> Iterator[Statement]:
         yield _refitted(more.check)
     if more.networks:
         yield from _networks(more.networks, bool(steps))
+
+
+def _layered(d: Diagnosis) -> Iterator[Statement]:
+    if d.effects():
+        yield Statement("LAYERS", "mm on poses held out, each cause beside those above it")
 
 
 def _refitted(check: Check) -> Statement:

@@ -8,6 +8,8 @@ from rich.text import Text
 
 from casadical.diagnosis.cause_table import cause_rows
 from casadical.diagnosis.details import Details
+from casadical.diagnosis.layers import COLUMNS as COLUMNS_OF_LAYERS
+from casadical.diagnosis.layers import layer_rows
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.spectrum import Spectrum, curve_of
 from casadical.diagnosis.spectrum_report import COLUMNS, MOST_SUGGESTED, curve_rows
@@ -40,6 +42,8 @@ def page_of(d: Diagnosis, more: Details | None = None) -> str:
         lines += _wrapped(s.text, f"{label:<{LABEL}}", " " * LABEL)
         if s.about == "WHICH" and d.causes:
             lines += _causes(d, more)
+        if s.about == "LAYERS":
+            lines += _layers(d)
         last = s.about
     return "\n".join(lines)
 
@@ -65,6 +69,15 @@ def _causes(d: Diagnosis, more: Details | None) -> Iterator[str]:
             yield from _wrapped(", ".join(v.replace(" ", TIED) for v in values), "     ", "     ")
         if more and more.curves and curve_of([row.cause]):
             yield from _curves(more.curves)
+
+
+def _layers(d: Diagnosis) -> Iterator[str]:
+    """The table of layers."""
+    rows = [COLUMNS_OF_LAYERS, *layer_rows(d)]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    for row in rows:
+        figures = "  ".join(f"{cell:>{w}}" for cell, w in zip(row[1:], widths[1:], strict=True))
+        yield f"{'':{LABEL}}{row[0]:<{widths[0]}}  {figures}".rstrip()
 
 
 def _curves(s: Spectrum) -> Iterator[str]:

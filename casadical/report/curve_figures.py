@@ -62,6 +62,12 @@ def _spectra(s: Spectrum) -> Figure:
         place, found = _place(k), c.scan.amplitude > 0
         needed = np.where(np.isfinite(c.scan.needed), 1e6 * c.scan.needed, np.nan)
         most = 1.3e6 * (_highest(c) if seen(c) else highest)
+        x, value, band = c.scan.frequency[found], 1e6 * c.scan.amplitude[found], 1.96e6 * c.scan.error[found]
+        figure.add_scatter(
+            x=np.concatenate([x, x[::-1]]).round(2), fill="toself", fillcolor=BLUE, opacity=0.25, mode="lines",
+            y=np.clip(np.concatenate([value + band, (value - band)[::-1]]), 0, most).round(1), line={"width": 0},
+            hoverinfo="skip", name="95 % band", legendgroup="band", showlegend=k == 0, **place,
+        )  # fmt: skip
         figure.add_scatter(
             x=c.scan.frequency.round(2), y=np.where(found, 1e6 * c.scan.amplitude, np.nan).round(1), mode="lines",
             line={"color": BLUE, "width": 1.3}, name="one sine alone", legendgroup="scan", showlegend=k == 0, **place,

@@ -10,6 +10,7 @@ import numpy as np
 
 from casadical.core.blocks import Table, Words, mm
 from casadical.diagnosis.cause_table import CauseRow, cause_rows
+from casadical.diagnosis.layers import layer_rows
 from casadical.diagnosis.spectrum_report import COLUMNS as CURVE_COLUMNS
 from casadical.diagnosis.spectrum_report import curve_rows
 from casadical.diagnosis.statements import has_rest, left_over, statements
@@ -52,7 +53,7 @@ def diagnosis_part(d: Diagnosis, name: str, more: Details | None = None) -> Part
         Section("Verdict", [*_said(said, "VERDICT", "PRIOR", "GAP", "UNKNOWN", "OUT")]),
         Section(
             "Errors before and after",
-            [Drawing("gap", figures["gap"], _GAP), _error_table(d), *_said(said, "AFTER")],
+            [Drawing("gap", figures["gap"], _GAP), *_layers(d), _error_table(d), *_said(said, "AFTER")],
         ),
         Section("Error of each pose", [Drawing("errors", figures["errors"], _EACH)]),
         Section("In the workspace", [Drawing("workspace", figures["workspace"], _SPACE)]),
@@ -80,9 +81,10 @@ _CURVES = (
     "evidence that is lost when a joint's curve is left out."
 )
 _LINES = (
-    "What one sine of a joint's reading explains by itself, at each frequency. A line (dot, with a 95 % interval) "
-    "stands out of the noise and of the rest of the curve; a broad spectrum without dots is a curve that is no sum of "
-    "a few sines. Dotted: what a line needs beside the curve as it is; side lobes of a larger sine may cross it."
+    "What one sine of a joint's reading explains by itself, at each frequency, with a 95 % band. A line (dot, with a "
+    "95 % interval) stands out of the noise and of the rest of the curve; a broad spectrum without dots is a curve "
+    "that is no sum of a few sines. Dotted: what a line needs beside the curve as it is; side lobes of a larger sine "
+    "may cross it."
 )
 _SPACE = (
     "Turn it with the mouse; point at the dot that ends a vector for its error. Each line runs from the measured point "
@@ -115,6 +117,13 @@ def _tiles(d: Diagnosis) -> Iterator[Tile]:
         yield Tile(
             "Without a named cause", mm(1e-3 * after), "mm rms", f"{100 * share:.0f} % of {before:.3f}, noise off"
         )
+
+
+def _layers(d: Diagnosis) -> Iterator[Table]:
+    """The errors layer by layer, from the calibrated robot to the noise, where there is a layer to take off."""
+    if rows := layer_rows(d):
+        columns = ("layer, beside those above", "mean", "95 %", "fifths of the time left out", "rms without the noise")
+        yield Table("Layer by layer: errors on held-out poses, mm", columns, rows, frozenset(range(1, 5)))
 
 
 def _error_table(d: Diagnosis) -> Table:

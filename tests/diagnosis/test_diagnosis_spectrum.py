@@ -10,7 +10,7 @@ from cases import diagnosed, plant, robot
 from casadical.blind_check.numpy_physics import Disturbance, campaign, perturb
 from casadical.blind_check.synthetic.stops import Stops, only
 from casadical.core.errors import InputError
-from casadical.diagnosis.details import Details
+from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.line_search import Line
@@ -99,6 +99,23 @@ def test_shares_are_of_the_joints_that_have_curves() -> None:
     shares = [c.share for c in found().joints]
     assert sum(shares) == pytest.approx(1)
     assert shares[1] > shares[2] > 0.05 > max(shares[j - 1] for j in CLEAN)
+
+
+def test_scan_has_the_standard_error_of_each_sine() -> None:
+    """Of clean joints the sines are noise: half of them are below 1.18 standard errors (Rayleigh's distribution)."""
+    second = curve(2).scan
+    at = int(np.argmin(np.abs(second.frequency - 17.0)))
+    assert second.amplitude[at] == pytest.approx(80e-6, abs=15e-6)
+    assert second.amplitude[at] > 8 * second.error[at]
+    clean = [curve(j).scan.amplitude / curve(j).scan.error for j in (1, 4)]
+    assert 0.6 < np.median(np.concatenate(clean)) < 2.0
+
+
+def test_highest_line_of_an_analysis() -> None:
+    more = analyse(rippled(), poses=1, highest_line=100.0)
+    assert more.curves is not None
+    assert all(c.scan.frequency[-1] == pytest.approx(100, abs=0.5) for c in more.curves.joints)
+    assert [round(line.frequency) for line in more.curves.joints[1].lines][:2] == [17, 34]
 
 
 def test_a_diagnosis_without_curves_has_no_spectrum() -> None:

@@ -46,7 +46,13 @@ def curves() -> Spectrum:
         waves = [line.amplitude * np.sin(line.frequency * angle + line.phase) for line in lines]
         value = np.sum(waves, axis=0) * (j == 2)
         amplitude = 3e-6 + 7e-5 / (1 + (frequency - 17) ** 2) * (j == 2)
-        scan = Scan(frequency, amplitude * (j < 6), np.full(len(frequency), 3e-5 if j < 6 else np.inf), 33)
+        scan = Scan(
+            frequency,
+            amplitude * (j < 6),
+            np.full(len(frequency), 1e-5),
+            np.full(len(frequency), 3e-5 if j < 6 else np.inf),
+            33,
+        )
         error, rms = np.where(np.abs(angle) < 2, 5e-6, 6e-5), float(np.sqrt((value**2).mean()))
         lost, shown = 99.0 * (j == 2), lines if j == 2 else ()
         joints.append(

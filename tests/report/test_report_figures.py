@@ -82,6 +82,10 @@ def test_curves_are_drawn_with_their_bands_and_lines(diagnosis, details, curves)
     covered = [t for t in angles.data if t.name == "angles with readings"][1]
     x = [v for v in covered.x if v is not None]
     assert (min(x), max(x)) == pytest.approx((-np.rad2deg(2), np.rad2deg(2)), abs=2)
+    bands = [t for t in lines.data if t.name == "95 % band"]
+    top, scan = np.array(bands[1].y)[: len(second.scan.frequency)], second.scan
+    assert top == pytest.approx(np.minimum(1e6 * scan.amplitude + 19.6, 1.3e6 * scan.amplitude.max()), abs=12)
+    assert min(bands[1].y) == 0
     dots = [t for t in lines.data if t.name == "line"]
     assert [len(t.x) for t in dots] == [0, 2, 0, 0, 0, 0]
     assert list(dots[1].text) == ["17.0", "34.0"]
