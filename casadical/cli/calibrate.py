@@ -7,8 +7,9 @@ import typer
 from rich.console import Console
 
 from casadical.cli.completion import losses, methods
-from casadical.cli.options import Frozen, Json, Prior, PriorEffects, Problems, Quiet, Report, carried
-from casadical.cli.terminal import as_text, as_typed, keep, working
+from casadical.cli.options import Details, Frozen, Json, Prior, PriorEffects, Problems, Quiet, Report, carried
+from casadical.cli.terminal import WORSE, as_text, as_typed, keep, working
+from casadical.core.blocks import terminal
 from casadical.core.errors import InputError
 
 
@@ -38,7 +39,8 @@ def calibrate(
         typer.Option(
             metavar="LOSS",
             autocompletion=losses,
-            help="linear, or with outliers huber or soft_l1, which leave them out; default: the problem's.",
+            help="linear; huber or soft_l1, which leave outliers out and name them; auto: huber where it finds any. "
+            "Default: the problem's, which is auto unless it says otherwise.",
         ),
     ] = None,
     seed: Annotated[
@@ -51,14 +53,19 @@ def calibrate(
     prior: Prior = None,
     prior_effects: PriorEffects = None,
     frozen: Frozen = False,
+    details: Details = False,
     quiet: Quiet = False,
 ) -> None:
     """Identify a robot's parameters and report the accuracy on poses that were held out.
 
-    Prints, for each problem, the position errors before and after, every parameter with its standard error, and what
-    could not be identified and why. Results are written when all problems are done: all of them or none.
+    Prints, for each problem, the position errors before and after and what must be known of them; with --details also
+    every parameter with its standard error, and what could not be identified and why. Results are written when all
+    problems are done: all of them or none.
 
-    Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
+    Example: casadical calibrate problems/ur10 --out results
+
+    Exit codes: 0 done, 2 bad input, 3 no optimum found, 4 held-out poses are worse than before (nothing is written
+    then), 70 a bug in casadical.
     """
     from casadical.project import calibration as work
 
@@ -74,12 +81,16 @@ def calibrate(
     for name, folder in _by_name(problems).items():
         with working(quiet, "reading", name) as show:
             done.append(work.calibrate(folder, method=method, loss=loss, seed=seed, carried=known, show=show))
-        console.print(done[-1].report())
+        console.print(done[-1].report() if details else terminal(done[-1].brief()))
         console.print()
         if out:
             texts |= done[-1].files(out if len(problems) == 1 else out / name)
         if json_file:
             found[name] = done[-1].to_json()
+    worse = [f"{name}: {c.worse}" for name, c in zip(_by_name(problems), done, strict=True) if c.worse]
+    if worse:
+        typer.echo("casadical: nothing was written: " + "\n".join(worse), err=True)
+        raise typer.Exit(WORSE)
     if json_file:
         texts[json_file] = as_text(found if len(found) > 1 else next(iter(found.values())))
     if report_file:
@@ -88,6 +99,8 @@ def calibrate(
         with working(quiet, "writing the report"):
             texts[report_file] = calibration_report(done, as_typed())
     keep(texts, console)
+    if not details:
+        console.print("all parameters and figures: --details, --out DIR or --report FILE.html", style="dim")
 
 
 def _by_name(folders: list[Path]) -> dict[str, Path]:

@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from casadical.cli.options import Json, Problems, Quiet
+from casadical.cli.options import Details, Json, Problems, Quiet
 from casadical.cli.terminal import BAD_INPUT, keep_json, working
 
 
@@ -20,6 +20,7 @@ def check(
         ),
     ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with code 2 on warnings too.")] = False,
+    details: Details = False,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -28,17 +29,19 @@ def check(
     Looks for faults of the files, units, signs and zeros that the nominal model contradicts, joints that hardly move,
     too few poses, a four-bar near its end; shows which parameters the poses determine and how well.
 
+    Example: casadical check arm
+
     Exit codes: 0 ready, 2 something is wrong, 70 a bug in casadical.
     """
     from casadical.project.check import precheck
-    from casadical.project.check.report import as_json, report
+    from casadical.project.check.report import as_json, brief, report
 
     console = Console(quiet=quiet)
     found = []
     for folder in problems:
         with working(quiet, "checking", folder.name):
             found.append(precheck(folder, None if noise_mm is None else 1e-3 * noise_mm))
-        console.print(report(found[-1]))
+        console.print(report(found[-1]) if details else brief(found[-1]))
         console.print()
     keep_json(json_file, [as_json(f) for f in found], console)
     if not all(f.ok and not (strict and f.of("warning")) for f in found):

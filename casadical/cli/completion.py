@@ -20,9 +20,9 @@ def methods(incomplete: str) -> list[str]:
 
 def losses(incomplete: str) -> list[str]:
     """Words for `--loss`."""
-    from casadical.identification.residuals import LOSSES
+    from casadical.project.problem import PROBLEM_LOSSES
 
-    return _begun(LOSSES, incomplete)
+    return _begun(PROBLEM_LOSSES, incomplete)
 
 
 def criteria(incomplete: str) -> list[str]:

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.arrays import Array
+from casadical.core.blocks import mm
 from casadical.core.errors import InputError
 from casadical.core.statistics import student_t
 from casadical.identification.accuracy import Accuracy, errors, predicted, summarise
@@ -43,6 +44,22 @@ SCREENINGS = 8
 SIGMA_ROUNDS = 6
 # Where the data are free of noise, so that nothing is divided by zero.
 LEAST_SIGMA = 1e-9
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A pose that was not used: its source and row there, and what the calibrated model leaves at it [m]."""
+
+    source: str
+    row: int
+    error: float
+
+
+def rows_in_words(rows: Sequence[LeftOut], most: int = 8) -> str:
+    """Rows with their errors, the files named where there are several."""
+    several = len({out.source for out in rows}) > 1
+    words = [f"{f'{out.source} ' if several else ''}row {out.row} ({mm(out.error)} mm)" for out in rows[:most]]
+    return ", ".join(words) + (f" and {len(rows) - most} more" if len(rows) > most else "")
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +112,22 @@ class Identification:
         """Identified parameters that stopped at a bound."""
         mask = self.problem.at_bounds(self.solution.v)[: len(self.names)]
         return tuple(n for n, stopped in zip(self.names, mask, strict=True) if stopped)
+
+    @property
+    def used(self) -> tuple[Measurements, ...]:
+        """The measurements without the poses that were left out."""
+        return without_poses(self.measurements, self.outliers)
+
+    @cached_property
+    def left_out(self) -> tuple[LeftOut, ...]:
+        """The poses that were left out, the farthest first."""
+        found = []
+        for k, m in enumerate(self.measurements):
+            poses = [i for place, i in self.outliers if place == k]
+            if poses:
+                e = errors(self.robot, m)
+                found += [LeftOut(m.source, int(m.row[i]), float(e[i])) for i in poses]
+        return tuple(sorted(found, key=lambda out: -out.error))
 
     @property
     def sigmas(self) -> tuple[tuple[float, float], ...]:
@@ -164,7 +197,7 @@ class Identification:
         """The given robot with only base and tool frames fitted: the comparison that "before calibration" means."""
         groups = [g for g in ("base", "tool") if g in self.given.parameters.groups]
         try:
-            return identify(self.given, self.measurements, groups, loss=self.loss).robot if groups else self.start
+            return identify(self.given, self.used, groups, loss=self.loss).robot if groups else self.start
         except InputError:  # relative measurements do not determine the frames
             return self.start
 
@@ -188,7 +221,7 @@ class Identification:
     @property
     def verdict(self) -> str:
         """The result in one sentence."""
-        used = sum(len(m) for m in self.measurements)
+        used = sum(len(m) for m in self.measurements) - len(self.outliers)
         text = (
             f"{self.method}: {len(self.names)} parameters identified from {used} poses, "
             f"{len(self.identifiability.held)} not identifiable"
@@ -196,7 +229,7 @@ class Identification:
         if self.at_bounds:
             text += f"; AT BOUNDS: {', '.join(self.at_bounds)} - widen the bounds or doubt the model"
         if self.outliers:
-            text += f"; {len(self.outliers)} poses left out as outliers"
+            text += f"; left out as outliers: {rows_in_words(self.left_out)}"
         left = max(sigma for sigma, _ in self.sigmas)
         if left > POOR_FIT * self.robot.reach:
             text += f"; THE MODEL DOES NOT FIT: {1e3 * left:.3g} mm are left - check joint signs, zeros and units"
@@ -296,6 +329,12 @@ def _learnt(found: Identification, before: Knowledge) -> Knowledge:
     ranges = {c: (float(min(map(min, v))), float(max(map(max, v)))) for c, v in logged.items() if v}
     readings = np.column_stack([q.min(axis=0), q.max(axis=0)])
     return Knowledge((*own, *kept.covariance), ", ".join(m.source for m in sets), len(q), readings, ranges)
+
+
+def without_poses(sets: Sequence[Measurements], out: Iterable[tuple[int, int]]) -> tuple[Measurements, ...]:
+    """Measurements without some poses; out : (set, pose) indices."""
+    left = set(out)
+    return tuple(m[[i for i in range(len(m)) if (k, i) not in left]] for k, m in enumerate(sets))
 
 
 def _as_sets(measurements: Measurements | Sequence[Measurements]) -> tuple[Measurements, ...]:

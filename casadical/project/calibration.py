@@ -13,12 +13,24 @@ from casadical.core.blocks import Table, Words, plain_text, terminal
 from casadical.core.errors import InputError
 from casadical.core.files import claimed, json_text, write_together
 from casadical.identification.accuracy import Accuracy
-from casadical.identification.identification import Identification, identify
-from casadical.identification.residuals import LOSSES
+from casadical.identification.identification import Identification, identify, without_poses
+from casadical.identification.residuals import Loss
 from casadical.identification.tables import correlated, held_table, how_sure, parameter_tables
+from casadical.measurements.measurements import Measurements
 from casadical.project.networks import NetworkResult, Networks, train_networks
-from casadical.project.problem import BASE_METHODS, Carried, Problem, all_methods, as_it_is, base_methods, read_problem
-from casadical.project.tables import Accuracies, error_tables, network_tables, paper_tables, verdict
+from casadical.project.outcome import left_out_table, things_to_know, worse_than_before
+from casadical.project.problem import (
+    BASE_METHODS,
+    PROBLEM_LOSSES,
+    BaseMethod,
+    Carried,
+    Problem,
+    all_methods,
+    as_it_is,
+    base_methods,
+    read_problem,
+)
+from casadical.project.tables import Accuracies, error_tables, judged_on, network_tables, paper_tables, verdict
 from casadical.robot.robot import Robot, modified_dh
 from casadical.robot.robot_file import to_toml
 
@@ -52,6 +64,22 @@ class Calibration:
         """Calibrated, by the last method."""
         return self.identification.robot
 
+    @property
+    def worse(self) -> str:
+        """Why held-out poses are worse than before, and what to do; nothing where they are not."""
+        _, before, after, held_out = judged_on(self.accuracies)
+        return worse_than_before(self.identification, before, after) if held_out else ""
+
+    def brief(self) -> Sequence[Words | Table]:
+        """What counts, in at most 20 lines of 80 columns: verdict, errors before and after, three things to know."""
+        problem = self.problem
+        return [
+            Words(problem.title, "title"),
+            *list(verdict(problem, self.accuracies))[:1],
+            *error_tables(self.accuracies, self.networks)[:1],
+            *things_to_know(self),
+        ]
+
     def blocks(self) -> Sequence[Words | Table]:
         """All that `casadical calibrate` prints, as words and tables."""
         problem, last = self.problem, self.identification
@@ -64,6 +92,7 @@ class Calibration:
             *verdict(problem, self.accuracies),
             *(Words(result.verdict) for result in self.identifications.values()),
             how_sure(last),
+            *left_out_table(self.identifications),
             *error_tables(self.accuracies, self.networks),
             *(network_tables(self.networks) if self.networks else []),
             *paper_tables(problem.paper, self.accuracies, self.networks),
@@ -94,6 +123,10 @@ class Calibration:
                     "condition": result.identifiability.condition,
                     "degrees_of_freedom": result.degrees_of_freedom,
                     "iterations": len(result.solution.history) - 1,
+                    "loss": result.loss,
+                    "left_out": [
+                        {"source": out.source, "row": out.row, "error_mm": 1e3 * out.error} for out in result.left_out
+                    ],
                     "sets": {
                         name: {
                             **_as_mm(states["calibrated"]),
@@ -161,8 +194,8 @@ def calibrate(
     """
     if method is not None and method not in all_methods():
         raise InputError(f"--method {method}: not known; allowed: {', '.join(all_methods())}")
-    if loss is not None and loss not in LOSSES:
-        raise InputError(f"--loss {loss}: not known; allowed: {', '.join(LOSSES)}")
+    if loss is not None and loss not in PROBLEM_LOSSES:
+        raise InputError(f"--loss {loss}: not known; allowed: {', '.join(PROBLEM_LOSSES)}")
     if not isinstance(problem, Problem):
         problem = read_problem(problem, seed, carried or as_it_is)
     elif seed is not None:
@@ -174,25 +207,48 @@ def calibrate(
     if method is not None:
         networks = () if method in BASE_METHODS else (method,)
         problem = replace(problem, methods=base_methods([method]), networks=networks)
-    results: dict[str, Identification] = {}
-    for name in problem.methods:
-
-        def progress(iteration: int, cost: float, name: str = name) -> None:
-            show(f"{name} iteration {iteration}, cost {cost:.6g}")
-
-        results[name] = identify(
-            problem.robot,
-            problem.sets["identify"],
-            method=name,
-            loss=problem.loss,
-            prior=problem.prior,
-            progress=progress,
-        )
+    results = _identified(problem, show)
     trained = None
     if problem.networks:
         trained = train_networks(problem, results["SKCM"], problem.networks, seed=problem.seed, show=show)
-    accuracies = {k: {name: result.accuracy(m) for name, m in problem.parts()} for k, result in results.items()}
+    used = _used(problem, results)
+    accuracies = {k: {name: result.accuracy(m) for name, m in used.items()} for k, result in results.items()}
     return Calibration(problem, results, accuracies, trained)
+
+
+def _identified(problem: Problem, show: Callable[[str], None]) -> dict[str, Identification]:
+    """By each method. With loss auto, the last method, which models most, says which poses are outliers.
+
+    Where none is, the result is the least squares of all poses, as if none had been sought.
+    """
+    sets, last = problem.sets["identify"], problem.methods[-1]
+
+    def by(method: BaseMethod, loss: Loss, among: Sequence[Measurements] = sets, screen: bool = True) -> Identification:
+        def progress(iteration: int, cost: float) -> None:
+            show(f"{method} iteration {iteration}, cost {cost:.6g}")
+
+        return identify(
+            problem.robot, among, method=method, loss=loss, prior=problem.prior, screen=screen, progress=progress
+        )
+
+    if problem.loss != "auto":
+        return {method: by(method, problem.loss) for method in problem.methods}
+    robust = by(last, "huber")
+    if not robust.outliers:
+        return {method: by(method, "linear") for method in problem.methods}
+    kept = without_poses(sets, robust.outliers)
+    others = {method: by(method, "huber", kept, screen=False) for method in problem.methods[:-1]}
+    return {
+        **{method: replace(r, measurements=sets, outliers=robust.outliers) for method, r in others.items()},
+        last: robust,
+    }
+
+
+def _used(problem: Problem, results: Mapping[str, Identification]) -> dict[str, Measurements]:
+    """Every set by name, without the poses that any method left out: all methods are judged on the same poses."""
+    out = {place for result in results.values() for place in result.outliers}
+    kept = iter(without_poses(problem.sets["identify"], out))
+    return {name: next(kept) if name.split("/")[0] == "identify" else m for name, m in problem.parts()}
 
 
 def _prior_words(problem: Problem) -> list[Words]:

@@ -126,7 +126,7 @@ def training_material(problem: Problem, result: Identification, seed: int = 0) -
         )
     lent = ""
     if "train" not in sets:
-        kept = _without_outliers(result)
+        kept = [m for m in result.used if _has_position(m)]
         readings = 3 * sum(map(len, kept))
         if readings < ENOUGH_READINGS * len(result.names) or len(kept[0]) < 4 * TOO_FEW:
             return (
@@ -151,16 +151,6 @@ def _count(parts: Sequence[Measurements]) -> int:
 
 def _stacked(robot: Robot, parts: Sequence[Measurements]) -> tuple[Array, Array]:
     return np.concatenate([m.q for m in parts]), np.concatenate([residual_mm(robot, m) for m in parts])
-
-
-def _without_outliers(result: Identification) -> list[Measurements]:
-    """What identified the robot, less the poses that a robust loss left out."""
-    out = set(result.outliers)
-    return [
-        m[np.array([i for i in range(len(m)) if (k, i) not in out], dtype=np.int64)]
-        for k, m in enumerate(result.measurements)
-        if _has_position(m)
-    ]
 
 
 def _lend(parts: Sequence[Measurements], seed: int) -> dict[str, tuple[Measurements, ...]]:

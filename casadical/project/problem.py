@@ -14,7 +14,7 @@ from casadical.compensator import network_methods
 from casadical.core.errors import InputError
 from casadical.core.schema import FaultError, check, load_toml
 from casadical.identification.prior import Prior
-from casadical.identification.residuals import Loss
+from casadical.identification.residuals import LOSSES, Loss
 from casadical.measurements.columns import Columns, Source
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.registry import kinds
@@ -26,6 +26,10 @@ from casadical.robot.robot_file import read_robot
 
 BaseMethod = Literal["KM", "SKCM"]
 BASE_METHODS: tuple[BaseMethod, ...] = get_args(BaseMethod)
+
+# auto: huber where it finds outliers, else linear.
+ProblemLoss = Loss | Literal["auto"]
+PROBLEM_LOSSES: tuple[ProblemLoss, ...] = ("auto", *LOSSES)
 
 # Puts into a robot what another campaign found, and says how well that is known.
 Carried = Callable[[Robot], tuple[Robot, Prior | None]]
@@ -158,7 +162,7 @@ class _ProblemFile(_Strict):
     campaign_robot: str | None = None
     urdf: _Urdf | None = None
     methods: list[Annotated[str, AfterValidator(_known_method)]] = ["KM", "SKCM"]
-    loss: Loss = "linear"
+    loss: ProblemLoss = "auto"
     paper: Paper | None = None
     measurements: list[_Data] = []
     sets: _Sets = _Sets()
@@ -182,7 +186,7 @@ class Problem:
     robot: Robot
     sets: Mapping[str, tuple[Measurements, ...]]
     methods: tuple[BaseMethod, ...]
-    loss: Loss
+    loss: ProblemLoss
     urdf: tuple[Path, str | None, str | None] | None = None
     networks: tuple[str, ...] = ()
     seed: int = 0

@@ -10,6 +10,8 @@ from casadical.project.problem import Paper, Problem
 # By method, set, and state (nominal, placed, calibrated).
 Accuracies = Mapping[str, Mapping[str, Mapping[str, Accuracy]]]
 
+# Nominal errors beyond so many times those with base and tool fitted only say that the base was not known.
+ELSEWHERE = 20
 _FIGURES = ("mean", "max", "std", "rms", "95 %")
 _WITH_NETWORKS = {"train": "networks learn", "choose": "networks are judged"}
 
@@ -48,7 +50,9 @@ def error_tables(accuracies: Accuracies, networks: Networks | None = None) -> li
     tables = []
     for name in sorted(last, key=lambda name: not name.startswith("report")):
         states = last[name]
-        rows = [("before, as given", states["nominal"]), ("before, base and tool fitted", states["placed"])]
+        rows = [("before, base and tool fitted", states["placed"])]
+        if states["nominal"].mean < ELSEWHERE * states["placed"].mean:
+            rows.insert(0, ("before, as given", states["nominal"]))
         rows += [(f"after {method}", by_set[name]["calibrated"]) for method, by_set in accuracies.items()]
         first = len(rows) - 1
         rows += [(f"after {r.method}", r.errors[name]) for r in used if name in r.errors]

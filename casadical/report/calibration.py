@@ -7,6 +7,7 @@ from casadical.identification.identification import Identification
 from casadical.identification.tables import correlated, held_table, how_sure, parameter_tables
 from casadical.project.calibration import Calibration
 from casadical.project.networks import Networks
+from casadical.project.outcome import left_out_table
 from casadical.project.problem import Problem
 from casadical.project.tables import error_tables, judged_on, network_tables, paper_tables, verdict
 from casadical.report.figures_of_calibration import calibration_figures
@@ -29,10 +30,16 @@ def calibration_part(calibration: Calibration) -> Part:
     """One problem's part of a page. Raises InputError where plotly is not installed."""
     figures = calibration_figures(calibration)
     problem, last, networks = calibration.problem, calibration.identification, calibration.networks
-    errors = error_tables(calibration.accuracies, networks)
+    errors = [*left_out_table(calibration.identifications), *error_tables(calibration.accuracies, networks)]
     sections = [
         Section("Verdict", [*_verdict(calibration)]),
-        Section("Errors before and after", [*errors, *paper_tables(problem.paper, calibration.accuracies, networks)]),
+        Section(
+            "Errors before and after",
+            [
+                *errors,
+                *paper_tables(problem.paper, calibration.accuracies, networks),
+            ],
+        ),
         Section("Error of each pose", [*_pose_blocks(figures, networks)]),
         Section("In the workspace", [*_space_blocks(figures, problem)]),
         Section("Where the gap lies", [*_where_blocks(figures, last)]),

@@ -32,8 +32,9 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One run over two problems with everything kept."""
     folder = tmp_path_factory.mktemp("kept")
     done = run(
-        "calibrate", "problems/planar", "problems/panda_3", "--out", folder / "out", "--json", folder / "all.json"
-    )
+        "calibrate", "problems/planar", "problems/panda_3", "--details", "--out", folder / "out",
+        "--json", folder / "all.json",
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     (folder / "printed.txt").write_text(done.stdout)
@@ -41,7 +42,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_report_is_the_golden_text() -> None:
-    done = run("calibrate", "problems/planar")
+    done = run("calibrate", "problems/planar", "--details")
     assert (done.returncode, done.stderr) == (0, "")
     printed = "".join(line.rstrip() + "\n" for line in done.stdout.splitlines())
     assert printed == (Path(__file__).parent / "planar.txt").read_text()
@@ -52,6 +53,15 @@ def test_report_fits_eighty_columns_and_cuts_nothing(kept: Path) -> None:
         if not line.startswith("wrote "):
             assert len(line) <= 80
             assert "…" not in line
+
+
+def test_the_answer_comes_first_in_thirty_lines() -> None:
+    done = run("calibrate", "problems/planar", "problems/panda_3")
+    assert (done.returncode, done.stderr) == (0, "")
+    lines = done.stdout.splitlines()
+    assert len(lines) <= 30
+    assert all(len(line) <= 80 for line in lines)
+    assert "mean position error falls from 1.696 mm to" in lines[1]
 
 
 def test_json_has_every_figure(kept: Path) -> None:

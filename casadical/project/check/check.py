@@ -24,7 +24,7 @@ from casadical.project.check.coverage import (
 )
 from casadical.project.check.findings import Finding, Level
 from casadical.project.check.information import Outlook, outlook
-from casadical.project.check.plausible import other_conventions, plausible
+from casadical.project.check.plausible import far_rows, other_conventions, plausible
 from casadical.project.check.table_faults import table_faults, unknown_columns
 from casadical.project.problem import read_problem, read_problem_robot
 from casadical.robot.robot import Robot
@@ -120,7 +120,10 @@ def _data_findings(
             check_against(robot, m)
         except InputError as error:
             found.append(Finding("error", "data", str(error)))
-        found += plausible(robot, m, others)
+        slips = plausible(robot, m, others)
+        found += slips
+        if not any(f.level == "error" for f in slips):
+            found += far_rows(robot, m)
         found += [*coverage_findings(robot, m), *margin_findings(robot, m), *unknown_columns([*m.conditions], m.source)]
         distinct, _ = repeats(m)
         if distinct < len(m):

@@ -24,6 +24,8 @@ from casadical.robot.robot_file import robot_from
 GROSS = 0.02
 EXPLAINS = 0.25
 LEAST_SPREAD = 0.1
+# A row with more than so many times the median error is doubtful; of so few poses nothing is said.
+FAR, FEWEST = 5.0, 12
 POSES = 150
 
 
@@ -55,6 +57,30 @@ def plausible(robot: Robot, m: Measurements, others: Mapping[str, Robot] | None 
     return [
         Finding("error", "units", f"{text}; no single mistake of unit, sign or zero explains it: check the robot file")
     ]
+
+
+def far_rows(robot: Robot, m: Measurements) -> list[Finding]:
+    """Rows at which the placed nominal model is off by many times its usual error: doubtful measurements."""
+    if m.position is None or len(m) < FEWEST:
+        return []
+    free = _rigid(robot)
+    kept = np.ones(len(m), dtype=bool)
+    e = np.zeros(len(m))
+    for _ in range(4):  # far rows draw base and tool towards themselves
+        e = errors(place_frames(free, m[kept]), m)
+        near = e <= FAR * np.median(e)
+        if (near == kept).all():
+            break
+        kept = near
+    if kept.all() or kept.mean() < 0.5:
+        return []
+    order = [k for k in np.argsort(-e) if not kept[k]]
+    rows = ", ".join(f"{m.row[k]} ({1e3 * e[k]:.3g} mm)" for k in order[:8]) + (" ..." if len(order) > 8 else "")
+    text = (
+        f"{m.source}: rows {rows} are far off, where the median is {1e3 * float(np.median(e)):.3g} mm; calibrate "
+        "leaves out those that its fit does not explain, and names them"
+    )
+    return [Finding("warning", "rows", text)]
 
 
 def other_conventions(folder: Path) -> dict[str, Robot]:

@@ -10,6 +10,8 @@ from casadical.core.blocks import Table
 from casadical.project.check.check import Precheck
 from casadical.project.check.information import Outlook
 
+# So many findings fit the screen.
+FINDINGS = 6
 _MARK = {"error": ("ERROR", "bold red"), "warning": ("WARNING", "yellow"), "note": ("note", "dim")}
 
 
@@ -29,6 +31,27 @@ def report(found: Precheck) -> RenderableType:
         parts += [Text(), _ranges(found)]
     for view in found.outlooks:
         parts += [Text(), *_outlook(view, found)]
+    return Group(*parts)
+
+
+def brief(found: Precheck) -> RenderableType:
+    """The same in few lines: verdict, errors and warnings, accuracy to expect."""
+    parts: list[RenderableType] = [Text(f"{found.folder.name}: {_verdict(found)}", style="bold")]
+    if found.title:
+        sets = ", ".join(f"{name} {n}" for name, n in found.poses)
+        parts.append(Text(f"{found.title}; {found.robot}; poses: {sets}"))
+    told = [f for level in ("error", "warning") for f in found.of(level)]
+    told += [f for f in found.of("note") if f.topic == "units"]
+    for f in told[:FINDINGS]:
+        mark, style = _MARK[f.level]
+        parts.append(Text.assemble((mark, style), f" {f.topic}: {f.text}"))
+    if len(told) > FINDINGS:
+        parts.append(Text(f"and {len(told) - FINDINGS} more"))
+    for view in found.outlooks:
+        parts.append(Text(f"{view.method}: {len(view.names)} parameters identifiable, {len(view.held)} not."))
+        if view.held_out is not None:
+            parts.append(Text(f"Expected mean error on other poses like these: {1e3 * view.held_out:.3g} mm."))
+    parts.append(Text("ranges of the joints, what is held and why: --details", style="dim"))
     return Group(*parts)
 
 

@@ -18,6 +18,10 @@ from casadical.project.check.findings import Finding
 KNOWN = ("payload_kg", "temperature_degC", "time_s", "warmth_K", "weight", "set", "point", "pose", "other_pose")
 
 
+# A height is no weight (0.83); a temperature_C may be meant as temperature_degC.
+CLOSE = 0.84
+
+
 def table_faults(folder: Path, joints: int | None) -> list[Finding]:
     """Missing joint columns and cells that are no numbers, in every table that problem.toml names.
 
@@ -66,7 +70,8 @@ def unknown_columns(conditions: Sequence[str], source: str) -> list[Finding]:
     """Columns that are almost a name that something asks for, and those that are kept."""
     found = []
     for name in conditions:
-        near = difflib.get_close_matches(name, KNOWN, 1, 0.84)
+        near = [known for known in KNOWN if known.startswith(f"{name}_")]
+        near = near or difflib.get_close_matches(name, KNOWN, 1, CLOSE)
         if name not in KNOWN and near and not name.startswith(("warmth_", "approach")):
             text = f"{source}: column {name!r} is no name that anything asks for; is {near[0]!r} meant?"
             found.append(Finding("warning", "columns", text))

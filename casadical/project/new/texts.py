@@ -99,7 +99,7 @@ title = "{title}"
 {data}{mark}
 robot = "{robot}"
 methods = [{methods}]{why}
-# loss = "huber"                   # where single measurements are far off
+# loss = "linear"                  # default "auto": rows that nothing explains are left out, and named
 {urdf}
 [[measurements]]                   # several of these tables go into one fit
 file = "{file}"

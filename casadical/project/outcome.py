@@ -1,0 +1,105 @@
+"""What a reader of a calibration must know first: rows that were left out, doubts, and whether it helped at all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from casadical.core.blocks import Table, Words, mm
+from casadical.identification.accuracy import Accuracy, errors
+from casadical.identification.identification import Identification, LeftOut, rows_in_words
+
+if TYPE_CHECKING:
+    from casadical.project.calibration import Calibration
+
+# A held-out pose with more than so many times the median error is far off.
+FAR = 10.0
+THINGS = 3
+
+
+def left_out_table(identifications: Mapping[str, Identification]) -> list[Table]:
+    """Every row that a method left out, with what its model leaves there."""
+    rows: dict[tuple[str, int], dict[str, str]] = {}
+    for method, result in identifications.items():
+        for out in result.left_out:
+            rows.setdefault((out.source, out.row), {})[method] = mm(out.error)
+    if not rows:
+        return []
+    methods = list(identifications)
+    cells = [(source, str(row), *(found.get(m, "used") for m in methods)) for (source, row), found in rows.items()]
+    title = "Rows left out of the fit and of the figures as outliers: error [mm]"
+    return [Table(title, ("file", "row", *methods), cells, frozenset(range(1, 2 + len(methods))))]
+
+
+def things_to_know(calibration: Calibration) -> Iterator[Words]:
+    """At most three, the most important first."""
+    found = [*_doubts(calibration), *_notes(calibration)]
+    yield from found[:THINGS]
+
+
+def _doubts(calibration: Calibration) -> Iterator[Words]:
+    last = calibration.identification
+    if "DOES NOT FIT" in last.verdict:
+        yield Words("The model does not fit: run casadical check, it searches for slips of the table.", "warning")
+    if last.left_out:
+        yield Words(f"Left out as outliers: {rows_in_words(last.left_out, 5)}.", "warning")
+    far = far_held_out(calibration)
+    if far:
+        worst = rows_in_words(far, 3)
+        yield Words(f"Held-out poses far off, in the figures above: {worst}.", "warning")
+    if last.at_bounds:
+        yield Words(f"At bounds: {', '.join(last.at_bounds)}: widen the bounds or doubt the model.", "warning")
+    if not any(name.startswith("report") for name in calibration.problem.sets):
+        yield Words("No poses were held out: on new poses the error will be greater.", "warning")
+
+
+def _notes(calibration: Calibration) -> Iterator[Words]:
+    last, problem = calibration.identification, calibration.problem
+    if problem.data == "synthetic":
+        yield Words("The data are synthetic: they do not show how accurate a real robot is.", "note")
+    for trained in calibration.networks.results.values() if calibration.networks else ():
+        if trained.helps:
+            yield Words(f"{trained.method} makes it better on poses that it did not learn; it is in the table.", "note")
+    held = len(last.identifiability.held)
+    known = len(last.names)
+    yield Words(f"{known} parameters identified, {held} are not identifiable from these poses.", "note")
+    if problem.data is None:
+        yield Words("Nobody said whether the data are real or synthetic (data in problem.toml).", "note")
+
+
+def far_held_out(calibration: Calibration) -> list[LeftOut]:
+    """Held-out poses whose error is many times the median of theirs, the farthest first."""
+    found = []
+    for name, m in calibration.problem.parts():
+        if name.startswith("report"):
+            e = errors(calibration.robot, m)
+            far = np.flatnonzero(e > FAR * np.median(e))
+            found += [LeftOut(m.source, int(m.row[k]), float(e[k])) for k in far]
+    return sorted(found, key=lambda out: -out.error)
+
+
+def worse_than_before(result: Identification, before: Accuracy, after: Accuracy) -> str:
+    """The reason and the remedy, where the mean error of held-out poses grew."""
+    if after.mean <= before.mean:
+        return ""
+    text = f"held-out poses are worse after the calibration, {mm(after.mean)} mm, than before, {mm(before.mean)} mm"
+    worst = _worst(result)
+    if worst and result.loss == "linear":
+        cause = f"rows that nothing explains draw the fit ({rows_in_words(worst, 4)})"
+        return f"{text}: {cause}; use --loss huber, or name them in leave_out"
+    if result.degrees_of_freedom < 2 * len(result.names):
+        return f"{text}: {len(result.names)} parameters from few poses; measure more, or free fewer parameters"
+    if worst:
+        return f"{text}; check these rows first: {rows_in_words(worst, 4)}"
+    return f"{text}: the nominal model is better than what these poses tell; measure more, or keep the nominal robot"
+
+
+def _worst(result: Identification) -> list[LeftOut]:
+    """Rows of the fit that are far off by its own scatter."""
+    found = []
+    for m in result.used:
+        e = errors(result.robot, m)
+        found += [LeftOut(m.source, int(m.row[k]), float(e[k])) for k in np.flatnonzero(e > 4 * np.median(e))]
+    return sorted(found, key=lambda out: -out.error)

@@ -1,0 +1,89 @@
+"""Bad rows of a table cannot hide: they are left out, named everywhere, and a result that they ruin is refused."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import main
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "cli"))
+import first_hour
+
+from casadical import calibrate, read_problem
+from casadical.core.blocks import Table
+from casadical.project.check import precheck
+from casadical.project.new import new_problem
+from casadical.report.calibration import calibration_part
+
+# Rows of the file (headings in line 4), as they are in the set that is fitted with seed 0.
+SPOILED = {6: 40.0, 9: 120.0, 20: 15.0, 33: 300.0}
+
+
+def arm(folder: Path, spoiled: dict[int, float]) -> Path:
+    """A problem folder whose table has rows that are off by so many millimetres."""
+    q, p = first_hour.measured(90)
+    for row, off in spoiled.items():
+        p[row - 5, 1] += off
+    table = first_hour.write(folder, "messung.csv", q, p)
+    new_problem(folder / "arm", dh=folder / "dh.csv", data=table)
+    return folder / "arm"
+
+
+def test_clean_data_lose_nothing(tmp_path: Path) -> None:
+    """The same digits as plain least squares."""
+    clean = arm(tmp_path, {})
+    auto, linear = calibrate(clean), calibrate(clean, loss="linear")
+    assert auto.to_json() == linear.to_json()
+    assert auto.identification.loss == "linear"
+
+
+def test_every_row_left_out_is_named(tmp_path: Path) -> None:
+    folder = arm(tmp_path, SPOILED)
+    found = calibrate(folder)
+    fitted = {int(row) for m in found.problem.sets["identify"] for row in m.row}
+    expected = set(SPOILED) & fitted
+    assert len(expected) >= 2
+    assert {out.row for out in found.identification.left_out} == expected
+    for out in found.identification.left_out:
+        assert 1e3 * out.error == pytest.approx(SPOILED[out.row], abs=0.5)
+    listed = found.to_json()["methods"]["KM"]
+    assert {entry["row"] for entry in listed["left_out"]} == expected
+    assert listed["sets"]["identify"]["n"] == len(fitted) - len(expected)
+    assert listed["sets"]["identify"]["max_mm"] < 0.3
+    page = [b for s in calibration_part(found).sections for b in s.blocks if isinstance(b, Table)]
+    for tables in (found.blocks(), page):
+        (rows,) = [b.rows for b in tables if isinstance(b, Table) and b.title.startswith("Rows left out")]
+        assert {int(row[1]) for row in rows} == expected
+    said = " ".join(str(getattr(b, "text", "")) for b in found.brief())
+    assert all(f"row {row} (" in said for row in set(SPOILED))  # held-out ones are named, too
+    warned = " ".join(f.text for f in precheck(folder).findings if f.topic == "rows")
+    assert all(f"{row} (" in warned for row in expected - {20})
+
+
+def test_worse_than_before_is_an_error_with_its_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "clean").mkdir()
+    fitted = read_problem(arm(tmp_path / "clean", {})).sets["identify"][0].row
+    folder = arm(tmp_path, {int(row): 30.0 + 5 * k for k, row in enumerate(fitted[::8])})
+    out = tmp_path / "out"
+    assert main(monkeypatch, "calibrate", folder, "--loss", "linear", "--out", out) == 4
+    message = " ".join(capfd.readouterr().err.split())
+    assert "arm: held-out poses are worse after the calibration" in message
+    assert "use --loss huber, or name them in leave_out" in message
+    assert not out.exists()
+
+
+def test_rows_without_numbers_are_left_out_by_new_and_named(tmp_path: Path) -> None:
+    q, p = first_hour.measured(60)
+    p[[7, 30], [0, 2]] = np.nan
+    table = first_hour.write(tmp_path, "messung.csv", q, p)
+    problem = new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=table)
+    assert {12, 35}.isdisjoint(int(row) for parts in problem.sets.values() for m in parts for row in m.row)
+    text = (tmp_path / "arm" / "problem.toml").read_text()
+    assert "12, # a cell is no number" in text
+    assert json.dumps("Messwert X [mm]") in text
