@@ -4,24 +4,23 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.arrays import Array
+from casadical.diagnosis.claims import cause_set, named
 from casadical.diagnosis.cross_validation import estimates, partitioned_errors, partitions, remainders, shrink_interval
 from casadical.diagnosis.held_out_gap import Stage, course
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.noise_floor import noise_floor, replicates
+from casadical.diagnosis.noise_floor import noise_floor, outlier_probability, replicates
 from casadical.diagnosis.result import Cause, Diagnosis, Gap, Outlier, Verdict
 from casadical.diagnosis.search import End, State, Step
 from casadical.diagnosis.thresholds import DETECT_FURTHER, LEAST_SHARE, MISMATCH, MUCH, OUT, SET_SIZE, WORSE
 from casadical.identification.identification import Identification
 from casadical.measurements.noise import Noise
 
-# The screening of outliers has no probability; a cause needs one.
-OUTLIERS_CONFIDENCE = 0.99
-
 
 def conclude(
     identification: Identification, state: State, end: End, seed: int, p_nothing: float | None = None
 ) -> Diagnosis:
     """The result of a search; end, p_nothing : as of `search`."""
+    state, end = named(state, end, seed)
     case, columns = state.case, state.columns()
     before = partitioned_errors(case.evidence, columns[:0], state.rankings[0].noise[""], seed)
     repeated = replicates(case.m, case.whole.r, case.kept)
@@ -56,6 +55,7 @@ def conclude(
         identification=identification,
         seed=seed,
         p_nothing=p_nothing,
+        cause_set=cause_set(state),
     )
 
 
@@ -134,14 +134,16 @@ def _outliers_as_cause(
     whole = np.concatenate([before, left[out]])
     shrink = float(1 - before.mean() / whole.mean())
     interval = shrink_interval(whole, np.concatenate([before, np.full(count, before.mean())]), seed)
-    return whole, (Cause("outliers", None, OUTLIERS_CONFIDENCE, shrink, interval, ()),)
+    return whole, (Cause("outliers", None, outlier_probability(distance[out]), shrink, interval, ()),)
 
 
 def _verdict(state: State, end: End, gap: Gap, found: bool, shrinks: pd.DataFrame) -> tuple[Verdict, float]:
     """The verdict, and the share of the gap that no named cause explains."""
     rest = max(0.0, (gap.after - gap.floor) / gap.before)
-    if not found or (end == "unknown" and not state.steps):
-        return ("unknown" if end in ("unknown", "ambiguous") else "none"), rest
+    if not state.steps and end in ("unknown", "ambiguous"):
+        return ("unknown" if end == "unknown" else "ambiguous"), rest
+    if not found:
+        return "none", rest
     share = (gap.before - gap.after) / max(gap.before - gap.floor, 1e-9)
     if share < LEAST_SHARE and (end == "unknown" or rest > MUCH):
         return "unknown", rest

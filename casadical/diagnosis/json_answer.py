@@ -11,7 +11,7 @@ from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import NetworkGap
 from casadical.diagnosis.layers import as_json as layers_as_json
 from casadical.diagnosis.next_poses import discrimination_probability
-from casadical.diagnosis.result import Cause, Diagnosis, Unlisted
+from casadical.diagnosis.result import Cause, CauseSet, Diagnosis, Unlisted
 from casadical.diagnosis.spectrum_report import as_json as curves_as_json
 from casadical.diagnosis.statements import headline, missing_columns
 from casadical.diagnosis.text import page_of
@@ -34,6 +34,7 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
         **({} if d.p_nothing is None else {"p_nothing": d.p_nothing}),
         **({"prior": _prior(d, d.prior)} if d.prior else {}),
         "causes": [_cause(c) for c in d.causes],
+        **({} if d.cause_set is None else {"set": _set(d.cause_set)}),
         "unknown_rest": round(d.unknown_rest, 4),
         **({} if unlisted is None else {"unlisted": _unlisted(unlisted)}),
         "course": _records(d.course),
@@ -94,6 +95,11 @@ def _unlisted(u: Unlisted) -> dict[str, Any]:
 
 def _network(n: NetworkGap) -> dict[str, Any]:
     return {"before": _mm(n.before), "used": _mm(n.used), "forced": _mm(n.forced), "refused": n.refused}
+
+
+def _set(s: CauseSet) -> dict[str, Any]:
+    members = {label: round(p, 4) for label, p in s.members.items()}
+    return {"probability": round(s.probability, 4), "one_more": round(s.one_more, 4), "members": members}
 
 
 def _records(table: pd.DataFrame) -> list[dict[str, Any]]:

@@ -15,6 +15,8 @@ from casadical.measurements.noise import Noise
 SAME_POSE = 1e-3
 # Fewer degrees of freedom than this leave the noise uncertain by more than a fifth.
 ENOUGH = 12
+# Usual share of poses that the instrument gets wrong, and how many times their noise is the usual one.
+OUTLIERS, TIMES = 0.01, np.geomspace(3.0, 300.0, 9)
 _CIRCUMSTANCE = re.compile(r"payload_kg|approach\d+")
 
 
@@ -68,6 +70,16 @@ def noise_floor(e: Evidence, noise: Noise, repeated: Replicates, seed: int) -> f
         fake = replace(e, r=white + (e.Jq @ joints)[:, :, 0], delta0=np.zeros_like(e.delta0))
         draws.append(held_out_errors(fake, np.zeros(0, dtype=np.int64), noise, folds).mean())
     return float(np.mean(draws))
+
+
+def outlier_probability(distance: Array) -> float:
+    """Probability that any of some poses is an outlier, by their squared Mahalanobis distances, shape (k,).
+
+    A pose's noise is the usual, or with a share of `OUTLIERS` so many times as large as one of `TIMES`, alike likely.
+    """
+    wide = -3 * np.log(TIMES)[:, None] - 0.5 * distance / TIMES[:, None] ** 2 + 0.5 * distance
+    odds = np.log(OUTLIERS / (1 - OUTLIERS)) + np.logaddexp.reduce(wide, axis=0) - np.log(len(TIMES))
+    return float(-np.expm1(-np.logaddexp(0, odds).sum()))
 
 
 def _scatter(e: Evidence, noise: Noise) -> float:

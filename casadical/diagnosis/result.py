@@ -1,5 +1,6 @@
 """What a diagnosis found: verdict, causes, the gap before and after. Results only: nothing here is computed."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -64,6 +65,19 @@ class Cause:
         return self.effect if self.joint is None else f"{self.effect}@{self.joint}"
 
 
+@dataclass(frozen=True, eq=False)
+class CauseSet:
+    """The set of all named causes.
+
+    probability : of exactly these, among all sets that differ from it by one cause
+    one_more : probability of a further cause beside them; members : of each cause, by label, whatever the others are
+    """
+
+    probability: float
+    one_more: float
+    members: Mapping[str, float]
+
+
 @dataclass(frozen=True)
 class Change:
     """One effect, or its part in one joint; probability : that its parameters are no longer those of the prior"""
@@ -97,6 +111,7 @@ class Diagnosis:
     verdict : none, explained, ambiguous, unknown; causes : the largest shrink first
     gap : held-out, before and after the causes; noise : instrument and joint repeatability
     unknown_rest : share of the gap that is there to be explained and that no named cause explains
+    cause_set : probability of the causes as a set; None where none is named
     course : how far the gap falls with each cause added (see `held_out_gap.course`)
     replicates : scatter of repeated poses, of which there may be none
     rankings : what each step saw; outliers : poses that were left out
@@ -125,15 +140,17 @@ class Diagnosis:
     p_nothing: float | None = None
     prior: Prior | None = None
     changes: tuple[Change, ...] = ()
+    cause_set: CauseSet | None = None
 
     @property
     def in_question(self) -> tuple[str, ...]:
         """Labels that further poses should distinguish: a set of similar causes, or the two leading ones."""
+        known = {c.label for c in self.case.candidates}
         for cause in self.causes:
-            if cause.indistinguishable and cause.label in self.rankings[0].probability:
+            if cause.indistinguishable and cause.label in known:
                 return (cause.label, *cause.indistinguishable)
         last = self.rankings[-1].probability
-        order = [k for k in self.rankings[-1].order if k in self.rankings[0].probability]
+        order = [k for k in self.rankings[-1].order if k in known]
         certain = len(order) > 1 and last[order[0]] > CERTAIN * (last[order[0]] + last[order[1]])
         return tuple(order[:2]) if self.verdict in ("ambiguous", "unknown") and not certain else ()
 

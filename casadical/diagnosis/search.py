@@ -12,12 +12,10 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.diagnosis.bootstrap import p_value
 from casadical.diagnosis.candidates import Candidate
+from casadical.diagnosis.cause_sets import most_probable_set
 from casadical.diagnosis.cross_validation import remainders
-from casadical.diagnosis.evidence import log_sum
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import (
-    PRIOR_FIRST,
-    PRIOR_FURTHER,
     Ranking,
     Rivals,
     no_rivals,
@@ -29,6 +27,7 @@ from casadical.diagnosis.thresholds import (
     DETECT_FURTHER,
     FALSE_ALARMS,
     IN,
+    LEAST_ALIKE,
     LEAST_FURTHER,
     MOST_CAUSES,
     OUT,
@@ -40,9 +39,6 @@ from casadical.effects import Effect
 from casadical.measurements.noise import Noise
 
 Show = Callable[[str], None]
-# How many causes are tried as the first of two, and how probable two listed causes must be, against one, none and
-# anything with the unknown in it.
-PAIR_SEEDS, PAIR = 6, 0.9
 # Why no further cause was taken, or that the last one was.
 End = Literal["none", "ambiguous", "unknown", "claimed"]
 
@@ -65,12 +61,14 @@ class State:
     """How far a search has come: the case with its outliers, the causes in the model, the ranking of each round.
 
     rivals : what competes with the case's candidates at every ranking
+    doubted : labels of causes that are in the model so that others can be judged beside them, but are not named
     """
 
     case: Case
     steps: tuple[Step, ...] = ()
     rankings: tuple[Ranking, ...] = ()
     rivals: Rivals = no_rivals
+    doubted: frozenset[str] = frozenset()
 
     @cached_property
     def by_label(self) -> Mapping[str, Candidate]:
@@ -85,11 +83,25 @@ class State:
         """Labels of listed effects, the most probable first."""
         return [k for k in ranking.order if k in self.by_label and self.by_label[k].listed]
 
-    def rank(self, beside: Sequence[Step]) -> Ranking:
-        """Posterior over one more cause beside those of some steps."""
-        covers = frozenset[str]().union(*(e.covers for s in beside for e in s.effects))
+    def rank(self, beside: Sequence[Step], also: Mapping[str, tuple[Effect, ...]] | None = None) -> Ranking:
+        """Posterior over one more cause beside those of some steps; also : further ones beside them, by label."""
+        also = also or {}
+        groups = [s.effects for s in beside] + [*also.values()]
+        covers = frozenset[str]().union(*(e.covers for g in groups for e in g))
         covered = frozenset(c.label for c in self.case.candidates if c.variants[0][0].name in covers)
-        return rank(self.case, self.columns(beside), frozenset(s.labels[0] for s in beside), covered, self.rivals)
+        columns = [self.columns(beside), *(self.case.group(e) for e in also.values())]
+        skip = frozenset((*(s.labels[0] for s in beside), *also))
+        return rank(self.case, np.unique(np.concatenate(columns)), skip, covered, self.rivals)
+
+    def most_probable_set(self) -> tuple[tuple[str, ...], frozenset[str]]:
+        """Listed causes that explain together what the last ranking gives to no single one, and those in doubt."""
+        return most_probable_set(
+            self.rankings[-1],
+            lambda also: self.rank(self.steps, also),
+            {c.label: c.variants for c in self.case.candidates},
+            frozenset(c.label for c in self.case.candidates if c.listed),
+            len(self.steps),
+        )
 
     def ranked(self) -> State:
         """The state with one more round's ranking."""
@@ -123,7 +135,7 @@ class State:
             ranking = state.rank(others)
             listed = state.listed(ranking)
             if ranking.none <= DETECT_FURTHER and listed[0] == ranking.order[0]:
-                case, step = state.refined(ranking, _indistinguishable(ranking, listed), others)
+                case, step = state.refined(ranking, indistinguishable(ranking, listed), others)
                 state = replace(state, case=case, steps=(*state.steps[:k], step, *state.steps[k + 1 :]))
         return state
 
@@ -144,17 +156,21 @@ def search(
         ranking = state.rankings[-1]
         if bootstrap and not state.steps:
             p_nothing = p_value(case, ranking, bootstrap, seed, show)
-        end, labels = _next(state, ranking, p_nothing)
-        if end == "unknown" and not state.steps and (pair := most_probable_pair(case, ranking)):
-            state = state.with_cause(pair[:1]).ranked()
-            labels = pair[1:]
+        end, labels = next_cause(state, ranking, p_nothing)
+        if end in ("unknown", "ambiguous"):  # several causes at once hide each other
+            show("sets of causes")
+            several, doubted = state.most_probable_set()
+            state = replace(state, doubted=state.doubted | doubted)
+            for label in several[:-1]:
+                state = state.with_cause((label,)).ranked()
+            labels = several[-1:]
         if not labels:
             break
         state = state.with_cause(labels).revisited()
     return state, end, p_nothing
 
 
-def _next(state: State, ranking: Ranking, p_nothing: float | None) -> tuple[End, tuple[str, ...]]:
+def next_cause(state: State, ranking: Ranking, p_nothing: float | None = None) -> tuple[End, tuple[str, ...]]:
     """The next cause and those that this data cannot tell from it; or no label, and why not."""
     if not _detected(state, ranking, p_nothing):
         return "none", ()
@@ -164,7 +180,7 @@ def _next(state: State, ranking: Ranking, p_nothing: float | None) -> tuple[End,
         return "unknown", ()
     if state.steps and ranking.probability[listed[0]] < LEAST_FURTHER * (1 - ranking.none):
         return "ambiguous", ()
-    return "claimed", _indistinguishable(ranking, listed)
+    return "claimed", indistinguishable(ranking, listed)
 
 
 def _detected(state: State, ranking: Ranking, p_nothing: float | None) -> bool:
@@ -176,37 +192,12 @@ def _detected(state: State, ranking: Ranking, p_nothing: float | None) -> bool:
     return ranking.none <= detection(int(state.case.kept.sum()))
 
 
-def _indistinguishable(ranking: Ranking, listed: Sequence[str]) -> tuple[str, ...]:
-    """The most probable cause alone if it is certain, else with those that share the probability."""
+def indistinguishable(ranking: Ranking, listed: Sequence[str]) -> tuple[str, ...]:
+    """The most probable cause alone if it is certain, else with those that share the probability, listed ones first."""
     there = 1 - ranking.none
     if ranking.probability[listed[0]] >= CLAIM * there:
         return (listed[0],)
-    total = np.cumsum([ranking.probability[label] for label in listed[:SET_SIZE]])
-    return tuple(listed[: int(np.searchsorted(total, SET_SHARE * there)) + 1])
-
-
-def most_probable_pair(case: Case, first: Ranking) -> tuple[str, str] | None:
-    """Labels of the two listed causes that explain together what the ranking gives to the unknown, or None.
-
-    first : without any cause in the model. The evidence of two is that of one, times that of the other beside it.
-    """
-    listed = {c.label for c in case.candidates if c.listed}
-    variants = {c.label: c.variants for c in case.candidates}
-    alone = first.log_mass
-    seeds = [k for k in sorted(alone, key=lambda k: -alone[k]) if k in listed][:PAIR_SEEDS]
-    pairs: dict[frozenset[str], float] = {}
-    for seed in seeds:
-        beside = rank(case, case.group(variants[seed][first.variant[seed]]), frozenset([seed]))
-        for label, mass in beside.log_mass.items():
-            pair = frozenset([seed, label])
-            pairs[pair] = max(alone[seed] + mass, pairs.get(pair, -np.inf))
-    one = [np.log(PRIOR_FIRST["none"]), *(m + np.log(PRIOR_FURTHER["none"]) for m in alone.values())]
-    known = {pair: m for pair, m in pairs.items() if pair <= listed}
-    if not known:
-        return None
-    share = np.exp(log_sum(np.array(list(known.values()))) - log_sum(np.array([*one, *pairs.values()])))
-    if share < PAIR:
-        return None
-    best, _ = max(known.items(), key=lambda item: item[1])
-    a, b = sorted(best, key=lambda k: -alone[k])
-    return a, b
+    alike = [k for k in (*listed, *(k for k in ranking.order if k not in listed)) if k in ranking.variant]
+    alike = [k for k in alike[1:] if ranking.probability[k] > LEAST_ALIKE * there] or alike[1:2]
+    total = np.cumsum([ranking.probability[k] for k in (listed[0], *alike)])
+    return (listed[0], *alike)[: min(SET_SIZE, 2 + int(np.searchsorted(total[1:], SET_SHARE * there)))]

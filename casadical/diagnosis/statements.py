@@ -27,8 +27,8 @@ TIED = "\u00a0"
 class Statement:
     """One statement.
 
-    about : VERDICT, PRIOR, GAP, WHERE, WHICH (then come the causes, see `cause_rows`), AFTER, LAYERS (then come these,
-        see `layer_rows`), CANNOT, UNKNOWN, OUT, MISSING, NEXT
+    about : VERDICT, PRIOR, GAP, WHERE, WHICH (then come the causes, see `cause_rows`), SET, AFTER, LAYERS (then come
+        these, see `layer_rows`), CANNOT, UNKNOWN, OUT, MISSING, NEXT
     doubtful : whether it is a warning
     """
 
@@ -75,6 +75,8 @@ def headline(d: Diagnosis) -> str:
     named = _and(c.label for c in d.causes)
     if d.verdict == "none":
         return "none: what is left is noise, no cause can be claimed"
+    if d.verdict == "ambiguous" and not d.causes:
+        return "ambiguous: something is there, but no cause that is certain makes the gap smaller on poses held out"
     if d.verdict == "ambiguous":
         words = "ambiguous: something is there that several causes explain equally well, no single one can be claimed"
         return f"{words}; {_rest(d)}" if has_rest(d) else words
@@ -144,6 +146,13 @@ def _where(d: Diagnosis, more: Details) -> Iterator[Statement]:
 def _which(d: Diagnosis) -> Iterator[Statement]:
     order = "; the largest shrink first" if len(d.causes) > 1 else ""
     yield Statement("WHICH", f"each cause alone beside the base model{order}" if d.causes else "no cause can be named")
+    if d.cause_set:
+        each = ", ".join(f"{label} {p:.2f}" for label, p in d.cause_set.members.items())
+        yield Statement(
+            "SET",
+            f"exactly these causes with probability {d.cause_set.probability:.2f}; {each}; one more "
+            f"{d.cause_set.one_more:.2f}",
+        )
 
 
 def _after(d: Diagnosis, more: Details) -> Iterator[Statement]:

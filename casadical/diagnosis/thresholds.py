@@ -14,8 +14,9 @@ FALSE_ALARMS = 0.01
 OUT, IN = 75.0, 40.0
 # A further cause is accepted from this probability on, among those that are there.
 LEAST_FURTHER = 0.65
-MOST_CAUSES = 4
-SET_SHARE, SET_SIZE = 0.97, 3
+MOST_CAUSES = 6
+# Causes that these data cannot distinguish: together of this probability, at most so many, none below the last.
+SET_SHARE, SET_SIZE, LEAST_ALIKE = 0.97, 3, 0.02
 PARTITIONS = 5
 # Less than this share of what could be explained is no explanation, where something else is seen or where more than
 # the second share of the whole gap is left.

@@ -58,7 +58,10 @@ def diagnosis_part(d: Diagnosis, name: str, more: Details | None = None) -> Part
         Section("Error of each pose", [Drawing("errors", figures["errors"], _EACH)]),
         Section("In the workspace", [Drawing("workspace", figures["workspace"], _SPACE)]),
         Section("Where the gap lies", [*_said(said, "WHERE"), *_where_blocks(more, figures)]),
-        Section("Which causes, and how sure", [*_said(said, "WHICH"), *_cause_tables(rows), *_cause_figures(figures)]),
+        Section(
+            "Which causes, and how sure",
+            [*_said(said, "WHICH"), *_cause_tables(rows), *_said(said, "SET"), *_cause_figures(figures)],
+        ),
         *_curve_sections(more, figures),
         Section("What these poses cannot tell", [*_said(said, "CANNOT", "MISSING")]),
         Section("Replayed in a simulator", [*replay_blocks(d)]),

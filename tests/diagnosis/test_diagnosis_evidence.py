@@ -8,6 +8,7 @@ from cases import small_problem
 from scipy.stats import multivariate_normal
 
 from casadical.diagnosis.evidence import ALL_SIGMAS, KAPPAS, RHOS, SIGMAS, Evidence, log_sum
+from casadical.diagnosis.noise_floor import outlier_probability
 from casadical.effects.base import CHOSEN
 
 
@@ -71,3 +72,15 @@ def test_log_sum() -> None:
     a = np.random.default_rng(0).normal(size=(3, 4, 5)) - 2000
     np.testing.assert_allclose(log_sum(a, axis=(1, 2)), np.log(np.exp(a + 2000).sum(axis=(1, 2))) - 2000)
     assert float(log_sum(a)) == pytest.approx(np.log(np.exp(a + 2000).sum()) - 2000)
+
+
+def test_outliers_have_the_probability_of_their_distance() -> None:
+    """Certain far out, hardly any where noise reaches; between them by the densities of both."""
+    assert outlier_probability(np.array([200.0])) > 0.999
+    assert outlier_probability(np.array([3.0])) < 0.02
+    k = np.geomspace(3.0, 300.0, 9)
+    wide = np.mean([multivariate_normal(cov=t**2 * np.eye(3)).pdf([4.0, 0, 0]) for t in k])
+    usual = multivariate_normal(cov=np.eye(3)).pdf([4.0, 0, 0])
+    one = 0.01 * wide / (0.01 * wide + 0.99 * usual)
+    assert outlier_probability(np.array([16.0])) == pytest.approx(one)
+    assert outlier_probability(np.array([16.0, 16.0])) == pytest.approx(1 - (1 - one) ** 2)

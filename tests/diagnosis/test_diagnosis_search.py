@@ -14,19 +14,18 @@ from casadical.diagnosis.details import Details
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.json_answer import as_json, diagnosis_files
 from casadical.diagnosis.linear_problem import Case, make_case
-from casadical.diagnosis.posterior import Rival, rank
-from casadical.diagnosis.search import most_probable_pair
+from casadical.diagnosis.posterior import Ranking, Rival, rank
+from casadical.diagnosis.search import indistinguishable
 from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.diagnosis.text import page_of
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.identification import identify
 from casadical.measurements.derived_columns import derive
+from casadical.measurements.noise import Noise
 from casadical.robot.robot_file import read_robot
 
-NOTHING = np.zeros(0, dtype=np.int64)
 
-
-def test_most_probable_pair_are_found_though_their_mixture_looks_like_the_unknown() -> None:
+def test_two_are_found_though_their_mixture_looks_like_the_unknown() -> None:
     hidden = disturbances.JointZeroStep(3, 120e-6), disturbances.FrameDrift(150e-6, 60e-6)
     d = diagnose(robot("kr210"), simulated("kr210", 42, *hidden, n=60))
     assert d.rankings[0].order[0] == "smooth in time"  # no single cause explains
@@ -35,19 +34,44 @@ def test_most_probable_pair_are_found_though_their_mixture_looks_like_the_unknow
     assert all(c.confidence > 0.9 for c in d.causes)
 
 
-def test_most_probable_pair_are_not_made_of_one_that_is_on_no_list() -> None:
-    r = robot("ur10e")
-    m = simulated("ur10e", 31, disturbances.HoseDrag(500e-6))
-    case = make_case(identify(r, m, ("kinematic", "compliance"), priors=True), candidates_of(r, "standard"))
-    first = rank(case, NOTHING)
-    assert first.probability[first.order[0]] > 0.5
-    assert not {c.label: c for c in case.candidates}[first.order[0]].listed
-    assert most_probable_pair(case, first) is None
-    few = [c for c in case.candidates if c.label == "backlash@5" or not c.listed]
-    assert (
-        most_probable_pair(replace(case, candidates=tuple(few)), rank(replace(case, candidates=tuple(few)), NOTHING))
-        is None
+def test_three_that_hide_each_other_are_found_together_with_their_probabilities() -> None:
+    """Beside the first, the other two have half of the probability each."""
+    hidden = (
+        disturbances.GearEccentricity(5, 150e-6),
+        disturbances.FrictionWindup(2, 90e-6),
+        disturbances.JointScale(3, 150e-6),
     )
+    d = diagnose(robot("kr210"), simulated("kr210", 71, *hidden, n=70))
+    assert d.verdict == "explained"
+    assert {c.label for c in d.causes} == {"gear_eccentricity@5", "friction_windup@2", "joint_scale@3"}
+    s = d.cause_set
+    assert s is not None
+    assert set(s.members) == {c.label for c in d.causes}
+    assert s.probability <= min(s.members.values()) <= 1
+    assert s.one_more == pytest.approx(1 - d.rankings[-1].none)
+    assert as_json(d, "three")["set"]["members"].keys() == s.members.keys()
+    assert "exactly these causes with probability" in page_of(d)
+
+
+def test_what_is_on_no_list_is_no_set_of_listed_causes() -> None:
+    d = diagnose(robot("ur10e"), simulated("ur10e", 31, disturbances.HoseDrag(500e-6)))
+    first = d.rankings[0]
+    assert not {c.label: c for c in d.case.candidates}[first.order[0]].listed
+    assert (d.verdict, d.causes, d.cause_set) == ("unknown", (), None)
+
+
+def made_up(shares: dict[str, float], none: float = 1e-6) -> Ranking:
+    noise = dict.fromkeys(("", *shares), Noise(2e-5, 0.0))
+    return Ranking(none, shares, {}, {}, dict.fromkeys(shares, 0), noise)
+
+
+def test_a_set_of_similar_causes_has_three_labels_and_none_that_is_negligible() -> None:
+    four = made_up({"a": 0.4, "b": 0.3, "c": 0.2, "d": 0.1})
+    assert indistinguishable(four, ["a", "b", "c", "d"]) == ("a", "b", "c")
+    assert indistinguishable(made_up({"a": 0.98, "b": 0.02}), ["a", "b"]) == ("a",)
+    # What shares the probability may be on no list; a listed one that has nothing of it is not in question.
+    form = made_up({"a": 0.6, "b": 1e-9, "form": 0.4})
+    assert indistinguishable(form, ["a", "b"]) == ("a", "form")
 
 
 def test_a_bump_in_a_joints_own_angle_is_unknown_and_its_joint_named(tmp_path: Path) -> None:

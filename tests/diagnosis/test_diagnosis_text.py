@@ -17,7 +17,7 @@ from casadical.diagnosis.localisation import BINS, DIRECTIONS, PARTS, Localisati
 from casadical.diagnosis.next_poses import probability_after
 from casadical.diagnosis.noise_floor import Replicates
 from casadical.diagnosis.posterior import Ranking
-from casadical.diagnosis.result import Cause, Gap, Outlier
+from casadical.diagnosis.result import Cause, CauseSet, Gap, Outlier
 from casadical.diagnosis.statements import missing_columns, not_logged
 from casadical.diagnosis.text import WIDTH, page_of
 from casadical.effects import Backlash, ThermalZeroDrift
@@ -63,6 +63,7 @@ def fixed(true: Diagnosis) -> Diagnosis:
         course=pd.DataFrame(rows, columns=list(COLUMNS)),
         replicates=Replicates(12e-6, 18, 6, 36),
         rankings=(one,),
+        cause_set=CauseSet(0.52, 0.04, {label: 0.53, "thermal_zero_drift@3": 0.95}),
         case=replace(true.case, m=replace(true.case.m, conditions={})),
         outliers=(Outlier(31, 1.7e-3, 80.0), Outlier(62, 0.9e-3, 40.0)),
         missing={
@@ -126,7 +127,7 @@ def test_page_is_the_golden_one(fixed: Diagnosis, details: Details) -> None:
 
 @pytest.mark.parametrize("verdict", ["none", "unknown"])
 def test_verdicts_without_a_cause(fixed: Diagnosis, seen: Details, verdict: str) -> None:
-    d = replace(fixed, verdict=verdict, causes=(), course=fixed.course[:1], outliers=(), missing={})
+    d = replace(fixed, verdict=verdict, causes=(), cause_set=None, course=fixed.course[:1], outliers=(), missing={})
     assert page_of(d, seen) + "\n" == (GOLDEN / f"{verdict}.txt").read_text(encoding="utf-8")
 
 

@@ -1,0 +1,142 @@
+"""Sets of causes that explain together what no single one does: a beam search over sets, compared with the unlisted.
+
+The evidence of a set is that of its first cause, times that of each further one beside those before; its prior falls
+with its size. Every ranking beside a set gives the mass of that set with each candidate added, so that a few rankings
+compare thousands of sets, those with something unlisted in them too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from casadical.diagnosis.evidence import log_sum
+from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking
+from casadical.diagnosis.thresholds import MOST_CAUSES
+from casadical.effects import Effect
+
+# How many first causes are tried, and how many larger sets are followed.
+STARTS, BEAM = 6, 3
+# A further cause of a set gains at least so much log evidence.
+GAIN = 8.0
+# How probable the listed sets must be against all with something unlisted in them.
+LISTED = 0.9
+# Where they are not: how probable each cause must be, whatever else is there.
+MEMBER = 0.95
+# Sets with the unlisted are followed for so many causes, and the best listed set is looked beyond so many times.
+FOLLOWED, BEYOND = 2, 4
+
+Chosen = Mapping[str, tuple[Effect, ...]]
+Beside = Callable[[Chosen], Ranking]
+
+
+@dataclass(frozen=True, eq=False)
+class _Set:
+    """A set of causes: label -> settings, in the order of choice; log of prior times evidence; what is ranked next."""
+
+    chosen: Chosen
+    log_mass: float
+    ranking: Ranking
+
+    def more(self) -> Iterable[tuple[frozenset[str], str, float]]:
+        """Each set with one more cause: its labels, the new one, its log mass."""
+        for label, mass in self.ranking.log_mass.items():
+            yield frozenset((*self.chosen, label)), label, self.log_mass + mass
+
+
+@dataclass(eq=False)
+class _Search:
+    """What is known of sets so far: log mass by labels, and how to reach them."""
+
+    beside: Beside
+    variants: Mapping[str, tuple[tuple[Effect, ...], ...]]
+    listed: frozenset[str]
+    mass: dict[frozenset[str], float] = field(default_factory=dict)
+    reached: dict[frozenset[str], tuple[_Set, str]] = field(default_factory=dict)
+    expanded: set[frozenset[str]] = field(default_factory=set)
+
+    def take(self, found: _Set) -> _Set:
+        """Note a set and all with one more cause."""
+        self.expanded.add(frozenset(found.chosen))
+        for labels, label, mass in found.more():
+            if mass > self.mass.get(labels, -np.inf):
+                self.mass[labels], self.reached[labels] = mass, (found, label)
+        return found
+
+    def expand(self, labels: frozenset[str]) -> _Set:
+        """The set of these labels, ranked beside."""
+        before, label = self.reached[labels]
+        chosen = {**before.chosen, label: self.variants[label][before.ranking.variant[label]]}
+        return self.take(_Set(chosen, self.mass[labels], self.beside(chosen)))
+
+    def best(self, of: Iterable[frozenset[str]], count: int) -> list[frozenset[str]]:
+        """Those of most mass that are not expanded yet."""
+        return sorted((k for k in of if k not in self.expanded), key=lambda k: -self.mass[k])[:count]
+
+    def gaining(self, sets: Iterable[_Set]) -> set[frozenset[str]]:
+        """Listed sets with one more cause than one of these, which gains enough."""
+        return {
+            labels
+            for s in sets
+            for labels, label, _ in s.more()
+            if labels <= self.listed and s.ranking.log_factor[label] > GAIN
+        }
+
+
+def most_probable_set(
+    first: Ranking,
+    beside: Beside,
+    variants: Mapping[str, tuple[tuple[Effect, ...], ...]],
+    listed: frozenset[str],
+    steps: int = 0,
+) -> tuple[tuple[str, ...], frozenset[str]]:
+    """Labels of the listed causes that explain together what a ranking gives to no single one, and those in doubt.
+
+    In doubt are causes that sets of much probability do without; where all are, there is no set.
+
+    first : ranking beside the causes in the model, of which there are `steps`; beside : one with further causes in it
+    variants : settings of each candidate; listed : labels of those that may be named
+    """
+    search = _Search(beside, variants, listed)
+    root = search.take(_Set({}, 0.0, first))
+    frontier, width = [root], STARTS
+    for _ in range(MOST_CAUSES - steps):
+        frontier = [search.expand(k) for k in search.best(search.gaining(frontier), width)]
+        if not frontier:
+            break
+        width = BEAM
+    _follow_unlisted(search, root)
+    prior = PRIOR_FURTHER if steps else PRIOR_FIRST
+    for _ in range(BEYOND):
+        known = [k for k in search.mass if k <= listed]
+        if not known:
+            return (), frozenset()
+        best = max(known, key=lambda k: search.mass[k])
+        if best in search.expanded:
+            break
+        search.expand(best)
+    closed = np.array(list(search.mass.values())) + np.log(PRIOR_FURTHER["none"])
+    of_listed = np.array([search.mass[k] for k in search.mass if k <= listed]) + np.log(PRIOR_FURTHER["none"])
+    share = float(np.exp(log_sum(of_listed) - log_sum(np.append(closed, np.log(prior["none"])))))
+    # A single one would have been ranked first.
+    if len(best) < 2 or best not in search.expanded:
+        return (), frozenset()
+    total = np.append(closed, np.log(prior["none"]))
+    there = {c: np.array([c in k for k in search.mass] + [False]) for c in best}
+    without = {c: float(np.exp(log_sum(total[~there[c]]) - log_sum(total))) for c in best}
+    doubted = frozenset(c for c in best if share < LISTED and without[c] > 1 - MEMBER)
+    before, last = search.reached[best]
+    return ((), frozenset()) if doubted == best else ((*before.chosen, last), doubted)
+
+
+def _follow_unlisted(search: _Search, root: _Set) -> None:
+    """The best set that begins with what is on no list, so that the comparison is fair."""
+    unlisted = [k for k in root.ranking.order if k not in search.listed and k in search.variants]
+    found = root
+    for k in range(FOLLOWED if unlisted else 0):
+        label = unlisted[0] if not k else next((c for c in found.ranking.order if c in search.variants), None)
+        if label is None or found.ranking.log_factor[label] < GAIN:
+            return
+        found = search.expand(frozenset((*found.chosen, label)))

@@ -1,0 +1,106 @@
+"""Which causes of a search are named: each passes the same gate beside all others; the set's own probability."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from casadical.core.arrays import Array
+from casadical.diagnosis.cross_validation import partitioned_errors, shrink_interval
+from casadical.diagnosis.evidence import Evidence
+from casadical.diagnosis.posterior import Ranking
+from casadical.diagnosis.result import CauseSet
+from casadical.diagnosis.search import End, State, Step, indistinguishable, next_cause
+from casadical.diagnosis.thresholds import DETECT_FURTHER
+from casadical.measurements.noise import Noise
+
+# Probabilities below this are not distinguished.
+LEAST = 1e-12
+
+
+def named(state: State, end: End, seed: int) -> tuple[State, End]:
+    """The state with those causes alone that are certain beside the others, and why there is no further one.
+
+    A cause is certain from `thresholds.CLAIM` on, against every other in its place and none, if the gap shrinks with it
+    on poses held out. One that is there without being certain is kept if it has more evidence than each certain one; it
+    comes first, with what cannot be told from it. All others that are in doubt are left out: something is left, then.
+    """
+    if not state.steps:
+        return state, end
+    steps = [_beside_others(state, k) for k in range(len(state.steps))]
+    there = [s for k, s in enumerate(steps) if _shrinks(state, k, seed)]
+    certain = [s for s in there if s.labels[0] not in state.doubted and len(s.labels) == 1]
+    doubtful = [s for s in there if s not in certain and s.labels[0] not in state.doubted and _is_listed(state, s)]
+    strongest = max(doubtful, key=_evidence, default=None)
+    if strongest and all(_evidence(strongest) > _evidence(s) for s in certain):
+        certain = [strongest, *certain]
+    if len(certain) == len(steps):
+        return replace(state, steps=tuple(certain)), end
+    left = replace(state, steps=tuple(certain)).ranked()
+    again, _ = next_cause(left, left.rankings[-1])
+    # What was left out is no certain cause, even if it comes first again.
+    return left, "ambiguous" if again == "claimed" or (not certain and again == "none") else again
+
+
+def _beside_others(state: State, k: int) -> Step:
+    """A step as all others in the model make it: its ranking, and the labels that cannot be told from it."""
+    step, others = state.steps[k], (*state.steps[:k], *state.steps[k + 1 :])
+    if not others:
+        return step
+    ranking, label = state.rank(others), step.labels[0]
+    first = [label, *(c for c in state.listed(ranking) if c != label)]
+    alike = indistinguishable(ranking, first)
+    certain = ranking.none <= DETECT_FURTHER and len(alike) == 1
+    return replace(step, ranking=ranking, labels=(label,) if certain else alike[: max(2, len(alike))])
+
+
+def _is_listed(state: State, step: Step) -> bool:
+    """Whether what a step stands for is more probably listed than not, itself before all others that are listed."""
+    ranking, listed = step.ranking, state.listed(step.ranking)
+    share = sum(ranking.probability[k] for k in listed)
+    return listed[0] == step.labels[0] and share >= 0.5 * (1 - ranking.none)
+
+
+def _evidence(step: Step) -> float:
+    return step.ranking.log_factor[step.labels[0]]
+
+
+def _shrinks(state: State, k: int, seed: int) -> bool:
+    """Whether the gap shrinks with a cause, alone beside the base model or beside all others."""
+    e, steps = state.case.evidence, state.steps
+    noises = [state.rankings[0].noise[""], steps[k].ranking.noise[steps[k].labels[0]]]
+    models = [(), steps[k : k + 1]]
+    if _lower(e, [state.columns(m) for m in models], noises, seed) > 0:
+        return True
+    if len(steps) == 1:
+        return False
+    last = state.rankings[-1].noise[""]
+    models = [(*steps[:k], *steps[k + 1 :]), steps]
+    return _lower(e, [state.columns(m) for m in models], [last, last], seed) > 0
+
+
+def _lower(e: Evidence, columns: Sequence[Array], noises: Sequence[Noise], seed: int) -> float:
+    """Lower end of the interval of the shrink from one model to another."""
+    before, after = (partitioned_errors(e, c, noise, seed) for c, noise in zip(columns, noises, strict=True))
+    return shrink_interval(before, after, seed)[0]
+
+
+def cause_set(state: State) -> CauseSet | None:
+    """Probability of the named set among all that differ from it by one cause; None where nothing is named.
+
+    These are the sets with one more (the last ranking), and those without one of its causes or with another in its
+    place (the ranking beside the others).
+    """
+    if not state.steps:
+        return None
+    odds = {s.labels[0]: _odds_against(s.ranking, s.labels[0]) for s in state.steps}
+    last = state.rankings[-1]
+    more = (1 - last.none) / max(last.none, LEAST)
+    total = 1 + more + sum(odds.values())
+    members = {label: 1 - against / total for label, against in odds.items()}
+    return CauseSet(1 / total, 1 - last.none, members)
+
+
+def _odds_against(ranking: Ranking, label: str) -> float:
+    p = max(ranking.probability[label], LEAST)
+    return (1 - p) / p
