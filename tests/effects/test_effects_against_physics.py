@@ -1,0 +1,84 @@
+"""Effects move the tool as their counterparts in the simulators do, which share no formula with them.
+
+The pairs, with what each parameter means in both worlds, are those of docs/studies/effects_and_physics.py.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from casadical.effects import registry
+
+FOLDER = Path(__file__).parents[2] / "docs" / "studies"
+
+
+def _study():
+    spec = importlib.util.spec_from_file_location("effects_and_physics", FOLDER / "effects_and_physics.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+study = _study()
+# No simulator has them: the other files of this folder compare them with formulas of their own.
+ALONE = {"cross_coupling", "load_hysteresis", "smr_offset", "frame_settling"}
+
+
+@cache
+def bench(robot: str, poses: int):
+    return study.bench(robot, poses)
+
+
+def pairs(cases):
+    return [pytest.param(case, robot, id=f"{case.name}-{robot}") for case in cases for robot in case.robots]
+
+
+@pytest.mark.parametrize(("case", "robot"), pairs(study.NUMPY))
+def test_as_the_simulator_in_numpy(case, robot: str) -> None:
+    apart, moved = case.make(bench(robot, 200)).apart()
+    assert moved > 5e-7
+    assert apart < case.limit
+
+
+@pytest.mark.parametrize(("case", "robot"), pairs(study.MUJOCO))
+def test_as_the_simulator_in_mujoco(case, robot: str) -> None:
+    """At fewer poses: the study takes 200."""
+    pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra mujoco)")
+    apart, moved = case.make(bench(robot, 16)).apart()
+    assert moved > 5e-7
+    assert apart < case.limit
+
+
+@pytest.mark.parametrize("case", study.NUMPY, ids=lambda case: case.name)
+def test_another_formula_does_not_pass(case) -> None:
+    """The wrong sign, and one parameter of several wrong by half, are out of every limit."""
+    pair = case.make(bench("kr210", 60))
+    assert replace(pair, values={name: -value for name, value in pair.values.items()}).apart()[0] > 2 * case.limit
+    great = sorted(pair.values, key=lambda name: -abs(pair.values[name]))[:8]
+    strong = max(great, key=lambda name: _alone(pair, name))
+    wrong = {**pair.values, strong: 0.5 * pair.values[strong]}
+    assert replace(pair, values=wrong).apart()[0] > case.limit
+
+
+def _alone(pair, name: str) -> float:
+    """How far one parameter alone moves the tool."""
+    others = dict.fromkeys(pair.values, 0.0)
+    return float(np.linalg.norm(replace(pair, values={**others, name: pair.values[name]}).moved()))
+
+
+def test_every_listed_effect_has_a_counterpart_or_is_named() -> None:
+    compared = {effect.name for case in study.NUMPY for effect in case.make(bench("kr210", 4)).effects}
+    listed = {
+        kind.name
+        for kind in vars(registry).values()
+        if isinstance(kind, type) and getattr(kind, "on_list", "") in ("standard", "extended")
+    }
+    assert listed - compared - ALONE == set()
