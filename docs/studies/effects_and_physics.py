@@ -56,6 +56,7 @@ from casadical.effects import (
     JointScale,
     JointZeroStep,
     LinkFlexure,
+    LinkMasses,
     MissingCompliance,
     NonlinearStiffness,
     PayloadError,
@@ -305,13 +306,8 @@ def soft(b: Bench) -> Pair:
     """A joint half as stiff as drawn."""
     k, deflection = b.plant.stiffness.copy(), b.great[4] / b.plant.stiffness[4]
     k[4] /= 2
-    pair = Pair(b, [MissingCompliance(5)], {"missing_compliance@5.deflection": deflection})
-
-    class Softer(Disturbance):
-        def altered(self, plant: Plant) -> Plant:
-            return replace(plant, stiffness=k)
-
-    return replace(pair, numpy=[Softer()])
+    values = {"missing_compliance@5.deflection": deflection}
+    return Pair(b, [MissingCompliance(5)], values, numpy=[OtherPlant({"stiffness": k})])
 
 
 def play(b: Bench) -> Pair:
@@ -420,6 +416,27 @@ def payload(b: Bench) -> Pair:
     v = {"mass": s, **{c: (1 + s) * d for c, d in zip("xyz", shift, strict=True)}}
     there = disturbances.PayloadError(s, tuple(shift))
     return Pair(b, [PayloadError()], named("payload_error", v), numpy=[there])
+
+
+@dataclass(frozen=True)
+class OtherPlant(Disturbance):
+    """Another robot, with these of its fields changed."""
+
+    change: Mapping[str, Any]
+
+    def altered(self, plant: Plant) -> Plant:
+        return replace(plant, **self.change)
+
+
+def links(b: Bench) -> Pair:
+    """Links heavier or lighter than declared, by other mass centres: m (1 + s) (c + d) is m (c + s c + (1 + s) d)."""
+    rng = np.random.default_rng(3)
+    share, shift = rng.uniform(-0.2, 0.2, 6), rng.uniform(-0.03, 0.03, (6, 3))
+    v = {f"m{i}": s for i, s in enumerate(share, 1)}
+    moments = (1 + share)[:, None] * shift
+    v |= {f"{c}{i}": x for i, d in enumerate(moments, 1) for c, x in zip("xyz", d, strict=True)}
+    there = OtherPlant({"mass": b.plant.mass * (1 + share), "com": b.plant.com + shift})
+    return Pair(b, [LinkMasses()], named("link_masses", v), numpy=[there])
 
 
 def cargo(b: Bench) -> Pair:
@@ -635,6 +652,7 @@ NUMPY = (
     Case("tracker_scale, refraction", beam_of_light),
     Case("refraction", beam_from_afar),
     Case("payload_error", payload),
+    Case("link_masses", links),
     Case("missing_compliance", soft),
     Case("backlash", play),
     Case("friction_windup", windup),
