@@ -89,7 +89,7 @@ def tasks_of(source: Source, seed: int, scale: float | None):
 def lengths(errors_mm: np.ndarray) -> tuple[float, float, float]:
     """Return mean, max and std of the error lengths [mm]."""
     length = np.linalg.norm(errors_mm, axis=1)
-    return float(length.mean()), float(length.max()), float(length.std())
+    return float(length.mean()), float(length.max()), float(length.std(ddof=1))
 
 
 def quartiles(values: np.ndarray) -> str:
