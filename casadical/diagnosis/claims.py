@@ -23,7 +23,7 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
 
     A cause is certain from `thresholds.CLAIM` on, against every other in its place and none, if the gap shrinks with it
     on poses held out. One that is there without being certain is kept if it has more evidence than each certain one; it
-    comes first, with what cannot be told from it. All others that are in doubt are left out: something is left, then.
+    comes first, with what cannot be distinguished from it. All others that are in doubt are left out.
     """
     if not state.steps:
         return state, end

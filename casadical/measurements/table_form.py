@@ -1,6 +1,6 @@
 """How a text file writes its table: encoding, separator, decimal sign, comments, line of the headings, row of units.
 
-Nothing is asked of the user here. What cannot be told from the text (units, meaning of the columns) is left to
+Nothing is asked of the user here. What the text does not show (units, meaning of the columns) is left to
 `casadical.measurements.headings`.
 """
 

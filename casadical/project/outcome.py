@@ -66,11 +66,11 @@ def _notes(calibration: Calibration) -> Iterator[Words]:
     known = len(last.names)
     yield Words(f"{known} parameters identified, {held} are not identifiable from these poses.", "note")
     if problem.data is None:
-        yield Words("Nobody said whether the data are real or synthetic (data in problem.toml).", "note")
+        yield Words("It is not said whether the data are real or synthetic (data in problem.toml).", "note")
 
 
 def far_held_out(calibration: Calibration) -> list[LeftOut]:
-    """Held-out poses whose error is many times the median of theirs, the farthest first."""
+    """Held-out poses whose error is many times the median of their set, the farthest first."""
     found = []
     for name, m in calibration.problem.parts():
         if name.startswith("report"):

@@ -7,7 +7,7 @@ by a second process that is killed at a random n too. After each kill the files 
 
 - old, new, absent: all files of the set are those of before, or of the new one, or there are none
 - by journal: renames were under way, and the package's own reader finished them; then all are new
-- MIXED: anything else; LOST: a file of somebody else, or an answer that was complete, is not what it was
+- MIXED: anything else; LOST: a file of another user, or an answer that was complete, is not what it was
 
 The real results of a calibration, a plan, an export, a new problem and a blind check's answers are written; with
 --made-up, small files in their place. As a control, files that are written one after the other are killed too: of
