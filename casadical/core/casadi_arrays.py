@@ -4,8 +4,10 @@ CasADi's own evaluation goes through a function's instructions pose by pose. Whe
 poses and for many settings, going through the instructions once, each on a whole array, is many times faster.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -62,52 +64,56 @@ _BINARY: dict[int, Callable[[Any, Any], Any]] = {
 }
 
 
+@dataclass(frozen=True, eq=False)
 class ArrayFunction:
-    """A CasADi SX function of which every input element may be an array; all of them broadcast together."""
+    """A function of which every input element may be an array; all of them broadcast together.
 
-    def __init__(self, function: ca.Function) -> None:
-        self.function = function
+    steps : (operation, constant, place of the result, places of its arguments) each, as CasADi numbers them
+    places : how many results are kept at a time; nonzeros : of every output
+    """
 
-    @cached_property
-    def _program(self) -> list[tuple[int, Any, int, int, int]]:
-        """(operation, constant or numpy function, place of the result, places of the arguments)."""
-        f = self.function
-        found: list[tuple[int, Any, int, int, int]] = []
+    steps: tuple[tuple[int, float, int, int, int], ...]
+    places: int
+    nonzeros: tuple[int, ...]
+
+    @classmethod
+    def of(cls, f: ca.Function) -> ArrayFunction:
+        """A CasADi SX function."""
+        steps: list[tuple[int, float, int, int, int]] = []
         for k in range(f.n_instructions()):
             op = f.instruction_id(k)
             if op == ca.OP_CONST:
-                found.append((op, float(f.instruction_constant(k)), f.instruction_output(k)[0], 0, 0))
+                steps.append((op, float(f.instruction_constant(k)), f.instruction_output(k)[0], 0, 0))
                 continue
             inputs, outputs = f.instruction_input(k), f.instruction_output(k)
             if op == ca.OP_INPUT:
-                found.append((op, None, outputs[0], inputs[0], inputs[1]))
+                steps.append((op, 0.0, outputs[0], inputs[0], inputs[1]))
             elif op == ca.OP_OUTPUT:
-                found.append((op, None, inputs[0], outputs[0], outputs[1]))
+                steps.append((op, 0.0, inputs[0], outputs[0], outputs[1]))
             elif op in _UNARY:
-                found.append((1, _UNARY[op], outputs[0], inputs[0], 0))
+                steps.append((op, 0.0, outputs[0], inputs[0], 0))
             elif op in _BINARY:
-                found.append((2, _BINARY[op], outputs[0], inputs[0], inputs[1]))
+                steps.append((op, 0.0, outputs[0], inputs[0], inputs[1]))
             else:
                 raise NotImplementedError(f"{f.name()}: CasADi operation {op} has no numpy counterpart here")
-        return found
+        return cls(tuple(steps), max(1, f.sz_w()), tuple(f.nnz_out(k) for k in range(f.n_out())))
 
     def __call__(self, *inputs: Sequence[Any]) -> list[list[Array | float]]:
         """The structural nonzeros of every output, in CasADi's order.
 
         inputs : for each input of the function its nonzeros, numbers or arrays that broadcast together
         """
-        f = self.function
-        work: list[Any] = [0.0] * max(1, f.sz_w())
-        results: list[list[Any]] = [[0.0] * f.nnz_out(k) for k in range(f.n_out())]
+        work: list[Any] = [0.0] * self.places
+        results: list[list[Any]] = [[0.0] * count for count in self.nonzeros]
         with np.errstate(all="ignore"):  # as CasADi: what is not a number shows in the results
-            for kind, what, a, b, c in self._program:
-                if kind == 2:
-                    work[a] = what(work[b], work[c])
-                elif kind == 1:
-                    work[a] = what(work[b])
-                elif kind == ca.OP_CONST:
-                    work[a] = what
-                elif kind == ca.OP_INPUT:
+            for op, constant, a, b, c in self.steps:
+                if op in _BINARY:
+                    work[a] = _BINARY[op](work[b], work[c])
+                elif op in _UNARY:
+                    work[a] = _UNARY[op](work[b])
+                elif op == ca.OP_CONST:
+                    work[a] = constant
+                elif op == ca.OP_INPUT:
                     work[a] = inputs[b][c]
                 else:
                     results[b][c] = work[a]

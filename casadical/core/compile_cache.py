@@ -20,6 +20,11 @@ def compiler() -> str | None:
     )
 
 
+def cache_folder() -> Path:
+    """Where compiled functions and formulas are kept; it may be missing."""
+    return Path(os.environ.get("CASADICAL_CACHE") or platformdirs.user_cache_dir("casadical"))
+
+
 def compiled(function: ca.Function) -> ca.Function:
     """The same function as machine code, or unchanged where no C compiler is found or it fails.
 
@@ -32,8 +37,7 @@ def compiled(function: ca.Function) -> ca.Function:
     generator.add(function)
     source = generator.dump()
     digest = hashlib.sha256("\n".join((source, cc, *FLAGS)).encode()).hexdigest()[:32]
-    folder = Path(os.environ.get("CASADICAL_CACHE") or platformdirs.user_cache_dir("casadical"))
-    library = folder / f"{function.name()}-{digest}.so"
+    library = cache_folder() / f"{function.name()}-{digest}.so"
     if not library.exists() and not _compile(cc, source, library):
         return function
     return ca.external(function.name(), str(library))

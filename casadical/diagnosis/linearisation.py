@@ -9,182 +9,24 @@ composed once for all settings of an effect and evaluated for all poses and sett
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from functools import cached_property, lru_cache
-from typing import Any, ClassVar
+from dataclasses import dataclass, replace
+from functools import cached_property
 
-import casadi as ca
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.casadi_arrays import ArrayFunction
 from casadical.core.casadi_buffers import call
-from casadical.core.transforms import Symbolic, small_frame
-from casadical.effects import Context, Effect
+from casadical.diagnosis.formulas import Part, plan
+from casadical.diagnosis.seams import seams_of
+from casadical.effects import Effect
 from casadical.measurements.measurements import Measurements
-from casadical.robot.model import Structure, constants_of, expressions, rigid_context
+from casadical.robot.model import constants_of
 from casadical.robot.robot import Robot
-from casadical.robot.statics import deflections, gravity_torques
 
-_TWIST = ("x", "y", "z", "rx", "ry", "rz")
 # Poses whose seams are evaluated in one call.
 BLOCK = 512
 # All poses.
 EVERY = slice(None)
-
-
-class _Probe(Effect):
-    """An effect with every variable of every seam as a parameter."""
-
-    name: ClassVar[str] = "probe"
-
-    def __init__(self, robot: Robot) -> None:
-        object.__setattr__(self, "joint", None)
-        names = [f"q{i}" for i in range(1, robot.n + 1)]
-        for seam in (*(f"link{i}" for i in range(1, robot.n + 1)), "base", "tool"):
-            names += [f"{seam}_{c}" for c in _TWIST]
-        object.__setattr__(self, "names", (*names, "point_x", "point_y", "point_z"))
-
-    def sizes(self) -> dict[str, tuple[float, str]]:
-        return dict.fromkeys(self.names, (1.0, ""))  # type: ignore[attr-defined]
-
-    def joint_angle(self, context: Context) -> Symbolic:
-        return ca.vertcat(*(self.value(context, f"q{i}") for i in range(1, context.arm.n + 1)))
-
-    def _frame(self, context: Context, seam: str) -> Symbolic:
-        return small_frame(*(self.value(context, f"{seam}_{c}") for c in _TWIST))
-
-    def link(self, number: int, context: Context) -> Symbolic:
-        return self._frame(context, f"link{number}")
-
-    def base(self, context: Context) -> Symbolic:
-        return self._frame(context, "base")
-
-    def tool(self, context: Context) -> Symbolic:
-        return self._frame(context, "tool")
-
-    def measurement(self, point: Symbolic, context: Context) -> Symbolic:
-        return point + ca.vertcat(*(self.value(context, f"point_{c}") for c in "xyz"))
-
-
-@dataclass(frozen=True, eq=False)
-class _Seams:
-    """Robots of one structure at their seams, nothing under judgement in them.
-
-    function : (q, w, phi, constants)->(J[3, P], S[3, seams], seen), the last what effects look at, one number each
-    exact : a context of the model's own expressions; free : the same with `seen` as symbols
-    inputs : q, w, phi and the constants; point : the measured one, as a symbol
-    """
-
-    function: ca.Function
-    exact: Context
-    free: Context
-    inputs: tuple[ca.SX, ca.SX, ca.SX, ca.SX]
-    seen: ca.SX
-    point: ca.SX
-
-    @lru_cache(maxsize=64)  # noqa: B019 - seams live in a cache themselves
-    def mapped(self, n: int) -> ca.Function:
-        """The function over n poses, parameters and constants shared."""
-        return self.function.map("poses", "serial", n, [2, 3], [])
-
-
-def seams_of(robot: Robot) -> _Seams:
-    """The seams of a robot, composed once for all robots of its structure."""
-    return _seams(robot.with_effect(_Probe(robot)).structure, len(robot.parameters))
-
-
-@lru_cache(maxsize=16)
-def _seams(structure: Structure, count: int) -> _Seams:
-    """Derivatives of the position by the first `count` parameters and by every seam's variables, at zero of these."""
-    model, arm = expressions(structure), structure.arm
-    phi, seams = model.phi[:count], model.phi[count:]
-    zero = ca.SX.zeros(seams.numel())
-    parts = ca.substitute([model.p, ca.jacobian(model.p, phi), ca.jacobian(model.p, seams)], [seams], [zero])
-    # At its own parameters the loads are those of the robot as it is.
-    point, J, S = ca.substitute(parts, [model.loaded], [ca.vertcat(phi, zero)])
-    conditions = dict(zip(structure.conditions, ca.vertsplit(model.w) if structure.conditions else [], strict=True))
-    values = dict(zip(structure.parameters.names[:count], ca.vertsplit(phi), strict=True))
-    base = ca.vertcat(ca.reshape(model.constants[:12], 3, 4), ca.DM([[0, 0, 0, 1]]))
-    exact = rigid_context(arm, model.constants[24:], model.q, conditions, values, base)
-    others = [e.energy(exact) for e in structure.effects]
-    exact = replace(exact, torque=gravity_torques(exact, sum(others)))
-    frames = [ca.reshape(T[:3, :], 12, 1) for T in exact.frames]
-    looked_at = ca.vertcat(point, ca.SX(exact.torque), ca.SX(exact.gravity), *map(ca.SX, frames))
-    seen = ca.SX.sym("seen", looked_at.numel())
-    torque, gravity = seen[3 : 3 + arm.n], seen[3 + arm.n : 6 + arm.n]
-    parts = ca.vertsplit(seen[6 + arm.n :], 12)
-    rigid = tuple(ca.vertcat(ca.reshape(part, 3, 4), ca.DM([[0, 0, 0, 1]])) for part in parts)
-    free = replace(exact, torque=torque, gravity=gravity, frames=rigid)
-    inputs = (model.q, model.w, phi, model.constants)
-    outputs = [ca.densify(part) for part in (J, S, looked_at)]
-    function = ca.Function("seams", [*inputs], outputs, ["q", "w", "phi", "constants"], ["J", "S", "seen"])
-    return _Seams(function, exact, free, inputs, seen, seen[:3])
-
-
-@dataclass(frozen=True)
-class _Formula:
-    """The seam variables' derivative by one effect's parameters, its settings left open.
-
-    conditions : of the formula's input w, in order; rows, columns : seam and parameter of each nonzero
-    """
-
-    function: ArrayFunction
-    conditions: tuple[str, ...]
-    rows: Array
-    columns: Array
-
-
-@lru_cache(maxsize=4096)
-def _formula(s: _Seams, template: Effect, settings: tuple[str, ...]) -> _Formula | None:
-    """The formula of an effect whose settings of these names are inputs; None where it must know their values."""
-    symbols: dict[str, Any] = {name: ca.SX.sym(name) for name in settings}
-    conditions = tuple(dict.fromkeys((*s.exact.conditions, *template.conditions)))
-    q, own, phi, constants = s.inputs
-    w = ca.vertcat(own, ca.SX.sym("w", len(conditions) - own.numel()))
-    logged = dict(zip(conditions, ca.vertsplit(w) if conditions else [], strict=True))
-    try:
-        effect = replace(template, **symbols) if symbols else template
-        derivative = ca.sparsify(_seam_derivative(effect, s, logged))
-    except Exception:
-        if symbols:
-            return None
-        raise
-    inputs = [q, w, phi, constants, s.seen, ca.vertcat(*symbols.values())]
-    function = ca.Function("formula", [ca.SX(i) for i in inputs], [derivative])
-    rows, columns = (np.array(k, dtype=np.int64) for k in derivative.sparsity().get_triplet())
-    return _Formula(ArrayFunction(function), conditions, rows, columns)
-
-
-def _seam_derivative(effect: Effect, s: _Seams, logged: dict[str, ca.SX]) -> ca.SX:
-    """Derivative of all seam variables by the effect's parameters at zero, shape (seams, parameters)."""
-    parameters = effect.parameters()
-    theta = ca.SX.sym("theta", len(parameters))
-    own = dict(zip((p.name for p in parameters), ca.vertsplit(theta), strict=True))
-    exact, context = (replace(c, values={**c.values, **own}, conditions=logged) for c in (s.exact, s.free))
-    angle = ca.SX(effect.joint_angle(context))
-    energy = ca.SX(effect.energy(replace(exact, torque=None)))
-    if ca.depends_on(energy, theta):
-        angle += deflections(context.arm, gravity_torques(exact, energy), context.values)
-    seams, n = [angle], context.arm.n
-    seams += [_twist(effect.link(i, context)) for i in range(1, n + 1)] if _acts(effect, "link") else [ca.SX(6 * n, 1)]
-    seams += [_twist(effect.base(context)) if _acts(effect, "base") else ca.SX(6, 1)]
-    seams += [_twist(effect.tool(context)) if _acts(effect, "tool") else ca.SX(6, 1)]
-    seams += [effect.measurement(s.point, context) - s.point if _acts(effect, "measurement") else ca.SX(3, 1)]
-    derivative = ca.jacobian(ca.vertcat(*seams), theta)
-    return ca.substitute(derivative, theta, ca.SX.zeros(theta.numel()))
-
-
-def _acts(effect: Effect, seam: str) -> bool:
-    """Whether the effect overrides a seam."""
-    return getattr(type(effect), seam) is not getattr(Effect, seam)
-
-
-def _twist(T: ca.SX) -> ca.SX:
-    """The six numbers of a transform near identity, to first order."""
-    T = ca.SX(T)
-    turn = 0.5 * ca.vertcat(T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1])
-    return ca.vertcat(T[:3, 3], turn)
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,13 +66,13 @@ class Linearisation:
         Raises KeyError for a condition that is not there (see `derived_columns.derive`).
         """
         s = seams_of(self.robot)
-        plan = _plan(s, tuple(effects))
-        out = np.zeros((len(self.q), 3, sum(len(part.starts) * part.width for part in plan)))
-        for part in plan:
+        parts = plan(s, tuple(effects))
+        out = np.zeros((len(self.q), 3, sum(len(part.starts) * part.width for part in parts)))
+        for part in parts:
             self._fill(out, part)
         return out
 
-    def _fill(self, out: Array, part: _Part) -> None:
+    def _fill(self, out: Array, part: Part) -> None:
         """Columns of effects that share a formula."""
         n, formula = len(self.q), part.formula
         logged = [self._condition(c)[:, None] for c in formula.conditions]
@@ -254,53 +96,6 @@ class Linearisation:
 def _as_slice(columns: Array) -> Array | slice:
     """Columns one after the other as a slice, which is faster."""
     return slice(columns[0], columns[-1] + 1) if (np.diff(columns) == 1).all() else columns
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """Effects that share a formula.
-
-    settings : values of each setting that is an input, one for each effect
-    starts : of each effect's columns; width : how many an effect has
-    """
-
-    formula: _Formula
-    settings: list[Array]
-    starts: Array
-    width: int
-
-
-@lru_cache(maxsize=32)
-def _plan(s: _Seams, effects: tuple[Effect, ...]) -> tuple[_Part, ...]:
-    """How the columns of effects, one after the other, are made."""
-    starts = np.cumsum([0, *(len(e.sizes()) for e in effects)])
-    parts = []
-    for (template, names), which in _templates(effects).items():
-        width = len(template.sizes())
-        if formula := _formula(s, template, names):
-            settings = [np.array([getattr(effects[k], name) for k in which]) for name in names]
-            parts.append(_Part(formula, settings, starts[which], width))
-            continue
-        for k in which:
-            known = _formula(s, effects[k], ())
-            assert known
-            parts.append(_Part(known, [], starts[[k]], width))
-    return tuple(parts)
-
-
-def _templates(effects: Sequence[Effect]) -> dict[tuple[Effect, tuple[str, ...]], list[int]]:
-    """Effects that differ only in settings which their conditions do not depend on, under their first one."""
-    first: dict[Any, tuple[Effect, tuple[str, ...]]] = {}
-    found: dict[tuple[Effect, tuple[str, ...]], list[int]] = {}
-    for k, effect in enumerate(effects):
-        values = {f.name: getattr(effect, f.name) for f in fields(effect)}
-        names = tuple(n for n, v in values.items() if isinstance(v, float))
-        rest = tuple((n, v) for n, v in values.items() if n not in names)
-        key = (type(effect), rest, effect.conditions, tuple(effect.sizes()))
-        ones: dict[str, Any] = dict.fromkeys(names, 1.0)
-        template = first.setdefault(key, (replace(effect, **ones), names))
-        found.setdefault(template, []).append(k)
-    return found
 
 
 def linearise(robot: Robot, m: Measurements, phi: Array) -> Linearisation:

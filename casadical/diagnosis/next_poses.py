@@ -12,6 +12,7 @@ from casadical.core.errors import InputError
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
 from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.linearisation import linearise
 from casadical.diagnosis.pose_separation import Predictive, noise_at, pick, predict_cause
 from casadical.diagnosis.result import Diagnosis
 from casadical.effects import Effect
@@ -72,8 +73,9 @@ def next_poses(
     effects = tuple(dict.fromkeys(e for cause in causes for e in cause.variant))
     columns = dict.fromkeys((*case.robot.conditions, *(c for e in effects for c in e.conditions)))
     drawn = later_poses(case.robot, case.m, case.kept, columns, pool, seed, workspace, payloads)
-    noise_there = noise_at(case, noise, drawn.m)
-    models = [(c.label, Predictive(predict_cause(case, c.variant, noise, drawn.m), noise_there)) for c in causes]
+    poses = linearise(case.given, drawn.m, case.values)
+    noise_there = noise_at(noise, poses)
+    models = [(c.label, Predictive(predict_cause(case, c.variant, noise, poses), noise_there)) for c in causes]
     rivals = [(a in labels, b in labels, p, r) for (a, p), (b, r) in combinations(models, 2) if a != b]
     asked = [(p, r) for first, second, p, r in rivals if first and second]
     also = [(p, r) for first, second, p, r in rivals if first != second]

@@ -16,9 +16,8 @@ from casadical.core.arrays import Array
 from casadical.diagnosis.cross_validation import covariance
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case, widths
-from casadical.diagnosis.linearisation import signatures
+from casadical.diagnosis.linearisation import Linearisation
 from casadical.effects import Effect
-from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 
 # One sigma, in sizes, of a cause's parameters before the data.
@@ -36,11 +35,10 @@ class Prediction:
     spread: Array
 
 
-def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, m: Measurements) -> Prediction:
+def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: Linearisation) -> Prediction:
     """Mean and spread at new poses of base model and one cause fitted to the case's data."""
-    old = case.evidence
-    E, J, _ = signatures(case.given, variant, m, case.values)
-    J = J if case.units is None else J @ case.units
+    old, E = case.evidence, poses.columns(variant)
+    J = poses.J if case.units is None else poses.J @ case.units
     columns = case.group(variant) if variant else np.zeros(0, dtype=np.int64)
     A = np.concatenate([old.J, old.take(columns)], axis=2)
     new = np.concatenate([J, E * widths(variant)], axis=2)
@@ -57,11 +55,10 @@ def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, m: Meas
     return Prediction(new @ fitted, spread)
 
 
-def noise_at(case: Case, noise: Noise, m: Measurements) -> Array:
+def noise_at(noise: Noise, poses: Linearisation) -> Array:
     """Covariance of the noise at new poses, shape (K, 3, 3) [m^2]."""
-    _, J, Jq = signatures(case.given, (), m, case.values)
-    empty = np.zeros((len(m), 3, 0))
-    return covariance(Evidence(np.zeros((len(m), 3)), J, Jq, np.zeros(0), np.ones(0), empty), noise)
+    empty = np.zeros((*poses.J.shape[:2], 0))
+    return covariance(Evidence(empty[:, :, :0], poses.J, poses.Jq, np.zeros(0), np.ones(0), empty), noise)
 
 
 class Predictive:

@@ -12,6 +12,7 @@ from scipy.linalg import block_diag
 from casadical import InputError, identify
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.linear_problem import make_case
+from casadical.diagnosis.linearisation import linearise
 from casadical.diagnosis.next_poses import _causes, next_poses
 from casadical.diagnosis.pose_separation import Comparison, Prediction, Predictive, noise_at, predict_cause
 from casadical.identification.accuracy import predicted
@@ -89,8 +90,9 @@ def test_chosen_poses_tell_more_than_random_ones(doubtful, labels: list[str]) ->
     effects = tuple(dict.fromkeys(e for cause in causes for e in cause.variant))
     columns = dict.fromkeys((*doubtful.robot.conditions, *(c for e in effects for c in e.conditions)))
     pool = later_poses(doubtful.robot, doubtful.m, doubtful.kept, columns, 400, 5).m
-    found = [(cause.label, predict_cause(doubtful, cause.variant, least, pool)) for cause in causes]
-    noise = noise_at(doubtful, least, pool)
+    there = linearise(doubtful.given, pool, doubtful.values)
+    found = [(cause.label, predict_cause(doubtful, cause.variant, least, there)) for cause in causes]
+    noise = noise_at(least, there)
     rng = np.random.default_rng(0)
     chance = [rng.choice(len(pool), 8, replace=False).tolist() for _ in range(40)]
     pairs = [(p, r) for a, p in found for b, r in found if a < b]

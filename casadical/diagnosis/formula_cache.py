@@ -1,0 +1,110 @@
+"""Formulas of the effects on the robots of one structure, kept in the user's cache: composing them takes a second."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from contextlib import suppress
+from dataclasses import astuple, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.casadi_arrays import ArrayFunction
+from casadical.core.compile_cache import cache_folder
+from casadical.diagnosis.seams import Seams
+from casadical.effects import Effect
+
+PACKAGE = Path(__file__).parents[1]
+# Rooms on whose code a formula depends.
+_ROOMS = ("core", "effects", "robot", "diagnosis")
+
+
+@dataclass(frozen=True, eq=False)
+class Formula:
+    """The seam variables' derivative by one effect's parameters, its settings left open.
+
+    conditions : of the formula's input w, in order; rows, columns : seam and parameter of each nonzero
+    """
+
+    function: ArrayFunction
+    conditions: tuple[str, ...]
+    rows: Array
+    columns: Array
+
+    def as_data(self) -> list[Any]:
+        """Plain data."""
+        return [list(astuple(self.function)), self.conditions, self.rows.tolist(), self.columns.tolist()]
+
+    @classmethod
+    def from_data(cls, data: list[Any]) -> Formula:
+        """What `as_data` gave."""
+        (steps, places, nonzeros), conditions, rows, columns = data
+        function = ArrayFunction(tuple(map(tuple, steps)), places, tuple(nonzeros))
+        return cls(function, tuple(conditions), np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64))
+
+
+class KeptFormulas:
+    """Formulas of one structure, read from one file and written to it; None is kept, too.
+
+    The file's name holds the hash of the structure and of the code that composes formulas, so that it is never stale.
+    """
+
+    def __init__(self, s: Seams) -> None:
+        self._arm = s.exact.arm
+        name = hashlib.sha256(f"{ca.CasadiMeta.version()} {_code()} {s.key}".encode()).hexdigest()[:32]
+        self.path = cache_folder() / f"formulas-{name}.json"
+        self._known: dict[str, Any] = {}
+        self._new = False
+        with suppress(OSError, ValueError):
+            self._known = json.loads(self.path.read_text())
+
+    def keeps(self, template: Effect) -> bool:
+        """Whether formulas of an effect are kept: of those on a list, of the package's own code, with usual sizes."""
+        own = all(kind.__module__.startswith("casadical.") for kind in type(template).__mro__[:-1])
+        return (
+            own and bool(template.on_list) and (not template.parts or template in type(template).candidates(self._arm))
+        )
+
+    def __contains__(self, key: tuple[Effect, tuple[str, ...]]) -> bool:
+        return repr(key) in self._known
+
+    def __getitem__(self, key: tuple[Effect, tuple[str, ...]]) -> Formula | None:
+        data = self._known[repr(key)]
+        return None if data is None else Formula.from_data(data)
+
+    def add(self, template: Effect, settings: tuple[str, ...], formula: Formula | None) -> None:
+        """Keep one more."""
+        self._known[repr((template, settings))] = None if formula is None else formula.as_data()
+        self._new = True
+
+    def write(self) -> None:
+        """Write the file if there are new ones; it appears whole or not at all."""
+        if not self._new:
+            return
+        self._new = False
+        with suppress(OSError):
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            handle, part = tempfile.mkstemp(dir=self.path.parent)
+            with os.fdopen(handle, "w") as file:
+                json.dump(self._known, file)
+            Path(part).replace(self.path)
+
+
+@lru_cache(maxsize=16)
+def kept_formulas(s: Seams) -> KeptFormulas:
+    """Formulas of one structure."""
+    return KeptFormulas(s)
+
+
+@lru_cache(maxsize=1)
+def _code() -> str:
+    """Hash of the code that composes formulas."""
+    files = sorted(path for room in _ROOMS for path in (PACKAGE / room).rglob("*.py"))
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()

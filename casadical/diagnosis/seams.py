@@ -1,0 +1,107 @@
+"""The model at its seams: the position's derivative by every variable at which an effect may enter it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import ClassVar
+
+import casadi as ca
+
+from casadical.core.transforms import Symbolic, small_frame
+from casadical.effects import Context, Effect
+from casadical.robot.model import Structure, expressions, rigid_context
+from casadical.robot.robot import Robot
+from casadical.robot.statics import gravity_torques
+
+_TWIST = ("x", "y", "z", "rx", "ry", "rz")
+
+
+class _Probe(Effect):
+    """An effect with every variable of every seam as a parameter."""
+
+    name: ClassVar[str] = "probe"
+
+    def __init__(self, robot: Robot) -> None:
+        object.__setattr__(self, "joint", None)
+        names = [f"q{i}" for i in range(1, robot.n + 1)]
+        for seam in (*(f"link{i}" for i in range(1, robot.n + 1)), "base", "tool"):
+            names += [f"{seam}_{c}" for c in _TWIST]
+        object.__setattr__(self, "names", (*names, "point_x", "point_y", "point_z"))
+
+    def sizes(self) -> dict[str, tuple[float, str]]:
+        return dict.fromkeys(self.names, (1.0, ""))  # type: ignore[attr-defined]
+
+    def joint_angle(self, context: Context) -> Symbolic:
+        return ca.vertcat(*(self.value(context, f"q{i}") for i in range(1, context.arm.n + 1)))
+
+    def _frame(self, context: Context, seam: str) -> Symbolic:
+        return small_frame(*(self.value(context, f"{seam}_{c}") for c in _TWIST))
+
+    def link(self, number: int, context: Context) -> Symbolic:
+        return self._frame(context, f"link{number}")
+
+    def base(self, context: Context) -> Symbolic:
+        return self._frame(context, "base")
+
+    def tool(self, context: Context) -> Symbolic:
+        return self._frame(context, "tool")
+
+    def measurement(self, point: Symbolic, context: Context) -> Symbolic:
+        return point + ca.vertcat(*(self.value(context, f"point_{c}") for c in "xyz"))
+
+
+@dataclass(frozen=True, eq=False)
+class Seams:
+    """Robots of one structure at their seams, nothing under judgement in them.
+
+    function : (q, w, phi, constants)->(J[3, P], S[3, seams], seen), the last what effects look at, one number each
+    exact : a context of the model's own expressions; free : the same with `seen` as symbols
+    key : of the structure, in words; inputs : q, w, phi and the constants; point : the measured one, as a symbol
+    """
+
+    key: str
+    function: ca.Function
+    exact: Context
+    free: Context
+    inputs: tuple[ca.SX, ca.SX, ca.SX, ca.SX]
+    seen: ca.SX
+    point: ca.SX
+
+    @lru_cache(maxsize=64)  # noqa: B019 - seams live in a cache themselves
+    def mapped(self, n: int) -> ca.Function:
+        """The function over n poses, parameters and constants shared."""
+        return self.function.map("poses", "serial", n, [2, 3], [])
+
+
+def seams_of(robot: Robot) -> Seams:
+    """The seams of a robot, composed once for all robots of its structure."""
+    return _seams(robot.with_effect(_Probe(robot)).structure, len(robot.parameters))
+
+
+@lru_cache(maxsize=16)
+def _seams(structure: Structure, count: int) -> Seams:
+    """Derivatives of the position by the first `count` parameters and by every seam's variables, at zero of these."""
+    model, arm = expressions(structure), structure.arm
+    phi, seams = model.phi[:count], model.phi[count:]
+    zero = ca.SX.zeros(seams.numel())
+    parts = ca.substitute([model.p, ca.jacobian(model.p, phi), ca.jacobian(model.p, seams)], [seams], [zero])
+    # At its own parameters the loads are those of the robot as it is.
+    point, J, S = ca.substitute(parts, [model.loaded], [ca.vertcat(phi, zero)])
+    conditions = dict(zip(structure.conditions, ca.vertsplit(model.w) if structure.conditions else [], strict=True))
+    values = dict(zip(structure.parameters.names[:count], ca.vertsplit(phi), strict=True))
+    base = ca.vertcat(ca.reshape(model.constants[:12], 3, 4), ca.DM([[0, 0, 0, 1]]))
+    exact = rigid_context(arm, model.constants[24:], model.q, conditions, values, base)
+    others = [e.energy(exact) for e in structure.effects]
+    exact = replace(exact, torque=gravity_torques(exact, sum(others)))
+    frames = [ca.reshape(T[:3, :], 12, 1) for T in exact.frames]
+    looked_at = ca.vertcat(point, ca.SX(exact.torque), ca.SX(exact.gravity), *map(ca.SX, frames))
+    seen = ca.SX.sym("seen", looked_at.numel())
+    torque, gravity = seen[3 : 3 + arm.n], seen[3 + arm.n : 6 + arm.n]
+    parts = ca.vertsplit(seen[6 + arm.n :], 12)
+    rigid = tuple(ca.vertcat(ca.reshape(part, 3, 4), ca.DM([[0, 0, 0, 1]])) for part in parts)
+    free = replace(exact, torque=torque, gravity=gravity, frames=rigid)
+    inputs = (model.q, model.w, phi, model.constants)
+    outputs = [ca.densify(part) for part in (J, S, looked_at)]
+    function = ca.Function("seams", [*inputs], outputs, ["q", "w", "phi", "constants"], ["J", "S", "seen"])
+    return Seams(f"{structure.key} {count}", function, exact, free, inputs, seen, seen[:3])

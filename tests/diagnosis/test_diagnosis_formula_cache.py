@@ -1,0 +1,82 @@
+"""Formulas of effects are read from the cache as they were composed, and composed anew where code or robot changed."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cases import practice, robot
+
+from casadical.core.arrays import Array
+from casadical.diagnosis import formula_cache, formulas
+from casadical.diagnosis.linearisation import signatures
+from casadical.effects import Effect
+from casadical.effects.backlash import Backlash
+from casadical.effects.joint_error_curve import JointErrorCurve
+from casadical.effects.transmission_ripple import TransmissionRipple
+
+EFFECTS: list[Effect] = [Backlash(2), TransmissionRipple(3), JointErrorCurve(None)]
+
+
+class Own(Backlash):
+    """An effect of another package."""
+
+
+Columns = Callable[..., Array]
+
+
+@pytest.fixture
+def columns(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Columns]:
+    """Columns of effects as another process makes them, the cache at first empty."""
+    monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path))
+
+    def forget() -> None:
+        for function in (formulas.plan, formulas._formula, formula_cache.kept_formulas, formula_cache._code):
+            function.cache_clear()
+
+    def made(effects: list[Effect] = EFFECTS, name: str = "kr210") -> Array:
+        forget()
+        r = robot(name)
+        return signatures(r, effects, practice(f"{name}-P02"), r.parameters.values)[0]
+
+    yield made
+    forget()
+
+
+def test_kept_formulas_give_the_same_bits_and_are_not_composed_again(
+    columns: Columns, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = columns()
+    monkeypatch.delattr(formulas, "_composed")
+    np.testing.assert_array_equal(columns(), first)
+
+
+def test_other_code_composes_anew(columns: Columns, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    columns()
+    monkeypatch.setattr(formula_cache, "_ROOMS", ("core",))
+    columns()
+    assert len(list(tmp_path.glob("formulas-*.json"))) == 2
+
+
+def test_a_damaged_file_is_replaced(columns: Columns, tmp_path: Path) -> None:
+    first = columns()
+    (file,) = tmp_path.glob("formulas-*.json")
+    whole = file.read_text()
+    file.write_text(whole[:1000])
+    np.testing.assert_array_equal(columns(), first)
+    assert file.read_text() == whole
+
+
+def test_a_folder_that_cannot_be_written_costs_time_alone(
+    columns: Columns, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    first = columns()
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path / "file" / "below"))
+    np.testing.assert_array_equal(columns(), first)
+
+
+def test_effects_of_other_packages_and_learnt_sizes_are_not_kept(columns: Columns, tmp_path: Path) -> None:
+    learnt = JointErrorCurve(None).with_sizes({1: 0.7})
+    columns([Own(2), learnt])
+    assert not list(tmp_path.glob("formulas-*.json"))
