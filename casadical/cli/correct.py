@@ -1,6 +1,5 @@
 """The command `casadical correct`."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -29,6 +28,9 @@ def correct(
         str | None, typer.Option(metavar="shared|own", help="As in `casadical export c`; default: shared.")
     ] = None,
     leave_out: LeaveOut = False,
+    trust: Annotated[
+        bool, typer.Option("--trust", help="Compile and run the C of a folder that you did not export on this machine.")
+    ] = False,
     overwrite: Overwrite = False,
     json_file: Json = None,
     quiet: Quiet = False,
@@ -61,8 +63,10 @@ def correct(
         for option, value in given.items():
             if value is not None:
                 raise InputError(f"{option} was decided when {model} was exported; give it with a robot file only")
-        corrector = kernel_corrector(model)
+        corrector = kernel_corrector(model, trust=trust)
     else:
+        if trust:
+            raise InputError(f"--trust: is for a folder with C; {model} is a file, and nothing is compiled")
         sources = Sources(model, nominal, compensator, payload, tool or "shared", leave_out)  # type: ignore[arg-type]
         corrector, (_, lines) = model_corrector(command_of(sources, steps or 2)), followed(sources)
     result = corrected(corrector, read_program(program, corrector.joints))
@@ -79,9 +83,10 @@ def correct(
 
 def _stated(folder: Path) -> str:
     """The remaining error that was measured when a folder was exported."""
-    figures = json.loads((folder / "manifest.json").read_text(encoding="utf-8")).get("figures", {})
-    stated = {key: figures[key] for key in ("rest_um_median", "rest_um_worst") if key in figures}
-    if not stated:
+    from casadical.export.c.manifest import read_manifest
+
+    figures = read_manifest(folder).figures
+    median, worst = figures.get("rest_um_median"), figures.get("rest_um_worst")
+    if median is None or worst is None:
         return "remaining error: not measured"
-    median, worst = stated["rest_um_median"], stated["rest_um_worst"]
     return f"remaining error, measured at export on random poses: median {median:g} um, worst {worst:g} um"

@@ -44,7 +44,7 @@ def read_checksummed(path: str | os.PathLike[str], kind: str, version: int) -> d
         raise InputError(f"{path} is truncated or not JSON ({error}); take an undamaged copy") from None
     if not isinstance(document, dict) or document.get("format") != kind:
         raise InputError(f"{path} is not a {kind} file")
-    if document.get("version") != version:
+    if type(document.get("version")) is not int or document["version"] != version:
         raise InputError(
             f"{path} has version {document.get('version')!r} of {kind}; this casadical reads version {version}"
         )

@@ -2,9 +2,10 @@
 
 import os
 from dataclasses import asdict
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from casadical.compensator.checksummed_json import checksummed, read_checksummed, write_checksummed
 from casadical.compensator.compensator import Compensator
@@ -14,6 +15,10 @@ from casadical.compensator.report import BeforeAfter, Errors
 from casadical.core.errors import InputError
 
 KIND, VERSION = "casadical-compensator", 1
+# A network that is read may correct by so many times the largest error that it was trained on, at poses drawn so often.
+MOST_TIMES, CHECKED_POSES = 10, 1000
+# Joints, layers, or neurons of a layer.
+MOST_NUMBERS = 1000
 
 
 def save_compensator(compensator: Compensator, path: str | os.PathLike[str]) -> None:
@@ -45,11 +50,89 @@ def load_compensator(path: str | os.PathLike[str]) -> Compensator:
     """
     body = read_checksummed(path, KIND, VERSION)
     try:
-        return _compensator(body)
+        _Saved.model_validate(body)
+        found = _compensator(body)
+        _refuse_large(found)
+        return found
+    except ValidationError as error:
+        fault = error.errors()[0]
+        place = ".".join(map(str, fault["loc"]))
+        raise InputError(f"{path} does not hold a usable compensator: {place}: {fault['msg']}") from None
     except InputError as error:
         raise InputError(f"{path} does not hold a usable compensator: {error}") from None
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path} lacks a field of a compensator, or has a wrong one: {error!r}") from None
+
+
+def _refuse_large(found: Compensator) -> None:
+    """Raises InputError where a network corrects, in the box of its training, by far more than it was trained on."""
+    if found.network is None:
+        return
+    lower, upper = np.array(found.trained_box.lower), np.array(found.trained_box.upper)
+    q = np.random.default_rng(0).uniform(lower, upper, (CHECKED_POSES, len(lower)))
+    with np.errstate(all="ignore"):
+        size = float(np.linalg.norm(found.network.output_mm(q), axis=1).max())
+    most = MOST_TIMES * found.training.before.max_mm
+    if not size <= most:
+        raise InputError(
+            f"its network corrects by up to {size:.3g} mm in the box of its training, where errors were "
+            f"{found.training.before.max_mm:.3g} mm at most; allowed: {MOST_TIMES} times that; train it again"
+        )
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class _SavedLayout(_Strict):
+    joints: int = Field(ge=1, le=MOST_NUMBERS)
+    hidden: list[Annotated[int, Field(ge=1, le=MOST_NUMBERS)]] = Field(max_length=MOST_NUMBERS)
+    outputs: int = Field(ge=1, le=MOST_NUMBERS)
+    periodic: list[int]
+
+
+class _SavedBox(_Strict):
+    lower: list[float]
+    upper: list[float]
+
+
+class _SavedNetwork(_Strict):
+    box_rad: _SavedBox
+    output_scale_mm: float = Field(gt=0)
+    weights: list[float]
+
+
+class _SavedErrors(_Strict):
+    poses: int = Field(ge=0)
+    mean_mm: float = Field(ge=0)
+    max_mm: float = Field(ge=0)
+    std_mm: float = Field(ge=0)
+
+
+class _SavedComparison(_Strict):
+    before: _SavedErrors
+    after: _SavedErrors
+    gain: float
+    gain_error: float
+
+
+class _Saved(BaseModel):
+    """The types of a saved compensator; what they must be together is checked by `Compensator` and its parts."""
+
+    model_config = ConfigDict(extra="ignore", strict=True, allow_inf_nan=False)
+
+    layout: _SavedLayout
+    network: _SavedNetwork | None
+    trained_box_rad: _SavedBox
+    training: _SavedComparison
+    choice: _SavedComparison
+    validation: _SavedComparison | None
+    chosen_by: str
+    margin: float
+    trainer: str
+    note: str
+    seed: int
+    data_sha256: str
 
 
 _PLAIN = ("chosen_by", "margin", "trainer", "settings", "note", "seed", "data_sha256")

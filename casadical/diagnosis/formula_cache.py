@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import tempfile
 from contextlib import suppress
 from dataclasses import astuple, dataclass
 from functools import lru_cache
@@ -17,7 +15,9 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.casadi_arrays import ArrayFunction
-from casadical.core.compile_cache import cache_folder
+from casadical.core.errors import InputError
+from casadical.core.files import write_whole
+from casadical.core.private_folder import private_folder
 from casadical.diagnosis.seams import Seams
 from casadical.effects import Effect
 
@@ -59,11 +59,15 @@ class KeptFormulas:
     def __init__(self, s: Seams) -> None:
         self._arm = s.exact.arm
         name = hashlib.sha256(f"{ca.CasadiMeta.version()} {_code()} {s.key}".encode()).hexdigest()[:32]
-        self.path = cache_folder() / f"formulas-{name}.json"
+        folder = private_folder()
+        self.path = None if folder is None else folder / f"formulas-{name}.json"
         self._known: dict[str, Any] = {}
         self._new = False
-        with suppress(OSError, ValueError):
-            self._known = json.loads(self.path.read_text())
+        if self.path is not None:
+            with suppress(OSError, ValueError):
+                digest, _, text = self.path.read_text(encoding="utf-8").partition("\n")
+                if digest == hashlib.sha256(text.encode()).hexdigest():  # else it was damaged, and is made again
+                    self._known = json.loads(text)
 
     def keeps(self, template: Effect) -> bool:
         """Whether formulas of an effect are kept: of those on a list, of the package's own code, with usual sizes."""
@@ -86,15 +90,12 @@ class KeptFormulas:
 
     def write(self) -> None:
         """Write the file if there are new ones; it appears whole or not at all."""
-        if not self._new:
+        if not self._new or self.path is None:
             return
         self._new = False
-        with suppress(OSError):
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            handle, part = tempfile.mkstemp(dir=self.path.parent)
-            with os.fdopen(handle, "w") as file:
-                json.dump(self._known, file)
-            Path(part).replace(self.path)
+        text = json.dumps(self._known)
+        with suppress(InputError):
+            write_whole(self.path, f"{hashlib.sha256(text.encode()).hexdigest()}\n{text}")
 
 
 @lru_cache(maxsize=16)

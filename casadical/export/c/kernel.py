@@ -2,16 +2,17 @@
 
 import ctypes
 import hashlib
-import json
 import tempfile
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import CasadicalError, InputError
+from casadical.core.files import read_bytes, write_whole
+from casadical.core.private_folder import private_folder
 from casadical.export.c.coefficients import DTYPE, Real
 from casadical.export.c.emit import filled, template
 from casadical.export.c.toolchain import Compiler, compilers, shared_library
@@ -116,44 +117,56 @@ def build(shape: Shape, sources: list[Path], folder: Path, compiler: Compiler, f
     return Kernel(shape, library)
 
 
-def load(export: str | Path, folder: str | Path | None = None) -> Kernel:
+def load(export: str | Path, *, trust: bool = False) -> Kernel:
     """Compile what an export folder holds and load it.
 
     export : folder that ``write_c`` wrote
-    folder : where the library goes; a temporary folder, removed at once (the loaded code stays), when not given
+    trust : also compile and run the C of a folder that this user did not export on this machine
 
-    Raises InputError: the folder has no manifest, or a source is not the one that was written. Raises CasadicalError:
-    there is no C compiler, it fails, or the compiled code fails its self-test.
+    Raises InputError: the folder has no manifest, is not trusted, or a source is not the one that was written. Raises
+    CasadicalError: there is no C compiler, it fails, or the compiled code fails its self-test.
     """
+    from casadical.export.c.manifest import read_manifest
+
     export = Path(export)
-    manifest = _manifest(export)
-    facts = manifest["kernel"]
-    shape = Shape(facts["name"], facts["real"], facts["joints"], facts["outputs"])
-    sources = [export / f"{shape.name}.c", export / f"{shape.name}_self_test.c"]
-    for path in (*sources, export / f"{shape.name}.h"):
-        found = hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "missing"
-        if found != manifest["files"].get(path.name):
-            raise InputError(f"{path} is not the file that was exported (sha256 {found[:12]}); export again")
+    manifest = read_manifest(export)
+    if not trust and not exported_here(export):
+        raise InputError(
+            f"{export}: was not exported here by you, and its C would be compiled and run; read it, and give --trust "
+            "(trust=True), or export again from the robot file"
+        )
+    facts = manifest.kernel
+    shape = Shape(facts.name, facts.real, facts.joints, {str(key): size for key, size in facts.outputs.items()})
+    contents = {}
+    for name in (f"{shape.name}.h", f"{shape.name}.c", f"{shape.name}_self_test.c"):
+        blob = read_bytes(export / name) if (export / name).is_file() else b""
+        found = hashlib.sha256(blob).hexdigest() if blob else "missing"
+        if found != manifest.files.get(name):
+            raise InputError(f"{export / name} is not the file that was exported (sha256 {found[:12]}); export again")
+        contents[name] = blob
     available = compilers()
     if not available:
         raise CasadicalError("no C compiler found (gcc, clang or cc); install one, for example: apt-get install gcc")
-    kernel = _loaded(shape, sources, Path(folder) if folder else None, available[0])
-    if kernel.self_test() != 0:
-        raise CasadicalError(f"{shape.name} fails its self-test when compiled with {available[0].version}")
+    with tempfile.TemporaryDirectory() as temporary:  # a loaded library stays usable when its file is gone
+        # What was checked is compiled, whatever becomes of the folder meanwhile.
+        for name, blob in contents.items():
+            (Path(temporary) / name).write_bytes(blob)
+        sources = [Path(temporary) / name for name in list(contents)[1:]]
+        kernel = build(shape, sources, Path(temporary), available[0])
+        if kernel.self_test() != 0:
+            raise CasadicalError(f"{shape.name} fails its self-test when compiled with {available[0].version}")
     return kernel
 
 
-def _loaded(shape: Shape, sources: list[Path], folder: Path | None, compiler: Compiler) -> Kernel:
+def remember(manifest: bytes) -> None:
+    """Keep in the user's private folder that an export with this manifest was written here."""
+    folder = private_folder("exports")
     if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
-        return build(shape, sources, folder, compiler)
-    with tempfile.TemporaryDirectory() as temporary:  # a loaded library stays usable when its file is gone
-        return build(shape, sources, Path(temporary), compiler)
+        with suppress(InputError):  # without it, `correct` asks for --trust
+            write_whole(folder / hashlib.sha256(manifest).hexdigest(), "")
 
 
-def _manifest(export: Path) -> dict[str, Any]:
-    path = export / "manifest.json"
-    if not path.is_file():
-        raise InputError(f"{export} has no manifest.json; give a folder that `casadical export c` wrote")
-    manifest: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    return manifest
+def exported_here(export: Path) -> bool:
+    """Whether this user exported a folder on this machine, and its manifest is unchanged since."""
+    folder = private_folder("exports")
+    return folder is not None and (folder / hashlib.sha256(read_bytes(export / "manifest.json")).hexdigest()).is_file()

@@ -7,6 +7,9 @@ from typing import ClassVar
 
 from casadical.export.c.tape_program import TapeProgram
 
+# Of functions and files, so that it is safe in paths, too.
+NAME = "^[a-z][a-z0-9_]{0,23}$"
+
 
 @dataclass(frozen=True)
 class Label:

@@ -1,11 +1,11 @@
 """The C compilers of this machine, and a shared library made with one of them."""
 
 import shutil
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
 from casadical.core.errors import CasadicalError
+from casadical.core.subprocesses import COMPILE_SECONDS, TRIAL_SECONDS, finished, tried
 
 WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 
@@ -29,8 +29,8 @@ def compilers() -> list[Compiler]:
 def _version(command: str) -> str:
     if shutil.which(command) is None:
         return ""
-    run = subprocess.run([command, "--version"], capture_output=True, text=True, check=False)
-    return run.stdout.splitlines()[0] if run.returncode == 0 and run.stdout else ""
+    run = finished([command, "--version"], TRIAL_SECONDS)
+    return run.stdout.splitlines()[0] if run and run.returncode == 0 and run.stdout else ""
 
 
 def shared_library(
@@ -38,9 +38,16 @@ def shared_library(
 ) -> None:
     """Compile C99 sources to a shared library.
 
-    Raises CasadicalError: the compiler reports an error or a warning; its output is in the message.
+    Raises CasadicalError: the compiler reports an error or a warning (its output is in the message), does not end, or
+    what it made cannot be loaded; it is loaded in a process of its own first.
     """
     command = [compiler.command, "-std=c99", "-fPIC", "-shared", *flags, *map(str, sources), "-o", str(library)]
-    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    run = finished(command, COMPILE_SECONDS)
+    if run is None:
+        raise CasadicalError(f"{compiler.version} was stopped after {COMPILE_SECONDS:g} s with {sources[0].name}")
     if run.returncode != 0:
         raise CasadicalError(f"{compiler.version} does not compile {sources[0].name}:\n{run.stderr[:2000]}")
+    if tried("import ctypes, sys; ctypes.CDLL(sys.argv[1])", str(library)) is None:
+        raise CasadicalError(
+            f"{compiler.version} made of {sources[0].name} what cannot be loaded; use another compiler"
+        )

@@ -80,7 +80,8 @@ def accuracy(program: TapeProgram, count: int = 10_000) -> dict[str, float]:
     Largest errors of the network [um], of the joints' curves [urad] and of the forward kinematics [um]; for curves,
     what is left if a controller commands q - curves(q) [urad], and if it calls twice, q - curves(q - curves(q)); for a
     command, the tool's error before the correction [um], what remains of it over the poses with status OK [um], and
-    their share. Joints at which the model has no value (a four-bar that cannot close) count in the share only. Of
+    their share. Joints at which the model has no value (a four-bar that cannot close) count in this share only, not in
+    the share of those where the correction converged. Of
     tables their bytes and the bound of their error, before rounding [urad].
     """
     q = inside(program, count)
@@ -110,6 +111,7 @@ def accuracy(program: TapeProgram, count: int = 10_000) -> dict[str, float]:
             fine = status == Status.OK
             rest = np.linalg.norm(moved - target, axis=1)[fine]
             figures |= {"start_error_um_mean": 1e6 * float(before[known].mean()), "share_ok": float(fine.mean())}
+            figures["share_converged"] = float(fine[known].mean()) if known.any() else 0.0
             if fine.any():
                 figures |= {"rest_um_median": 1e6 * float(np.median(rest)), "rest_um_worst": 1e6 * float(rest.max())}
     nodes = {node.table: node for tape in program.tapes.values() for node in tape.nodes if node.table}

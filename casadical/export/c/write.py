@@ -12,14 +12,16 @@ from casadical.core.errors import CasadicalError, InputError
 from casadical.core.files import claimed, write_together
 from casadical.export.c.c_source import SCHEMA
 from casadical.export.c.coefficients import Real
-from casadical.export.c.language import Label
+from casadical.export.c.kernel import remember
+from casadical.export.c.language import NAME, Label
 from casadical.export.c.products import Product
 from casadical.export.c.registry import written_in
 from casadical.export.c.tape_program import TapeProgram, tape_program
-from casadical.export.c.toolchain import Compiler, compilers
+from casadical.export.c.toolchain import compilers
 from casadical.export.c.verification import Comparison, accuracy, compared, shape_of
 
-_NAME = re.compile(r"[a-z][a-z0-9_]{0,23}")
+# Share of the poses in its box at which a verified correction converges, where the model has a value.
+LEAST_CONVERGED = 0.9
 
 
 @dataclass(frozen=True)
@@ -33,16 +35,25 @@ class Export:
 
     @property
     def verified(self) -> bool:
-        """Whether a compiler was there and the compiled C gave the reference's bits."""
-        return bool(self.comparisons)
+        """Whether a compiler was there, its C gave the reference's bits, and a correction converges in its box."""
+        return bool(self.comparisons) and self.converges
+
+    @property
+    def converges(self) -> bool:
+        """Whether a correction has status OK at nine of ten poses in its box; true where nothing is corrected."""
+        return self.figures.get("share_converged", 1.0) >= LEAST_CONVERGED
 
     def report(self) -> str:
         """Whether it is verified, every comparison, and the figures of this model."""
-        head = (
-            "verified: compiled, and the same bits as the reference"
-            if self.verified
-            else "UNVERIFIED: no C compiler found (gcc, clang, cc); install one and export again"
-        )
+        head = "verified: compiled, and the same bits as the reference"
+        if not self.converges:
+            share = 100 * self.figures["share_converged"]
+            head = (
+                f"UNVERIFIED: the correction converges at {share:.3g} % of the poses in its box, "
+                f"{100 * LEAST_CONVERGED:g} % are needed; other poses are refused, with their status"
+            )
+        elif not self.comparisons:
+            head = "UNVERIFIED: no C compiler found (gcc, clang, cc); install one and export again"
         lines = [head, *map(str, self.comparisons)]
         lines += [f"{key}: {value:g}" for key, value in self.figures.items()]
         return "\n".join([*lines, f"{len(self.files)} files in {self.folder}"])
@@ -89,14 +100,16 @@ def write_c(
     if wrong:
         raise CasadicalError("the compiled C differs from its reference; nothing was written:\n" + "\n".join(wrong))
     figures = accuracy(program)
-    blobs["manifest.json"] = _manifest(program, label, blobs, comparisons, figures, found)
+    made = Export(folder, tuple(sorted([*blobs, "manifest.json"])), tuple(comparisons), figures)
+    blobs["manifest.json"] = _manifest(program, label, blobs, made)
     with claimed([folder]):
         write_together({folder / key: blob for key, blob in blobs.items()})
-    return Export(folder, tuple(sorted(blobs)), tuple(comparisons), figures)
+    remember(blobs["manifest.json"])
+    return made
 
 
 def _checked_label(name: str, real: str, model_sha256: str, data_sha256: str) -> Label:
-    if not _NAME.fullmatch(name):
+    if not re.fullmatch(NAME, name):
         raise InputError(f"{name!r} cannot prefix C functions; use 1 to 24 of a-z, 0-9, _, beginning with a letter")
     if real not in ("float", "double"):
         raise InputError(f"real type {real!r}; it must be 'float' or 'double'")
@@ -141,9 +154,7 @@ def _manifest(
     program: TapeProgram,
     label: Label,
     blobs: dict[str, bytes],
-    comparisons: list[Comparison],
-    figures: dict[str, float],
-    found: list[Compiler],
+    made: Export,
 ) -> bytes:
     shape = shape_of(program, label.name)
     content = {
@@ -154,8 +165,8 @@ def _manifest(
         "data_sha256": label.data_sha256,
         "kernel": {"name": shape.name, "real": shape.real, "joints": shape.joints, "outputs": shape.outputs},
         "files": {key: _sha256(blob) for key, blob in sorted(blobs.items())},
-        "verified": bool(found),
-        "comparisons": [vars(c) for c in comparisons],
-        "figures": figures,
+        "verified": made.verified,
+        "comparisons": [vars(c) for c in made.comparisons],
+        "figures": made.figures,
     }
     return (json.dumps(content, indent=2) + "\n").encode()

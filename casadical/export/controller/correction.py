@@ -89,16 +89,17 @@ class Corrected:
         return found
 
 
-def kernel_corrector(folder: Path) -> Corrector:
-    """Correction by the C in an export folder, compiled here. Raises InputError, also where there is no compiler."""
+def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
+    """Correction by the C in an export folder, compiled here.
+
+    trust : as of `casadical.export.c.kernel.load`. Raises InputError, also where there is no compiler.
+    """
     try:
-        kernel = load(folder)
+        kernel = load(folder, trust=trust)
     except InputError:
         raise
     except CasadicalError as error:
         raise InputError(f"{folder}: {error}; or give the robot file in place of the folder") from None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{folder}/manifest.json is damaged ({error!r}); export again") from None
     if "correct" not in kernel.shape.outputs:
         raise InputError(f"{folder}: holds no correction of a command; export with --what command")
 

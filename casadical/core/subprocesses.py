@@ -1,0 +1,44 @@
+"""Other programs with a time limit: compilers, and the trial of what they made, in a process that may crash."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+
+COMPILE_SECONDS, TRIAL_SECONDS = 300.0, 60.0
+
+
+def finished(command: Sequence[str], seconds: float) -> subprocess.CompletedProcess[str] | None:
+    """A program that was run to its end; None where it cannot be started, or was stopped after so many seconds.
+
+    It gets no input, and what it started itself is stopped with it.
+    """
+    try:
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            errors="replace", start_new_session=True,
+        )  # fmt: skip
+    except OSError:
+        return None
+    try:
+        out, error = process.communicate(timeout=seconds)
+    except subprocess.TimeoutExpired:
+        return None
+    finally:
+        if process.returncode is None:
+            with suppress(OSError, AttributeError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.kill()
+            process.communicate()
+    return subprocess.CompletedProcess(command, process.returncode, out, error)
+
+
+def tried(code: str, *arguments: str, modules: bool = False) -> str | None:
+    """What a line of Python prints in a process of its own; None where it fails, crashes, or does not end.
+
+    modules : whether it needs more than the standard library
+    """
+    done = finished([sys.executable, *(["-P"] if modules else ["-I", "-S"]), "-c", code, *arguments], TRIAL_SECONDS)
+    return done.stdout if done is not None and done.returncode == 0 else None

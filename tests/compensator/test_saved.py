@@ -1,0 +1,75 @@
+"""A saved network whose checksum was computed again still is checked: types, shapes, and the size of its correction."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from casadical.compensator import Compensator, load_compensator, save_compensator
+from casadical.compensator.checksummed_json import checksummed
+from casadical.core.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    rng = np.random.default_rng(0)
+    q = rng.uniform(-1, 1, (60, 2))
+    residual = np.stack([np.sin(q[:, 0]), q[:, 1] ** 2, q[:, 0] * q[:, 1]], axis=1)
+    made = Compensator.fit(q, residual, folds=2)
+    assert made.network is not None
+    path = tmp_path_factory.mktemp("net") / "net.json"
+    save_compensator(made, path)
+    return path
+
+
+def resealed(saved: Path, tmp_path: Path, change) -> Path:
+    """A copy with a change and a checksum that fits."""
+    body = json.loads(saved.read_text())
+    for key in ("format", "version", "sha256"):
+        body.pop(key)
+    change(body)
+    path = tmp_path / "changed.json"
+    path.write_text(checksummed("casadical-compensator", 1, body))
+    return path
+
+
+def test_an_unchanged_copy_is_read(saved: Path, tmp_path: Path) -> None:
+    q = np.array([[0.1, 0.2]])
+    copy = load_compensator(resealed(saved, tmp_path, lambda body: None))
+    assert np.array_equal(copy.correction_mm(q), load_compensator(saved).correction_mm(q))
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda b: b["network"].update(weights=[1e308] * len(b["network"]["weights"])), "corrects by up to"),
+        (lambda b: b["network"].update(output_scale_mm=1e6), "corrects by up to"),
+        (lambda b: b["network"].update(output_scale_mm=1e308), "corrects by up to"),
+        (lambda b: b["network"].update(weights=["1.0"] * len(b["network"]["weights"])), "valid number"),
+        (lambda b: b["network"].update(weights=[True] * len(b["network"]["weights"])), "valid number"),
+        (lambda b: b["network"]["weights"].pop(), "weights; the array's shape"),
+        (lambda b: b["layout"].update(hidden=[5.7]), "valid integer"),
+        (lambda b: b["layout"].update(hidden=[10**9]), "less than or equal"),
+        (lambda b: b["layout"].update(joints=True), "valid integer"),
+        (lambda b: b["network"]["box_rad"].update(lower=[0.0]), "box"),
+        (lambda b: b["training"]["before"].update(max_mm="large"), "valid number"),
+        (lambda b: b.pop("layout"), "Field required"),
+        (lambda b: b.update(network=[]), "network"),
+    ],
+)
+def test_what_is_no_such_network_is_refused(saved: Path, tmp_path: Path, change, told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        load_compensator(resealed(saved, tmp_path, change))
+
+
+def test_a_version_must_be_a_number(saved: Path, tmp_path: Path) -> None:
+    body = json.loads(saved.read_text())
+    body.pop("sha256")
+    kind, _ = body.pop("format"), body.pop("version")
+    path = tmp_path / "v.json"
+    path.write_text(checksummed(kind, True, body))
+    with pytest.raises(InputError, match="has version True"):
+        load_compensator(path)

@@ -1,0 +1,123 @@
+"""Compiled kernels are trusted only from a folder of one's own, as they were made, and after a trial elsewhere."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import stat
+import time
+from pathlib import Path
+
+import casadi as ca
+import pytest
+
+from casadical.core import compile_cache, private_folder, subprocesses
+from casadical.core.compile_cache import compiled, compiler
+
+X = ca.SX.sym("x", 2)
+CRASH = "__attribute__((constructor)) static void f(void) { __builtin_trap(); }"
+F = ca.Function("twice", [X], [2 * ca.sin(X), ca.log(-X)])
+
+pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler here")
+
+
+@pytest.fixture
+def cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def fake_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, script: str) -> None:
+    """A compiler by the name of $CC; in its script $OUT is the output's path, GCC the real compiler."""
+    path = tmp_path / "fakecc"
+    real = shutil.which("gcc") or compiler()
+    head = "#!/bin/bash\nwhile [ $# -gt 0 ]; do case $1 in -o) OUT=$2;; *.c) SRC=$2$1;; esac; shift; done\n"
+    path.write_text(head.replace("$2$1", "$1") + script.replace("GCC", str(real)))
+    path.chmod(0o755)
+    monkeypatch.setenv("CC", str(path))
+
+
+def test_the_cache_is_the_users_own(cache: Path) -> None:
+    assert compiled(F) is not F
+    assert stat.S_IMODE(cache.stat().st_mode) == 0o700
+
+
+@pytest.mark.parametrize("size", [0, 100, 9000])
+def test_a_damaged_library_is_made_again(cache: Path, size: int) -> None:
+    compiled(F)
+    (library,) = cache.iterdir()
+    whole = library.read_bytes()
+    library.write_bytes(whole[:size])
+    again = compiled(F)
+    assert again is not F
+    assert library.read_bytes() == whole
+    assert float(again([0.5, 1.0])[0][0]) == float(F([0.5, 1.0])[0][0])
+
+
+def test_libraries_in_a_folder_that_others_could_write_to_are_not_used(cache: Path) -> None:
+    compiled(F)
+    (library,) = cache.iterdir()
+    before = library.stat().st_ino
+    cache.chmod(0o777)
+    (cache / "notes.txt").write_text("mine")
+    assert compiled(F) is not F
+    assert stat.S_IMODE(cache.stat().st_mode) == 0o700
+    assert library.stat().st_ino != before
+    assert (cache / "notes.txt").read_text() == "mine"
+
+
+def test_a_folder_of_somebody_else_and_a_link_are_not_used(cache: Path, monkeypatch, tmp_path) -> None:
+    (tmp_path / "theirs").mkdir()
+    cache.symlink_to(tmp_path / "theirs")
+    assert compiled(F) is F
+    cache.unlink()
+    cache.mkdir()
+    user = os.geteuid()
+    monkeypatch.setattr(private_folder.os, "geteuid", lambda: user + 1)
+    assert compiled(F) is F
+    assert list(cache.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "script",
+    [
+        'echo junk > "$OUT"',  # no library
+        'GCC -shared -fPIC -x c -o "$OUT" - <<< "int nothing;"',  # a library without the function
+        'sed "s/sin(/cos(/g" "$SRC" > "$OUT.c"; GCC -O1 -shared -fPIC -o "$OUT" "$OUT.c" -lm',  # computes wrong
+        f'GCC -shared -fPIC -x c -o "$OUT" - <<< "{CRASH}"',
+    ],
+)
+def test_what_a_bad_compiler_makes_is_neither_kept_nor_used(cache: Path, monkeypatch, tmp_path, script: str) -> None:
+    fake_compiler(monkeypatch, tmp_path, script)
+    assert compiled(F) is F
+    assert list(cache.iterdir()) == []
+
+
+def test_the_same_fake_with_an_honest_script_is_used(cache: Path, monkeypatch, tmp_path) -> None:
+    fake_compiler(monkeypatch, tmp_path, 'GCC -O1 -shared -fPIC -o "$OUT" "$SRC" -lm')
+    assert compiled(F) is not F
+
+
+def test_a_compiler_that_does_not_end_is_stopped_with_what_it_started(cache: Path, monkeypatch, tmp_path) -> None:
+    fake_compiler(monkeypatch, tmp_path, f"(sleep 4; touch {tmp_path / 'survived'}) & wait")
+    monkeypatch.setattr(compile_cache, "COMPILE_SECONDS", 1.0)
+    began = time.monotonic()
+    assert compiled(F) is F
+    assert time.monotonic() - began < 4
+    time.sleep(4)
+    assert not (tmp_path / "survived").exists()
+
+
+def test_a_program_that_does_not_end_or_start_gives_nothing() -> None:
+    assert subprocesses.finished(["sleep", "60"], 0.2) is None
+    assert subprocesses.finished(["/no/such/program"], 1) is None
+    assert subprocesses.tried("import os; os.abort()") is None
+    assert subprocesses.tried("print(6 * 7)") == "42\n"
+
+
+def test_without_a_home_nothing_is_made_in_the_working_folder(monkeypatch, tmp_path) -> None:
+    monkeypatch.delenv("CASADICAL_CACHE", raising=False)
+    monkeypatch.setattr(private_folder.platformdirs, "user_cache_dir", lambda name: f"~/.cache/{name}")
+    monkeypatch.chdir(tmp_path)
+    assert compiled(F) is F
+    assert list(tmp_path.iterdir()) == []
