@@ -8,7 +8,7 @@ import traceback
 
 from casadical.cli.root import app as app
 from casadical.cli.terminal import BAD_INPUT, NO_CONVERGENCE, OUR_BUG
-from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.errors import ConvergenceError, InputError, shown
 from casadical.core.threads import one_thread
 
 
@@ -26,6 +26,13 @@ def main() -> None:
     except KeyboardInterrupt:
         print("casadical: interrupted, nothing was written", file=sys.stderr)  # noqa: T201
         sys.exit(130)
+    except OSError as error:
+        place = "" if error.filename is None else f"{shown(error.filename)}: "
+        print(f"casadical: {place}{error.strerror or error}", file=sys.stderr)  # noqa: T201
+        sys.exit(BAD_INPUT)
+    except MemoryError:
+        print("casadical: there is not enough memory for this; give fewer poses or a smaller number", file=sys.stderr)  # noqa: T201
+        sys.exit(BAD_INPUT)
     except Exception:
         traceback.print_exc()
         print("casadical: this is a bug in casadical; please report it with the lines above", file=sys.stderr)  # noqa: T201

@@ -4,11 +4,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from casadical.cli.completion import losses, methods
 from casadical.cli.options import Details, Frozen, Json, Prior, PriorEffects, Problems, Quiet, Report, carried
-from casadical.cli.terminal import WORSE, as_text, as_typed, keep, working
+from casadical.cli.terminal import WORSE, as_text, as_typed, keep, working, wrapped
 from casadical.core.blocks import terminal
 from casadical.core.errors import InputError
 
@@ -73,7 +72,7 @@ def calibrate(
         from casadical.report.optional_imports import require
 
         require()
-    console = Console(quiet=quiet, soft_wrap=False)
+    console = wrapped(quiet)
     known = carried(prior, prior_effects, frozen)
     found: dict[str, Any] = {}
     done: list[work.Calibration] = []

@@ -3,10 +3,9 @@
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from casadical.cli.options import Details, Json, Problems, Quiet
-from casadical.cli.terminal import BAD_INPUT, keep_json, working
+from casadical.cli.terminal import BAD_INPUT, keep_json, working, wrapped
 
 
 def check(
@@ -36,7 +35,7 @@ def check(
     from casadical.project.check import precheck
     from casadical.project.check.report import as_json, brief, report
 
-    console = Console(quiet=quiet)
+    console = wrapped(quiet)
     found = []
     for folder in problems:
         with working(quiet, "checking", folder.name):

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from casadical.cli.options import Campaigns, Effects, Frozen, Json, Prior, PriorEffects, Problem, Quiet, Report, carried
-from casadical.cli.terminal import as_text, as_typed, keep, keep_json, working
+from casadical.cli.terminal import as_text, as_typed, keep, keep_json, working, wrapped
 
 if TYPE_CHECKING:
     from casadical.robot.robot import Robot
@@ -49,7 +49,7 @@ def diagnose(
         Path | None,
         typer.Option("--next", metavar="FILE", help="Write poses that distinguish the leading causes, as CSV."),
     ] = None,
-    next_n: Annotated[int, typer.Option("--next-n", min=1, help="How many of these poses.")] = 15,
+    next_n: Annotated[int, typer.Option("--next-n", min=1, max=1000, help="How many of these poses.")] = 15,
     room: Annotated[
         Path | None,
         typer.Option(metavar="FILE.toml", help="Where these may lie: limits, floor, boxes, tracker; see docs/plan.md."),
@@ -70,7 +70,12 @@ def diagnose(
     ] = None,
     bootstrap: Annotated[
         int,
-        typer.Option(min=0, metavar="N", help="Draws of noise alone that calibrate whether something is there: 2000."),
+        typer.Option(
+            min=0,
+            max=1_000_000,
+            metavar="N",
+            help="Draws of noise alone that calibrate whether something is there: 2000.",
+        ),
     ] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Of all chance.")] = 0,
     isolability: Annotated[
@@ -100,9 +105,11 @@ def diagnose(
         from casadical.report.optional_imports import require
 
         require()
+    if room and measure_next is None:
+        raise InputError("--room says where the poses of --next may lie; give --next FILE, too")
     if unlisted and out is None:
         raise InputError("--unlisted says what --out writes; give --out DIR, too")
-    console = Console(quiet=quiet)
+    console = wrapped(quiet)
     robot = read_campaign_robot(problem)
     if isolability:
         _print_isolability(problem, robot, campaigns, effects, json_file, console)

@@ -5,10 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import click
 import typer
-from rich.console import Console
 
 from casadical.cli.options import Json, Quiet
-from casadical.cli.terminal import keep_json
+from casadical.cli.terminal import keep_json, wrapped
 from casadical.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,8 +31,9 @@ def new(
         ),
     ] = None,
     convention: Annotated[
-        str, typer.Option(metavar="WORD", help="Convention of the DH table: modified (Craig) or standard.")
-    ] = "modified",
+        str | None,
+        typer.Option(metavar="WORD", help="Convention of the DH table: modified (Craig, the default) or standard."),
+    ] = None,
     data: Annotated[
         Path | None,
         typer.Option(
@@ -59,14 +59,18 @@ def new(
     """
     from casadical.project.new import new_problem
 
-    console = Console(quiet=quiet)
+    if convention is not None and dh is None:
+        raise InputError("--convention is of a table of DH rows; give --dh FILE.csv, too")
+    if urdf is None and (base_link or tip_link):
+        raise InputError("--base-link and --tip-link are of a URDF; give --urdf FILE, too")
+    console = wrapped(quiet)
     problem = new_problem(
         folder,
         urdf=urdf,
         base_link=base_link,
         tip_link=tip_link,
         dh=dh,
-        convention=convention,
+        convention=convention or "modified",
         data=data,
         ask=None if yes else _ask,
         show=console.print,

@@ -22,7 +22,8 @@ Compensator = Annotated[
     typer.Option(metavar="NET.json", help="A trained compensator, as `casadical calibrate --out` writes it."),
 ]
 Payload = Annotated[
-    float | None, typer.Option(metavar="KG", help="Mass on the flange; default: as the robot file declares.")
+    float | None,
+    typer.Option(metavar="KG", min=0, max=1e5, help="Mass on the flange; default: as the robot file declares."),
 ]
 LeaveOut = Annotated[
     bool,

@@ -3,7 +3,7 @@
 import inspect
 import json
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from fnmatch import fnmatch
 from functools import wraps
@@ -12,6 +12,7 @@ from typing import Any, get_type_hints
 
 from casadical.core.errors import InputError, shown
 from casadical.core.files import claimed, real_path
+from casadical.core.plain_values import number_fault, text_fault
 
 # Parameters of commands that name outputs; every other path is an input.
 _OUTPUTS = ("out", "json_file", "report_file", "measure_next", "figure")
@@ -38,6 +39,7 @@ def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[.
 
     @wraps(command)
     def run(**given: Any) -> Any:
+        _refuse_unusable(given, outputs)
         paths = {name: value for name, value in given.items() if isinstance(value, Path)}
         inputs = [path for name, path in paths.items() if name not in outputs]
         inputs += [p for v in given.values() if isinstance(v, list) for p in v if isinstance(p, Path)]
@@ -48,6 +50,21 @@ def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[.
             return command(**given)
 
     return run
+
+
+def _refuse_unusable(given: Mapping[str, Any], outputs: Collection[str]) -> None:
+    """Raises InputError for a number, a text or a path that no option can mean."""
+    for name, value in given.items():
+        for one in value if isinstance(value, list) else [value]:
+            fault = ""
+            if isinstance(one, Path) and name not in outputs:
+                _real(one, "read")
+            if isinstance(one, Path | str):
+                fault = text_fault(str(one))
+            elif isinstance(one, int | float):
+                fault = number_fault(one)
+            if fault:
+                raise InputError(f"--{name.replace('_', '-')} {shown(one)}: {fault}")
 
 
 def _metavars(command: Callable[..., Any]) -> Mapping[str, str]:
@@ -90,12 +107,12 @@ def _of_a_set(name: str) -> bool:
     return any(fnmatch(name, pattern) for pattern in _SET)
 
 
-def _real(path: Path) -> Path:
+def _real(path: Path, done: str = "written") -> Path:
     try:
         return real_path(path)
     except (OSError, ValueError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{shown(path)}: cannot be written: {reason}; nothing was written") from None
+        raise InputError(f"{shown(path)}: cannot be {done}: {reason}; nothing was written") from None
 
 
 def _inputs(path: Path) -> Iterator[Path]:

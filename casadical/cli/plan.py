@@ -4,11 +4,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from casadical.cli import completion as words
 from casadical.cli.options import Json, Quiet
-from casadical.cli.terminal import keep, working
+from casadical.cli.terminal import keep, working, wrapped
 from casadical.core.errors import InputError
 
 
@@ -19,7 +18,9 @@ def plan(
     ],
     n: Annotated[
         int | None,
-        typer.Option("-n", min=1, help="Number of joint readings to measure; without it, print how many are enough."),
+        typer.Option(
+            "-n", min=1, max=10_000, help="Number of joint readings to measure; without it, print how many are enough."
+        ),
     ] = None,
     out: Annotated[
         Path | None,
@@ -51,7 +52,7 @@ def plan(
     ] = None,
     every_payload: Annotated[bool, typer.Option(help="Measure each reading with all payloads.")] = False,
     both_approaches: Annotated[bool, typer.Option(help="Approach each reading from either side.")] = False,
-    repeats: Annotated[int, typer.Option(min=1, help="Passes over all poses.")] = 1,
+    repeats: Annotated[int, typer.Option(min=1, max=1000, help="Passes over all poses.")] = 1,
     noise_mm: Annotated[
         float | None,
         typer.Option(min=0, help="Noise of a coordinate, one sigma; default: 0.02, or estimated from --measured."),
@@ -110,7 +111,7 @@ def plan(
     texts = found.files(place) if place else {}
     if json_file:
         texts[json_file] = json_text(found.to_json())
-    console = Console(quiet=quiet)
+    console = wrapped(quiet)
     console.print(found.report())
     console.print(planned_with(problem, measured))
     keep(texts, console)
@@ -118,7 +119,14 @@ def plan(
 
 def _numbers(text: str | None) -> tuple[float, ...]:
     """Payloads by commas. Raises InputError."""
+    from casadical.measurements.columns import POSSIBLE
+
     try:
-        return tuple(float(word) for word in text.split(",")) if text else ()
+        found = tuple(float(word) for word in text.split(",")) if text else ()
     except ValueError:
         raise InputError(f"--payloads {text}: allowed: numbers by commas, such as 0,120") from None
+    least, most = POSSIBLE["payload_kg"]
+    for number in found:
+        if not least <= number <= most:
+            raise InputError(f"--payloads {text}: {number:g} kg is not possible; allowed: {least:g} to {most:g}")
+    return found

@@ -23,6 +23,11 @@ def as_text(figures: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> str:
     return json_text(whole)
 
 
+def wrapped(quiet: bool, width: int | None = None) -> Console:
+    """A console for tables and sentences, as wide as the terminal; brackets in names are no markup."""
+    return Console(quiet=quiet, width=width, markup=False, emoji=False)
+
+
 def plain(quiet: bool) -> Console:
     """A console for lines that are neither wrapped nor coloured."""
     return Console(quiet=quiet, soft_wrap=True, highlight=False, markup=False, emoji=False)
@@ -64,7 +69,7 @@ def working(quiet: bool, step: str, name: str = "") -> Iterator[Show]:
     step : what is done first; name : of what. The function that it gives takes the next step's name.
     """
     console = Console(stderr=True)
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
     head = f"{name}: " if name else ""
     with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
         task = bar.add_task(head + step, total=None)

@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from casadical.cli.options import Json, Quiet
 from casadical.cli.outputs import guarded
-from casadical.cli.terminal import Show, keep_json, working
+from casadical.cli.terminal import Show, keep_json, working, wrapped
 from casadical.core.errors import InputError
 
 withheld_app = typer.Typer(
@@ -21,7 +20,7 @@ withheld_app = typer.Typer(
 INTERRUPTED = 130
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder with the campaigns.")]
-Workers = Annotated[int | None, typer.Option(min=1, help="Processes; default: one a core.")]
+Workers = Annotated[int | None, typer.Option(min=1, max=1000, help="Processes; default: one a core.")]
 
 
 @withheld_app.callback()
@@ -40,7 +39,7 @@ def make_command(
     key: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for the key, apart; default: DIR with -key behind it.")
     ] = None,
-    n: Annotated[int, typer.Option("--n", "-n", min=4, help="Number of campaigns.")] = 60,
+    n: Annotated[int, typer.Option("--n", "-n", min=4, max=10_000, help="Number of campaigns.")] = 60,
     seed: Annotated[
         int | None, typer.Option(min=0, help="Of everything drawn; default: a random one, kept in the key.")
     ] = None,
@@ -68,7 +67,7 @@ def make_command(
     with working(quiet, "drawing campaigns") as step, pool(None, workers) as executor:
         show = _counted(step)
         made = make(out, place, n, seed, poses=sizes, physics=reality, project=project, executor=executor, show=show)
-    console = Console(quiet=quiet)
+    console = wrapped(quiet)
     console.print(f"wrote {len(made.campaigns)} campaigns to {out}, their key to {place}", soft_wrap=True)
     console.print(f"sha256 of the key: {made.key_sha256}", soft_wrap=True)
     kept = {"campaigns": list(made.campaigns), "folder": str(out), "key": str(place), "key_sha256": made.key_sha256}
@@ -114,7 +113,7 @@ def predict_command(
     except KeyboardInterrupt:
         typer.echo("casadical: interrupted; the answers so far are kept, the same command goes on from there", err=True)
         raise typer.Exit(INTERRUPTED) from None
-    console = Console(quiet=quiet)
+    console = wrapped(quiet)
     console.print(f"wrote {path}", soft_wrap=True)
     keep_json(json_file, {"answers": str(path), "by": by}, console)
 
@@ -141,9 +140,9 @@ def score_command(
     from casadical.blind_check.scoring import in_common, score
 
     scores = in_common([score(folder, key, path) for path in answers])
-    console = Console(quiet=quiet)
+    console = wrapped(quiet)
     # Wide tables are for files and wide windows; they are never folded.
-    Console(quiet=quiet, width=max(console.width, 240, 90 + 40 * len(scores))).print(report(scores), soft_wrap=True)
+    wrapped(quiet, max(console.width, 240, 90 + 40 * len(scores))).print(report(scores), soft_wrap=True)
     keep_json(json_file, [s.as_json() for s in scores], console)
     if figure:
         draw_confusion(scores[0], figure)

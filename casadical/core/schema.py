@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from casadical.core.errors import InputError, shown
 from casadical.core.files import read_bytes
+from casadical.core.plain_values import unusable
 
 
 class FaultError(ValueError):
@@ -24,14 +25,15 @@ class FaultError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Quantity:
-    """A physical quantity: the unit suffixes that its key may have, each with its factor to SI."""
+    """A physical quantity: the unit suffixes that its key may have, its factor to SI; its largest size [SI]."""
 
     factors: Mapping[str, float]
+    most: float
 
 
-LENGTH = Quantity({"_mm": 1e-3, "_m": 1.0})
-ANGLE = Quantity({"_deg": np.pi / 180, "_rad": 1.0, "_mrad": 1e-3})
-READING = Quantity({**ANGLE.factors, **LENGTH.factors})  # of a joint, revolute or prismatic
+LENGTH = Quantity({"_mm": 1e-3, "_m": 1.0}, 1e4)
+ANGLE = Quantity({"_deg": np.pi / 180, "_rad": 1.0, "_mrad": 1e-3}, 1e3)
+READING = Quantity({**ANGLE.factors, **LENGTH.factors}, 1e4)  # of a joint, revolute or prismatic
 
 Length = Annotated[float, LENGTH]
 Angle = Annotated[float, ANGLE]
@@ -56,6 +58,9 @@ class TomlTable(BaseModel):
             if name in found:
                 raise FaultError(key, f"{name} is given twice, with different units; keep one")
             found[name] = value if factor is None else _to_si(value, factor)
+            quantity = _quantity(cls.model_fields[name].metadata) if factor is not None else None
+            if factor is not None and quantity is not None and _size(found[name]) > quantity.most:
+                raise FaultError(key, f"allowed: at most {quantity.most / factor:.6g}")
         return found
 
     @classmethod
@@ -89,11 +94,18 @@ def _to_si(value: Any, factor: float) -> Any:
     return value * factor if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
+def _size(value: Any) -> float:
+    """The largest absolute value of a number or of those in a list; 0 for what is neither, which its type refuses."""
+    if isinstance(value, list):
+        return max(map(_size, value), default=0.0)
+    return abs(value) if isinstance(value, int | float) and not isinstance(value, bool) else 0.0
+
+
 def load_toml(path: Path) -> dict[str, Any]:
     """Tables of a TOML file. Raises InputError."""
     try:
         return tomllib.loads(read_bytes(path).decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:  # of TOML, of its encoding, or an integer of thousands of digits
         raise InputError(f"{shown(path)}: not valid TOML: {error}") from None
     except RecursionError:
         raise InputError(f"{shown(path)}: not valid TOML: nested too deeply") from None
@@ -101,6 +113,9 @@ def load_toml(path: Path) -> dict[str, Any]:
 
 def check(schema: type[Schema], data: Mapping[str, Any], source: str) -> Schema:
     """Check data against a schema; `source` names them. Raises InputError that lists every fault by key."""
+    wrong = [f"  {place}: {fault}" for place, fault in unusable(data)]
+    if wrong:
+        raise InputError(f"{source}: {len(wrong)} fault(s)\n" + "\n".join(wrong[:20]))
     try:
         return schema.model_validate(data)
     except ValidationError as error:

@@ -11,11 +11,22 @@ import pandas as pd
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.plain_values import LARGEST
 from casadical.measurements.raw_table import RawTable, refuse_repeated_names
 
 _TO_SI = {"_mm": 1e-3, "_m": 1.0, "_deg": np.pi / 180, "_rad": 1.0}
 # More turns than this are refused; joints that all move less [deg] may have been logged in radians.
 MOST_TURNS, RADIANS = 4, 6.3
+# Least and largest values of columns that the model and effects ask for [their own unit].
+POSSIBLE = {
+    "payload_kg": (0.0, 1e5),
+    "temperature_degC": (-273.15, 1e4),
+    "time_s": (-1e12, 1e12),
+    "pose": (-1e12, 1e12),
+    "weight": (-LARGEST, LARGEST),
+}
+_NUMBERS = re.compile(r"warmth_\w+|approach\d+")
+_READING = re.compile(r"q(\d+)_(deg|rad|mm|m)")
 # Readings, weights and sets.
 _NO_CONDITIONS = r"q\d+_(deg|rad|mm|m)|weight|set"
 
@@ -46,11 +57,14 @@ class Columns:
 
     table : headers without blanks around them, empty columns left out
     source : file name or description; row : shape (n,), line of the file at which each row stands
+    empty : headers of columns without a cell, which are left out; taken : of those that others were made of
     """
 
     table: pd.DataFrame
     source: str
     row: Array
+    empty: tuple[str, ...] = ()
+    taken: tuple[str, ...] = ()
 
     @staticmethod
     def of_file(raw: RawTable) -> Columns:
@@ -84,7 +98,8 @@ class Columns:
         shifts = [s.rows for s in sources.values()]
         first, last = max(0, -min(shifts, default=0)), len(self.row) - max(0, *shifts, 0)
         table = self.table.drop(columns=sorted(moved)).assign(**made)
-        return replace(self, table=table.iloc[first:last].reset_index(drop=True), row=self.row[first:last])
+        taken = (*self.taken, *(name for name, _ in named), *point_from)
+        return replace(self, table=table.iloc[first:last].reset_index(drop=True), row=self.row[first:last], taken=taken)
 
     def _made(self, source: Source) -> pd.Series:
         """A column as its source says; cells that are no numbers stay as they are where nothing is computed."""
@@ -131,8 +146,15 @@ class Columns:
         if bad.size:
             text = self.table[name].iloc[int(bad[0])]
             raise InputError(
-                f"{self.at(bad[0])}, column {name!r}: {text!r} is not a finite number "
+                f"{self.at(bad[0])}, column {name!r}: {_cell(text)} is not a finite number "
                 f"({bad.size} such in this column); correct or delete the row"
+            )
+        least, most = POSSIBLE.get(name, (-LARGEST, LARGEST))
+        bad = np.flatnonzero((values < least) | (values > most))
+        if bad.size:
+            raise InputError(
+                f"{self.at(bad[0])}, column {name!r}: {values[bad[0]]:g} is not possible; allowed: {least:g} to "
+                f"{most:g} ({bad.size} such in this column); correct or delete the row"
             )
         return values
 
@@ -156,9 +178,10 @@ class Columns:
         for i, kind in enumerate(kinds, 1):
             units = ("_deg", "_rad") if kind == "revolute" else ("_mm", "_m")
             columns.append(self.si(f"q{i}", units))
-        extra = [c for c in self.table if str(c).startswith(f"q{len(kinds) + 1}_")]
-        if extra:
-            raise InputError(f"{self.source}: column {extra[0]!r}: this robot has only {len(kinds)} joints")
+        for name in map(str, self.table):
+            found = _READING.fullmatch(name)
+            if found and not 1 <= int(found[1]) <= len(kinds):
+                raise InputError(f"{self.source}: column {name!r}: this robot has only {len(kinds)} joints")
         q = np.stack(columns, axis=1)
         self._refuse_other_angle_unit(q, kinds)
         return q
@@ -202,9 +225,21 @@ class Columns:
             if others.fullmatch(name):
                 continue
             numeric = pd.to_numeric(self.table[name], errors="coerce").notna()
-            if numeric.mean() >= 0.5:  # some words among numbers are mistakes: `column` says where
+            # Some words among numbers are mistakes: `column` says where. What the model asks for must be numbers.
+            if numeric.mean() >= 0.5 or name in POSSIBLE or _NUMBERS.fullmatch(name):
                 found[name] = self.column(name)
         return found
+
+    def unused(self, conditions: Collection[str], observations: Iterable[str]) -> tuple[str, ...]:
+        """Columns that are neither readings, observations nor conditions: those of words, and those without a cell."""
+        used = re.compile("|".join([_NO_CONDITIONS, *observations]))
+        left = (n for n in map(str, self.table) if n not in (*conditions, *self.taken) and not used.fullmatch(n))
+        return (*left, *self.empty)
+
+
+def _cell(text: object) -> str:
+    """A cell as a message shows it."""
+    return "an empty cell" if isinstance(text, float) and np.isnan(text) else repr(text)
 
 
 def _stem(name: str) -> str:
@@ -216,4 +251,6 @@ def _columns(table: pd.DataFrame, source: str, row: Array) -> Columns:
     refuse_repeated_names(table.columns, source)
     if not len(table):
         raise InputError(f"{source}: a header but no rows; at least one row is needed")
-    return Columns(table.dropna(axis="columns", how="all"), source, row)
+    filled = table.dropna(axis="columns", how="all")
+    empty = tuple(str(name) for name in table if name not in filled and not str(name).startswith("Unnamed: "))
+    return Columns(filled, source, row, empty)

@@ -39,7 +39,7 @@ class Measurements:
     sigma, sigma_angle : standard deviation of one coordinate [m] and angle [rad]; None: estimated from the fit
     weight : shape (n,), factor on each pose's residual
     row : shape (n,), line of the source at which each pose stands, for messages
-    source : file name or description
+    source : file name or description; unused : columns that were left out: of words, or without a cell
     """
 
     q: Array
@@ -59,6 +59,7 @@ class Measurements:
     weight: Array = field(default_factory=lambda: np.ones(0))
     row: Array = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     source: str = "table"
+    unused: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.q)

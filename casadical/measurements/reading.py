@@ -90,10 +90,13 @@ def from_columns(
     observed = find_kind(kind, source) if kind else kind_of(columns)
     q = columns.joints(each)
     arrays = observed.read(columns, q)
+    patterns = [k.pattern for k in kinds().values()]
+    conditions = columns.conditions(patterns)
     found = Measurements(
         q=q,
         kind=observed.name,
-        conditions=columns.conditions(k.pattern for k in kinds().values()),
+        conditions=conditions,
+        unused=columns.unused(conditions, patterns),
         sigma=None if sigma_mm is None else sigma_mm * 1e-3,
         sigma_angle=None if sigma_deg is None else float(np.deg2rad(sigma_deg)),
         weight=columns.column("weight") if "weight" in columns.table else np.ones(len(q)),

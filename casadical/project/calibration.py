@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from casadical.compensator import compensator_text
 from casadical.core.blocks import Table, Words, plain_text, terminal
-from casadical.core.errors import InputError
+from casadical.core.errors import InputError, shown
 from casadical.core.files import claimed, json_text, write_together
 from casadical.identification.accuracy import Accuracy
 from casadical.identification.identification import Identification, identify, without_poses
+from casadical.identification.plausibility import check_against
 from casadical.identification.residuals import Loss
 from casadical.identification.tables import correlated, held_table, how_sure, parameter_tables
 from casadical.measurements.measurements import Measurements
@@ -89,6 +90,7 @@ class Calibration:
             *(Words(f"note: {note}", "note") for note in problem.robot.notes),
             *_prior_words(problem),
             *_held_effects(problem),
+            *_unused_columns(problem),
             *verdict(problem, self.accuracies),
             *(Words(result.verdict) for result in self.identifications.values()),
             how_sure(last),
@@ -207,6 +209,8 @@ def calibrate(
     if method is not None:
         networks = () if method in BASE_METHODS else (method,)
         problem = replace(problem, methods=base_methods([method]), networks=networks)
+    for _, m in problem.parts():  # held-out poses count in the figures, so that they are checked like the others
+        check_against(problem.robot, m)
     results = _identified(problem, show)
     trained = None
     if problem.networks:
@@ -262,6 +266,17 @@ def _held_effects(problem: Problem) -> list[Words]:
     carried = problem.prior.labels if problem.prior else ()
     robot = problem.robot.with_only(e for e in problem.robot.effects if e.label not in carried)
     return [Words(f"{text} {robot.effects_in_words}.", "note")] if robot.effects else []
+
+
+def _unused_columns(problem: Problem) -> list[Words]:
+    """Columns that the tables have and the calibration does not use."""
+    used = {*problem.robot.conditions, "pose", "time_s", "point"}
+    left = {name: m.source for _, m in problem.parts() for name in (*m.conditions, *m.unused) if name not in used}
+    left.pop(problem.set_column or "", None)
+    if not left:
+        return []
+    text = f"Columns that are not used: {', '.join(map(shown, left))} (in {', '.join(sorted(set(left.values())))})."
+    return [Words(text, "note")]
 
 
 def _network(result: NetworkResult) -> dict[str, Any]:

@@ -92,7 +92,7 @@ class _Data(_Strict):
 
 
 class _Sets(_Strict):
-    seed: int = 0
+    seed: int = Field(default=0, ge=0, lt=2**63)
     column: str | None = None
     identify: float | None = Field(default=None, gt=0)
     train: float | None = Field(default=None, gt=0)
@@ -161,7 +161,7 @@ class _ProblemFile(_Strict):
     robot: str = "robot.toml"
     campaign_robot: str | None = None
     urdf: _Urdf | None = None
-    methods: list[Annotated[str, AfterValidator(_known_method)]] = ["KM", "SKCM"]
+    methods: list[Annotated[str, AfterValidator(_known_method)]] = Field(default=["KM", "SKCM"], min_length=1)
     loss: ProblemLoss = "auto"
     paper: Paper | None = None
     measurements: list[_Data] = []
@@ -178,6 +178,7 @@ class Problem:
     seed : of the split and of the networks
     paper : published figures, and their source; prior : what another campaign told, where it is used
     urdf : file, base link and tip link where the robot came from a URDF
+    set_column : of the tables, that names each pose's set; None where the split is drawn
     """
 
     folder: Path
@@ -192,6 +193,7 @@ class Problem:
     seed: int = 0
     paper: Paper | None = None
     prior: Prior | None = None
+    set_column: str | None = None
 
     @property
     def origin(self) -> str:
@@ -247,6 +249,7 @@ def read_problem(folder: str | Path, seed: int | None = None, carried: Carried =
         seed=sets.seed,
         paper=file.paper,
         prior=prior,
+        set_column=sets.column,
     )
 
 

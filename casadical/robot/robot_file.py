@@ -13,12 +13,12 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import tomlkit
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from casadical import __version__
 from casadical.core.arm import STANDARD_GRAVITY
 from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.errors import InputError, shown
 from casadical.core.files import write_whole
 from casadical.core.parts import WIDTHS, Body, BodyWidth, FourBar, Joint, Placement, Width
 from casadical.core.schema import (
@@ -43,12 +43,20 @@ Bar = Annotated[float, LENGTH, Field(gt=0)]
 # Of the newest files that are read; from 2 on with effects and what is known of their values.
 VERSION = 2
 
+
+def _stiff(value: float | None) -> float | None:
+    if value is not None and value < 1:
+        raise ValueError("must be at least 1; leave it out for a joint of unknown stiffness")
+    return value
+
+
+Stiffness = Annotated[float | None, Field(gt=0, le=1e15), AfterValidator(_stiff)]
 HalfLength = Annotated[float | None, LENGTH, Field(gt=0)]
 HalfAngle = Annotated[float | None, ANGLE, Field(gt=0)]
 
 
 class _Body(TomlTable):
-    mass_kg: float = Field(ge=0)
+    mass_kg: float = Field(ge=0, le=1e6)
     com: Annotated[Triple, LENGTH] = Field(default=[0.0, 0.0, 0.0])
 
     def body(self) -> Body:
@@ -65,8 +73,8 @@ class _Joint(TomlTable):
     type: Literal["revolute", "prismatic"] = "revolute"
     limits: Annotated[Pair | None, READING] = None
     compliant: bool = False
-    stiffness_Nm_per_rad: float | None = Field(default=None, gt=0)
-    stiffness_N_per_m: float | None = Field(default=None, gt=0)
+    stiffness_Nm_per_rad: Stiffness = None
+    stiffness_N_per_m: Stiffness = None
     body: _Body | None = None
 
     @model_validator(mode="before")
@@ -294,7 +302,7 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
     more = bool(robot.effects or robot.knowledge)
     document = tomlkit.document()
     for line in comment.splitlines():
-        document.add(tomlkit.comment(line))
+        document.add(tomlkit.comment(shown(line)))
     tables = {
         "casadical": 2 if more else 1,
         "written_by": f"casadical {__version__}" if more else None,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from casadical.core.errors import InputError
+from casadical.core.errors import InputError, shown
 from casadical.identification.identifiability import CONFOUNDED
 from casadical.identification.identification import by_method
 from casadical.identification.placement import place_frames
@@ -26,7 +26,7 @@ from casadical.project.check.findings import Finding, Level
 from casadical.project.check.information import Outlook, outlook
 from casadical.project.check.plausible import far_rows, other_conventions, plausible
 from casadical.project.check.table_faults import table_faults, unknown_columns
-from casadical.project.problem import read_problem, read_problem_robot
+from casadical.project.problem import Problem, read_problem, read_problem_robot
 from casadical.robot.robot import Robot
 
 # Observed numbers for each unknown from which on a fit also shows how good it is.
@@ -79,6 +79,7 @@ def precheck(folder: str | Path, noise: float | None = None, seed: int | None = 
         return Precheck(folder, (Finding("error", "reading", str(error)), *_more_faults(folder)))
     sets = problem.sets["identify"]
     found, usable = _data_findings(problem.robot, sets, other_conventions(folder))
+    found += _held_out_findings(problem)
     found += limits_findings(problem.robot)
     known, source = _noise(noise, sets)
     start = place_frames(problem.robot, next((m for m in sets if m.position is not None), sets[0]))
@@ -132,6 +133,23 @@ def _data_findings(
             more = "; repeats show the noise, only new readings determine parameters" if few else ""
             found.append(Finding("warning" if few else "note", "repeats", text + more))
     return found, not any(f.topic in ("data", "units") and f.level == "error" for f in found)
+
+
+def _held_out_findings(problem: Problem) -> list[Finding]:
+    """Of the poses that are not fitted, which count in the figures, and the columns that nobody uses."""
+    found = []
+    for name, m in problem.parts():
+        if not name.startswith("identify"):
+            try:
+                check_against(problem.robot, m)
+            except InputError as error:
+                found.append(Finding("error", "data", f"set {name}: {error}"))
+    for m in problem.sets["identify"]:
+        left = [column for column in m.unused if column != problem.set_column]
+        if left:
+            text = f"{m.source}: columns of words or without a cell are left out: {', '.join(map(shown, left))}"
+            found.append(Finding("note", "columns", text))
+    return found
 
 
 def _noise(given: float | None, sets: tuple[Measurements, ...]) -> tuple[float | None, str]:
