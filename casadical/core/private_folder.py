@@ -14,7 +14,7 @@ def private_folder(name: str = "") -> Path | None:
     """The cache folder (CASADICAL_CACHE, else the user's), or one in it; made with mode 0700 where it is not there.
 
     If others could write to it, they no longer can, and libraries in it are removed. None where it cannot be made, is a
-    link, or belongs to somebody else.
+    link, or belongs to another user.
     """
     try:
         given = os.environ.get("CASADICAL_CACHE")

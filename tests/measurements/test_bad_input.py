@@ -112,7 +112,7 @@ TABLES = [
     Bad("no joints", lambda _: read(table(), 0), ("joints 0", "allowed")),
     # cells
     Bad("a word", lambda _: read(changed("y_mm", 5, "12,7")), ("row 5", "'y_mm'", "'12,7'", "not a finite number")),
-    Bad("an empty cell", lambda _: read(changed("q3_deg", 9, np.nan)), ("row 9", "'q3_deg'", "an empty cell", "not a finite")),
+    Bad("an empty cell", lambda _: read(changed("q3_deg", 9, np.nan)), ("row 9", "'q3_deg'", "an empty cell")),
     Bad("infinity", lambda _: read(changed("z_mm", 2, np.inf)), ("row 2", "'z_mm'", "inf", "not a finite number")),
     Bad("a word among payloads", lambda _: read(table(payload_kg=["2.0"] * 5 + ["2,0"] + ["2.0"] * (N - 6))),
         ("row 7", "'payload_kg'", "'2,0'", "not a finite number")),
