@@ -7,13 +7,13 @@ from pathlib import Path
 
 import platformdirs
 
-_LIBRARY = re.compile(r".*-[0-9a-f]{32}\.so")
+_KEPT = re.compile(r".*-[0-9a-f]{32}\.(so|json)")
 
 
 def private_folder(name: str = "") -> Path | None:
     """The cache folder (CASADICAL_CACHE, else the user's), or one in it; made with mode 0700 where it is not there.
 
-    If others could write to it, they no longer can, and libraries in it are removed. None where it cannot be made, is a
+    If others could write to it, they no longer can, and what was kept is removed. None where it cannot be made, is a
     link, or belongs to another user.
     """
     try:
@@ -42,6 +42,6 @@ def _own(folder: Path) -> bool:
         folder.chmod(0o700)
     if about.st_mode & 0o022:  # others could write: what looks like ours may not be
         for path in folder.iterdir():
-            if _LIBRARY.fullmatch(path.name):
+            if _KEPT.fullmatch(path.name):
                 path.unlink()
     return True
