@@ -156,9 +156,9 @@ class Fit:
     def _left_of(self) -> Array | None:
         """What takes observations to what a fit to all leaves of them, shape (3 n, 3 n); None for too many poses."""
         rows, p = len(self.y), len(self.prior)
-        if rows > MOST_ROWS or self._kept is None or self._pulled is None:
+        if rows > MOST_ROWS or self._kept is None:
             return None
-        if rows > p:
+        if rows > p and self._pulled is not None:
             return np.asarray(np.eye(rows) - self._pulled @ self._pulled.T)
         wide = self._kept * self.prior
         return np.linalg.inv(np.eye(rows) + wide @ wide.T)

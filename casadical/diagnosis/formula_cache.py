@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from contextlib import suppress
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -40,7 +40,8 @@ class Formula:
 
     def as_data(self) -> list[Any]:
         """Plain data."""
-        return [list(astuple(self.function)), self.conditions, self.rows.tolist(), self.columns.tolist()]
+        f = self.function
+        return [[f.steps, f.places, f.nonzeros], self.conditions, self.rows.tolist(), self.columns.tolist()]
 
     @classmethod
     def from_data(cls, data: list[Any]) -> Formula:
