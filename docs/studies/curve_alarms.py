@@ -1,12 +1,14 @@
-"""python docs/studies/curve_alarms.py [CAMPAIGNS] > docs/studies/curve_alarms.txt
+"""python docs/studies/curve_alarms.py [CAMPAIGNS] [--only WORD] [--folder DIR] > docs/studies/curve_alarms.txt
 
 False alarms of joint_error_curve: clean synthetic campaigns of both physics, three robots, 40 to 400 poses, in which
 nothing is hidden. Counted are those in which something is detected, and those in which the curve is the most probable
-cause of it; the largest log Bayes factor of the curve says how far the others are from it.
+cause of it; the largest log Bayes factor of the curve says how far the others are from it. Run it in pieces with --only
+(mujoco, kr210, 400) and --folder, then without --only; the committed print is of 7 campaigns a row.
 """
 
+import argparse
 import json
-import sys
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -40,25 +42,48 @@ def clean(physics: str, name: str, poses: int, number: int) -> Measurements:
     return from_table(table, 6, "position")
 
 
+def counted(physics: str, name: str, poses: int, campaigns: int) -> tuple[int, int, float]:
+    """Campaigns in which something is detected, and in which it is the curve; the curve's largest log Bayes factor."""
+    robot = read_campaign_robot(ROOT / "problems" / name)
+    something = curve = 0
+    largest = -np.inf
+    for number in range(campaigns):
+        m = clean(physics, name, poses, number)
+        found = identify(robot, m, ("kinematic", "compliance"), loss="huber", priors=True, screen=False)
+        ranking = rank(make_case(found, standard_candidates(robot)), np.zeros(0, dtype=np.int64))
+        detected = ranking.none <= detection(poses)
+        something += detected
+        curve += detected and ranking.order[0] == CURVE
+        largest = max(largest, ranking.log_factor[CURVE])
+    return something, curve, largest
+
+
+def kept(file: Path | None, cell: tuple[str, str, int, int]) -> tuple[int, int, float]:
+    """The counts of a cell, from its file if that is there."""
+    if file and file.exists():
+        something, curve, largest = json.loads(file.read_text(encoding="utf-8"))
+        return something, curve, largest
+    found = counted(*cell)
+    if file:
+        file.write_text(json.dumps([float(v) for v in found]), encoding="utf-8")
+    return found
+
+
 if __name__ == "__main__":
-    campaigns = int(sys.argv[1]) if len(sys.argv) > 1 else 20
-    print(f"synthetic data; {campaigns} clean campaigns of each robot, physics and number of poses")
+    parser = argparse.ArgumentParser()
+    parser.add_argument("campaigns", type=int, nargs="?", default=20)
+    parser.add_argument("--folder", type=Path, help="keeps the counts of each row, for a study that is run in pieces")
+    parser.add_argument("--only", default="", help="physics, robot or number of poses; all rows by default")
+    chosen = parser.parse_args()
+    print(f"synthetic data; {chosen.campaigns} clean campaigns of each robot, physics and number of poses")
     print("physics  robot  poses   something   the curve   its largest log Bayes factor")
     total = np.zeros(3)
-    for physics in ("numpy", "mujoco"):
-        for name in ("hh800", "kr210", "ur10e"):
-            robot = read_campaign_robot(ROOT / "problems" / name)
-            for poses in POSES:
-                something = curve = 0
-                largest = -np.inf
-                for number in range(campaigns):
-                    m = clean(physics, name, poses, number)
-                    found = identify(robot, m, ("kinematic", "compliance"), loss="huber", priors=True, screen=False)
-                    ranking = rank(make_case(found, standard_candidates(robot)), np.zeros(0, dtype=np.int64))
-                    detected = ranking.none <= detection(poses)
-                    something += detected
-                    curve += detected and ranking.order[0] == CURVE
-                    largest = max(largest, ranking.log_factor[CURVE])
-                total += [something, curve, campaigns]
-                print(f"{physics:7} {name:6} {poses:5} {something:8} {curve:11} {largest:20.1f}", flush=True)
+    for physics, name, poses in product(("numpy", "mujoco"), ("hh800", "kr210", "ur10e"), POSES):
+        if chosen.only and chosen.only not in (physics, name, str(poses)):
+            continue
+        folder: Path | None = chosen.folder
+        file = folder / f"{physics}-{name}-{poses}-{chosen.campaigns}.json" if folder else None
+        something, curve, largest = kept(file, (physics, name, poses, chosen.campaigns))
+        total += [something, curve, chosen.campaigns]
+        print(f"{physics:7} {name:6} {poses:5} {something:8.0f} {curve:11.0f} {largest:20.1f}", flush=True)
     print(f"all: {int(total[2])} campaigns, something in {int(total[0])}, the curve in {int(total[1])}")
