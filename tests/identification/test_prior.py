@@ -150,6 +150,43 @@ def test_a_file_with_a_bad_covariance_is_refused_by_key(first):
         parse(text[:number] + "nan" + text[end:])
 
 
+def test_a_coefficient_that_is_no_number_is_refused(first):
+    text = to_toml(first)
+    line = next(line for line in text.splitlines() if line.startswith("s3_q2"))
+    with pytest.raises(InputError, match=r"effect\[1\]\.values\.s3_q2\.value = nan: must be a finite"):
+        parse(text.replace(line, 's3_q2 = {value = nan, unit = "rad"}'))
+    with pytest.raises(InputError, match=r"prior 'elbow': joint_error_curve\.s3_q2 is nan; it must be a finite number"):
+        carry_over(ARM, first.with_values({"joint_error_curve.s3_q2": np.nan}))
+
+
+def test_poses_outside_of_the_learnt_ranges_are_said_and_nothing_is_lost(first, few):
+    q = few.q.copy()
+    q[:7, 3] = 4.0
+    beyond = replace(few, q=q)
+    _, prior = carry_over(ARM, first)
+    assert "Poses outside of the ranges that it covers: q4 50 %." in prior.in_words([beyond])
+    assert prior.to_json([beyond])["uncovered"]["q4"] == 0.5
+    assert prior.to_json([few])["uncovered"]["q4"] == 0
+    assert set(prior.means) == {p.name for p in CURVE.parameters()}
+
+
+def test_the_curve_of_a_joint_that_did_not_move_stays_unknown(built, few):
+    """In its own campaign it is held at zero, and why is said; in the next one it is as wide as one never seen."""
+    q = readings(ARM, 80, 1)
+    q[:, 1] = 0.4
+    m = positions(replace(built, base=replace(built.base, T=TRACKER)), q, 1)
+    found = identify(ARM.with_effect(CURVE), m, (*BASE, CURVE.label), priors=True)
+    idle = [p.name for p in CURVE.parameters() if p.name.endswith("_q2")]
+    held = {u.name: u for u in found.identifiability.held}
+    assert all("as theta2 does" in held[name].reason for name in idle)
+    assert all(found.robot.effect_values[name] == 0 for name in idle)
+    assert np.abs([found.robot.effect_values[n.replace("q2", "q3")] for n in idle]).min() > 0
+    _, prior = carry_over(ARM, parse(to_toml(found.robot)))
+    sizes = {p.name: p.prior for p in CURVE.parameters()}
+    assert {name: prior.means[name] for name in idle} == {name: (0.0, sizes[name]) for name in idle}
+    assert "q2 100 %" in prior.in_words([few])
+
+
 def test_an_effect_that_the_robot_has_is_replaced(first, few):
     model, prior = carry_over(ARM.with_effect(JointScale(1), CURVE), first)
     assert [e.label for e in model.effects] == ["joint_scale@1", CURVE.label]
