@@ -8,7 +8,19 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from casadical.cli.options import Campaigns, Effects, Frozen, Json, Prior, PriorEffects, Problem, Quiet, Report, carried
+from casadical.cli.options import (
+    Campaigns,
+    Effects,
+    Frozen,
+    Json,
+    Prior,
+    PriorEffects,
+    Problem,
+    Quiet,
+    Report,
+    carried,
+    effects_of,
+)
 from casadical.cli.terminal import as_text, as_typed, keep, keep_json, working, wrapped
 
 if TYPE_CHECKING:
@@ -124,7 +136,7 @@ def diagnose(
         m = read_campaign(problem, path, robot)
         with working(quiet, "diagnosing", path.stem) as show:
             masses: Masses = "nuisance" if nuisance_masses else "candidate"
-            chosen = effects.split(",") if effects else "standard"
+            chosen = effects_of(effects)
             found = run(robot, m, chosen, seed=seed, bootstrap=bootstrap, prior=known, masses=masses, show=show)
             file = measure_next if len(campaigns) == 1 else None
             name_of_file = file.name if file else ""
@@ -170,7 +182,7 @@ def _print_isolability(
     answers = []
     for path in campaigns:
         m = read_campaign(problem, path, robot, readings_only=True)
-        found = isolability(robot, m, effects.split(",") if effects else "standard")
+        found = isolability(robot, m, effects_of(effects))
         answers.append(isolability_json(found, path.stem))
         page = titled(f"{path.stem} ({robot.name}), {len(m)} poses", isolability_page(found))
         console.print(page, soft_wrap=True)

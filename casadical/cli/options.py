@@ -9,6 +9,7 @@ from casadical.cli import completion as words
 from casadical.core.errors import InputError
 
 if TYPE_CHECKING:
+    from casadical.effects import Effect
     from casadical.project.problem import Carried
 
 Nominal = Annotated[
@@ -61,7 +62,8 @@ Effects = Annotated[
     typer.Option(
         metavar="NAMES",
         autocompletion=words.effects,
-        help="standard (the default), extended, or only these: names (backlash) or labels (backlash@5), by commas.",
+        help="standard (the default), extended, or only these, by commas: names (backlash), labels "
+        "(backlash@5), effect files (law.effect.toml, as discover writes it).",
     ),
 ]
 Prior = Annotated[
@@ -88,6 +90,16 @@ Frozen = Annotated[
     ),
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace FILE if it is there.")]
+
+
+def effects_of(text: str | None) -> "str | list[str | Effect]":
+    """What `--effects` names: a list's name, or names, labels and the effects of files. Raises InputError."""
+    from casadical.robot.effect_file import read_effects
+
+    found: list[str | Effect] = []
+    for word in text.split(",") if text else ():
+        found += read_effects(word.strip()).effects if word.strip().endswith(".toml") else [word]
+    return found or "standard"
 
 
 def carried(prior: Path | None, parts: str | None, frozen: bool) -> "Carried":

@@ -9,6 +9,7 @@ from casadical.cli.calibrate import calibrate
 from casadical.cli.check import check
 from casadical.cli.correct import correct
 from casadical.cli.diagnose import diagnose
+from casadical.cli.discover import discover
 from casadical.cli.export import export_app
 from casadical.cli.new import new
 from casadical.cli.outputs import guarded
@@ -46,7 +47,7 @@ def _root(
     pass
 
 
-for command in (new, check, calibrate, diagnose, plan, replay, correct):
+for command in (new, check, calibrate, diagnose, discover, plan, replay, correct):
     app.command()(guarded(command, also=("folder",) if command is new else ()))
 app.add_typer(export_app, name="export")
 app.add_typer(withheld_app, name="withheld")

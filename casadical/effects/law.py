@@ -33,7 +33,7 @@ SEAMS = {
 }
 # Columns by their name in a formula, where it is another one.
 COLUMNS = {"t": "progress", "payload": "payload_kg", "warmth": "warmth_0s"}
-_COLUMN = re.compile(r"t|payload|warmth|warmth_\d+s|approach\d+|move\d+")
+COLUMN = re.compile(r"t|payload|warmth|warmth_\d+s|approach\d+|move\d+")
 _OF_POSE = re.compile(r"(q|tau)(\d+)|m(\d+)[xyz]|[gp][xyz]")
 _OF_JOINT = re.compile(r"q|tau|approach|move")
 _FACTOR = re.compile(r"[a-z]")
@@ -73,8 +73,8 @@ class Law(Effect):
         names = [name for name, _ in self.factors]
         if not names or len(set(names)) < len(names) or not all(_FACTOR.fullmatch(n) and n not in "tr" for n in names):
             raise InputError(f"law: factors = {names}; allowed are different single letters, not t or r, one at least")
-        if not all(0 < size < 1 for _, size in self.factors):
-            raise InputError(f"law: factors = {list(self.factors)}; their sizes must lie between 0 and 1")
+        if not all(0 < size <= 1e3 for _, size in self.factors):
+            raise InputError(f"law: factors = {list(self.factors)}; their sizes must be above 0, and 1000 at most")
         found = parse(self.formula)
         if found.components != components:
             raise InputError(f"formula {self.formula!r}: seam {self.seam!r} needs {components} of its components")
@@ -88,9 +88,9 @@ class Law(Effect):
             return True
         if self.seam == "beam" and name == "r":
             return True
-        if self.seam == "payload" and not name.startswith("q") and not _COLUMN.fullmatch(name):
+        if self.seam == "payload" and not name.startswith("q") and not COLUMN.fullmatch(name):
             return False
-        return bool(_COLUMN.fullmatch(name) or _OF_POSE.fullmatch(name))
+        return bool(COLUMN.fullmatch(name) or _OF_POSE.fullmatch(name))
 
     def _refuse_constant(self, formula: Formula, names: list[str]) -> None:
         """Raises InputError for a formula that is not zero without its factors."""
@@ -129,7 +129,7 @@ class Law(Effect):
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        names = [n for n in self.drivers if _COLUMN.fullmatch(n)]
+        names = [n for n in self.drivers if COLUMN.fullmatch(n)]
         if self.seam == "joints":
             names += [f"{n}{j}" for n in self.drivers if n in ("approach", "move") for j in range(1, self.count + 1)]
         needed = ["payload_kg"] if self.seam == "payload" else []
@@ -206,7 +206,7 @@ def _moved(values: list[Any], *, turn: bool) -> Symbolic:
 
 def variable(context: Context, name: str) -> Symbolic:
     """The value of a name in a formula (see ALLOWED). Raises KeyError for a column that is not there."""
-    if _COLUMN.fullmatch(name):
+    if COLUMN.fullmatch(name):
         return context.conditions[COLUMNS.get(name, name)]
     axis = "xyz".find(name[-1])
     if name[0] == "g":

@@ -157,7 +157,7 @@ def test_a_simulator_has_no_counterpart() -> None:
         ({"formula": "a * q2", "seam": "elbow"}, "seam = 'elbow'; allowed: joint, joints, tilt"),
         ({"formula": "a * q2", "seam": "beam"}, "joint does not belong at the seam 'beam'"),
         ({"formula": "a * q2", "factors": [["aa", 1e-5]]}, "different single letters"),
-        ({"formula": "a * q2", "factors": [["a", 0.0]]}, "between 0 and 1"),
+        ({"formula": "a * q2", "factors": [["a", 0.0]]}, "must be above 0, and 1000 at most"),
         ({"formula": 3}, "must be a valid string"),
     ],
 )

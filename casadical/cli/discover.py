@@ -1,0 +1,64 @@
+"""The command `casadical discover`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from casadical.cli.options import Effects, Json, Problem, Quiet, Report, effects_of
+from casadical.cli.terminal import as_text, as_typed, keep, working
+
+
+def discover(
+    problem: Problem,
+    campaign: Annotated[Path, typer.Argument(metavar="CAMPAIGN.csv", help="Measured positions.")],
+    json_file: Json = None,
+    report_file: Report = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Write discovered.robot.toml, the robot with the law or the smooth forms, whichever predict better; "
+            "law.effect.toml, the law alone, for diagnose --effects; discovery.json and discovery.txt.",
+        ),
+    ] = None,
+    effects: Effects = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of all chance.")] = 0,
+    quiet: Quiet = False,
+) -> None:
+    """Search for the law of what no listed effect explains: where it acts, what it follows, in which form.
+
+    Laws compete with listed effects and smooth forms, and pay for the search; see docs/diagnosis.md.
+
+    Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
+    """
+    from casadical.core.blocks import terminal
+    from casadical.diagnosis.laws.answer import as_json, blocks_of, files_of
+    from casadical.diagnosis.laws.discovery import discover as run
+    from casadical.project.problem import read_campaign, read_campaign_robot
+
+    if report_file:
+        from casadical.report.optional_imports import require
+
+        require()
+    console = Console(quiet=quiet)
+    robot = read_campaign_robot(problem)
+    m = read_campaign(problem, campaign, robot)
+    texts: dict[Path, str] = {}
+    with working(quiet, "diagnosing", campaign.stem) as show:
+        found = run(robot, m, effects_of(effects), seed=seed, show=show)
+        if out:
+            show("the robot with its law")
+            texts |= dict(files_of(found, out, campaign.stem))
+    console.print(terminal(blocks_of(found)), soft_wrap=True)
+    if json_file:
+        texts[json_file] = as_text([as_json(found, campaign.stem)])
+    if report_file:
+        from casadical.report.laws import discovery_report
+
+        with working(quiet, "writing the report"):
+            texts[report_file] = discovery_report(problem, campaign, found, as_typed())
+    keep(texts, console)

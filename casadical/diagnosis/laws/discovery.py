@@ -1,0 +1,281 @@
+"""Discover the law of what is left: laws beside listed causes and smooth forms, claimed where the data tell them apart.
+
+A law is claimed if its score (see `search`) is 12 or more and 3 above that of the best listed effect and of the best
+form on no list, these with their settings refined as the law's are. Where its columns are those of a listed effect, it
+is that effect under another name. Laws that score nearly as much are named with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.diagnosis.candidates import Candidate
+from casadical.diagnosis.cross_validation import estimates, shrink_interval
+from casadical.diagnosis.diagnose import diagnose
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, RHOS, log_sum
+from casadical.diagnosis.laws.held_out import held_out
+from casadical.diagnosis.laws.search import Scored, search_laws
+from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, rank
+from casadical.diagnosis.refit import refit
+from casadical.diagnosis.result import Diagnosis, Unlisted
+from casadical.diagnosis.search import Show
+from casadical.diagnosis.settings_search import refined
+from casadical.diagnosis.smooth_description import describe_unlisted
+from casadical.diagnosis.thresholds import CLAIM, DETECT_FURTHER
+from casadical.effects import Effect
+from casadical.effects.law import Law
+from casadical.identification.identification import Identification
+from casadical.measurements.measurements import Measurements
+from casadical.measurements.noise import Noise
+from casadical.robot.robot import Robot
+
+# Nats of a claim: of the score, and above rivals; of laws that are not told apart.
+CLAIMED, ABOVE, ALIKE = 12.0, 3.0, 5.0
+# A law is a listed effect by another name if their columns correlate by more; so many listed ones are compared.
+CORRELATION, COMPARED = 0.95, 8
+MOST_LAWS, MOST_ALIKE, MOST_ROUNDS = 2, 6, 4
+Kept = Literal["law", "smooth", "causes", "base"]
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """One comparison of laws with everything else.
+
+    laws : the most probable, the best first; listed, smooth : label and score of the best rivals, refined
+    alias : labels of listed effects whose columns are the best law's; claimed : whether it is claimed
+    """
+
+    laws: tuple[Scored, ...]
+    listed: tuple[str, float]
+    smooth: tuple[str, float]
+    alias: tuple[str, ...]
+
+    @property
+    def best(self) -> Scored:
+        """The most probable law."""
+        return self.laws[0]
+
+    @property
+    def alike(self) -> tuple[Scored, ...]:
+        """Laws that these data do not tell from the best one."""
+        return tuple(s for s in self.laws[1:] if s.score > self.best.score - ALIKE)[:MOST_ALIKE]
+
+    @property
+    def claimed(self) -> bool:
+        """Whether the best law is claimed."""
+        rival = max(self.listed[1], self.smooth[1])
+        return self.best.score >= CLAIMED and self.best.score >= rival + ABOVE and not self.alias
+
+
+@dataclass(frozen=True, eq=False)
+class Discovery:
+    """The answer to: which law is missing?
+
+    diagnosis : of the same data; rounds : each beside what was in the model before
+    case : with the laws among its candidates; laws : that were claimed; causes : listed effects beside them
+    noise : that they leave; values : of the laws' factors: (value, standard error, unit) [SI] by parameter
+    gap : mean held-out error [m] of the base model, with the diagnosis's causes, with the laws (and causes beside
+        them), with causes and smooth forms; only those that there are
+    shrink : share by which it falls with the laws, and a 95 % interval; settings were chosen anew in each fold
+    smooth : the smooth description, None without one
+    """
+
+    diagnosis: Diagnosis
+    rounds: tuple[Round, ...]
+    case: Case
+    laws: tuple[Scored, ...]
+    causes: tuple[Effect, ...]
+    noise: Noise
+    values: dict[str, tuple[float, float, str]]
+    gap: dict[Kept, float]
+    shrink: tuple[float, tuple[float, float]] | None
+    smooth: Unlisted | None
+
+    @property
+    def kept(self) -> Kept:
+        """Which model predicts best where it was not fitted; a law only if it was claimed."""
+        return min(self.gap, key=lambda name: self.gap[name])
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Effects of the model that is kept."""
+        laws = tuple(s.law for s in self.laws)
+        found = {
+            "law": (*self.causes, *laws),
+            "smooth": self.diagnosis.effects(unlisted=self.smooth),
+            "causes": self.diagnosis.effects(),
+        }
+        return found.get(self.kept, ())
+
+    def refit(self) -> Identification:
+        """Base model and the effects that are kept identified together. Raises ConvergenceError."""
+        noise = self.noise if self.kept == "law" else self.diagnosis.noise
+        return refit(self.case, self.effects, noise)
+
+    def apply(self) -> Robot:
+        """The calibrated robot with laws or smooth forms in its model, whichever predict better."""
+        return self.refit().robot
+
+
+def discover(
+    robot: Robot | Identification,
+    m: Measurements | None = None,
+    effects: str | Sequence[str | Effect] = "standard",
+    *,
+    seed: int = 0,
+    show: Show = lambda _text: None,
+) -> Discovery:
+    """Diagnose a campaign and search for the law of what no listed effect explains.
+
+    robot, m, effects, seed, show : as of `diagnose`. Raises InputError as that.
+    """
+    found = diagnose(robot, m, effects, seed=seed, show=show)
+    return laws_beside(found, show)
+
+
+def laws_beside(found: Diagnosis, show: Show = lambda _text: None) -> Discovery:
+    """The laws of a diagnosed campaign: first instead of all its causes, which stay if they win, then beside these."""
+    case = found.case
+    show("laws beside nothing")
+    none = np.zeros(0, dtype=np.int64)
+    first = _round(case, none, found.rankings[0], frozenset())
+    rounds, laws, causes = [first], [], found.effects()
+    columns = found.columns
+    if first.claimed and first.best.score + np.log(PRIOR_FIRST["unknown"]) >= _set_mass(found) + ABOVE:
+        laws, causes = [first.best], ()
+        case = with_law(case, first.best.law)
+        columns = case.group((first.best.law,))
+    elif not causes:
+        return _concluded(found, rounds, case, [], (), none)
+    for _ in range(MOST_ROUNDS):
+        show("laws beside what was found")
+        labels = frozenset([*(s.law.label for s in laws), *(c.label for c in found.causes if c.effects in _of(causes))])
+        ranking = rank(case, columns, labels | {e.label for e in causes})
+        listed = {c.label: c for c in case.candidates if c.listed}
+        top = ranking.order[0]
+        if laws and top in listed and ranking.none <= DETECT_FURTHER and ranking.probability[top] >= CLAIM:
+            variant = listed[top].variants[ranking.variant[top]]
+            case, more = refined(case, top, variant, columns, ranking.noise[top])
+            causes, columns = (*causes, *more), np.unique(np.concatenate([columns, case.group(more)]))
+            continue
+        further = _round(case, columns, ranking, frozenset(s.law.label for s in laws))
+        rounds.append(further)
+        if not further.claimed or len(laws) == MOST_LAWS:
+            break
+        laws.append(further.best)
+        case = with_law(case, further.best.law)
+        columns = np.unique(np.concatenate([columns, case.group((further.best.law,))]))
+    return _concluded(found, rounds, case, laws, causes, columns)
+
+
+def _set_mass(found: Diagnosis) -> float:
+    """Log evidence of all listed causes of a diagnosis together, with the log of their prior; of one alone -inf."""
+    left = {c.label for c in found.causes}
+    total, count = 0.0, 0
+    for ranking in found.rankings:
+        known = left & ranking.log_mass.keys()
+        if known:
+            best = max(known, key=lambda k: ranking.log_mass[k])
+            total, count = total + ranking.log_mass[best], count + 1
+            left.remove(best)
+    return total if count > 1 else -np.inf
+
+
+def _of(causes: tuple[Effect, ...]) -> set[tuple[Effect, ...]]:
+    return {(e,) for e in causes} | {causes}
+
+
+def with_law(case: Case, law: Law) -> Case:
+    """The case with a law among its candidates."""
+    named = Candidate(law.label, law.name, law.joint, (), listed=False)
+    return replace(case, candidates=(*case.candidates, named)).with_variants(law.label, [(law,)])
+
+
+def _round(case: Case, chosen: Array, ranking: Ranking, without: frozenset[str]) -> Round:
+    laws = search_laws(case, chosen, without)
+    by_label = {c.label: c for c in case.candidates}
+    order = sorted(ranking.log_factor, key=lambda k: -ranking.log_factor[k])
+    listed = [k for k in order if k in by_label and by_label[k].listed]
+    smooth = [k for k in order if k in by_label and not by_label[k].listed]
+    rivals = [_refined_rival(case, by_label[k], ranking, chosen) for k in listed[:2]]
+    best = max(rivals, key=lambda r: r[1], default=("", -np.inf))
+    other = max((_refined_rival(case, by_label[k], ranking, chosen) for k in smooth[:2]), key=lambda r: r[1])
+    alias = _aliases(case, chosen, laws[0], [by_label[k] for k in listed[:COMPARED]], ranking)
+    return Round(tuple(laws), best, other, alias)
+
+
+def _refined_rival(case: Case, candidate: Candidate, ranking: Ranking, chosen: Array) -> tuple[str, float]:
+    """A rival's log evidence, mean over its settings, and what refining these adds."""
+    label = candidate.label
+    score, variant = ranking.log_factor[label], candidate.variants[ranking.variant[label]]
+    if len(variant) != 1 or variant[0].parts:
+        return label, score
+    more, better = refined(case, label, variant, chosen, ranking.noise[label])
+    if better == variant:
+        return label, score
+    grids = more.evidence.log_grids([more.group(variant), more.group(better)], chosen) + np.log(KAPPA_WEIGHTS)
+    before, after = log_sum(grids.reshape(2, -1), axis=1)
+    return label, score + float(after - before)
+
+
+def _aliases(case: Case, chosen: Array, law: Scored, listed: Sequence[Candidate], ranking: Ranking) -> tuple[str, ...]:
+    """Labels of the listed effects that can do what the law does: its fit correlates with what they make of it."""
+    base = case.evidence.with_base(chosen)
+    rho = int(np.argmin(np.abs(RHOS - law.noise.repeatability / law.noise.sigma)))
+    groups = [case.group(c.variants[ranking.variant[c.label]]) for c in listed]
+    E = np.concatenate([law.columns, *(case.evidence.take(g) for g in groups)], axis=2)
+    white = base.white(float(RHOS[rho]), E)
+    w = law.columns.shape[2]
+    own = white.E[:, :w]
+    fit = own @ np.linalg.lstsq(own, white.y, rcond=None)[0]
+    found, at = [], w
+    for candidate, group in zip(listed, groups, strict=True):
+        other = white.E[:, at : at + len(group)]
+        at += len(group)
+        same = other @ np.linalg.lstsq(other, fit, rcond=None)[0]
+        if np.linalg.norm(same) > CORRELATION * np.linalg.norm(fit):
+            found.append(candidate.label)
+    return tuple(found)
+
+
+def _concluded(
+    found: Diagnosis, rounds: list[Round], case: Case, laws: list[Scored], causes: tuple[Effect, ...], columns: Array
+) -> Discovery:
+    smooth = describe_unlisted(replace(found, verdict="unknown"))
+    noise = laws[-1].noise if laws else found.noise
+    values = _values(case, laws, columns, noise)
+    named, none = found.columns, np.zeros(0, dtype=np.int64)
+    before = held_out(case, none, (), found.rankings[0].noise[""], found.seed)
+    errors: dict[Kept, Array] = {"base": before}
+    if found.effects():
+        errors["causes"] = held_out(case, named, (), found.noise, found.seed)
+    if smooth:
+        forms = np.unique(np.concatenate([named, case.group(smooth.effects)]))
+        errors["smooth"] = held_out(case, forms, (), found.noise, found.seed)
+    shrink = None
+    if laws:
+        beside = np.unique(np.concatenate([none, *(case.columns[e] for e in causes)])).astype(np.int64)
+        errors["law"] = held_out(case, beside, laws, noise, found.seed)
+        interval = shrink_interval(before, errors["law"], found.seed)
+        shrink = float(1 - errors["law"].mean() / before.mean()), interval
+    gap = {name: float(e.mean()) for name, e in errors.items()}
+    return Discovery(found, tuple(rounds), case, tuple(laws), causes, noise, values, gap, shrink, smooth)
+
+
+def _values(case: Case, laws: Sequence[Scored], columns: Array, noise: Noise) -> dict[str, tuple[float, float, str]]:
+    """Of the laws' factors, all fitted together, by parameter."""
+    if not laws:
+        return {}
+    value, error = estimates(case.evidence, columns, noise)
+    found = {}
+    for law in (s.law for s in laws):
+        places, sizes = np.searchsorted(columns, case.columns[law]), case.sizes(case.columns[law])
+        for place, size, (name, (_, unit)) in zip(places, sizes, law.sizes().items(), strict=True):
+            found[f"{law.label}.{name}"] = float(value[place] * size), float(error[place] * size), unit
+    return found

@@ -1,0 +1,149 @@
+"""Forms of laws: functions of a driver with settings in which they are not linear, and grids of these settings.
+
+A form is text in x (the driver) and its settings k, w, f. Values of settings are numbers of four digits, so that the
+formula that is written out is the one that was judged.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.effects.formula import NUMERIC, parse
+
+# Cycles per turn of an angle: of slow waves, and of fine ones, which need so many poses.
+SLOW, FINE = 16.0, 1100.0
+POSES_FOR_FINE = 50
+# A fine wave's phase runs off by so much at most [rad] between two frequencies of the grid.
+STEP = 1.0
+
+
+@dataclass(frozen=True)
+class Form:
+    """A form.
+
+    parts : texts, each with a factor of its own; settings : their names
+    grid : settings, shape (K, settings), from the driver's values, shape (n,)
+    """
+
+    name: str
+    parts: tuple[str, ...]
+    settings: tuple[str, ...]
+    grid: Callable[[Array], Array]
+
+    def values(self, x: Array, settings: Array) -> Array:
+        """Of each part at all poses and settings, shape (parts, n, K); settings : shape (K, settings)."""
+        names = {"x": x[:, None], **{n: settings[None, :, i] for i, n in enumerate(self.settings)}}
+        found = [parse(part).values(names, NUMERIC)[0] for part in self.parts]
+        return np.stack([np.broadcast_to(part, (len(x), len(settings))) for part in found])
+
+    def texts(self, driver: str, settings: Sequence[float]) -> tuple[str, ...]:
+        """Its parts written out for a driver and settings."""
+        given = dict(zip(self.settings, settings, strict=True))
+        found = []
+        for part in self.parts:
+            text = part
+            if given.get("k", 0.0) < 0:
+                text = text.replace("x - k", f"x + {number(-given['k'])}")
+            for name, value in given.items():
+                text = re.sub(rf"\b{name}\b", number(value), text)
+            found.append(re.sub(r"\bx\b", _bracketed(driver), text))
+        return tuple(found)
+
+
+def _bracketed(driver: str) -> str:
+    return driver if re.fullmatch(r"\w+|\w+\([^()]*\)", driver) else f"({driver})"
+
+
+def number(value: float) -> str:
+    """A setting as it is written."""
+    return f"{float(value):.4g}"
+
+
+def rounded(settings: Array) -> Array:
+    """Settings as they are written, four digits."""
+    flat = [float(number(v)) for v in np.ravel(settings)]
+    return np.array(flat).reshape(np.shape(settings))
+
+
+def _none(_x: Array) -> Array:
+    return np.zeros((1, 0))
+
+
+def _quantiles(count: int) -> Callable[[Array], Array]:
+    def grid(x: Array) -> Array:
+        k = np.quantile(x, np.linspace(0.5 / count, 1 - 0.5 / count, count))
+        return rounded(np.unique(k)[:, None])
+
+    return grid
+
+
+def _beyond(x: Array) -> Array:
+    """Bounds on the size of a driver."""
+    return rounded(np.unique(np.quantile(np.abs(x), [0.1, 0.25, 0.4, 0.55, 0.7, 0.85]))[:, None])
+
+
+def _with_widths(count: int, shares: Sequence[float]) -> Callable[[Array], Array]:
+    """Positions and widths, these as shares of the driver's range."""
+
+    def grid(x: Array) -> Array:
+        k = np.quantile(x, np.linspace(0.5 / count, 1 - 0.5 / count, count))
+        w = np.array(shares) * np.ptp(x)
+        return rounded(np.array([(a, b) for a in k for b in w]))
+
+    return grid
+
+
+def _between(x: Array) -> Array:
+    edges = np.quantile(x, np.linspace(0.05, 0.95, 16))
+    return rounded(np.array([(a, b) for i, a in enumerate(edges) for b in edges[i + 2 :]]))
+
+
+def _decays(x: Array) -> Array:
+    return rounded((np.ptp(x) * np.geomspace(0.03, 0.6, 6))[:, None])
+
+
+def _turns(_x: Array) -> Array:
+    return rounded(np.arange(0.5, SLOW + 0.01, 0.25)[:, None])
+
+
+def _fine(x: Array) -> Array:
+    return rounded(np.arange(SLOW + 0.5, FINE, 2 * STEP / max(np.ptp(x), 0.1))[:, None])
+
+
+def _cycles(x: Array) -> Array:
+    """Half a cycle to six over the driver's range."""
+    return rounded((2 * np.pi / np.ptp(x) * np.arange(0.5, 6.01, 0.25))[:, None])
+
+
+LINEAR = Form("linear", ("x",), (), _none)
+SQUARE = Form("square", ("x**2",), (), _none)
+CUBE = Form("cube", ("x**3",), (), _none)
+SIZE = Form("size", ("abs(x)",), (), _none)
+SIGNED_SQUARE = Form("signed square", ("x*abs(x)",), (), _none)
+ABOVE = Form("hinge", ("max(0, x - k)",), ("k",), _quantiles(12))
+BELOW = Form("hinge below", ("max(0, k - x)",), ("k",), _quantiles(12))
+BEYOND = Form("hinge of the size", ("max(0, abs(x) - k)",), ("k",), _beyond)
+DEAD_BAND = Form("dead band", ("(max(0, x - k) - max(0, -x - k))",), ("k",), _beyond)
+SATURATION = Form("saturation", ("tanh((x - k)/w)",), ("k", "w"), _with_widths(7, (0.03, 0.08, 0.16, 0.32)))
+STEPPED = Form("step", ("step(x - k)",), ("k",), _quantiles(30))
+BUMP = Form("bump", ("exp(-((x - k)/w)**2)",), ("k", "w"), _with_widths(9, (0.05, 0.1, 0.2, 0.35)))
+BLOCK = Form("on and off", ("step(x - k)*step(w - x)",), ("k", "w"), _between)
+FADE = Form("fading", ("exp(-x/w)",), ("w",), _decays)
+WAVE = Form("wave", ("sin(f*x)", "cos(f*x)"), ("f",), _turns)
+FINE_WAVE = Form("fine wave", ("sin(f*x)", "cos(f*x)"), ("f",), _fine)
+CYCLE = Form("cycle", ("sin(f*x)", "cos(f*x)"), ("f",), _cycles)
+
+# Forms by the kind of driver.
+FORMS = {
+    "angle": (LINEAR, SQUARE, ABOVE, BELOW, SATURATION, STEPPED, BUMP, WAVE),
+    "signed": (LINEAR, SQUARE, CUBE, SIZE, SIGNED_SQUARE, ABOVE, BELOW, BEYOND, DEAD_BAND, SATURATION, STEPPED, BUMP),
+    "positive": (LINEAR, SQUARE, ABOVE, BELOW, SATURATION, STEPPED, BUMP),
+    "time": (LINEAR, SQUARE, ABOVE, BELOW, SATURATION, STEPPED, BUMP, BLOCK, FADE, CYCLE),
+    "linear": (LINEAR,),
+    "range": (LINEAR, SQUARE, WAVE),
+}

@@ -1,0 +1,65 @@
+"""Held-out errors of laws whose settings are chosen anew from the poses of each fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.diagnosis.cross_validation import Fit, random_folds
+from casadical.diagnosis.evidence import Evidence
+from casadical.diagnosis.laws.search import Problem, Scored, refined_settings, scale_of
+from casadical.diagnosis.linear_problem import Case
+from casadical.measurements.noise import Noise
+
+
+def held_out(case: Case, columns: Array, laws: Sequence[Scored], noise: Noise, seed: int) -> Array:
+    """Position error of each kept pose, shape (n,) [m], by a fit to the poses of the other folds.
+
+    columns : of the effects in the model, whose settings stay; laws : whose settings are chosen anew in each fold
+    """
+    base = case.evidence.with_base(columns)
+    folds = random_folds(len(base.r), seed)
+    errors = np.empty(len(base.r))
+    for fold in np.unique(folds):
+        test = folds == fold
+        parts = _columns(base, laws, np.flatnonzero(~test))
+        whole = replace(base, E=np.concatenate([np.zeros((len(base.r), 3, 0)), *parts], axis=2), held=None)
+        fit = Fit(whole, np.arange(whole.width), noise)
+        errors[test] = np.linalg.norm(fit.without(np.flatnonzero(test)), axis=1)
+    return errors
+
+
+def _columns(base: Evidence, laws: Sequence[Scored], train: Array) -> list[Array]:
+    """Columns at all poses of the laws with the settings that are best for some of them, shape (n, 3, w) each."""
+    found: list[Array] = []
+    for law in laws:
+        J = np.concatenate([base.J, *found], axis=2)
+        known = sum(c.shape[2] for c in found)
+        e = replace(
+            base,
+            J=J,
+            delta0=np.concatenate([base.delta0, np.zeros(known)]),
+            prior=np.concatenate([base.prior, np.full(known, 8.0)]),
+            E=np.zeros((len(base.r), 3, 1)),
+            held=None,
+        )
+        found.append(_best(Problem(e.at(train)), law, train))
+    return found
+
+
+def _best(problem: Problem, law: Scored, train: Array) -> Array:
+    tried = law.tried
+    if not law.tried.form.settings and len(tried.seams) == 1:
+        return law.columns
+    logs = []
+    for seam, x, settings in zip(tried.seams, tried.x, tried.settings, strict=True):
+        values = tried.form.values(x, settings)
+        scaled = values / scale_of(values)[:, None, :]
+        logs.append(problem.gains(replace(seam, columns=seam.columns[train]), scaled[:, train]))
+    place = int(np.argmax([g.max() for g in logs]))
+    start = tried.settings[place][int(np.argmax(logs[place]))]
+    best, _ = refined_settings(problem, tried, place, start, train)
+    return tried.column(place, best)[1]

@@ -1,0 +1,105 @@
+"""Log evidence of thousands of laws at one place, quickly: what all of them share is computed once.
+
+A law's columns are those of its place, pose by pose, times functions of the driver. Made white and orthogonal to the
+base model, their products need two things for each place: products of its own columns at each pose, and its columns in
+the axes of the base model, shape (P, n). The rest is a product of matrices for all functions together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, Evidence
+
+
+@dataclass(frozen=True, eq=False)
+class Screen:
+    """A problem at one rho.
+
+    W : makes each pose's columns white, shape (n, 3, 3); Q : base model's axes, shape (n, 3, P)
+    y : residual, white and orthogonal to the base model, shape (n, 3)
+    square, rows : of the whole residual and of the scatter of repeated poses, and how many numbers these are
+    """
+
+    W: Array
+    Q: Array
+    y: Array
+    square: float
+    rows: int
+
+    @classmethod
+    def of(cls, e: Evidence, rho: int) -> Screen:
+        """The problem at a rho of the grid, by its number."""
+        r = RHOS[rho]
+        W = np.linalg.inv(np.linalg.cholesky(np.eye(3) + r**2 * e.Jq @ e.Jq.transpose(0, 2, 1)))
+        weights = e.reference / e.prior
+        A = np.concatenate([(W @ e.J).reshape(e.r.size, -1), np.diag(weights)])
+        A = A / np.linalg.norm(A, axis=0)
+        U, s, _ = np.linalg.svd(A, full_matrices=False)
+        Q = U[:, s > 1e-12 * s[0]]
+        y = np.concatenate([(W @ e.r[:, :, None]).ravel(), weights * e.delta0])
+        y = y - Q @ (Q.T @ y)
+        rows, (scatter, freedom) = e.r.size, e.repeats
+        again = freedom * scatter**2 / float(1 + r**2 * (e.Jq**2).sum(axis=2).mean())
+        Q, left = Q[:rows].reshape(len(e.r), 3, -1), y[:rows].reshape(-1, 3)
+        return cls(W, Q, left, float(y @ y) + again, rows + freedom)
+
+    def products(self, columns: Array, functions: Array) -> tuple[Array, Array]:
+        """Products of every law's columns, shape (K, w, w), and with the residual, shape (K, w); w = parts times d.
+
+        columns : of the place, shape (n, 3, d); functions : parts of the forms at the poses, shape (parts, n, K)
+        """
+        B = self.W @ columns
+        d, parts = B.shape[2], len(functions)
+        M = np.einsum("nap,nad->dpn", self.Q, B)
+        seen = [[M[i] @ part for i in range(d)] for part in functions]
+        own = np.einsum("nai,naj->ijn", B, B)
+        K = functions.shape[2]
+        G = np.empty((K, parts * d, parts * d))
+        for a in range(parts):
+            for b in range(a, parts):
+                both = functions[a] * functions[b]
+                for i in range(d):
+                    for j in range(i if a == b else 0, d):
+                        G[:, a * d + i, b * d + j] = own[i, j] @ both - np.einsum("pk,pk->k", seen[a][i], seen[b][j])
+                        G[:, b * d + j, a * d + i] = G[:, a * d + i, b * d + j]
+        right = np.einsum("nai,na->in", B, self.y)
+        return G, np.concatenate([right @ part for part in functions]).T
+
+    def gains(self, G: Array, b: Array) -> Array:
+        """Log evidence of each law over none, mean over sizes, noise as it comes out; shape (K,).
+
+        G, b : products of columns in units of their sizes (see `products`)
+        """
+        rows = self.rows
+        least = float(SIGMAS[0]) ** 2
+        before = max(self.square / rows, least)
+        if G.shape[1] == 1:
+            value, turned = G[:, :, 0], b
+        else:
+            value, vector = np.linalg.eigh(G)
+            turned = (vector * b[:, :, None]).sum(axis=1)
+        value = np.maximum(value, 0.0)
+        logs = np.empty((len(KAPPAS), len(b)))
+        for k, kappa in enumerate(KAPPAS):
+            size = kappa**2
+            variance = np.full(len(b), before)
+            for _ in range(2):
+                taken = (size * turned**2 / (variance[:, None] + size * value)).sum(axis=1)
+                variance = np.maximum((self.square - taken) / rows, least)
+            gain = 1 + size * value / variance[:, None]
+            quad = (size * turned**2 / gain).sum(axis=1) / variance
+            logs[k] = -0.5 * rows * np.log(variance) - 0.5 * np.log(gain).sum(axis=1)
+            logs[k] += 0.5 * (quad - self.square) / variance
+        none = -0.5 * rows * np.log(before) - 0.5 * self.square / before
+        return np.asarray(log_mean(logs, np.log(KAPPA_WEIGHTS)[:, None]) - none)
+
+
+def log_mean(logs: Array, log_weights: Array | float = 0.0) -> Array:
+    """log(sum(exp(logs + weights))) over the first axis."""
+    logs = logs + log_weights
+    top = logs.max(axis=0)
+    return np.asarray(top + np.log(np.exp(logs - top).sum(axis=0)))

@@ -1,0 +1,336 @@
+"""Laws at all places by all drivers in all forms, the most probable first, each paying for its size and its search.
+
+The score of a law is its log evidence over none, mean over its settings, less the logarithms of how many forms and how
+many places with drivers were tried. Evidence on all settings is that of `screening`; on the best it is exact.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.diagnosis.cross_validation import likely_noise
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence, log_sum
+from casadical.diagnosis.laws.drivers import Driver, drivers_of, values_of, with_columns
+from casadical.diagnosis.laws.forms import FINE_WAVE, FORMS, POSES_FOR_FINE, Form, rounded
+from casadical.diagnosis.laws.screening import Screen, log_mean
+from casadical.diagnosis.laws.seams import Seam, seams_at, stations
+from casadical.diagnosis.laws.seams import with_columns as at_poses
+from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.linearisation import Columns, Linearisation
+from casadical.effects.law import Law
+from casadical.measurements.noise import Noise
+
+# Laws whose evidence is computed exactly, and those whose settings are refined.
+EXACT, REFINED = 24, 6
+# Numbers of the rhos at which laws are screened: what is most probable without a law says little of that with it.
+SCREENED = (2, 4)
+# Steps of a refinement, first as shares of the driver's range (of a width: factors), halved when none helps.
+FIRST_STEP, HALVINGS, ROUNDS, GAIN = 0.03, 3, 10, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """One form of one driver at one place, or at several, with all its settings.
+
+    seams : the place; more than one of the beam, whose stations are settings
+    x : the driver's values, shape (n,), at each place; form : see `Form`
+    """
+
+    seams: tuple[Seam, ...]
+    driver: Driver
+    form: Form
+    x: tuple[Array, ...]
+
+    @cached_property
+    def settings(self) -> tuple[Array, ...]:
+        """At each place, shape (K, settings)."""
+        return tuple(self.form.grid(x) for x in self.x)
+
+    def column(self, seam: int, settings: Array) -> tuple[Law, Array]:
+        """The law of these settings, and its columns in units of their sizes, shape (n, 3, w)."""
+        place = self.seams[seam]
+        values = self.form.values(self.x[seam], settings[None])[:, :, 0]
+        scales = [float(s) for s in scale_of(values)]
+        law = place.with_formula(self.form.texts(self.driver.text, settings.tolist()), scales)
+        sizes = np.array([size for size, _ in law.sizes().values()])
+        columns = np.concatenate([place.columns * v[:, None, None] for v in values], axis=2)
+        return law, columns * sizes
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """A law with its most probable settings.
+
+    law : as an effect; tried : what it was selected from; seam, settings : which place and settings of it
+    score : see the module; evidence : log evidence of these settings over none
+    columns : in units of its sizes, shape (n, 3, w); noise : that it leaves; errors : of the settings, by name
+    """
+
+    law: Law
+    tried: Tried
+    seam: int
+    settings: Array
+    score: float
+    evidence: float
+    columns: Array
+    noise: Noise
+    errors: Array
+
+    @property
+    def family(self) -> tuple[str, str]:
+        """Place and kind of driver."""
+        return self.law.place, self.tried.driver.family
+
+
+def scale_of(values: Array) -> Array:
+    """How much functions vary over the poses (second axis)."""
+    return np.asarray(np.maximum(values.std(axis=1), 0.1 * np.ptp(values, axis=1)) + 1e-12)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What laws are judged on: poses that are no outliers, with what is in the model in the base.
+
+    evidence : without candidates
+    """
+
+    evidence: Evidence
+
+    @classmethod
+    def of(cls, case: Case, chosen: Array) -> Problem:
+        """Of a case; chosen : columns of what is in the model already."""
+        base = case.evidence.with_base(chosen)
+        return cls(replace(base, E=np.zeros((len(base.r), 3, 1)), held=None))
+
+    @cached_property
+    def log_base(self) -> Array:
+        """Log likelihood without a law, shape (rhos, sigmas)."""
+        return self.evidence.log_base()
+
+    def grids(self, columns: Sequence[Array]) -> Array:
+        """Log likelihood with each law, shape (laws, rhos, sigmas, kappas), sizes weighted."""
+        edges = np.cumsum([0, *(c.shape[2] for c in columns)])
+        e = replace(self.evidence, E=np.concatenate(columns, axis=2))
+        groups = [np.arange(a, b) for a, b in itertools.pairwise(edges)]
+        found: Array = e.log_grids(groups) + np.log(KAPPA_WEIGHTS)
+        return found
+
+    def evidences(self, columns: Sequence[Array]) -> Array:
+        """Exact log evidence over none of each law, shape (laws,)."""
+        grids = self.grids(columns)
+        return log_sum(grids.reshape(len(grids), -1), axis=1) - float(log_sum(self.log_base))
+
+    @cached_property
+    def screens(self) -> list[tuple[float, Screen]]:
+        """Screens at the rhos that matter, each with its log share of the evidence without a law."""
+        by_rho = log_sum(self.log_base, axis=1)
+        total = float(log_sum(by_rho))
+        return [(float(by_rho[k]) - total, Screen.of(self.evidence, k)) for k in SCREENED]
+
+    def gains(self, seam: Seam, functions: Array) -> Array:
+        """Log evidence of laws at a place, shape (K,); functions : in units of their scales, shape (parts, n, K)."""
+        found = []
+        for share, screen in self.screens:
+            G, b = screen.products(seam.columns * seam.size, functions)
+            found.append(share + screen.gains(G, b))
+        return log_mean(np.stack(found))
+
+
+@dataclass(frozen=True, eq=False)
+class _Block:
+    """Functions of all drivers in forms of so many parts, side by side.
+
+    functions : in units of their scales, shape (parts, n, K); edges : where each driver and form begins, and the end
+    """
+
+    drivers: tuple[tuple[Driver, Form, Array], ...]
+    functions: Array
+    edges: Array
+
+
+def _blocks(drivers: Sequence[tuple[Driver, Array]], forms: dict[str, tuple[Form, ...]]) -> Iterator[_Block]:
+    for parts in (1, 2):
+        which = [(d, f, x) for d, x in drivers for f in forms[d.kind] if len(f.parts) == parts]
+        if not which:
+            continue
+        values = [f.values(x, f.grid(x)) for _, f, x in which]
+        scaled = np.concatenate([v / scale_of(v)[:, None, :] for v in values], axis=2)
+        yield _Block(tuple(which), scaled, np.cumsum([0, *(v.shape[2] for v in values)]))
+
+
+def _means(gains: Array, edges: Array) -> Array:
+    """Log of the mean over each driver's and form's settings."""
+    top = np.maximum.reduceat(gains, edges[:-1])
+    counts = np.diff(edges)
+    total = np.add.reduceat(np.exp(gains - np.repeat(top, counts)), edges[:-1])
+    return np.asarray(top + np.log(total / counts))
+
+
+@dataclass(frozen=True, eq=False)
+class _Rough:
+    """A law by its screened evidence: what was tried, which place and settings are best, mean over all of them."""
+
+    tried: Tried
+    seam: int
+    settings: Array
+    best: float
+    mean: float
+
+
+def _of_block(seam: Seam, block: _Block, gains: Array, keep: int) -> list[_Rough]:
+    means = _means(gains, block.edges)
+    found = []
+    for k in np.argsort(-means)[:keep]:
+        driver, form, x = block.drivers[k]
+        own = gains[block.edges[k] : block.edges[k + 1]]
+        best = int(np.argmax(own))
+        tried = Tried((seam,), driver, form, (x,))
+        found.append(_Rough(tried, 0, form.grid(x)[best], float(own[best]), float(means[k])))
+    return found
+
+
+def _everywhere(problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[Seam]) -> Iterator[_Rough]:
+    for block in _blocks(drivers, FORMS):
+        for seam in seams:
+            some = block
+            if seam.law.seam == "payload":
+                kept = [d for d in drivers if seam.takes(d[0])]
+                own = [b for b in _blocks(kept, FORMS) if len(b.functions) == len(block.functions)]
+                if not own:
+                    continue
+                some = own[0]
+            yield from _of_block(seam, some, problem.gains(seam, some.functions), EXACT)
+
+
+def _fine(problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[Seam]) -> Iterator[_Rough]:
+    """Fine waves of each joint over its own angle."""
+    if len(problem.evidence.r) < POSES_FOR_FINE:
+        return
+    own = {d.text: (d, x) for d, x in drivers if d.family == "angle"}
+    for seam in seams:
+        if seam.law.seam == "joint" and f"q{seam.law.joint}" in own:
+            (block,) = _blocks([own[f"q{seam.law.joint}"]], {"angle": (FINE_WAVE,)})
+            yield from _of_block(seam, block, problem.gains(seam, block.functions), 1)
+
+
+def _along_the_beam(problem: Problem, beams: Sequence[Seam], point: Array) -> Iterator[_Rough]:
+    """Laws of the range, whose station is a setting like others."""
+    driver = Driver("r", "range", "range")
+    x = [np.linalg.norm(point - np.array(b.law.station), axis=1) for b in beams]
+    for form in FORMS["range"]:
+        gains = []
+        for seam, r in zip(beams, x, strict=True):
+            (block,) = _blocks([(driver, r)], {"range": (form,)})
+            gains.append(problem.gains(seam, block.functions))
+        tried = Tried(tuple(beams), driver, form, tuple(x))
+        k = int(np.argmax([g.max() for g in gains]))
+        best = int(np.argmax(gains[k]))
+        whole = np.concatenate(gains)
+        mean = float(log_mean(whole) - np.log(len(whole)))
+        yield _Rough(tried, k, tried.settings[k][best], float(gains[k][best]), mean)
+
+
+def _linear(case: Case) -> tuple[Linearisation, list[Driver]]:
+    """The robot at the kept poses with the columns of the drivers, and those drivers whose columns were logged."""
+    assert isinstance(case.whole.E, Columns)
+    m, known = with_columns(case.m, drivers_of(case.given))
+    linear = replace(case.whole.E.linear, conditions=dict(m.conditions))
+    return linear.at(np.flatnonzero(case.kept)), known
+
+
+def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset()) -> list[Scored]:
+    """The most probable laws, the best first; their settings are refined.
+
+    chosen : columns of what is in the model already; without : labels of laws that are in it
+    """
+    problem = Problem.of(case, chosen)
+    linear, known = _linear(case)
+    kept, values = values_of(linear, known)
+    drivers = list(zip(kept, values.T, strict=True))
+    seams = at_poses(linear, seams_at(case.given))
+    beams = at_poses(linear, stations(case.given))
+    rough = [*_everywhere(problem, drivers, seams), *_fine(problem, drivers, seams)]
+    rough += _along_the_beam(problem, beams, linear.seen[:, :3])
+    instances = len(seams) * len(drivers) + 1
+    prices = [np.log(instances) + np.log(1 + len(FORMS[r.tried.driver.kind])) for r in rough]
+    order = np.argsort([-(r.mean - price) for r, price in zip(rough, prices, strict=True)])
+    some = [rough[k] for k in order[:EXACT]]
+    made = [r.tried.column(r.seam, r.settings) for r in some]
+    exact = problem.evidences([columns for _, columns in made])
+    scored = [float(e - r.best + r.mean - prices[k]) for e, r, k in zip(exact, some, order, strict=False)]
+    found = []
+    for rank, k in enumerate(np.argsort([-s for s in scored])):
+        if made[k][0].label not in without:
+            found.append(_finished(problem, some[k], scored[k], float(exact[k]), refine=rank < REFINED))
+    return sorted(found, key=lambda s: -s.score)
+
+
+def _finished(problem: Problem, rough: _Rough, score: float, evidence: float, refine: bool) -> Scored:
+    """The law with its settings refined, which raises the score as much as the evidence."""
+    tried, settings = rough.tried, rough.settings
+    errors = np.full(len(settings), np.nan)
+    if refine and len(settings):
+        settings, better = refined_settings(problem, tried, rough.seam, settings)
+        errors = _sigmas(problem, tried, rough.seam, settings, better)
+        score, evidence = score + better - evidence, better
+    law, columns = tried.column(rough.seam, settings)
+    noise = likely_noise(problem.grids([columns])[0])
+    return Scored(law, tried, rough.seam, settings, score, evidence, columns, noise, errors)
+
+
+def _moved(tried: Tried, seam: int, settings: Array, k: int, step: float) -> Array:
+    """One setting moved: a width by a factor, a frequency by its share of the range, a position by a share of it."""
+    moved, span = settings.copy(), float(np.ptp(tried.x[seam]))
+    name = tried.form.settings[k]
+    if name == "w" and tried.form.name != "on and off":
+        moved[k] *= np.exp(10 * step)
+    elif name == "f":
+        moved[k] += 10 * step / span
+    else:
+        moved[k] += step * span
+    return rounded(moved)
+
+
+def refined_settings(
+    problem: Problem, tried: Tried, seam: int, settings: Array, poses: Array | slice = slice(None)
+) -> tuple[Array, float]:
+    """The best settings near these, and their log evidence. poses : of those tried, the problem's."""
+
+    def evidences(trial: Sequence[Array]) -> Array:
+        return problem.evidences([tried.column(seam, s)[1][poses] for s in trial])
+
+    if not len(settings):
+        return settings, float(evidences([settings])[0])
+    evidence = float(evidences([settings])[0])
+    step, halved = FIRST_STEP, 0
+    for _ in range(ROUNDS):
+        near = [_moved(tried, seam, settings, k, s) for k in range(len(settings)) for s in (-step, step)]
+        logs = evidences(near)
+        best = int(np.argmax(logs))
+        if logs[best] > evidence + GAIN:
+            settings, evidence = near[best], float(logs[best])
+            continue
+        step, halved = step / 2, halved + 1
+        if halved > HALVINGS:
+            break
+    return settings, evidence
+
+
+def _sigmas(problem: Problem, tried: Tried, seam: int, settings: Array, evidence: float) -> Array:
+    """One sigma of each setting alone: where the log evidence has fallen by a half, from steps of growing size."""
+    found = np.empty(len(settings))
+    for k in range(len(settings)):
+        steps = np.array([0.003, 0.006, 0.012, 0.025, 0.05, 0.1])
+        moved = [_moved(tried, seam, settings, k, s) for s in (*steps, *-steps)]
+        logs = problem.evidences([tried.column(seam, n)[1] for n in moved])
+        fallen = evidence - np.maximum(logs[: len(steps)], logs[len(steps) :])
+        beyond = np.flatnonzero(fallen > 0.5)
+        at = int(beyond[0]) if len(beyond) else len(steps) - 1
+        found[k] = abs(moved[at][k] - settings[k]) / np.sqrt(max(2 * float(fallen[at]), 1.0))
+    return found

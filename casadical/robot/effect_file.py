@@ -1,0 +1,64 @@
+"""Effect files: effects alone, with values, covariance and range, to be put into any robot or be a candidate."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import tomlkit
+from pydantic import Field
+
+from casadical import __version__
+from casadical.core.errors import InputError
+from casadical.core.schema import TomlTable, check, load_toml
+from casadical.effects import Effect
+from casadical.robot.effect_tables import CovarianceTable, EffectTable, LearntTable, text_of
+from casadical.robot.robot import Robot
+
+VERSION = 2
+
+
+class _EffectFile(TomlTable):
+    casadical: Literal[2]
+    written_by: str = ""
+    robot: str = ""
+    effect: list[EffectTable] = Field(min_length=1)
+    learnt: LearntTable = LearntTable()
+    covariance: list[CovarianceTable] = Field(default=[])
+
+
+@dataclass(frozen=True)
+class Effects:
+    """Effects and the values of their parameters [SI]; robot : name of that on which they were found."""
+
+    effects: tuple[Effect, ...]
+    values: Mapping[str, float]
+    robot: str = ""
+
+
+def read_effects(path: str | Path, effects: Sequence[type[Effect]] = ()) -> Effects:
+    """Effects from a file; formulas of laws in it are parsed and never executed.
+
+    effects : classes of your own, as of `read_robot`. Raises InputError that names file, key and what is allowed.
+    """
+    path = Path(path)
+    file = check(_EffectFile, load_toml(path), path.name)
+    found, values = [], {}
+    for k, table in enumerate(file.effect, 1):
+        try:
+            effect = table.effect(effects)
+        except InputError as error:
+            raise InputError(f"{path.name}: effect[{k}].{error}") from None
+        found.append(effect)
+        values.update({f"{effect.label}.{name}": given.value for name, given in table.values.items()})
+    return Effects(tuple(found), values, file.robot)
+
+
+def effects_toml(robot: Robot, effects: Sequence[Effect], comment: str = "") -> str:
+    """Some effects of a robot as the text of an effect file, with what is known of their values."""
+    names = {p.name for e in effects for p in e.parameters()}
+    known = robot.knowledge.without(set(robot.parameters.names) - names) if robot.knowledge else None
+    lines = [f"# {line}" for line in comment.splitlines()]
+    lines += [f"casadical = {VERSION}", f'written_by = "casadical {__version__}"']
+    lines.append(f"robot = {tomlkit.item(robot.name).as_string()}")
+    return "\n".join([*lines, *text_of(robot, effects, robot.effect_values, known), ""])

@@ -1,0 +1,161 @@
+"""Laws found in simulated campaigns: the search against exact evidence, what is claimed, and the files of it."""
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cases import case, plant, robot
+
+from casadical import Discovery, discover
+from casadical.blind_check.numpy_physics import campaign, perturb
+from casadical.blind_check.numpy_physics.disturbance import Disturbance
+from casadical.blind_check.numpy_physics.disturbances_drive import GearEccentricity
+from casadical.blind_check.numpy_physics.disturbances_rare import CableStop
+from casadical.core.errors import InputError
+from casadical.diagnosis.evidence import log_sum
+from casadical.diagnosis.laws.answer import as_json, files_of, line_of, page_of
+from casadical.diagnosis.laws.discovery import with_law
+from casadical.diagnosis.laws.drivers import drivers_of, values_of, with_columns
+from casadical.diagnosis.laws.forms import FINE_WAVE, FORMS, WAVE
+from casadical.diagnosis.laws.screening import Screen
+from casadical.diagnosis.laws.search import SCREENED, Problem, scale_of, search_laws
+from casadical.diagnosis.linearisation import linearise
+from casadical.effects import Law
+from casadical.effects.formula import NUMERIC, parse
+from casadical.identification.accuracy import predicted
+from casadical.measurements.derived_columns import derive
+from casadical.measurements.reading import from_table
+from casadical.robot.effect_file import read_effects
+from casadical.robot.robot_file import read_robot
+
+NAME = "kr210"
+NONE = np.zeros(0, dtype=np.int64)
+STOP = CableStop(3, -360e-6, share=0.9)
+
+
+def table(seed: int, *disturbances: Disturbance):
+    p = perturb(plant(robot(NAME)), seed)
+    return campaign(p, 80, seed, disturbances=disturbances, noise_mm=0.02, approach="motion")
+
+
+@cache
+def discovered(seed: int, *disturbances: Disturbance) -> Discovery:
+    return discover(robot(NAME), from_table(table(seed, *disturbances), 6))
+
+
+@pytest.mark.parametrize(
+    "form", {f.name: f for fs in FORMS.values() for f in (*fs, FINE_WAVE)}.values(), ids=lambda f: f.name
+)
+def test_the_formula_that_is_written_out_is_the_one_that_was_judged(form) -> None:
+    x = np.random.default_rng(0).uniform(-1.5, 1.0, 40)
+    grid = form.grid(x)
+    for k in (0, len(grid) // 2, len(grid) - 1):
+        values = form.values(x, grid[[k]])[:, :, 0]
+        for part, text in zip(values, form.texts("q1 + q2", grid[k].tolist()), strict=True):
+            (found,) = parse(text).values({"q1": 0.4 * x, "q2": 0.6 * x}, NUMERIC)
+            np.testing.assert_allclose(found, part, rtol=1e-9, atol=1e-9)
+
+
+def test_drivers_are_what_the_robot_and_the_table_say() -> None:
+    r, m = robot(NAME), from_table(table(1), 6)
+    m, drivers = with_columns(m, drivers_of(r))
+    found, values = values_of(linearise(r, m, r.parameters.values), drivers)
+    by = {d.text: v for d, v in zip(found, values.T, strict=True)}
+    tau = r.model.function("torque", ("tau",)).map(len(m))
+    w = m.condition_matrix(r.conditions, r.declared)
+    load = tau(m.q.T, w.T, r.parameters.values).full() / np.reshape(r.torque_scale, (-1, 1))
+    np.testing.assert_allclose(by["tau2"], load[1], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(by["q3 - q4"], m.q[:, 2] - m.q[:, 3], atol=1e-12)
+    np.testing.assert_allclose(by["move5"], derive(m, ["move5"])[0].conditions["move5"], atol=1e-12)
+    np.testing.assert_allclose(by["t"], np.arange(80) / 79, atol=1e-12)
+
+
+def test_screened_evidence_is_the_exact_one_at_each_rho() -> None:
+    c = case("kr210-P02")
+    problem = Problem.of(c, NONE)
+    by_rho = log_sum(problem.log_base, axis=1)
+    for s in search_laws(c, NONE)[:8]:
+        seam, x = s.tried.seams[s.seam], s.tried.x[s.seam]
+        values = s.tried.form.values(x, s.settings[None])
+        exact = log_sum(problem.grids([s.columns])[0], axis=(1, 2)) - by_rho
+        for rho in SCREENED:
+            screen = Screen.of(problem.evidence, rho)
+            G, b = screen.products(seam.columns * seam.size, values / scale_of(values)[:, None, :])
+            assert screen.gains(G, b) == pytest.approx(exact[rho], abs=1.0)
+
+
+def test_the_columns_of_a_law_are_those_of_its_effect() -> None:
+    c = case("kr210-P02")
+    for s in search_laws(c, NONE)[:6]:
+        more = with_law(c, s.law)
+        found = more.whole.take(more.group((s.law,)))[c.kept]
+        np.testing.assert_allclose(found, s.columns, rtol=0, atol=1e-6 * np.abs(s.columns).max())
+
+
+def test_a_cable_that_stops_a_joint_is_found() -> None:
+    found = discovered(5, STOP)
+    (s,) = found.laws
+    assert (s.law.place, s.tried.driver.text, s.tried.form.name) == ("joint 3", "q4", "hinge")
+    q4 = found.case.m.q[:, 3]
+    where = np.quantile(q4, 0.25 + 0.5 * STOP.share)
+    assert s.settings[0] == pytest.approx(where, abs=3 * s.errors[0])
+    (value, error, unit), slope = found.values[f"{s.law.label}.a"], 2 * STOP.size / np.ptp(q4)
+    assert unit == "rad"
+    assert value == pytest.approx(slope, abs=4 * error + 0.2 * abs(slope))
+    assert found.gap["law"] < min(found.gap["base"], found.gap.get("smooth", 1.0))
+    assert found.kept == "law"
+    assert found.shrink is not None
+    assert found.shrink[1][0] > 0.1
+
+
+def test_what_predicts_best_goes_into_the_robot() -> None:
+    found = discovered(5, STOP)
+    m = found.case.m
+    left = [np.linalg.norm(m.position - predicted(r, m)[0], axis=1).mean() for r in (found.apply(), found.case.robot)]
+    assert left[0] < 0.75 * left[1]
+    assert replace(found, gap={"base": 1.0, "law": 0.9, "smooth": 0.8}).kept == "smooth"
+
+
+def test_nothing_is_claimed_where_there_is_nothing() -> None:
+    found = discovered(6)
+    assert found.laws == ()
+    assert "No law is claimed" in page_of(found)
+    assert as_json(found, "clean")["verdict"] == "none"
+
+
+def test_a_listed_effect_stays_one() -> None:
+    found = discovered(7, GearEccentricity(2, 90e-6))
+    assert found.laws == ()
+    assert [e.label for e in found.diagnosis.effects()] == ["gear_eccentricity@2"]
+
+
+def test_a_line_a_person_can_read() -> None:
+    law = Law(2, "joint", "a*max(0, abs(tau3) - 0.3)")
+    assert line_of(law, {"a": 84e-6}) == "joint 2 += 84 urad * max(0, |tau3| - 0.3)"
+    vector = Law(3, "tilt", "[a, b, c]*sin(2*q4) + [d, e, f]*cos(2*q4)", tuple((n, 1e-5) for n in "abcdef"))
+    values = dict(zip("abcdef", (1e-6, -2e-6, 3e-6, 0.0, 0.0, 4e-5), strict=True))
+    assert line_of(vector, values) == "tilt of link 3 += [1, -2, 3] urad * sin(2*q4) + [0, 0, 40] urad * cos(2*q4)"
+    assert WAVE.texts("q4", [2.0]) == ("sin(2*q4)", "cos(2*q4)")
+
+
+def test_the_files_are_read_again(tmp_path: Path) -> None:
+    found = discovered(5, STOP)
+    for path, text in files_of(found, tmp_path, "stop"):
+        path.write_text(text)
+    whole, alone = read_robot(tmp_path / "discovered.robot.toml"), read_effects(tmp_path / "law.effect.toml")
+    m = found.case.m
+    again = found.apply()
+    np.testing.assert_allclose(predicted(whole, m)[0], predicted(again, m)[0], rtol=0, atol=1e-12)
+    assert alone.effects == tuple(s.law for s in found.laws)
+    assert alone.values == {k: again.effect_values[k] for k in alone.values}
+    kept = json.loads((tmp_path / "discovery.json").read_text())
+    assert kept["verdict"] == "law"
+    assert kept["laws"][0]["line"] in (tmp_path / "law.effect.toml").read_text()
+    assert kept["rounds"][0]["claimed"]
+    bad = (tmp_path / "law.effect.toml").read_text().replace("a*max(", "a*open(")
+    (tmp_path / "bad.toml").write_text(bad)
+    with pytest.raises(InputError, match=r"bad.toml: effect\[1\].*unknown function 'open'"):
+        read_effects(tmp_path / "bad.toml")
