@@ -19,7 +19,7 @@ _OUTPUTS = ("out", "json_file", "report_file", "measure_next", "figure")
 # Names in a folder of outputs, so that no other output and no input may have them.
 _SET = (
     "result.json", "*.robot.toml", "*.robot.urdf", "*.parameters.csv", "*.compensator.json", "manifest.json",
-    "diagnosis.json", "diagnosis.txt",
+    "diagnosis.json", "diagnosis.txt", "discovery.json", "discovery.txt", "*.effect.toml",
 )  # fmt: skip
 # Of each kind of JSON that `--json` writes, names by which it is known again.
 _OURS = (

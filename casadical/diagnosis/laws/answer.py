@@ -68,7 +68,7 @@ def blocks_of(d: Discovery) -> list[Words | Table]:
     if d.shrink:
         low, high = d.shrink[1]
         shares = f"{_share(d.shrink[0])} ({_share(low)} to {_share(high)})"
-        found.append(Words(f"Held out, settings chosen anew in each fold, the error is {shares} smaller."))
+        found.append(Words(f"Held out, settings chosen again in each fold, the error is {shares} smaller."))
     found.append(Words(f"In the model that is kept: {_MODELS[d.kept]}, which predicts held-out poses best.", "note"))
     return found
 
@@ -165,7 +165,7 @@ def _round(r: Round) -> dict[str, Any]:
     return {
         "claimed": r.claimed,
         "best": {"line": line_of(r.best.law), "form": r.best.tried.form.name, "score": round(r.best.score, 2)},
-        "not_told_apart": [{"line": line_of(s.law), "behind": round(r.best.score - s.score, 2)} for s in r.alike],
+        "not_distinguished": [{"line": line_of(s.law), "behind": round(r.best.score - s.score, 2)} for s in r.alike],
         "within": ALIKE,
         "listed": {"label": r.listed[0], "score": round(r.listed[1], 2)},
         "smooth": {"label": r.smooth[0], "score": round(r.smooth[1], 2)},

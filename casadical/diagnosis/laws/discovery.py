@@ -1,4 +1,4 @@
-"""Discover the law of what is left: laws beside listed causes and smooth forms, claimed where the data tell them apart.
+"""Discover the law of what is left: laws beside listed causes and smooth forms, claimed where the data distinguish it.
 
 A law is claimed if its score (see `search`) is 12 or more and 3 above that of the best listed effect and of the best
 form on no list, these with their settings refined as the law's are. Where its columns are those of a listed effect, it
@@ -35,7 +35,7 @@ from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.robot.robot import Robot
 
-# Nats of a claim: of the score, and above rivals; of laws that are not told apart.
+# Nats of a claim: of the score, and above rivals; of laws that are not distinguished.
 CLAIMED, ABOVE, ALIKE = 12.0, 3.0, 5.0
 # A law is a listed effect by another name if their columns correlate by more; so many listed ones are compared.
 CORRELATION, COMPARED = 0.95, 8
@@ -82,7 +82,7 @@ class Discovery:
     noise : that they leave; values : of the laws' factors: (value, standard error, unit) [SI] by parameter
     gap : mean held-out error [m] of the base model, with the diagnosis's causes, with the laws (and causes beside
         them), with causes and smooth forms; only those that there are
-    shrink : share by which it falls with the laws, and a 95 % interval; settings were chosen anew in each fold
+    shrink : share by which it falls with the laws, and a 95 % interval; settings were chosen again in each fold
     smooth : the smooth description, None without one
     """
 

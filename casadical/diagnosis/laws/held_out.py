@@ -1,4 +1,4 @@
-"""Held-out errors of laws whose settings are chosen anew from the poses of each fit."""
+"""Held-out errors of laws whose settings are chosen again from the poses of each fit."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from casadical.measurements.noise import Noise
 def held_out(case: Case, columns: Array, laws: Sequence[Scored], noise: Noise, seed: int) -> Array:
     """Position error of each kept pose, shape (n,) [m], by a fit to the poses of the other folds.
 
-    columns : of the effects in the model, whose settings stay; laws : whose settings are chosen anew in each fold
+    columns : of the effects in the model, whose settings stay; laws : whose settings are chosen again in each fold
     """
     base = case.evidence.with_base(columns)
     folds = random_folds(len(base.r), seed)
