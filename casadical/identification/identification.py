@@ -23,6 +23,7 @@ from casadical.identification.least_squares import (
 )
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against
+from casadical.identification.prediction import covariance_of_all
 from casadical.identification.prior import Prior, carry_over
 from casadical.identification.reduction import POOR_FIT, reduce_and_solve
 from casadical.identification.residuals import LOSSES, Loss, make_block
@@ -174,15 +175,21 @@ class Identification:
         """Positions of the calibrated robot, shape (n, 3) [m], and their covariances, shape (n, 3, 3) [m^2].
 
         q : joint readings, shape (n, joints) [rad or m]; conditions : logged columns by name, each of shape (n,).
-        The covariance is that of the model's position; a new measurement adds its own noise.
+        The covariance is that of the model's position; a new measurement adds its own noise. It holds the parameters
+        that were not identified too, by their covariance in the robot's file or else their priors (see `prediction`).
         """
         q = np.atleast_2d(q)
         m = unmeasured(q, conditions)
         p, _ = predicted(self.robot, m)
-        x, _ = self.problem.separate(self.solution.v)
-        block = make_block(self.start, m, self.names, "linear", 1.0, 1.0, np.zeros((0, 3)), np.zeros(len(q), int))
-        J = block.evaluate(x, np.zeros((0, 3)))[1] / self.problem.scale
-        return p, J @ np.nan_to_num(self.covariance) @ J.transpose(0, 2, 1)
+        problem, x, C = self._everything
+        block = make_block(self.start, m, problem.names, "linear", 1.0, 1.0, np.zeros((0, 3)), np.zeros(len(q), int))
+        J = block.evaluate(x, np.zeros((0, 3)))[1] / problem.scale
+        return p, J @ C @ J.transpose(0, 2, 1)
+
+    @cached_property
+    def _everything(self) -> tuple[LeastSquares, Array, Array]:
+        """Of all parameters that are not known exactly: their problem, departures from nominal, and covariance [SI]."""
+        return covariance_of_all(self.problem, self.solution.v, self.variance)
 
     def accuracy(self, m: Measurements) -> dict[str, Accuracy]:
         """Errors on any measurements: "nominal", "placed" (base and tool fitted) and "calibrated"."""

@@ -10,6 +10,11 @@ from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
+# Singular values of less than this share of the greatest are noise: the directions stay as they are.
+UNDETERMINED = 1e-3
+# Weight [m^2] of the rotation before, where the points determine none.
+TIE = 1e-9
+
 
 def place_frames(robot: Robot, m: Measurements) -> Robot:
     """The robot with the unknown parts of its base and tool frames put where the measurements say.
@@ -27,7 +32,7 @@ def place_frames(robot: Robot, m: Measurements) -> Robot:
     T_M0, t = robot.base.T, robot.tool.T[:3, 3]
     for _ in range(3 if compliant else 1):  # how a compliant arm is deflected depends on gravity in its base frame
         p, R = _flange(robot, m, T_M0)
-        T_M0, t = _solve(p, R, m.position, known)
+        T_M0, t = _solve(p, R, m.position, known, T_M0, t)
     turn = robot.tool.T[:3, :3]
     if robot.tool.unknown == "pose" and m.orientation is not None:
         turn = nearest_rotation(np.einsum("nji,kj,nkl->il", R, T_M0[:3, :3], m.orientation))
@@ -44,27 +49,35 @@ def _flange(robot: Robot, m: Measurements, T_M0: Array) -> tuple[Array, Array]:
     return (p - T_M0[:3, 3]) @ T_M0[:3, :3] - R @ robot.tool.T[:3, 3], R
 
 
-def _solve(p: Array, R: Array, y: Array, known_tool: Array | None) -> tuple[Array, Array]:
-    """T_M0, shape (4, 4), and tool t, shape (3,)."""
+def _solve(p: Array, R: Array, y: Array, known_tool: Array | None, T_M0: Array, t: Array) -> tuple[Array, Array]:
+    """T_M0, shape (4, 4), and tool t, shape (3,); what the poses do not determine stays as in the given ones."""
     n = len(p)
     centre = y.mean(axis=0)
+    R_B = T_M0[:3, :3]
     A = np.zeros((n, 3, 15))
     for row in range(3):
         A[:, row, 3 * row : 3 * row + 3] = y - centre
         A[:, row, 9 + row] = 1.0
     A[:, :, 12:] = -R
     target = p
+    before = np.concatenate([R_B.T.ravel(), R_B.T @ (centre - T_M0[:3, 3]), t])
     if known_tool is not None:
         target = p + R @ known_tool
-        A = A[:, :, :12]
-    found = np.linalg.lstsq(A.reshape(3 * n, -1), target.ravel(), rcond=None)[0]
+        A, before = A[:, :, :12], before[:12]
+    found = _nearest(A.reshape(3 * n, -1), target.ravel(), before)
     R_B = nearest_rotation(found[:9].reshape(3, 3)).T
     t = found[12:] if known_tool is None else known_tool
     for _ in range(5):
         if known_tool is None:
             B = np.concatenate([R_B @ R, np.broadcast_to(np.eye(3), (n, 3, 3))], axis=2)
-            t = np.linalg.lstsq(B.reshape(3 * n, 6), (y - p @ R_B.T).ravel(), rcond=None)[0][:3]
+            shift = (y - p @ R_B.T - R_B @ R @ t).mean(axis=0)
+            t = _nearest(B.reshape(3 * n, 6), (y - p @ R_B.T).ravel(), np.concatenate([t, shift]))[:3]
         x = p + R @ t
-        R_B = nearest_rotation((y - centre).T @ (x - x.mean(axis=0)))
+        R_B = nearest_rotation((y - centre).T @ (x - x.mean(axis=0)) + n * TIE * R_B)
     x = p + R @ t
     return frame(R_B, centre - R_B @ x.mean(axis=0)), t
+
+
+def _nearest(A: Array, b: Array, before: Array) -> Array:
+    """The least squares solution of A x = b next to `before` in the directions that A does not determine."""
+    return np.asarray(before + np.linalg.lstsq(A, b - A @ before, rcond=UNDETERMINED)[0])

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.errors import InputError
+from casadical.core.errors import ConvergenceError, InputError
 from casadical.identification.identifiability import Identifiability, Unidentifiable, drop_poor
 from casadical.identification.least_squares import LeastSquares, variance
 from casadical.identification.solver import Progress, Solution
@@ -35,11 +35,16 @@ def reduce_and_solve(
     poor: list[Unidentifiable] = []
     left = 0.0
     while reduced.names:
-        solution = reduced.solve(progress)
-        left = left or _misfit(reduced, solution.v)
-        worse = [] if problem.priors else _poor(reduced, solution.v)
-        if not worse:
-            return reduced, solution, replace(found, independent=reduced.names, held=(*found.held, *poor))
+        try:
+            solution = reduced.solve(progress)
+        except ConvergenceError:
+            if problem.priors or not (worse := _poor_at_start(reduced)):
+                raise
+        else:
+            left = left or _misfit(reduced, solution.v)
+            worse = [] if problem.priors else _poor(reduced, solution.v, variance(reduced, solution.v))
+            if not worse:
+                return reduced, solution, replace(found, independent=reduced.names, held=(*found.held, *poor))
         poor += worse
         gone = {u.name for u in worse}
         reduced = reduced.with_names([n for n in reduced.names if n not in gone])
@@ -59,7 +64,13 @@ def _misfit(problem: LeastSquares, v: Array) -> float:
     return float(np.sqrt(variance(problem, v))) * max(sigma for sigma, _ in problem.sigmas)
 
 
-def _poor(problem: LeastSquares, v: Array) -> list[Unidentifiable]:
-    """Parameters that the data determine worse than their prior."""
+def _poor(problem: LeastSquares, v: Array, variance: float) -> list[Unidentifiable]:
+    """Parameters that the data determine worse than their prior; variance : of a residual in units of sigma."""
     _, H = problem.gradient(v)
-    return drop_poor([problem.robot.parameters[n] for n in problem.names], H, variance(problem, v))[1]
+    return drop_poor([problem.robot.parameters[n] for n in problem.names], H, variance)[1]
+
+
+def _poor_at_start(problem: LeastSquares) -> list[Unidentifiable]:
+    """Those by which a solve wanders off: by the sigmas, and if these excuse none, by the misfit of the start."""
+    v = np.zeros(problem.size)
+    return _poor(problem, v, 1.0) or _poor(problem, v, variance(problem, v))

@@ -1,0 +1,53 @@
+"""The covariance of all parameters after an identification: a prediction is unsure where the data said nothing.
+
+Parameters that were not identified stand at their nominal values, off by an unknown amount e with covariance S: what
+the robot's file knows of them, or else their priors. Through the fit they move the identified ones by -A e, with
+A = (J' W J + P)^-1 J' W J_e, the least squares regression of their columns J_e on those of the identified ones. Where
+the data cannot tell them apart but the pose to be predicted can, J_e - J A is not zero, and the prediction is unsure by
+its share of S. Source: the propagation of "consider parameters"; Tapley, Schutz and Born, Statistical Orbit
+Determination (2004), section 6.2.
+"""
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.identification.identifiability import scaled_inverse
+from casadical.identification.least_squares import LeastSquares
+from casadical.robot.robot import Robot
+
+
+def covariance_of_all(problem: LeastSquares, v: Array, variance: float) -> tuple[LeastSquares, Array, Array]:
+    """Of all parameters that are not known exactly: the problem with their names, their departures, covariance [SI].
+
+    problem : as it was solved, with the optimum v; variance : of a residual in units of sigma
+    """
+    solved = ~problem.at_bounds(v)
+    free = [n for n, kept in zip(problem.names, solved, strict=False) if kept]
+    own = problem.covariance(v, variance)
+    held = [p.name for p in problem.robot.parameters if p.name not in free and p.prior > 0]
+    whole = problem.with_names([*free, *held])
+    values = problem.values(v)
+    start = [(values.get(n, p.value) - p.value) / p.scale for n in whole.names for p in [problem.robot.parameters[n]]]
+    residuals, J = whole.evaluate(np.concatenate([start, v[len(problem.names) :]]))
+    slope = whole.slopes(residuals)
+    f, e = len(free), len(held)
+    fitted = np.concatenate([J[:, :f], J[:, f + e :]], axis=1)
+    inside = np.flatnonzero(solved)
+    P = problem.prior_matrix[np.ix_(inside, inside)]
+    A = scaled_inverse(fitted.T @ (slope[:, None] * fitted) + P) @ (fitted.T @ (slope[:, None] * J[:, f : f + e]))
+    scale = whole.scale
+    A = A[:f] * np.outer(scale[:f], 1 / scale[f:])
+    S = _known(problem.robot, held)
+    at = inside[inside < len(problem.names)]
+    C = np.block([[own[np.ix_(at, at)] + A @ S @ A.T, -A @ S], [-S @ A.T, S]])
+    return whole, np.array(start), C
+
+
+def _known(robot: Robot, names: list[str]) -> Array:
+    """Covariance of held parameters [SI]: that of the robot's file, or else by their priors."""
+    S = np.diag([robot.parameters[n].prior ** 2 for n in names])
+    for block in robot.knowledge.covariance if robot.knowledge else ():
+        own = block.of(names)
+        at = [names.index(n) for n in own.names]
+        S[np.ix_(at, at)] = own.matrix
+    return S

@@ -1,0 +1,106 @@
+"""Predicted positions are as unsure as they are wrong, also where the measured poses determined nothing."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import arms
+import numpy as np
+import pytest
+
+from casadical import identify
+from casadical.robot.knowledge import Covariance, Knowledge
+
+sys.path.append(str(Path(__file__).parents[2] / "docs" / "studies"))
+import prediction_coverage as study
+from coverage import arm
+
+ARM = arms.six_axis()
+
+
+@pytest.fixture(scope="module")
+def built():
+    return arms.planted(ARM, 4)
+
+
+def sigma(result, q):
+    """Standard deviation of predicted positions, shape (n,) [m]."""
+    return np.sqrt(np.trace(result.predict(q)[1], axis1=1, axis2=2))
+
+
+@pytest.mark.parametrize("design", [d for d in study.DESIGNS if d != "one axis"])
+def test_intervals_hold_the_truth_anywhere(design) -> None:
+    """Fewer designs than in docs/studies/prediction_coverage.py, which has all six kinds and three robots."""
+    robot = study.turning(arm())
+    cases = [study.case(robot, study.DESIGNS[design], np.random.default_rng([3, n])) for n in range(4)]
+    found = {key: np.mean([c[key] for c in cases if c]) for key in cases[0]}
+    assert found["cover_all"] > 0.9
+    assert found["sigma_all"] < 4 * found["error"]  # and they are not merely wide
+    if design not in ("few poses", "half the workspace"):
+        assert found["cover_only"] < 0.6  # by the identified parameters alone
+
+
+def test_where_poses_were_measured_nothing_is_added(built) -> None:
+    """Readings of one plane: what they do not tell of the robot they do not need."""
+    q = arms.readings(built, 60, 5)
+    q[:, [0, 3, 5]] = q[0, [0, 3, 5]]
+    result = identify(ARM, arms.positions(built, q, 6), ["kinematic"])
+    assert sigma(result, q).max() < 3 * arms.NOISE
+    assert sigma(result, arms.readings(built, 60, 7)).mean() > 30 * arms.NOISE
+
+
+def test_where_all_is_identified_the_covariance_is_that_of_the_identified(built) -> None:
+    robot = replace(ARM, base=replace(ARM.base, unknown="none"))
+    q, probe = arms.readings(built, 60, 5), arms.readings(built, 20, 7)
+    result = identify(robot, arms.positions(built, q, 6), ["theta*"])
+    held = [p.name for p in robot.parameters if p.name not in result.names]
+    surely = replace(result, start=known_exactly(result.start, held))
+    problem = replace(result.problem, robot=surely.start)
+    alone = replace(surely, problem=problem).predict(probe)[1]
+    np.testing.assert_allclose(alone, study.identified_only(result, probe), rtol=1e-4, atol=1e-16)
+    assert (sigma(result, probe) > 3 * np.sqrt(np.trace(alone, axis1=1, axis2=2))).all()
+
+
+def known_exactly(robot, names):
+    """The robot, of which a file says that these parameters have no variance to speak of."""
+    C = Covariance(tuple(names), 1e-24 * np.eye(len(names)))
+    return replace(robot, knowledge=Knowledge((C,)))
+
+
+def test_what_the_robots_file_knows_counts_for_its_priors(built) -> None:
+    """One sigma of a held length, known from elsewhere: along the last axis it is that of the point, to the digit."""
+    q, probe = arms.readings(built, 60, 5), arms.readings(built, 5, 7)
+    found = []
+    for error in (1e-3, 2e-3):
+        names = [p.name for p in ARM.parameters if p.group == "geometry"]
+        variances = [error**2 if n == "d6" else 1e-24 for n in names]
+        robot = replace(ARM, knowledge=Knowledge((Covariance(tuple(names), np.diag(variances)),)))
+        robot = replace(robot, base=replace(robot.base, unknown="none"), tool=replace(robot.tool, unknown="none"))
+        result = identify(robot, arms.positions(ARM, q, 6), ["theta2"])
+        found.append(sigma(result, probe))
+    assert found[0] == pytest.approx(1e-3, rel=0.3)
+    assert found[1] == pytest.approx(2 * found[0], rel=0.02)
+
+
+def test_held_parameters_move_identified_ones() -> None:
+    """A straight arm of two links in a plane, the second reading fixed: only the sum of its lengths can be told.
+
+    With the joint bent by b the end is off by e (cos b - 1, sin b) if the second length is e longer and the first e
+    shorter: the variance at the pose is that of the length times 2 (1 - cos b).
+    """
+    flat = replace(arms.planar(), tool=replace(arms.planar().tool, unknown="position"))
+    names = [p.name for p in flat.parameters]
+    C = Covariance(tuple(names), np.diag([1e-6 if n == "tool_x" else 1e-24 for n in names]))
+    q = np.column_stack([np.linspace(-1, 1, 40), np.zeros(40)])
+    robot = replace(flat, knowledge=Knowledge((C,)))
+    result = identify(robot, arms.positions(flat, q, 1), ["a1", "theta1"])
+    bent = np.array([0.3, 1.0, 2.0])
+    probe = np.column_stack([np.zeros(3), bent])
+    assert sigma(result, probe) == pytest.approx(1e-3 * np.sqrt(2 * (1 - np.cos(bent))), rel=0.02)
+
+
+def test_a_frame_that_is_not_determined_stays_where_it_was(built) -> None:
+    q = np.tile(arms.readings(built, 1, 5), (30, 1))
+    result = identify(ARM, arms.positions(built, q, 6), ["kinematic"])
+    np.testing.assert_allclose(result.start.base.T[:3, :3], np.eye(3), atol=1e-6)
+    np.testing.assert_allclose(result.start.tool.T, ARM.tool.T, atol=0.02)
