@@ -3,8 +3,8 @@
 Parameters that were not identified stand at their nominal values, off by an unknown amount e with covariance S: what
 the robot's file knows of them, or else their priors. Through the fit they move the identified ones by -A e, with
 A = (J' W J + P)^-1 J' W J_e, the least squares regression of their columns J_e on those of the identified ones. Where
-the data cannot tell them apart but the pose to be predicted can, J_e - J A is not zero, and the prediction is unsure by
-its share of S. Source: the propagation of "consider parameters"; Tapley, Schutz and Born, Statistical Orbit
+the data do not distinguish them but the pose to be predicted does, J_e - J A is not zero, and the prediction is unsure
+by its share of S. Source: the propagation of "consider parameters"; Tapley, Schutz and Born, Statistical Orbit
 Determination (2004), section 6.2.
 """
 
