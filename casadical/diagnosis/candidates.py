@@ -63,12 +63,18 @@ def _parameters(variant: tuple[Effect, ...]) -> list[str]:
 def choose(
     candidates: Sequence[Candidate], m: Measurements
 ) -> tuple[tuple[Candidate, ...], dict[str, tuple[str, ...]]]:
-    """Those candidates (with those variants) whose columns were logged, and what is missing for the others."""
+    """Those candidates (with those variants) whose columns were logged, and what is missing for the others.
+
+    Variants that stand for others where a column is missing are left out where it was logged (`Effect.only_without`).
+    """
     _, missing = derive(m, [c for k in candidates for v in k.variants for e in v for c in e.conditions])
     possible, without = [], {}
     for candidate in candidates:
         lacking = [tuple(c for e in v for c in e.conditions if c in missing) for v in candidate.variants]
-        known = (v for v, lack in zip(candidate.variants, lacking, strict=True) if not lack)
+        allowed = [not any(c in m.conditions for e in v for c in e.only_without) for v in candidate.variants]
+        if not any(allowed):
+            continue
+        known = (v for v, lack, yes in zip(candidate.variants, lacking, allowed, strict=True) if yes and not lack)
         variants = tuple(tuple(e.for_poses(len(m)) for e in v) for v in known)
         if variants:
             possible.append(Candidate(candidate.label, candidate.name, candidate.joint, variants, candidate.listed))

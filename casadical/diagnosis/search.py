@@ -157,13 +157,13 @@ def search(
         if bootstrap and not state.steps:
             p_nothing = p_value(case, ranking, bootstrap, seed, show)
         end, labels = next_cause(state, ranking, p_nothing)
-        if end in ("unknown", "ambiguous"):  # several causes at once hide each other
+        if end in ("unknown", "ambiguous") or len(labels) > 1:  # several causes at once hide each other
             show("sets of causes")
             several, doubted = state.most_probable_set()
             state = replace(state, doubted=state.doubted | doubted)
             for label in several[:-1]:
                 state = state.with_cause((label,)).ranked()
-            labels = several[-1:]
+            labels = several[-1:] or labels
         if not labels:
             break
         state = state.with_cause(labels).revisited()

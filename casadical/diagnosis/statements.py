@@ -27,8 +27,8 @@ TIED = "\u00a0"
 class Statement:
     """One statement.
 
-    about : VERDICT, PRIOR, GAP, WHERE, WHICH (then come the causes, see `cause_rows`), SET, AFTER, LAYERS (then come
-        these, see `layer_rows`), CANNOT, UNKNOWN, OUT, MISSING, NEXT
+    about : VERDICT, PRIOR, GAP, ASSUMED, WHERE, WHICH (then come the causes, see `cause_rows`), SET, AFTER, LAYERS
+        (then come these, see `layer_rows`), CANNOT, UNKNOWN, OUT, MISSING, NEXT
     doubtful : whether it is a warning
     """
 
@@ -44,6 +44,7 @@ def statements(d: Diagnosis, more: Details | None = None) -> list[Statement]:
         _verdict(d),
         _prior(d),
         _gap(d),
+        _assumed(d),
         _where(d, more),
         _which(d),
         _after(d, more),
@@ -122,6 +123,34 @@ def _gap(d: Diagnosis) -> Iterator[Statement]:
         f"without the noise the model is wrong by {base['model_mm']:.3f} mm rms "
         f"({base['model_low_mm']:.3f} to {base['model_high_mm']:.3f})",
     )
+
+
+def _assumed(d: Diagnosis) -> Iterator[Statement]:
+    """What was taken for granted: of declared values, and of columns that were not logged."""
+    for text in assumptions(d):
+        yield Statement("ASSUMED", text)
+
+
+def assumptions(d: Diagnosis) -> tuple[str, ...]:
+    """What a missing column or a declared value was taken for, and what of its uncertainty is in the comparison."""
+    logged, robot = d.identification.measurements[0].conditions, d.identification.given
+    missing = [j for j in robot.numbers if f"approach{j}" not in logged]
+    said = []
+    if missing:
+        said.append(
+            f"approach{','.join(map(str, missing))}: the direction from the pose before, as if the robot went straight "
+            "from one to the next; play that the load alone takes up is compared too"
+        )
+    if "temperature_degC" not in logged:
+        said.append("temperature_degC: not known; a warm-up that nobody measured is compared, but never named")
+    if robot.payload and "payload_kg" not in logged:
+        said.append(f"payload_kg: {robot.payload.mass:g} kg, as declared, at every pose")
+    if d.case.free:
+        width = robot.body_width
+        said.append(
+            f"masses of links: part of the base model, within {100 * width.share:.0f} % and {1e3 * width.centre:.0f} mm"
+        )
+    return tuple(said)
 
 
 def _where(d: Diagnosis, more: Details) -> Iterator[Statement]:

@@ -69,12 +69,17 @@ class Context:
 
     @property
     def great_moment(self) -> Symbolic:
-        """The greatest of the joints' great torques [N m]."""
+        """The greatest of the turning joints' great torques [N m]; of an arm that only slides, of its forces [N]."""
         return self.greatest(1, self.arm.n)
 
     def greatest(self, first: int, last: int) -> Symbolic:
-        """The greatest great torque of the joints (1-based) from the first to the last [N m or N]."""
-        return reduce(ca.fmax, ca.vertsplit(self.torque_scale[first - 1 : last]))
+        """The greatest great torque of the turning joints (1-based) from the first to the last [N m].
+
+        Where none of them turns, of all of them [N]: moments and forces are not compared.
+        """
+        there = range(first, last + 1)
+        turning = [j for j in there if j in self.arm.revolute] or there
+        return reduce(ca.fmax, [self.torque_scale[j - 1] for j in turning])
 
 
 # One sigma, in realistic sizes, of an effect once it is in a model: wide, because a user had a reason to put it there,
@@ -189,6 +194,11 @@ class Effect:
     def conditions(self) -> tuple[str, ...]:
         """Columns that the model needs, logged or derived from logged ones (see `derived_columns`)."""
         return self.needs
+
+    @property
+    def only_without(self) -> tuple[str, ...]:
+        """Columns with which, once they were logged, it is no candidate: what it stands for is known better then."""
+        return ()
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         """Its parameters: name -> (realistic size, one sigma; unit), by default `size`. Zero must mean: no effect."""

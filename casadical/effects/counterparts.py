@@ -74,6 +74,7 @@ class Counterparts:
     """A robot's compliances and effects as a simulator knows them.
 
     drives : of each joint; torque_scale, mean_load : great torque of each joint [N m or N], mean one as a share of it
+    great_moment : the greatest on a turning joint [N m]
     base : stiffness about the base frame's x and y [N m/rad], infinite where it is rigid
     flexures : of a link (1-based), stiffness [N m/rad] about its axes of the whole link as a beam
     balancers : springs between a link and the one before it
@@ -85,6 +86,7 @@ class Counterparts:
     drives: tuple[Drive, ...]
     torque_scale: Array
     mean_load: Array
+    great_moment: float
     bodies: tuple[Body | None, ...] = ()
     payload: Body | None = None
     payload_factor: float = 1.0
@@ -100,8 +102,8 @@ class Counterparts:
         return self.drives[joint - 1]
 
     def great(self, joint: int | None) -> float:
-        """The great torque on a joint (1-based) [N m or N]; of None the greatest of all."""
-        return float(self.torque_scale[joint - 1] if joint else self.torque_scale.max())
+        """The great torque on a joint (1-based) [N m or N]; of None the greatest moment."""
+        return float(self.torque_scale[joint - 1] if joint else self.great_moment)
 
     def with_drive(self, joint: int | None, **change: object) -> Counterparts:
         """With one joint's drive changed."""

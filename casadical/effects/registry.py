@@ -9,6 +9,7 @@ from casadical.effects.joint_coupling import JointCoupling as JointCoupling
 from casadical.effects.joint_zero_step import JointZeroStep as JointZeroStep
 from casadical.effects.thermal_zero_drift import ThermalZeroDrift as ThermalZeroDrift
 from casadical.effects.backlash import Backlash as Backlash
+from casadical.effects.backlash_by_load import BacklashByLoad as BacklashByLoad
 from casadical.effects.friction_windup import FrictionWindup as FrictionWindup
 from casadical.effects.thermal_growth import ThermalGrowth as ThermalGrowth
 from casadical.effects.target_shift import TargetShift as TargetShift
@@ -28,13 +29,19 @@ from casadical.effects.bearing_play import BearingPlay as BearingPlay
 from casadical.effects.gear_mesh import GearMesh as GearMesh
 from casadical.effects.missing_compliance import MissingCompliance as MissingCompliance
 from casadical.effects.hose_drag import HoseDrag as HoseDrag
+from casadical.effects.frame_step import FrameStep as FrameStep
+from casadical.effects.thermal_bend import ThermalBend as ThermalBend
+from casadical.effects.friction_memory import FrictionMemory as FrictionMemory
+from casadical.effects.settling_lag import SettlingLag as SettlingLag
 from casadical.effects.tracker_scale import TrackerScale as TrackerScale
 from casadical.effects.refraction import Refraction as Refraction
 from casadical.effects.smr_offset import SmrOffset as SmrOffset
 from casadical.effects.smooth import SmoothInJoint as SmoothInJoint
 from casadical.effects.smooth import AnyOfOwnAngle as AnyOfOwnAngle
+from casadical.effects.smooth import AnyOfOtherAngle as AnyOfOtherAngle
 from casadical.effects.smooth import SmoothInJoints as SmoothInJoints
 from casadical.effects.smooth import SmoothInTime as SmoothInTime
+from casadical.effects.smooth import WarmUp as WarmUp
 from casadical.effects.smooth import SmoothInSpace as SmoothInSpace
 from casadical.effects.smooth import SmoothInLoad as SmoothInLoad
 from casadical.effects.law import Law as Law

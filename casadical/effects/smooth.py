@@ -14,6 +14,7 @@ import casadi as ca
 from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect, setting
+from casadical.effects.thermal_growth import grown_link
 
 SIZE = 30e-6
 SIZE_LENGTH = 30e-6
@@ -94,6 +95,32 @@ class AnyOfOwnAngle(_Smooth):
 
 
 @dataclass(frozen=True)
+class AnyOfOtherAngle(Effect):
+    """An error of one joint that is any function of another joint's angle, as a belt, a cable or a hose gives."""
+
+    driver: int = setting(1, joint=True)
+    orders: int = 4
+
+    name = "unknown_of_other_angle"
+    on_list = "unknown"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(j, i) for j in arm.numbers for i in arm.revolute if i != j)
+
+    @property
+    def label(self) -> str:
+        return f"any function of q{self.driver} in joint {self.joint}"
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        return {f"{n}{h}": (2 * SIZE / h, "rad") for h in range(1, self.orders + 1) for n in "sc"}
+
+    def angle(self, context: Context, q: Symbolic) -> Symbolic:
+        waves, driver = {"s": ca.sin, "c": ca.cos}, context.q[self.driver - 1]
+        return sum(self.value(context, n) * waves[n[0]](int(n[1:]) * driver) for n in self.sizes())
+
+
+@dataclass(frozen=True)
 class SmoothInJoints(_Series):
     """A smooth function of two joints together."""
 
@@ -145,6 +172,48 @@ class SmoothInTime(_Series):
     def _moved(self, context: Context, what: str) -> Symbolic:
         terms = self.terms(context)
         return ca.vertcat(*(sum(self.value(context, f"{what}{c}_{n}") * f for n, _, f in terms) for c in "xyz"))
+
+
+@dataclass(frozen=True)
+class WarmUp(Effect):
+    """The arm warms up exponentially, though nobody measured it: zeros drift and links grow.
+
+    settles : time constant as a share of the campaign
+    """
+
+    moved: int = 6
+    settles: float = setting(0.3, (0.1, 0.3, 1.0))
+
+    name = "unknown_warm_up"
+    on_list = "unknown"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(None, arm.n, s) for s in (0.1, 0.3, 1.0))
+
+    @property
+    def label(self) -> str:
+        return "a warm-up that was not measured"
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        return ("progress",)
+
+    @property
+    def only_without(self) -> tuple[str, ...]:
+        return ("temperature_degC",)
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        return {f"q{i}": (SIZE, "rad") for i in range(1, self.moved + 1)} | {"growth": (8e-5, "m/m")}
+
+    def _warmth(self, context: Context) -> Symbolic:
+        return 1 - ca.exp(-context.conditions["progress"] / self.settles)
+
+    def joint_angle(self, context: Context) -> Symbolic:
+        return self._warmth(context) * ca.vertcat(*(self.value(context, f"q{i}") for i in range(1, self.moved + 1)))
+
+    def link(self, number: int, context: Context) -> Symbolic:
+        return grown_link(number, context, self.value(context, "growth") * self._warmth(context))
 
 
 @dataclass(frozen=True)

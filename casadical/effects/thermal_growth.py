@@ -28,11 +28,15 @@ class ThermalGrowth(Effect):
         return (f"warmth_{self.lag:.0f}s",)
 
     def link(self, number: int, context: Context) -> Symbolic:
-        growth = self.value(context, "alpha") * context.conditions[self.conditions[0]]
-        before = context.frames[number - 2] if number > 1 else ca.SX.eye(4)
-        here = context.frames[number - 1]
-        # The link's own length, seen in its frame: what lies between its origin and the one before.
-        along = here[:3, :3].T @ (here[:3, 3] - before[:3, 3])
-        moved = ca.SX.eye(4)
-        moved[:3, 3] = growth * along
-        return moved
+        return grown_link(number, context, self.value(context, "alpha") * context.conditions[self.conditions[0]])
+
+
+def grown_link(number: int, context: Context, growth: Symbolic) -> Symbolic:
+    """Transform (4, 4) behind a link (1-based) that is longer by a share of its length."""
+    before = context.frames[number - 2] if number > 1 else ca.SX.eye(4)
+    here = context.frames[number - 1]
+    # The link's own length, seen in its frame: what lies between its origin and the one before.
+    along = here[:3, :3].T @ (here[:3, 3] - before[:3, 3])
+    moved = ca.SX.eye(4)
+    moved[:3, 3] = growth * along
+    return moved

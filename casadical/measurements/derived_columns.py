@@ -12,6 +12,7 @@ from casadical.measurements.measurements import Measurements
 _WARMTH = re.compile(r"warmth_(\d+)s")
 _APPROACH = re.compile(r"approach(\d+)")
 _MOVE = re.compile(r"move(\d+)")
+_MEMORY = re.compile(r"memory(\d+)_(\d+)mrad")
 
 
 def derive(m: Measurements, names: Iterable[str]) -> tuple[Measurements, tuple[str, ...]]:
@@ -21,6 +22,7 @@ def derive(m: Measurements, names: Iterable[str]) -> tuple[Measurements, tuple[s
     warmth_600s : temperature_degC behind a first-order lag of 600 s, less its mean [K]
     approach2 : direction of joint 2's last motion, -1 or 1; from the order of the poses where it was not logged
     move2 : joint 2's way from the pose before, 0 for the first [rad or m]
+    memory2_300mrad : state between -1 and 1 that goes to the direction of motion within 0.3 rad of it (Dahl 1968)
     """
     columns = dict(m.conditions)
     missing = []
@@ -47,6 +49,8 @@ def _derived(m: Measurements, name: str) -> Array | None:
     if found := _MOVE.fullmatch(name):
         joint = int(found[1])
         return _moves(m, joint - 1) if 1 <= joint <= m.q.shape[1] else None
+    if (found := _MEMORY.fullmatch(name)) and int(found[1]) <= m.q.shape[1]:
+        return _memory(m, int(found[1]) - 1, 1e-3 * float(found[2]))
     return None
 
 
@@ -93,3 +97,13 @@ def _approach(m: Measurements, joint: int) -> Array:
     direction = np.empty(len(m))
     direction[order] = motion
     return direction
+
+
+def _memory(m: Measurements, joint: int, way: float) -> Array:
+    """What is left of each motion fades along those after it; the way before the first pose is not known."""
+    order = np.argsort(_order(m), kind="stable")
+    state, states = 0.0, np.empty(len(m))
+    for k, move in zip(order, _moves(m, joint)[order], strict=True):
+        state = float(np.sign(move) + (state - np.sign(move)) * np.exp(-abs(move) / way)) if move else state
+        states[k] = state
+    return states

@@ -77,7 +77,8 @@ class Robot(Arm):
     def torque_scale(self) -> Array:
         """Great gravity torques on each joint, shape (n,) [N m or N]: 95 % quantile over its range, full payload.
 
-        At least a twentieth of the greatest: a gear whose axis is upright is made for the forces of motion.
+        At least a twentieth of the greatest of joints of the same kind, turning or sliding: a gear whose axis is
+        upright is made for the forces of motion.
         """
         bare = self.with_only(())
         lower, upper = np.array([(j.lower, j.upper) for j in self.joints]).T
@@ -85,7 +86,11 @@ class Robot(Arm):
         w = np.tile(bare.declared, (len(q), 1))
         tau = np.abs(bare.model.evaluate(("tau",), q, w, bare.parameters.values)[0])
         great = np.nanquantile(tau, 0.95, axis=1)
-        return np.asarray(np.maximum(great, SMALLEST_GEAR * max(1e-9, float(np.nanmax(great)))))
+        turning = np.array([j.kind == "revolute" for j in self.joints])
+        for kind in (turning, ~turning):  # N m and N are not compared
+            if kind.any():
+                great[kind] = np.maximum(great[kind], SMALLEST_GEAR * max(1e-9, float(np.nanmax(great[kind]))))
+        return great
 
     @cached_property
     def model(self) -> Model:

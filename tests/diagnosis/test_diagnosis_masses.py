@@ -9,10 +9,10 @@ from cases import robot, simulated
 
 from casadical.blind_check.numpy_physics import disturbances
 from casadical.core.errors import InputError
-from casadical.core.parts import BodyWidth
+from casadical.core.parts import Body, BodyWidth, Joint
 from casadical.diagnosis.candidates import standard_candidates
 from casadical.diagnosis.diagnose import diagnose
-from casadical.effects import LinkMasses
+from casadical.effects import Context, LinkMasses
 from casadical.identification.identification import identify
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot, write_robot
@@ -95,3 +95,15 @@ def test_a_robot_without_masses_or_springs_has_no_such_cause() -> None:
     stiff = tuple(replace(j, compliance=None) for j in bare.joints)
     assert not list(LinkMasses.candidates(replace(bare, joints=massless)))
     assert not list(LinkMasses.candidates(replace(bare, joints=stiff)))
+
+
+def test_great_torques_and_forces_are_not_compared() -> None:
+    """A sliding joint that carries 1000 N leaves the least torque of turning joints as it is without it."""
+    arm = robot("ur10e")
+    slider = Joint(alpha=0.0, kind="prismatic", lower=0.0, upper=1.0, body=Body(500.0, np.zeros(3)))
+    whole = replace(arm, joints=(slider, *arm.joints))
+    scale = whole.torque_scale
+    assert scale[0] > 4000  # N, of 500 kg and the arm
+    assert scale[1:] == pytest.approx(arm.torque_scale, rel=0.1)  # of other random readings
+    context = Context(whole, scale, None, {}, {}, (), None)
+    assert float(context.great_moment) == pytest.approx(float(arm.torque_scale.max()), rel=0.1)

@@ -9,12 +9,16 @@ from bench import campaign, robot, with_columns
 from casadical.effects import (
     CrossCoupling,
     Effect,
+    FrameStep,
+    FrictionMemory,
     GearMesh,
     HoseDrag,
     LoadHysteresis,
     MissingCompliance,
     Refraction,
+    SettlingLag,
     SmrOffset,
+    ThermalBend,
     TrackerScale,
 )
 from casadical.identification.accuracy import predicted
@@ -73,6 +77,51 @@ def test_missing_compliance_is_the_compliance_that_was_left_out() -> None:
     left = np.abs(predicted(mended, poses)[0] - predicted(soft, poses)[0]).max()
     # What is left: the effect's deflection does not sink the loads with it.
     assert left < 5e-3 * whole
+
+
+def test_frame_step_moves_all_poses_after_it_as_a_body() -> None:
+    poses = campaign(NAME)[::5]
+    p, _ = predicted(robot(NAME), poses)
+    turn = np.array([3e-5, -2e-5, 4e-5])
+    values = dict(zip(("x", "y", "z", "rx", "ry", "rz"), (1e-4, 0.0, -5e-5, *turn), strict=True))
+    found = shift(FrameStep(None, 0.5), values, poses)
+    progress = np.arange(len(poses)) / (len(poses) - 1)
+    expected = (progress > 0.5)[:, None] * (np.array([1e-4, 0.0, -5e-5]) + np.cross(turn, p))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+    # Behind joint 3, what turns about its axis is a step of its zero.
+    about = shift(FrameStep(3, 0.5), {"rz": 5e-5}, poses)
+    np.testing.assert_allclose(
+        about, turned(3, 5e-5 * (progress > 0.5), poses), rtol=0, atol=5e-3 * np.abs(about).max()
+    )
+
+
+def test_thermal_bend_tilts_across_the_axis_with_the_warmth() -> None:
+    poses = campaign(NAME)[::5]
+    warmth = poses.conditions["temperature_degC"] - poses.conditions["temperature_degC"].mean()
+    found = shift(ThermalBend(2, 0.0), {"rx": 1e-5}, poses)
+    again = shift(ThermalBend(2, 0.0), {"rx": 2e-5}, poses)
+    np.testing.assert_allclose(again, 2 * found, atol=1e-9)
+    assert np.abs(found[np.abs(warmth) < 0.2]).max() < 0.2 * np.abs(found).max()
+    assert np.corrcoef(np.linalg.norm(found, axis=1), np.abs(warmth))[0, 1] > 0.7
+
+
+def test_friction_memory_and_settling_follow_the_ways_between_the_poses() -> None:
+    poses = campaign(NAME)[:30]
+    order = np.argsort(poses.conditions["time_s"])
+    moves = np.diff(poses.q[order, 3], prepend=poses.q[order[0], 3])
+    found = shift(SettlingLag(4), {"share": 1e-5}, poses)[order]
+    np.testing.assert_allclose(
+        found, turned(4, -1e-5 * moves[np.argsort(order)], poses)[order], rtol=0, atol=5e-3 * np.abs(found).max()
+    )
+    # Dahl's differential equation, ds = (sign - s) |dq| / way, in small steps.
+    state, states = 0.0, []
+    for move in moves:
+        for _ in range(2000):
+            state += (np.sign(move) - state) * abs(move) / 2000 / 0.3
+        states.append(state)
+    remembered = shift(FrictionMemory(4, 300), {"half": 5e-5}, poses)
+    expected = turned(4, -5e-5 * np.array(states)[np.argsort(order)], poses)
+    np.testing.assert_allclose(remembered, expected, rtol=0, atol=1e-2 * np.abs(expected).max())
 
 
 def test_load_hysteresis_turns_over_with_the_approach_and_vanishes_without_load() -> None:

@@ -12,7 +12,8 @@ def counterparts(robot: Robot) -> Counterparts:
     drives = tuple(Drive(compliance=j.compliance or 0.0) for j in robot.joints)
     scale = robot.torque_scale
     load = _mean_torque(robot) / scale if robot.effects else np.zeros(robot.n)
-    found = Counterparts(drives, scale, load, tuple(j.body for j in robot.joints), robot.payload)
+    moment = float(max((scale[j - 1] for j in robot.revolute), default=scale.max()))
+    found = Counterparts(drives, scale, load, moment, tuple(j.body for j in robot.joints), robot.payload)
     # Linear springs first: others bend around them.
     for effect in sorted(robot.effects, key=lambda e: not e.simulated_first):
         found = effect.counterpart(found, effect.own_values(robot.effect_values))
