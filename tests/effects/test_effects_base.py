@@ -40,6 +40,7 @@ def test_every_effect_is_in_a_list() -> None:
     assert rare == {
         *("load_hysteresis", "gear_mesh", "cross_coupling", "hose_drag"),
         *("tracker_scale", "refraction", "smr_offset", "bearing_play"),
+        *("frame_step", "thermal_bend", "friction_memory", "settling_lag"),
     }
 
 
