@@ -43,7 +43,7 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
 
 
 def _beside_others(state: State, k: int) -> Step:
-    """A step as all others in the model make it: its ranking, and the labels that cannot be told from it."""
+    """A step as all others in the model make it: its ranking, and the labels that cannot be distinguished from it."""
     step, others = state.steps[k], (*state.steps[:k], *state.steps[k + 1 :])
     if not others:
         return step

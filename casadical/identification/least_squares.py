@@ -251,7 +251,7 @@ class LeastSquares:
         return residuals, np.concatenate(rows)
 
     def gradient(self, v: Array) -> tuple[Array, Array]:
-        """Gradient and Gauss-Newton Hessian of the cost at v, from residuals: a way apart from the solver's."""
+        """Gradient and Gauss-Newton Hessian of the cost at v, from residuals; independent of the solver's."""
         r, J, slope = self._weighted(v)
         gradient = J.T @ (slope * r) + self.prior_matrix @ (v - self.prior_mean)
         return gradient, self._products(J, slope) + self.prior_matrix

@@ -1,4 +1,4 @@
-"""What a campaign told of a robot, as the prior of its next one.
+"""What one campaign found of a robot, as the prior of the next one.
 
 Base and tool frames are fitted again: they belong to the campaign. What was learnt keeps its values as means, and its
 covariance, a little wider, as what the new readings may change. Frozen, it keeps its values alone.
