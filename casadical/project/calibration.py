@@ -78,7 +78,7 @@ class Calibration:
             Words(problem.title, "title"),
             *list(verdict(problem, self.accuracies))[:1],
             *error_tables(self.accuracies, self.networks)[:1],
-            *things_to_know(self),
+            *things_to_know(problem, self.identification, self.networks),
         ]
 
     def blocks(self) -> Sequence[Words | Table]:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from casadical.core.blocks import Table, Words, mm
 from casadical.identification.accuracy import Accuracy, errors
 from casadical.identification.identification import Identification, LeftOut, rows_in_words
-
-if TYPE_CHECKING:
-    from casadical.project.calibration import Calibration
+from casadical.project.networks import Networks
+from casadical.project.problem import Problem
+from casadical.robot.robot import Robot
 
 # A held-out pose with more than so many times the median error is far off.
 FAR = 10.0
@@ -33,33 +32,31 @@ def left_out_table(identifications: Mapping[str, Identification]) -> list[Table]
     return [Table(title, ("file", "row", *methods), cells, frozenset(range(1, 2 + len(methods))))]
 
 
-def things_to_know(calibration: Calibration) -> Iterator[Words]:
-    """At most three, the most important first."""
-    found = [*_doubts(calibration), *_notes(calibration)]
+def things_to_know(problem: Problem, last: Identification, networks: Networks | None) -> Iterator[Words]:
+    """At most three, the most important first; last : by the method that counts."""
+    found = [*_doubts(problem, last), *_notes(problem, last, networks)]
     yield from found[:THINGS]
 
 
-def _doubts(calibration: Calibration) -> Iterator[Words]:
-    last = calibration.identification
+def _doubts(problem: Problem, last: Identification) -> Iterator[Words]:
     if "DOES NOT FIT" in last.verdict:
         yield Words("The model does not fit: run casadical check, it searches for slips of the table.", "warning")
     if last.left_out:
         yield Words(f"Left out as outliers: {rows_in_words(last.left_out, 5)}.", "warning")
-    far = far_held_out(calibration)
+    far = far_held_out(problem, last.robot)
     if far:
         worst = rows_in_words(far, 3)
         yield Words(f"Held-out poses far off, in the figures above: {worst}.", "warning")
     if last.at_bounds:
         yield Words(f"At bounds: {', '.join(last.at_bounds)}: widen the bounds or doubt the model.", "warning")
-    if not any(name.startswith("report") for name in calibration.problem.sets):
+    if not any(name.startswith("report") for name in problem.sets):
         yield Words("No poses were held out: on new poses the error will be greater.", "warning")
 
 
-def _notes(calibration: Calibration) -> Iterator[Words]:
-    last, problem = calibration.identification, calibration.problem
+def _notes(problem: Problem, last: Identification, networks: Networks | None) -> Iterator[Words]:
     if problem.data == "synthetic":
         yield Words("The data are synthetic: they do not show how accurate a real robot is.", "note")
-    for trained in calibration.networks.results.values() if calibration.networks else ():
+    for trained in networks.results.values() if networks else ():
         if trained.helps:
             yield Words(f"{trained.method} makes it better on poses that it did not learn; it is in the table.", "note")
     held = len(last.identifiability.held)
@@ -69,12 +66,12 @@ def _notes(calibration: Calibration) -> Iterator[Words]:
         yield Words("It is not said whether the data are real or synthetic (data in problem.toml).", "note")
 
 
-def far_held_out(calibration: Calibration) -> list[LeftOut]:
+def far_held_out(problem: Problem, robot: Robot) -> list[LeftOut]:
     """Held-out poses whose error is many times the median of their set, the farthest first."""
     found = []
-    for name, m in calibration.problem.parts():
+    for name, m in problem.parts():
         if name.startswith("report"):
-            e = errors(calibration.robot, m)
+            e = errors(robot, m)
             far = np.flatnonzero(e > FAR * np.median(e))
             found += [LeftOut(m.source, int(m.row[k]), float(e[k])) for k in far]
     return sorted(found, key=lambda out: -out.error)
