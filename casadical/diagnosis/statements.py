@@ -145,6 +145,8 @@ def assumptions(d: Diagnosis) -> tuple[str, ...]:
         said.append("temperature_degC: not known; a warm-up that nobody measured is compared, but never named")
     if robot.payload and "payload_kg" not in logged:
         said.append(f"payload_kg: {robot.payload.mass:g} kg, as declared, at every pose")
+    if copies := d.identification.measurements[0].copies_in_words:
+        said.append(copies)
     if d.case.free:
         width = robot.body_width
         said.append(

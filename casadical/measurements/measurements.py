@@ -40,6 +40,7 @@ class Measurements:
     weight : shape (n,), factor on each pose's residual
     row : shape (n,), line of the source at which each pose stands, for messages
     source : file name or description; unused : columns that were left out: of words, or without a cell
+    copies : lines that repeat another to the last digit and were left out
     """
 
     q: Array
@@ -60,6 +61,7 @@ class Measurements:
     row: Array = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     source: str = "table"
     unused: tuple[str, ...] = ()
+    copies: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.q)
@@ -88,6 +90,19 @@ class Measurements:
         """The same poses as kind position, whatever else was observed left out. Raises InputError: no positions."""
         none = dict.fromkeys(("orientation", "distance", "target", "other", "label"))
         return replace(self, kind="position", extra={}, separations=(), **none)  # type: ignore[arg-type]
+
+    @property
+    def copies_in_words(self) -> str:
+        """Which rows were left out as copies; empty if there are none."""
+        if not self.copies:
+            return ""
+        few = ", ".join(map(str, self.copies[:10])) + (" ..." if len(self.copies) > 10 else "")
+        many = len(self.copies) > 1
+        rows, count = (f"rows {few} repeat", "are") if many else (f"row {few} repeats", "is")
+        return (
+            f"{self.source}: {rows} another to the last digit and {count} counted once; a true repeat differs by its "
+            "noise"
+        )
 
     def __getitem__(self, which: Array | slice | Sequence[int]) -> Measurements:
         """The poses chosen by mask, slice or indices."""

@@ -105,8 +105,7 @@ def from_columns(
         extra={name: values for name, values in arrays.items() if name not in FIELDS},
         **{name: values for name, values in arrays.items() if name in FIELDS},  # type: ignore[arg-type]
     )
-    _refuse_repeats(found)
-    return found
+    return _without_copies(found)
 
 
 def readings_alone(columns: Columns, joints: int | Sequence[str]) -> Measurements:
@@ -115,19 +114,13 @@ def readings_alone(columns: Columns, joints: int | Sequence[str]) -> Measurement
     return from_columns(replace(columns, table=table.assign(x_m=0.0, y_m=0.0, z_m=0.0)), joints, "position")
 
 
-def _refuse_repeats(found: Measurements) -> None:
-    """A row copied whole is no second measurement."""
+def _without_copies(found: Measurements) -> Measurements:
+    """A row copied whole is no second measurement: it is counted once."""
     seen = [found.q]
     for name, values in found.arrays.items():
         numbers = np.unique(values.astype(str), return_inverse=True)[1] if name == "label" else values
         seen.append(numbers.reshape(len(found), -1).astype(float))
-    stacked = np.concatenate(seen, axis=1)
-    _, first, inverse = np.unique(stacked, axis=0, return_index=True, return_inverse=True)
-    origin = first[inverse.ravel()]
-    copies = np.flatnonzero(origin != np.arange(len(found)))
-    if copies.size:
-        k = int(copies[0])
-        raise InputError(
-            f"{found.source}: row {found.row[k]} repeats row {found.row[origin[k]]} to the last digit, readings "
-            f"and observation alike ({copies.size} such rows); a true repeat differs by its noise: delete copies"
-        )
+    _, first = np.unique(np.concatenate(seen, axis=1), axis=0, return_index=True)
+    copied = np.ones(len(found), dtype=bool)
+    copied[first] = False
+    return replace(found[~copied], copies=tuple(found.row[copied].tolist())) if copied.any() else found

@@ -269,14 +269,15 @@ def _held_effects(problem: Problem) -> list[Words]:
 
 
 def _unused_columns(problem: Problem) -> list[Words]:
-    """Columns that the tables have and the calibration does not use."""
+    """Columns that the tables have and the calibration does not use, and rows that it counts once."""
     used = {*problem.robot.conditions, "pose", "time_s", "point"}
     left = {name: m.source for _, m in problem.parts() for name in (*m.conditions, *m.unused) if name not in used}
     left.pop(problem.set_column or "", None)
+    copies = [Words(text, "note") for text in dict.fromkeys(m.copies_in_words for _, m in problem.parts()) if text]
     if not left:
-        return []
+        return copies
     text = f"Columns that are not used: {', '.join(map(shown, left))} (in {', '.join(sorted(set(left.values())))})."
-    return [Words(text, "note")]
+    return [Words(text, "note"), *copies]
 
 
 def _network(result: NetworkResult) -> dict[str, Any]:

@@ -116,8 +116,6 @@ TABLES = [
     Bad("infinity", lambda _: read(changed("z_mm", 2, np.inf)), ("row 2", "'z_mm'", "inf", "not a finite number")),
     Bad("a word among payloads", lambda _: read(table(payload_kg=["2.0"] * 5 + ["2,0"] + ["2.0"] * (N - 6))),
         ("row 7", "'payload_kg'", "'2,0'", "not a finite number")),
-    Bad("a row copied", lambda _: read(pd.concat([table(), table()[3:4]], ignore_index=True)),
-        (f"row {N + 2} repeats row 5", "delete")),
     Bad("a negative weight", lambda _: read(table(weight=[1.0] * 7 + [-2] + [1.0] * (N - 8))),
         ("row 9", "'weight'", "-2", "zero or more")),
     Bad("no weight at all", lambda _: read(table(weight=np.zeros(N))), ("'weight'", "zero in every row")),

@@ -175,8 +175,21 @@ def test_columns_of_another_kind_are_no_conditions():
 def test_poses_of_one_position_that_differ_in_orientation_are_no_copies():
     t = pd.DataFrame({"q1_deg": [1.0, 1], "x_mm": [1.0, 1], "y_mm": [3.0, 3], "z_mm": [5.0, 5], "rx_deg": [0.0, 1.0]})
     assert len(from_table(t.assign(ry_deg=0.0, rz_deg=0.0), 1)) == 2
-    with pytest.raises(InputError, match="row 3 repeats row 2"):
-        from_table(t.assign(rx_deg=0.0, ry_deg=0.0, rz_deg=0.0), 1)
+    once = from_table(t.assign(rx_deg=0.0, ry_deg=0.0, rz_deg=0.0), 1)
+    assert (len(once), once.copies) == (1, (3,))
+    assert "row 3 repeats another to the last digit and is counted once" in once.copies_in_words
+
+
+def test_copied_rows_are_counted_once_and_said() -> None:
+    rng = np.random.default_rng(1)
+    t = pd.DataFrame(rng.normal(size=(6, 4)), columns=["q1_deg", "x_mm", "y_mm", "z_mm"])
+    m = from_table(pd.concat([t, t.iloc[[4, 1]]]), 1)
+    plain = from_table(t, 1)
+    np.testing.assert_array_equal(m.position, plain.position)
+    np.testing.assert_array_equal(m.row, plain.row)
+    assert m.copies == (8, 9)
+    assert "rows 8, 9 repeat another to the last digit and are counted once" in m.copies_in_words
+    assert (plain.copies, plain.copies_in_words) == ((), "")
 
 
 def test_positions_with_a_covariance_each_weigh_by_it() -> None:

@@ -149,6 +149,8 @@ def _held_out_findings(problem: Problem) -> list[Finding]:
         if left:
             text = f"{m.source}: columns of words or without a cell are left out: {', '.join(map(shown, left))}"
             found.append(Finding("note", "columns", text))
+        if m.copies:
+            found.append(Finding("warning", "data", m.copies_in_words))
     return found
 
 
