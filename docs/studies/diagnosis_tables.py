@@ -79,7 +79,7 @@ def _columns(c: Candidate) -> str:
             words |= {"temperature_degC", "time_s"}
         elif column.startswith("approach"):
             words.add("approach (logged, or from the order)")
-        elif column == "progress":
+        elif column == "progress" or column.startswith(("move", "memory")):
             words.add("time_s, pose, or the order of the rows")
         else:
             words.add(column)
