@@ -126,6 +126,29 @@ def test_bounds_hold_for_random_inputs_and_are_not_vacuous(real):
         assert high - low < 4 * np.ptp(values[:, k])
 
 
+@pytest.mark.parametrize("real", REALS)
+def test_bounds_hold_for_what_rounding_adds(real):
+    """A tenth added up two hundred times at the edge of the box: the roundings add up beyond the exact sum."""
+    x = ca.SX.sym("x")
+    total = ca.SX(0)
+    for k in range(200):
+        total = total + x * (1 + k * 0.1)
+    tape = tape_of(ca.Function("f", [x], [total]))
+    for edge in np.linspace(0.05, 0.15, 41).astype(TYPE[real]):
+        low, high = bounds(tape, np.array([edge]), np.array([edge]), real)[tape.outputs[0]]
+        values, _ = run(tape, np.array([[edge]]), real)
+        assert low <= values[0, 0] <= high
+        assert high - low < 1e-3 * abs(values[0, 0])
+
+
+@pytest.mark.parametrize("box", [(0.0, 1.0), (-1.0, 0.0), (-1.0, 1.0)])
+def test_a_quotient_by_what_may_be_zero_is_unbounded(box):
+    x = ca.SX.sym("x")
+    tape = tape_of(ca.Function("f", [x], [1 / x]))
+    low, high = bounds(tape, np.array(box[:1]), np.array(box[1:]), "double")[tape.outputs[0]]
+    assert (low, high) == (-np.inf, np.inf)
+
+
 def test_needless_guards_go_and_needed_ones_stay():
     x = ca.SX.sym("x")
     tape = tape_of(ca.Function("f", [x], [ca.sqrt(x) + ca.sin(x)]))
