@@ -6,6 +6,7 @@ import typer
 
 from casadical.cli.options import Details, Json, Problems, Quiet
 from casadical.cli.terminal import BAD_INPUT, keep_json, working, wrapped
+from casadical.core.errors import shown
 
 
 def check(
@@ -43,5 +44,9 @@ def check(
         console.print(report(found[-1]) if details else brief(found[-1]))
         console.print()
     keep_json(json_file, [as_json(f) for f in found], console)
+    if quiet:
+        for f in found:
+            for finding in f.of("error"):
+                typer.echo(f"casadical: {shown(f.folder)}: {finding.topic}: {finding.text}", err=True)
     if not all(f.ok and not (strict and f.of("warning")) for f in found):
         raise typer.Exit(BAD_INPUT)

@@ -62,7 +62,7 @@ def write_together(contents: Mapping[Path, str | bytes]) -> None:
             for path, part in _by_home(files).items():
                 steps.append(_prepared(path, part, stack))
             for path, blob in streams.items():
-                path.write_bytes(blob)
+                _into(path, blob)
             for step in steps:
                 path = step.folder
                 step.commit(written)
@@ -167,6 +167,14 @@ def _sort(path: Path, blob: bytes, files: dict[Path, bytes], streams: dict[Path,
     if real in files:
         raise InputError(f"{path}: two outputs have this name, and nothing was written; give each a file of its own")
     files[real] = blob
+
+
+def _into(path: Path, blob: bytes) -> None:
+    """Write into a device or a pipe; one that nobody reads from is an error, no waiting."""
+    handle = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
+    with os.fdopen(handle, "wb") as file:
+        os.set_blocking(handle, True)
+        file.write(blob)
 
 
 def _by_home(files: Mapping[Path, bytes]) -> dict[Path, dict[Path, bytes]]:

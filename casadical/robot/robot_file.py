@@ -6,6 +6,7 @@ or radians are taken by name. See docs/robot-file.md for every key.
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -319,11 +320,19 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
     document.update({key: value for key, value in tables.items() if value is not None})
     text = tomlkit.dumps(document)
     if not more:
-        return text
+        return _readable(text, robot)
     known = robot.knowledge
     if known:  # of parameters that it had before a change, nothing is kept
         known = known.without(set(known.std_errors) - set(robot.parameters.names))
-    return "\n".join([text.rstrip("\n"), *text_of(robot, robot.effects, robot.effect_values, known), ""])
+    return _readable(
+        "\n".join([text.rstrip("\n"), *text_of(robot, robot.effects, robot.effect_values, known), ""]), robot
+    )
+
+
+def _readable(text: str, robot: Robot) -> str:
+    """The text, if its values are ones that a file may hold. Raises InputError."""
+    check(_RobotFile, tomllib.loads(text), f"robot {shown(robot.name)!r} cannot be written")
+    return text
 
 
 def _mm(value: float) -> float:

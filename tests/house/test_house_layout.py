@@ -45,7 +45,7 @@ def test_the_wheel_carries_the_types_marker() -> None:
 
 def test_the_tests_mirror_the_package() -> None:
     """A folder of tests is named as the folder of the package that it tests; every room has one."""
-    house_and_docs = {"house", "docs"}
+    house_and_docs = {"house", "docs", "fuzz"}
     folders = {path.parent for path in tracked() if path.parts[0] == "tests" and path.name.startswith("test_")}
     names = {folder.relative_to("tests") for folder in folders}
     assert names.isdisjoint({Path()}), "a test lies in no room's folder"
