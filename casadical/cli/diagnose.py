@@ -47,6 +47,12 @@ def diagnose(
         ),
     ] = False,
     effects: Effects = None,
+    laws: Annotated[
+        bool,
+        typer.Option(
+            "--laws", help="Laws compete at every ranking (see discover): what one explains better is no listed cause."
+        ),
+    ] = False,
     prior: Prior = None,
     prior_effects: PriorEffects = None,
     frozen: Frozen = False,
@@ -109,6 +115,8 @@ def diagnose(
     from casadical.diagnosis.diagnose import Masses
     from casadical.diagnosis.diagnose import diagnose as run
     from casadical.diagnosis.json_answer import as_json, diagnosis_files
+    from casadical.diagnosis.laws.rivals import law_rivals
+    from casadical.diagnosis.posterior import no_rivals
     from casadical.diagnosis.text import page_of, titled
     from casadical.pose_selection.workspace_file import read_workspace
     from casadical.project.problem import read_campaign, read_campaign_robot
@@ -137,7 +145,10 @@ def diagnose(
         with working(quiet, "diagnosing", path.stem) as show:
             masses: Masses = "nuisance" if nuisance_masses else "candidate"
             chosen = effects_of(effects)
-            found = run(robot, m, chosen, seed=seed, bootstrap=bootstrap, prior=known, masses=masses, show=show)
+            rivals = law_rivals if laws else no_rivals
+            found = run(
+                robot, m, chosen, seed=seed, bootstrap=bootstrap, prior=known, masses=masses, rivals=rivals, show=show
+            )
             file = measure_next if len(campaigns) == 1 else None
             name_of_file = file.name if file else ""
             more = analyse(

@@ -20,9 +20,11 @@ from casadical.diagnosis.laws.answer import as_json, files_of, line_of, page_of
 from casadical.diagnosis.laws.discovery import with_law
 from casadical.diagnosis.laws.drivers import drivers_of, values_of, with_columns
 from casadical.diagnosis.laws.forms import FINE_WAVE, FORMS, WAVE
+from casadical.diagnosis.laws.rivals import law_rivals
 from casadical.diagnosis.laws.screening import Screen
 from casadical.diagnosis.laws.search import SCREENED, Problem, scale_of, search_laws
 from casadical.diagnosis.linearisation import linearise
+from casadical.diagnosis.posterior import no_rivals, rank
 from casadical.effects import Law
 from casadical.effects.formula import NUMERIC, parse
 from casadical.identification.accuracy import predicted
@@ -117,6 +119,15 @@ def test_what_predicts_best_goes_into_the_robot() -> None:
     left = [np.linalg.norm(m.position - predicted(r, m)[0], axis=1).mean() for r in (found.apply(), found.case.robot)]
     assert left[0] < 0.75 * left[1]
     assert replace(found, gap={"base": 1.0, "law": 0.9, "smooth": 0.8}).kept == "smooth"
+
+
+def test_a_law_among_the_rivals_stops_a_wrong_cause() -> None:
+    case = discovered(5, STOP).diagnosis.case
+    alone, among = (rank(case, NONE, rivals=r) for r in (no_rivals, law_rivals))
+    assert alone.probability["joint_coupling@3"] < 0.01
+    assert among.order[0] == "law at joint 3 by q4"
+    assert among.probability[among.order[0]] > 0.95
+    assert among.variant.keys() == alone.variant.keys()
 
 
 def test_nothing_is_claimed_where_there_is_nothing() -> None:
