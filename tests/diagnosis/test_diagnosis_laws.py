@@ -61,6 +61,12 @@ def test_the_formula_that_is_written_out_is_the_one_that_was_judged(form) -> Non
             np.testing.assert_allclose(found, part, rtol=1e-9, atol=1e-9)
 
 
+def test_a_form_that_is_constant_over_the_poses_has_a_size() -> None:
+    assert scale_of(np.ones((1, 20, 3))).tolist() == [[1e-3] * 3]
+    x = np.linspace(0.0, 1.0, 20)
+    assert scale_of(FORMS["signed"][0].values(x, np.zeros((1, 0))))[0, 0] == pytest.approx(x.std())
+
+
 def test_drivers_are_what_the_robot_and_the_table_say() -> None:
     r, m = robot(NAME), from_table(table(1), 6)
     m, drivers = with_columns(m, drivers_of(r))

@@ -28,6 +28,7 @@ from casadical.measurements.noise import Noise
 
 # Laws whose evidence is computed exactly, and those whose settings are refined.
 EXACT, REFINED = 24, 6
+LEAST_SCALE = 1e-3
 # Numbers of the rhos at which laws are screened: what is most probable without a law says little of that with it.
 SCREENED = (2, 4)
 # Steps of a refinement, first as shares of the driver's range (of a width: factors), halved when none helps.
@@ -89,8 +90,8 @@ class Scored:
 
 
 def scale_of(values: Array) -> Array:
-    """How much functions vary over the poses (second axis)."""
-    return np.asarray(np.maximum(values.std(axis=1), 0.1 * np.ptp(values, axis=1)) + 1e-12)
+    """How much functions vary over the poses (second axis); a constant one, which the base model holds, a little."""
+    return np.asarray(np.maximum(np.maximum(values.std(axis=1), 0.1 * np.ptp(values, axis=1)), LEAST_SCALE))
 
 
 @dataclass(frozen=True, eq=False)
