@@ -78,7 +78,7 @@ def choose(
         variants = tuple(tuple(e.for_poses(len(m)) for e in v) for v in known)
         if variants:
             possible.append(Candidate(candidate.label, candidate.name, candidate.joint, variants, candidate.listed))
-        else:
+        elif candidate.listed:
             without[candidate.label] = tuple(dict.fromkeys(c for lack in lacking for c in lack))
     return tuple(possible), without
 
