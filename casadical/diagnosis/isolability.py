@@ -31,6 +31,10 @@ from casadical.robot.robot import Robot
 FOUND = 36.0
 # Directions of an effect that carry less than this share of its strongest one are round-off.
 NEGLIGIBLE = 1e-6
+# Of more poses than this, evenly spaced ones say which effects look alike.
+MOST_ALIKE = 500
+# Columns that are in memory at a time.
+BYTES = 64_000_000
 # Signals of less energy [m^2], a nanometre, are round-off.
 NOTHING = 1e-18
 USUAL_NOISE = Noise(20e-6, 8e-6)
@@ -123,15 +127,11 @@ def _whole(candidates: Sequence[Candidate]) -> dict[str, tuple[tuple[Effect, ...
 def _judged(
     evidence: Evidence, groups: dict[str, list[Array]], noise: Noise, missing: dict[str, tuple[str, ...]]
 ) -> Isolability:
-    n = len(evidence.r)
-    E = evidence.take(np.arange(evidence.width))
-    plain = evidence.white(0.0, E).E
-    seen = evidence.white(noise.repeatability / noise.sigma, E).E
-    total = (E**2).sum(axis=(0, 1))
+    n, rho = len(evidence.r), noise.repeatability / noise.sigma
     owner = [label for label, variants in groups.items() for _ in variants]
     columns = [c for variants in groups.values() for c in variants]
-    energy = np.array([[(part[..., c] ** 2).sum() for c in columns] for part in (plain, seen)])
-    size = np.array([total[c].sum() for c in columns])
+    by_column = _squares(evidence, rho)
+    size, *energy = (np.array([squares[c].sum() for c in columns]) for squares in by_column)
     table = pd.DataFrame(
         {
             "label": owner,
@@ -144,19 +144,35 @@ def _judged(
     # A grid of settings counts by its mean.
     effects = table.groupby("label", sort=False).mean()
     effects["findable_from"] = np.sqrt(FOUND / (3 * n)) / effects["visible_to_noise"]
+    some = evidence if n <= MOST_ALIKE else evidence.at(np.linspace(0, n - 1, MOST_ALIKE).astype(int))
+    seen = some.white(rho, some.take(np.arange(some.width))).E
     return Isolability(effects, _alike(seen, columns, owner), missing)
+
+
+def _squares(evidence: Evidence, rho: float) -> Array:
+    """Sum of squares of each column as it is, beside the base model, and so in the noise's metric, shape (3, columns).
+
+    rho : joint repeatability over the instrument's sigma. Some columns at a time, for there may be many poses.
+    """
+    step = max(1, BYTES // (24 * len(evidence.r)))
+    found = []
+    for first in range(0, evidence.width, step):
+        E = evidence.take(np.arange(first, min(first + step, evidence.width)))
+        plain, seen = (evidence.white(r, E).E for r in (0.0, rho))
+        found.append(np.stack([(E**2).sum(axis=(0, 1)), *((part**2).sum(axis=0) for part in (plain, seen))]))
+    return np.concatenate(found, axis=1)
 
 
 def _alike(E: Array, columns: list[Array], owner: list[str]) -> pd.DataFrame:
     """Share of each candidate's visible energy in the span of another's columns: mean over its settings, best of the
     other's; E : visible columns, shape (rows, columns)."""
-    bases = [_span(E[:, c]) for c in columns]
+    bases = _spans(E, columns)
     Q = np.concatenate(bases, axis=1)
     which = np.concatenate(columns)
     inner = (Q.T @ E[:, which]) ** 2
-    rows = np.repeat(np.arange(len(bases)), [b.shape[1] for b in bases])
+    ranks = np.array([b.shape[1] for b in bases])
     by_rival = np.zeros((len(bases), inner.shape[1]))
-    np.add.at(by_rival, rows, inner)
+    by_rival[ranks > 0] = np.add.reduceat(inner, (np.cumsum(ranks) - ranks)[ranks > 0], axis=0)
     starts = np.cumsum([0, *(len(c) for c in columns)])[:-1]
     energy = np.array([(E[:, c] ** 2).sum() for c in columns])
     share = np.add.reduceat(by_rival, starts, axis=1) / np.maximum(energy, 1e-30)
@@ -167,10 +183,16 @@ def _alike(E: Array, columns: list[Array], owner: list[str]) -> pd.DataFrame:
     return best.T.groupby(level=0, sort=False).mean().fillna(0.0).clip(0.0, 1.0)
 
 
-def _span(E: Array) -> Array:
-    """Orthonormal basis of some columns, shape (rows, rank)."""
-    U, s, _ = np.linalg.svd(E, full_matrices=False)
-    return np.asarray(U[:, s > NEGLIGIBLE * max(s.max(initial=0.0), 1e-30)])
+def _spans(E: Array, groups: list[Array]) -> list[Array]:
+    """Orthonormal basis of each group of columns, shape (rows, rank)."""
+    found: dict[int, Array] = {}
+    widths = np.array([len(g) for g in groups])
+    for width in np.unique(widths):
+        which = np.flatnonzero(widths == width)
+        U, s, _ = np.linalg.svd(np.stack([E[:, groups[k]] for k in which]), full_matrices=False)
+        there = s > NEGLIGIBLE * np.maximum(s.max(axis=1, keepdims=True), 1e-30)
+        found |= {int(k): U[i][:, there[i]] for i, k in enumerate(which)}
+    return [found[k] for k in range(len(groups))]
 
 
 def isolability_json(found: Isolability, campaign: str) -> dict[str, Any]:
