@@ -161,26 +161,49 @@ class Evidence:
 
 
 @dataclass(frozen=True, eq=False)
-class Beside:
-    """The base model with some causes in it, at every rho: what is needed to judge further groups of columns.
+class _Added:
+    """Parameters that joined a model at one rho.
 
+    root : of the inverse of their normal matrix beside those before, shape (new, new); z : what they take up in these
+        axes, shape (new,); square, log_norm : what is left, and what does not depend on sigma
+    """
+
+    root: Array
+    z: Array
+    square: float
+    log_norm: float
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """A model with some causes in it, at every rho: what is needed to judge further groups of columns.
+
+    It is made from one with fewer causes; what this one knows is not kept again.
     log_base : log likelihood without a further cause, shape (rhos, sigmas)
-    chosen : columns of the causes in it; root : of the inverse of its normal matrix, at each rho, shape (base, base)
-    z : fit of the base model in the axes of the root, at each rho, shape (base,)
-    V : columns in these axes, at each rho, (columns, base); b : their products with what is left, (columns, 1)
+    chosen : columns of the causes in it; new : of those that the one before has not, shape (new,)
+    at : how they join what was there before, at each rho
+    V : columns in these axes, at each rho, (columns, new); b : their products with what is left, (columns, 1)
     """
 
     log_base: Array
     chosen: Array
-    root: dict[int, Array]
-    z: dict[int, Array]
+    new: Array
+    before: Beside | None
+    at: dict[int, _Added]
     V: dict[int, Kept]
     b: dict[int, Kept]
 
-    def of(self, width: int) -> Beside:
-        """The same of at least as many columns."""
-        V, b = ({k: kept.of(width) for k, kept in part.items()} for part in (self.V, self.b))
-        return replace(self, V=V, b=b)
+    def axes(self, k: int, columns: Array) -> Array:
+        """Columns in the axes of all that is in the model, shape (*columns.shape, base)."""
+        own = self.V[k][columns]
+        return own if self.before is None else np.concatenate([self.before.axes(k, columns), own], axis=-1)
+
+    def of(self, width: int, known: dict[int, Beside]) -> Beside:
+        """The same of at least as many columns; known : those that were made, by the identity of the old one."""
+        if id(self) not in known:
+            V, b = ({k: kept.of(width) for k, kept in part.items()} for part in (self.V, self.b))
+            known[id(self)] = replace(self, V=V, b=b, before=self.before and self.before.of(width, known))
+        return known[id(self)]
 
 
 class Judge:
@@ -195,45 +218,58 @@ class Judge:
         """Take over what is known of the same poses and the first of the columns."""
         self.sums.extend(known.sums)
         if self.e.width > known.e.width:
-            self._beside = {key: beside.of(self.e.width) for key, beside in known._beside.items()}
+            made: dict[int, Beside] = {}
+            self._beside = {key: beside.of(self.e.width, made) for key, beside in known._beside.items()}
 
     def beside(self, also: Array | None = None) -> Beside:
         """The base model with these columns in it too."""
         chosen = np.zeros(0, dtype=np.int64) if also is None else also
         key = chosen.tobytes()
         if key not in self._beside:
+            made = self._with(chosen) if len(chosen) else self._base()
             if len(self._beside) > MOST_BESIDE:
                 self._beside.pop(next(iter(self._beside)))
-            self._beside[key] = self._fitted(chosen)
+            self._beside[key] = made
         return self._beside[key]
 
-    def _fitted(self, chosen: Array) -> Beside:
-        """The base model with these columns in it, fitted at every rho."""
+    def _base(self) -> Beside:
+        """The base model alone."""
         e, P, sums = self.e, self.e.J.shape[2], self.sums
-        prior = np.concatenate([e.prior, e.width_in_model(chosen)])
-        mean = np.concatenate([e.delta0, np.zeros(len(chosen))])
-        weights = e.reference / prior
-        log_base = np.full((len(RHOS), len(e.sigmas)), -np.inf)
-        root, fitted = {}, {}
-        cross = sums.crossed(chosen, e.near, chosen) if len(chosen) else {}
+        weights, found = e.reference / e.prior, {}
         for k in e.near:
-            normal = np.diag(weights**2)
-            normal[:P, :P] += sums.base[k, :P, :P]
-            if len(chosen):
-                normal[:P, P:] += sums.columns[chosen, k, :P].T
-                normal[P:, :P] += sums.columns[chosen, k, :P]
-                normal[P:, P:] += cross[k]
-            right = np.concatenate([sums.base[k, :P, P], sums.columns[chosen, k, P]]) + weights**2 * mean
-            # A parameter whose column is long is scaled first, so that rank is judged fairly.
-            scale = 1 / np.sqrt(np.diag(normal))
-            L = np.linalg.cholesky(normal * np.outer(scale, scale))
-            root[k] = np.linalg.inv(L) * scale
-            fitted[k] = root[k] @ right
-            square = float(sums.base[k, P, P] + (weights * mean) @ (weights * mean) - fitted[k] @ fitted[k])
-            log_norm = -0.5 * sums.log_det[k] - float((np.log(np.diag(L)) - np.log(scale)).sum())
-            log_base[k] = log_norm - e.r.size * np.log(e.sigmas) - 0.5 * square / e.sigmas**2 + self._log_repeats(k)
-        V, b = ({k: Kept(e.width, width) for k in e.near} for width in (len(prior), 1))
-        return Beside(log_base, chosen, root, fitted, V, b)
+            normal = np.diag(weights**2) + sums.base[k, :P, :P]
+            right = sums.base[k, :P, P] + weights**2 * e.delta0
+            square = float(sums.base[k, P, P] + (weights * e.delta0) @ (weights * e.delta0))
+            found[k] = _added(normal, right, square, -0.5 * float(sums.log_det[k]))
+        none = np.zeros(0, dtype=np.int64)
+        return self._made(found, none, None, none)
+
+    def _with(self, chosen: Array) -> Beside:
+        """A model with these causes, from the one with most of them."""
+        smaller = [key for key, b in self._beside.items() if np.isin(b.chosen, chosen).all()]
+        key = max(smaller, key=lambda key: len(self._beside[key].chosen), default=None)
+        before = self.beside() if key is None else self._beside[key]
+        if key is not None:  # it is likely to be asked for again
+            self._beside[key] = self._beside.pop(key)
+        new = np.setdiff1d(chosen, before.chosen)
+        self._look_at(before, [new])
+        weights = self.e.reference / self.e.width_in_model(new)
+        own, found = self.sums.crossed(new, self.e.near, new), {}
+        for k in self.e.near:
+            along = before.axes(k, new)
+            normal = own[k] + np.diag(weights**2) - along @ along.T
+            found[k] = _added(normal, before.b[k][new][:, 0], before.at[k].square, before.at[k].log_norm)
+        return self._made(found, chosen, before, new)
+
+    def _made(self, found: dict[int, _Added], chosen: Array, before: Beside | None, new: Array) -> Beside:
+        """A model from what `_added` gave at each rho."""
+        e = self.e
+        log_base = np.full((len(RHOS), len(e.sigmas)), -np.inf)
+        for k, at in found.items():
+            data = at.log_norm - e.r.size * np.log(e.sigmas) - 0.5 * at.square / e.sigmas**2
+            log_base[k] = data + self._log_repeats(k)
+        V, b = ({k: Kept(e.width, width) for k in found} for width in (len(found[e.near[0]].z), 1))
+        return Beside(log_base, chosen, new, before, found, V, b)
 
     def _log_repeats(self, k: int) -> Array:
         """Log likelihood of the scatter of repeated poses at a rho, shape (sigmas,)."""
@@ -244,21 +280,24 @@ class Judge:
 
     def _look_at(self, beside: Beside, groups: Sequence[Array]) -> None:
         """Make known what is needed to judge these groups."""
-        asked = np.zeros(self.e.width, dtype=bool)
-        asked[np.concatenate(groups)] = True
-        asked[beside.chosen] = False
-        P, near = self.e.J.shape[2], self.e.near
-        new = np.flatnonzero(asked & (beside.b[near[0]].place < 0))
-        if not new.size:
+        near, P, before = self.e.near, self.e.J.shape[2], beside.before
+        asked = np.setdiff1d(np.concatenate(groups), beside.chosen)
+        more = asked[beside.b[near[0]].place[asked] < 0]
+        if not more.size:
             return
-        cross = self.sums.crossed(beside.chosen, near, new) if len(beside.chosen) else {}
+        cross = {}
+        if before is not None:
+            self._look_at(before, [more])
+            cross = self.sums.crossed(beside.new, near, more)
         for k in near:
-            EJ = self.sums.columns[new, k, :P]
-            if cross:
-                EJ = np.concatenate([EJ, cross[k]], axis=1)
-            V = EJ @ beside.root[k].T
-            beside.V[k].add(new, V)
-            beside.b[k].add(new, (self.sums.columns[new, k, P] - V @ beside.z[k])[:, None])
+            if before is None:
+                products, left = self.sums.columns[more, k, :P], self.sums.columns[more, k, P]
+            else:
+                products = cross[k] - before.axes(k, more) @ before.axes(k, beside.new).T
+                left = before.b[k][more][:, 0]
+            V = products @ beside.at[k].root.T
+            beside.V[k].add(more, V)
+            beside.b[k].add(more, (left - V @ beside.at[k].z)[:, None])
 
     def log_grids(self, groups: Sequence[Array], also: Array | None = None) -> Array:
         """See `Evidence.log_grids`."""
@@ -278,7 +317,7 @@ class Judge:
             columns = np.stack([groups[int(g)] for g in which])
             own = self.sums.own([groups[int(g)] for g in which])
             for k in self.e.near:
-                V = beside.V[k][columns]
+                V = beside.axes(k, columns)
                 value, vector = np.linalg.eigh(own[:, k] - V @ V.transpose(0, 2, 1))
                 turned = np.einsum("gij,gi->gj", vector, beside.b[k][columns][:, :, 0])
                 out[which, k] = _log_gain(self.e.sigmas, beside.log_base[k], value, turned)
@@ -309,9 +348,23 @@ class Judge:
             w = self.e.with_base(chosen).white(float(RHOS[k]), self.e.take(group))
             value, vector = np.linalg.eigh(w.E @ w.E.T)
             return value, np.sqrt(np.maximum(value, 0.0)) * (vector.T @ w.y)
-        V = beside.V[k][group]
+        V = beside.axes(k, group)
         value, vector = np.linalg.eigh(self.sums.wide(group, k) - V @ V.T)
         return value, vector.T @ beside.b[k][group][:, 0]
+
+
+def _added(normal: Array, right: Array, square: float, log_norm: float) -> _Added:
+    """How parameters join a model.
+
+    normal : beside what is in the model, shape (new, new); right : products with what was left, shape (new,)
+    square, log_norm : of the model before
+    """
+    # A parameter whose column is long is scaled first, so that rank is judged fairly.
+    scale = 1 / np.sqrt(np.diag(normal))
+    L = np.linalg.cholesky(normal * np.outer(scale, scale))
+    root = np.linalg.inv(L) * scale
+    z = root @ right
+    return _Added(root, z, square - float(z @ z), log_norm - float((np.log(np.diag(L)) - np.log(scale)).sum()))
 
 
 def _log_gain(sigmas: Array, log_base: Array, value: Array, turned: Array) -> Array:
