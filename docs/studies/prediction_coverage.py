@@ -12,10 +12,14 @@ draws of seed 16; SEED is 17 without an argument.
 
 from __future__ import annotations
 
+import argparse
+import json
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
+from time import process_time
 
 import numpy as np
 from coverage import arm
@@ -137,14 +141,34 @@ def case(robot: Robot, draw: Draw, rng: np.random.Generator) -> dict[str, float]
     return found
 
 
-def main() -> None:
-    draws = int(sys.argv[1]) if len(sys.argv) > 1 else DRAWS
-    seed = int(sys.argv[2]) if len(sys.argv) > 2 else 17
+def cases(draws: int, seed: int, log: Path | None, seconds: float) -> dict[str, list[dict[str, float] | None]] | None:
+    """Of each kind of design; None where processor time was up before all were done, which the log keeps."""
     robots = [turning(r) for r in (arm(), *(read_campaign_robot(PROBLEMS / name) for name in ("ur10e", "kr210")))]
-    rows = {}
-    for k, (name, draw) in enumerate(DESIGNS.items()):
-        cases = [case(robots[n % 3], draw, np.random.default_rng([seed, k, n])) for n in range(draws)]
-        rows[name] = [c for c in cases if c], sum(c is None for c in cases)
+    lines = log.read_text(encoding="utf-8").splitlines() if log and log.exists() else []
+    done = {(k, n): found for given, k, n, found in map(json.loads, lines) if given == seed}
+    for n, k in product(range(draws), range(len(DESIGNS))):
+        if (k, n) in done:
+            continue
+        if process_time() > seconds:
+            return None
+        done[k, n] = case(robots[n % 3], list(DESIGNS.values())[k], np.random.default_rng([seed, k, n]))
+        if log:
+            with log.open("a", encoding="utf-8") as file:
+                file.write(json.dumps([seed, k, n, done[k, n]]) + "\n")
+    return {name: [done[k, n] for n in range(draws)] for k, name in enumerate(DESIGNS)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("draws", nargs="?", type=int, default=DRAWS)
+    parser.add_argument("seed", nargs="?", type=int, default=17)
+    parser.add_argument("--log", type=Path, help="keeps what is done, so that a run can be continued")
+    parser.add_argument("--seconds", type=float, default=np.inf, help="of processor time, in one run")
+    given = parser.parse_args()
+    found = cases(given.draws, given.seed, given.log, given.seconds)
+    if found is None:
+        return
+    rows = {name: ([c for c in kind if c], sum(c is None for c in kind)) for name, kind in found.items()}
     whole = [c for kept, _ in rows.values() for c in kept]
     rows["all"] = whole, sum(refused for _, refused in rows.values())
     shares = [float(np.mean([c["cover_all"] for c in kept])) for kept, _ in rows.values()]

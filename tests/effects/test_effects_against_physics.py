@@ -74,6 +74,18 @@ def _alone(pair, name: str) -> float:
     return float(np.linalg.norm(replace(pair, values={**others, name: pair.values[name]}).moved()))
 
 
+def test_a_balancer_hangs_on_the_link_not_on_its_reading() -> None:
+    """The same robot, whose second joint reads 0.3 rad less at the same place."""
+    b = bench("kr210", 20)
+    joints, q = list(b.robot.joints), b.stops.q.copy()
+    old = joints[1]
+    joints[1] = replace(old, theta=old.theta + 0.3, lower=old.lower - 0.3, upper=old.upper - 0.3)
+    q[:, 1] -= 0.3
+    other = replace(b, robot=replace(b.robot, joints=tuple(joints)), stops=replace(b.stops, q=q))
+    pair = study.balancer(b)
+    np.testing.assert_allclose(replace(pair, bench=other).moved(), pair.moved(), atol=1e-10)
+
+
 def test_every_listed_effect_has_a_counterpart_or_is_named() -> None:
     compared = {effect.name for case in study.NUMPY for effect in case.make(bench("kr210", 4)).effects}
     listed = {
