@@ -20,27 +20,41 @@ def check(
         ),
     ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with code 2 on warnings too.")] = False,
+    repair: Annotated[
+        bool,
+        typer.Option("--repair", help="Write the best repair of slips into problem.toml (columns) and the robot file."),
+    ] = False,
     details: Details = False,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
     """Check a problem and its data before a solve, and predict the accuracy.
 
-    Looks for faults of the files, units, signs and zeros that the nominal model contradicts, joints that hardly move,
-    too few poses, a four-bar near its end; shows which parameters the poses determine and how well.
+    Looks for faults of the files; slips that the nominal model contradicts, several at once (signs, zeros, units,
+    swapped columns, shifted rows, a left-handed frame, coupled readings, a wrong length, the other convention);
+    joints that hardly move, too few poses, a four-bar near its end; shows which parameters the poses determine and how
+    well.
 
     Example: casadical check arm
 
     Exit codes: 0 ready, 2 something is wrong, 70 a bug in casadical.
     """
     from casadical.project.check import precheck
+    from casadical.project.check.repair import write_repair
     from casadical.project.check.report import as_json, brief, report
 
     console = wrapped(quiet)
     found = []
     for folder in problems:
+        noise = None if noise_mm is None else 1e-3 * noise_mm
         with working(quiet, "checking", folder.name):
-            found.append(precheck(folder, None if noise_mm is None else 1e-3 * noise_mm))
+            found.append(precheck(folder, noise))
+        slips, robot = found[-1].slips, found[-1].nominal
+        if repair and slips and robot and slips.explains:
+            console.print(write_repair(folder, slips.best, robot), markup=False, highlight=False, soft_wrap=True)
+            console.print(f"repaired: {1e3 * slips.before.error:.4g} mm before, {1e3 * slips.best.error:.3g} mm after")
+            with working(quiet, "checking again", folder.name):
+                found[-1] = precheck(folder, noise)
         console.print(report(found[-1]) if details else brief(found[-1]))
         console.print()
     keep_json(json_file, [as_json(f) for f in found], console)

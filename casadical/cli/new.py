@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import click
 import typer
 
 from casadical.cli.options import Json, Quiet
@@ -89,11 +88,13 @@ def _ask(question: "Question") -> str:
     choices = list(question.choices)
     for k, words in enumerate(choices, 1):
         typer.echo(f"  {k}: {words}", err=True)
-    try:
-        number = int(typer.prompt(question.text, default=1, type=click.IntRange(1, len(choices)), err=True))
-    except click.Abort:
-        raise InputError(
-            f"{question.text} Nobody answered; --yes takes the first choice ({choices[0]}), or name the columns with "
-            "their units in the file"
-        ) from None
+    number = 0
+    while not 1 <= number <= len(choices):
+        try:
+            number = int(typer.prompt(question.text, default=1, type=int, err=True))
+        except typer.Abort:
+            raise InputError(
+                f"{question.text} Nobody answered; --yes takes the first choice ({choices[0]}), or name the columns "
+                "with their units in the file"
+            ) from None
     return choices[number - 1]

@@ -15,6 +15,7 @@ from casadical.cli.new import new
 from casadical.cli.outputs import guarded
 from casadical.cli.plan import plan
 from casadical.cli.replay import replay
+from casadical.cli.verify import verify
 from casadical.cli.withheld import withheld_app
 
 app = typer.Typer(
@@ -47,7 +48,7 @@ def _root(
     pass
 
 
-for command in (new, check, calibrate, diagnose, discover, plan, replay, correct):
+for command in (new, check, calibrate, verify, diagnose, discover, plan, replay, correct):
     app.command()(guarded(command, also=("folder",) if command is new else ()))
 app.add_typer(export_app, name="export")
 app.add_typer(withheld_app, name="withheld")

@@ -12,7 +12,7 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from casadical.core.errors import InputError, shown
 from casadical.core.files import json_text, write_together
 
-BAD_INPUT, NO_CONVERGENCE, WORSE, OUR_BUG = 2, 3, 4, 70
+BAD_INPUT, NO_CONVERGENCE, WORSE, NOT_VALID, OUR_BUG = 2, 3, 4, 5, 70
 
 Show = Callable[[str], None]
 

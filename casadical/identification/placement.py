@@ -32,7 +32,7 @@ def place_frames(robot: Robot, m: Measurements) -> Robot:
     T_M0, t = robot.base.T, robot.tool.T[:3, 3]
     for _ in range(3 if compliant else 1):  # how a compliant arm is deflected depends on gravity in its base frame
         p, R = _flange(robot, m, T_M0)
-        T_M0, t = _solve(p, R, m.position, known, T_M0, t)
+        T_M0, t = solve_placement(p, R, m.position, known, T_M0, t)
     turn = robot.tool.T[:3, :3]
     if robot.tool.unknown == "pose" and m.orientation is not None:
         turn = nearest_rotation(np.einsum("nji,kj,nkl->il", R, T_M0[:3, :3], m.orientation))
@@ -49,7 +49,9 @@ def _flange(robot: Robot, m: Measurements, T_M0: Array) -> tuple[Array, Array]:
     return (p - T_M0[:3, 3]) @ T_M0[:3, :3] - R @ robot.tool.T[:3, 3], R
 
 
-def _solve(p: Array, R: Array, y: Array, known_tool: Array | None, T_M0: Array, t: Array) -> tuple[Array, Array]:
+def solve_placement(
+    p: Array, R: Array, y: Array, known_tool: Array | None, T_M0: Array, t: Array
+) -> tuple[Array, Array]:
     """T_M0, shape (4, 4), and tool t, shape (3,); what the poses do not determine stays as in the given ones."""
     n = len(p)
     centre = y.mean(axis=0)

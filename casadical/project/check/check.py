@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,8 @@ from casadical.project.check.coverage import (
 from casadical.project.check.findings import Finding, Level
 from casadical.project.check.information import Outlook, outlook
 from casadical.project.check.plausible import far_rows, other_conventions, plausible
+from casadical.project.check.repair import in_words
+from casadical.project.check.slips import Slips, search_slips
 from casadical.project.check.table_faults import table_faults, unknown_columns
 from casadical.project.problem import Problem, read_problem, read_problem_robot
 from casadical.robot.robot import Robot
@@ -43,6 +45,7 @@ class Precheck:
     noise : of a coordinate [m] as far as it is known beforehand; noise_source : from where, in words
     joints : covered ranges in the set that is fitted; margin : smallest one of the four-bars
     outlooks : for each method; none where the data are unusable
+    nominal : the robot; slips : what explains data that contradict it, where several slips were searched for
     """
 
     folder: Path
@@ -55,6 +58,8 @@ class Precheck:
     joints: tuple[JointCoverage, ...] = ()
     margin: float | None = None
     outlooks: tuple[Outlook, ...] = ()
+    nominal: Robot | None = None
+    slips: Slips | None = None
 
     def of(self, level: Level) -> tuple[Finding, ...]:
         """Findings of one level."""
@@ -78,7 +83,12 @@ def precheck(folder: str | Path, noise: float | None = None, seed: int | None = 
     except InputError as error:
         return Precheck(folder, (Finding("error", "reading", str(error)), *_more_faults(folder)))
     sets = problem.sets["identify"]
-    found, usable = _data_findings(problem.robot, sets, other_conventions(folder))
+    others = other_conventions(folder)
+    found, usable = _data_findings(problem.robot, sets, others)
+    slips = None if usable else _slips(problem, [*others.values()])
+    if slips and slips.explains and slips.best.slips > 1:
+        found = [f for f in found if not (f.topic == "units" and f.level == "error")]
+        found.insert(0, _slip_finding(slips, problem.robot, sets[0].source))
     found += _held_out_findings(problem)
     found += limits_findings(problem.robot)
     known, source = _noise(noise, sets)
@@ -96,8 +106,37 @@ def precheck(folder: str | Path, noise: float | None = None, seed: int | None = 
     return Precheck(
         folder, tuple(found), problem.title, problem.robot.name,
         tuple((name, sum(len(m) for m in parts)) for name, parts in problem.sets.items()),
-        known, source, coverage(problem.robot, first), margin(problem.robot, first), tuple(outlooks),
+        known, source, coverage(problem.robot, first), margin(problem.robot, first), tuple(outlooks), problem.robot,
+        slips,
     )  # fmt: skip
+
+
+def _slips(problem: Problem, others: list[Robot]) -> Slips | None:
+    """Several slips at once, from all poses of a problem's only table, in the order of the file."""
+    parts = [part for _, part in problem.parts()]
+    first = parts[0]
+    if any(part.source != first.source or part.position is None for part in parts):
+        return None
+    row = np.concatenate([part.row for part in parts])
+    order = np.argsort(row)
+    whole = replace(
+        first.positions_alone()[np.zeros(len(row), dtype=np.int64)],
+        q=np.concatenate([part.q for part in parts])[order],
+        position=np.concatenate([part.position for part in parts if part.position is not None])[order],
+        row=row[order],
+    )
+    return search_slips(problem.robot, whole, others)
+
+
+def _slip_finding(slips: Slips, robot: Robot, source: str) -> Finding:
+    before, best = slips.before, slips.best
+    text = (
+        f"{source}: with base and tool fitted the nominal model still is {1e3 * before.error:.4g} mm (median) from the "
+        f"data; {1e3 * best.error:.3g} mm would be left if {'; '.join(in_words(best, robot))}"
+    )
+    for rival in slips.rivals:
+        text += f". Rival, {1e3 * rival.error:.3g} mm: {'; '.join(in_words(rival, robot))}"
+    return Finding("error", "units", f"{text}. casadical check --repair writes the first")
 
 
 def _more_faults(folder: Path) -> list[Finding]:

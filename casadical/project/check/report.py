@@ -51,6 +51,8 @@ def brief(found: Precheck) -> RenderableType:
         parts.append(Text(f"{view.method}: {len(view.names)} parameters identifiable, {len(view.held)} not."))
         if view.held_out is not None:
             parts.append(Text(f"Expected mean error on other poses like these: {1e3 * view.held_out:.3g} mm."))
+    if found.slips and found.slips.explains:
+        parts.append(Text("casadical check --repair writes the best repair and shows what it changes", style="bold"))
     parts.append(Text("ranges of the joints, what is held and why: --details", style="dim"))
     return Group(*parts)
 

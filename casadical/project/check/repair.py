@@ -1,0 +1,204 @@
+"""Slips in words, and their repair in problem.toml and in the robot file."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+
+from casadical.core.errors import InputError
+from casadical.core.files import write_together
+from casadical.measurements.columns import Source
+from casadical.measurements.headings import understand
+from casadical.measurements.raw_table import read_table
+from casadical.project.check.slip_fit import Fit
+from casadical.robot.robot import Robot
+
+_UNITS = {1e3: "metres", 25.4: "inches", 10.0: "centimetres", 1e-3: "thousandths"}
+
+
+def in_words(fit: Fit, robot: Robot) -> list[str]:
+    """Every slip of an explanation, as what is wrong and what to do."""
+    return [*_of_readings(fit), *_of_positions(fit), *_of_rows(fit, robot)]
+
+
+def _of_readings(fit: Fit) -> Iterator[str]:
+    h = fit.hypothesis
+    for i, k in enumerate(h.source):
+        if k > i:
+            yield f"columns q{i + 1} and q{k + 1} are swapped"
+    factors = {f for f in h.factor if f != 1.0}
+    whole = len(factors) == 1 and sum(f != 1.0 for f in h.factor) > 2
+    for i, f in enumerate(h.factor):
+        names = ("radians", "degrees") if f > 1 else ("degrees", "radians")
+        if whole and f != 1.0:
+            yield f"the joint readings are {names[0]} under names of {names[1]}"
+            break
+        if f != 1.0:
+            yield f"q{i + 1} alone holds {names[0]} under a name of {names[1]}"
+    for i, (sign, zero, add) in enumerate(zip(h.sign, h.zero, h.add, strict=True), 1):
+        if sign < 0:
+            yield f"joint {i} counts the other way (turn the sign of q{i})"
+        if zero:
+            degrees = float(np.rad2deg(zero))
+            yield f"the zero of joint {i} is {abs(degrees):.4g} deg off (add {degrees:.4g} to q{i}_deg)"
+        if add < 0:
+            yield f"q{i} counts from the horizontal, not from link {i - 1} (subtract q{i - 1})"
+        if add > 0:
+            yield f"q{i} is counted the other way against link {i - 1} (add q{i - 1})"
+    if h.shift:
+        after = "after" if h.shift > 0 else "before"
+        yield f"the readings stand {abs(h.shift)} row {after} their positions"
+
+
+def _of_positions(fit: Fit) -> Iterator[str]:
+    scaled = [(c, s) for c, s in zip("xyz", fit.scale, strict=True) if s != 1.0]
+    if len(scaled) == 3 and len({s for _, s in scaled}) == 1:
+        s = scaled[0][1]
+        yield f"the positions are in another unit: {_UNITS.get(s, '')} (times {s:.6g})".replace(":  (", " (")
+    else:
+        yield from (f"{c} alone is in another unit (times {s:.6g})" for c, s in scaled)
+    if fit.mirrored:
+        yield "the measuring frame is left-handed (turn the sign of y)"
+
+
+def _of_rows(fit: Fit, robot: Robot) -> Iterator[str]:
+    if fit.hypothesis.rows:
+        yield "the DH rows are of the other convention (convention in the robot file)"
+    for name, i, departure in fit.hypothesis.lengths:
+        value = getattr(robot.joints[i], name)
+        yield f"{name} of row {i + 1} is {1e3 * (value + departure):.1f} mm, not {1e3 * value:.4g} mm"
+
+
+def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
+    """problem.toml, and the robot file where its rows are wrong, with the repair of the first table of positions.
+
+    Raises InputError where a repair cannot be written there.
+    """
+    path = folder / "problem.toml"
+    problem = tomlkit.parse(path.read_text(encoding="utf-8"))
+    tables: Any = problem["measurements"]
+    table = tables[0]
+    raw = read_table(folder / str(table["file"]))
+    given = {str(ours): _source(theirs) for ours, theirs in dict(table.get("columns", {})).items()}
+    known = {**understand(raw, [j.kind for j in robot.joints], given).sources, **given}
+    columns = {**known, **repaired_columns(fit, robot, {**{n: Source(n) for n in raw.header}, **known})}
+    texts: dict[Path, str] = {}
+    if columns != known:
+        made = tomlkit.table()
+        for ours, source in columns.items():
+            made[ours] = _as_toml(source)
+        table["columns"] = made
+        texts[path] = tomlkit.dumps(problem)
+    if fit.hypothesis.rows or fit.hypothesis.lengths:
+        place = folder / str(problem.get("robot", "robot.toml"))
+        texts[place] = _repaired_robot(place, fit)
+    return texts
+
+
+def repaired_columns(fit: Fit, robot: Robot, known: Mapping[str, Source]) -> dict[str, Source]:
+    """Our columns as they are made of the file's, with the repair. Raises InputError.
+
+    known : how they are made now, by our names
+    """
+    h = fit.hypothesis
+    names = [_present(known, f"q{i}", ("_deg", "_rad", "_mm", "_m")) for i in range(1, robot.n + 1)]
+    si = {"deg": np.pi / 180, "rad": 1.0, "mm": 1e-3, "m": 1.0}
+    unit = [si[name.rsplit("_", 1)[1]] for name in names]
+    found: dict[str, Source] = {}
+    for i, name in enumerate(names):
+        own, k = h.sign[i] * h.factor[i], h.source[i]
+        source, ratio = _simple(known[names[k]]), unit[k] / unit[i]
+        times = own * ratio * source.times
+        plus = own * ratio * source.plus + h.zero[i] / unit[i]
+        add = {}
+        if h.add[i]:
+            other, ratio = _simple(known[names[i - 1]]), unit[i - 1] / unit[i]
+            add[other.name] = h.add[i] * ratio * other.times
+            plus += h.add[i] * ratio * other.plus
+        made = Source(source.name, _round(times), _round(plus), add, source.rows + h.shift)
+        if made != known[name]:
+            found[name] = made
+    for c, scale in zip("xyz", fit.scale, strict=True):
+        name = _present(known, c, ("_mm", "_m"))
+        source, sign = _simple(known[name]), -1.0 if c == "y" and fit.mirrored else 1.0
+        made = Source(source.name, _round(sign * scale * source.times), sign * scale * source.plus, {}, source.rows)
+        if made != known[name]:
+            found[name] = made
+    return found
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.10g}")
+
+
+def _present(known: Mapping[str, Source], stem: str, units: tuple[str, ...]) -> str:
+    for unit in units:
+        if stem + unit in known:
+            return stem + unit
+    raise InputError(f"column {stem} is missing; the repair cannot be written")
+
+
+def _simple(source: Source) -> Source:
+    if source.add:
+        raise InputError(f"column {source.name!r} is a sum already (columns in problem.toml); repair it by hand")
+    return source
+
+
+def _source(given: Any) -> Source:
+    if isinstance(given, str):
+        return Source(str(given))
+    data = {("name" if key == "from" else key): value for key, value in dict(given).items()}
+    return Source(**json.loads(json.dumps(data)))
+
+
+def _as_toml(source: Source) -> Any:
+    if source.plain:
+        return source.name
+    made = tomlkit.inline_table()
+    made["from"] = source.name
+    defaults = Source(source.name)
+    for key in ("times", "plus", "rows", "add"):
+        value = getattr(source, key)
+        if value != getattr(defaults, key):
+            made[key] = dict(value) if key == "add" else value
+    return made
+
+
+def _repaired_robot(path: Path, fit: Fit) -> str:
+    if path.suffix != ".toml":
+        raise InputError(f"{path}: the repair changes rows of the robot, which is not a robot file; change it by hand")
+    robot = tomlkit.parse(path.read_text(encoding="utf-8"))
+    convention = str(robot.get("convention", "modified"))
+    if fit.hypothesis.rows:
+        convention = {"modified": "standard", "standard": "modified"}[convention]
+        robot["convention"] = convention
+    rows: Any = robot["joint"]
+    for name, i, departure in fit.hypothesis.lengths:
+        # Standard rows have the a of the next modified row.
+        row = rows[i - 1 if convention == "standard" and name == "a" else i]
+        key, factor = (f"{name}_m", 1.0) if f"{name}_m" in row else (f"{name}_mm", 1e3)
+        row[key] = round(float(row.get(key, 0.0)) + factor * departure, 4 if factor == 1.0 else 1)
+    return tomlkit.dumps(robot)
+
+
+def difference(texts: Mapping[Path, str]) -> str:
+    """The files as they are and as they become, line by line."""
+    found: list[str] = []
+    for path, text in texts.items():
+        before = path.read_text(encoding="utf-8").splitlines()
+        found += difflib.unified_diff(before, text.splitlines(), str(path), f"{path} repaired", n=0, lineterm="")
+    return "\n".join(line for line in found if not line.startswith("@@"))
+
+
+def write_repair(folder: Path, fit: Fit, robot: Robot) -> str:
+    """Write the repair; the difference that it makes. Raises InputError."""
+    texts = repaired_files(folder, fit, robot)
+    shown = difference(texts)
+    write_together(texts)
+    return shown

@@ -1,0 +1,106 @@
+"""Several slips at once: found, shown, written, and the repaired problem calibrates; clean tables are left alone."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import main
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "cli"))
+import first_hour
+
+from casadical import calibrate
+from casadical.project.check import precheck
+from casadical.project.new import new_problem
+
+Table = tuple[np.ndarray, np.ndarray]
+
+
+def signs_and_columns(q: np.ndarray, p: np.ndarray) -> Table:
+    q = q * [1, -1, 1, -1, 1, 1]
+    return q[:, [0, 1, 2, 4, 3, 5]], p
+
+
+def shifted_and_left_handed(q: np.ndarray, p: np.ndarray) -> Table:
+    return q[:-1], p[1:] * [1, -1, 1]
+
+
+def zero_unit_and_sign(q: np.ndarray, p: np.ndarray) -> Table:
+    q = q.copy()
+    q[:, 2] += 90
+    q[:, 4] *= -1
+    return q, p / 25.4
+
+
+def coupled_and_free_zero(q: np.ndarray, p: np.ndarray) -> Table:
+    q = q.copy()
+    q[:, 3] -= 37.0
+    q[:, 2] += q[:, 1]
+    return q, p
+
+
+CASES = {
+    signs_and_columns: ("columns q4 and q5 are swapped", "joint 2 counts the other way"),
+    shifted_and_left_handed: ("the readings stand 1 row after their positions", "the measuring frame is left-handed"),
+    zero_unit_and_sign: ("the zero of joint 3 is 90 deg off (add -90 to q3_deg)", "inches", "joint 5 counts the other"),
+    coupled_and_free_zero: ("q3 counts from the horizontal, not from link 2", "the zero of joint 4 is 3"),
+}
+
+
+def folder_of(tmp_path: Path, slip: Callable[..., Table] | None) -> Path:
+    q, p = first_hour.measured(90)
+    if slip:
+        q, p = slip(q, p)
+    text = first_hour.DH.replace("-150,60", "-400,400").replace("-90,130", "-400,400").replace("-115,115", "-400,400")
+    table = first_hour.write(tmp_path, "messung.csv", q, p)
+    (tmp_path / "dh.csv").write_text(text)
+    new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=table)
+    return tmp_path / "arm"
+
+
+@pytest.mark.parametrize("slip", CASES, ids=lambda s: s.__name__)
+def test_slips_are_found_together_and_repaired(
+    slip: Callable[..., Table], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    folder = folder_of(tmp_path, slip)
+    said = " ".join(f.text for f in precheck(folder).findings if f.level == "error")
+    for words in CASES[slip]:
+        assert words in said
+    before = (folder / "poses.csv").read_bytes()
+    assert main(monkeypatch, "check", folder, "--repair") == 0
+    printed = capfd.readouterr().out
+    assert "+++" in printed
+    assert "mm before" in printed
+    assert (folder / "poses.csv").read_bytes() == before
+    assert calibrate(folder).accuracies["KM"]["report"]["calibrated"].mean < 1e-4
+
+
+def test_a_wrong_length_is_repaired_in_the_robot_file(tmp_path: Path) -> None:
+    from casadical.project.check.repair import write_repair
+
+    folder = folder_of(tmp_path, None)
+    robot = folder / "robot.toml"
+    robot.write_text(robot.read_text().replace("a_mm = 700.0", "a_mm = 0.7"))
+    found = precheck(folder)
+    assert found.slips is not None
+    assert found.nominal is not None
+    shown = write_repair(folder, found.slips.best, found.nominal)
+    assert "-a_mm = 0.7" in shown
+    # What calibration finds is not expected of a repair: a millimetre.
+    values = [float(line.split("=")[1]) for line in robot.read_text().splitlines() if line.startswith(("a_mm", "d_mm"))]
+    assert min(abs(v - 700.0) for v in values) < 2
+    assert precheck(folder).ok
+
+
+def test_a_clean_table_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    folder = folder_of(tmp_path, None)
+    texts = {path: path.read_bytes() for path in folder.iterdir()}
+    assert main(monkeypatch, "check", folder, "--repair") == 0
+    assert "repaired" not in capfd.readouterr().out
+    assert {path: path.read_bytes() for path in folder.iterdir()} == texts

@@ -1,0 +1,73 @@
+"""A few poses measured later: the promise is kept by the same robot and broken by one that changed."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import main
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "cli"))
+import first_hour
+
+from casadical import InputError, calibrate
+from casadical.project.new import new_problem
+from casadical.project.verification import verify
+
+
+@pytest.fixture(scope="module")
+def calibrated_arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of a calibration from 90 poses; the tool of later campaigns is another one."""
+    folder = tmp_path_factory.mktemp("arm")
+    table = first_hour.write(folder, "messung.csv", *first_hour.measured(90))
+    new_problem(folder / "arm", dh=folder / "dh.csv", data=table)
+    calibrate(folder / "arm").write(folder / "results")
+    return folder / "results" / "KM.robot.toml"
+
+
+def later(folder: Path, change: float = 0.0) -> Path:
+    """Twelve further poses of the same arm from elsewhere, one joint's zero changed by so many degrees."""
+    q, p = first_hour.measured(120)
+    q, p = q[100:112].copy(), p[100:112] @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]).T + [300, 200, -50]
+    q[:, 2] += change
+    return first_hour.write(folder, "einheiten.csv", q, p)
+
+
+def test_the_same_robot_keeps_its_promise_and_a_changed_one_does_not(
+    calibrated_arm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    kept = tmp_path / "kept.json"
+    assert main(monkeypatch, "verify", calibrated_arm, later(tmp_path), "--json", kept) == 0
+    assert "STILL VALID" in capfd.readouterr().out
+    figures = json.loads(kept.read_text())
+    assert figures["valid"]
+    assert figures["poses"] == 12
+    assert 0.02 < figures["found_rms_mm"] < 0.1
+    broken = tmp_path / "broken.json"
+    assert main(monkeypatch, "verify", calibrated_arm, later(tmp_path, 0.03), "--json", broken) == 5
+    assert "NO LONGER VALID" in capfd.readouterr().out
+    assert json.loads(broken.read_text())["found_rms_mm"] > 2 * figures["found_rms_mm"]
+
+
+def test_false_alarms_are_rare(calibrated_arm: Path, tmp_path: Path) -> None:
+    """Limits of 60 checks by ten poses each, the noise alone: at most three alarms, where 0.6 are expected."""
+    q, p = first_hour.measured(700)
+    alarms = 0
+    for k in range(100, 700, 10):
+        table = first_hour.write(tmp_path, "messung.csv", q[k : k + 10], p[k : k + 10])
+        alarms += not verify(calibrated_arm, table).valid
+    assert alarms <= 3
+
+
+def test_what_cannot_be_checked_is_refused(calibrated_arm: Path, tmp_path: Path) -> None:
+    q, p = first_hour.measured(4)
+    with pytest.raises(InputError, match="4 poses; base and tool have 9 numbers: measure 5 or more"):
+        verify(calibrated_arm, first_hour.write(tmp_path, "messung.csv", q, p))
+    alone = tmp_path / "alone.toml"
+    alone.write_text(calibrated_arm.read_text())
+    with pytest.raises(InputError, match="no figures of a calibration; give the promised rms error with --promised-mm"):
+        verify(alone, later(tmp_path))
+    assert verify(alone, later(tmp_path), promised_mm=1.0).valid
