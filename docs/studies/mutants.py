@@ -87,7 +87,7 @@ LISTED = (
     ("robot/statics.py", "energy - mass", "energy + mass", "sign of gravity's energy"),
 )  # fmt: skip
 
-# Mutants that cannot be told from the original, and why: "file:line what".
+# Mutants that do not differ from the original, and why: "file:line what".
 EQUIVALENT: dict[str, str] = {}
 
 
