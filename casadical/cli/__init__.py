@@ -6,6 +6,7 @@ Exit codes: 0 done; 2 bad input; 3 the solver found no optimum; 4 worse than bef
 
 import sys
 import traceback
+from io import TextIOWrapper
 
 from casadical.cli.root import app as app
 from casadical.cli.terminal import BAD_INPUT, NO_CONVERGENCE, OUR_BUG
@@ -16,6 +17,9 @@ from casadical.core.threads import one_thread
 def main() -> None:
     """Run the command line; a user's mistake ends in a message and an exit code, never in a traceback."""
     one_thread()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # letters that the terminal's encoding has not are shown by their codes
+            stream.reconfigure(errors="backslashreplace")
     try:
         app()
     except InputError as error:

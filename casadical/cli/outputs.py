@@ -59,8 +59,8 @@ def _refuse_unusable(given: Mapping[str, Any], outputs: Collection[str]) -> None
             fault = ""
             if isinstance(one, Path) and name not in outputs:
                 _real(one, "read")
-            if isinstance(one, Path | str):
-                fault = text_fault(str(one))
+            if isinstance(one, str):
+                fault = text_fault(one)
             elif isinstance(one, int | float):
                 fault = number_fault(one)
             if fault:

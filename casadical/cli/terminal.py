@@ -71,6 +71,6 @@ def working(quiet: bool, step: str, name: str = "") -> Iterator[Show]:
     console = Console(stderr=True)
     columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
     head = f"{name}: " if name else ""
-    with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
+    with Progress(*columns, console=console, transient=True, disable=quiet or not console.file.isatty()) as bar:
         task = bar.add_task(head + step, total=None)
         yield lambda text: bar.update(task, description=head + text)

@@ -59,8 +59,9 @@ def write_together(contents: Mapping[Path, str | bytes]) -> None:
             for path, content in contents.items():
                 _sort(path, content.encode() if isinstance(content, str) else content, files, streams)
             steps = []
-            for path, part in _by_home(files).items():
-                steps.append(_prepared(path, part, stack))
+            for home, part in _by_home(files).items():
+                path = home if home in _claimed.get() else next(iter(part))
+                steps.append(_prepared(home, part, stack))
             for path, blob in streams.items():
                 _into(path, blob)
             for step in steps:

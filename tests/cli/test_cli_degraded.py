@@ -1,0 +1,130 @@
+"""The command where something is missing: the same figures as elsewhere, or a sentence."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import pytest
+
+from casadical import calibrate
+
+ROOT = Path(__file__).parents[2]
+PLANAR = ROOT / "problems" / "planar"
+COMMAND = [sys.executable, "-c", "from casadical.cli import main; main()"]
+UNSET = ("HOME", "XDG_CACHE_HOME", "CASADICAL_CACHE", "TERM", "LANG", "USER", "LOGNAME", "TMPDIR", "COLUMNS")
+
+# Each world: what is changed in the environment, None for what is removed.
+WORLDS: dict[str, dict[str, str | None]] = {
+    "no compiler": {"PATH": "/nowhere", "CC": "/nowhere/cc"},
+    "no cache": {"CASADICAL_CACHE": "/dev/null/cache"},
+    "no home": dict.fromkeys(UNSET),
+    "a home that is not there": {"HOME": "/nowhere", "XDG_CACHE_HOME": None, "CASADICAL_CACHE": None},
+    "a locale without letters": {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+    "an output in ASCII": {"PYTHONIOENCODING": "ascii:strict"},
+    "a locale that is not there": {"LC_ALL": "tr_TR.ISO-8859-9"},
+    "a terminal of one column": {"COLUMNS": "1", "LINES": "1"},
+    "one that has colours by force": {"FORCE_COLOR": "1"},
+    "a proxy that is not there": {"HTTPS_PROXY": "http://127.0.0.1:9", "HTTP_PROXY": "http://127.0.0.1:9"},
+}
+
+
+def environment(change: dict[str, str | None]) -> dict[str, str]:
+    whole = os.environ | {"PYTHONPATH": str(ROOT)} | change
+    return {name: value for name, value in whole.items() if value is not None}
+
+
+@pytest.fixture(scope="module")
+def expected() -> object:
+    return calibrate(PLANAR).to_json()
+
+
+@pytest.fixture
+def named(tmp_path: Path) -> Path:
+    """A problem with a title that not every encoding has."""
+    text = (PLANAR / "problem.toml").read_text(encoding="utf-8")
+    text = text.replace("../../data", str(ROOT / "data")).replace('title = "', 'title = "Größe 大 ')
+    folder = tmp_path / "größe"
+    folder.mkdir()
+    (folder / "problem.toml").write_text(text, encoding="utf-8")
+    (folder / "robot.toml").write_bytes((PLANAR / "robot.toml").read_bytes())
+    return folder
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_the_same_figures_in_every_world(world: str, expected, named: Path, tmp_path: Path) -> None:
+    kept = tmp_path / "kept.json"
+    command = [*COMMAND, "calibrate", str(named), "--json", str(kept)]
+    done = subprocess.run(command, cwd=tmp_path, env=environment(WORLDS[world]), capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+    found = json.loads(kept.read_text(encoding="utf-8"))
+    assert found["methods"] == expected["methods"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["größe", "kept.json"], "nothing is made in the folder"
+
+
+def test_without_standard_output_the_files_are_written_all_the_same(expected, tmp_path: Path) -> None:
+    line = f"{' '.join(map(repr, COMMAND))} calibrate {str(PLANAR)!r} --json kept.json <&- >&- 2>&-"
+    assert subprocess.run(["sh", "-c", line], cwd=tmp_path, env=environment({}), check=False).returncode == 0
+    assert json.loads((tmp_path / "kept.json").read_text())["methods"] == expected["methods"]
+
+
+def test_a_folder_that_cannot_be_written_is_a_sentence(tmp_path: Path) -> None:
+    command = [*COMMAND, "calibrate", str(PLANAR), "--json", "/proc/nowhere/kept.json"]
+    done = subprocess.run(command, cwd=tmp_path, env=environment({}), capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "/proc/nowhere/kept.json: cannot be written" in done.stderr
+
+
+def test_without_a_network_the_package_asks_for_none(tmp_path: Path, expected) -> None:
+    """Every attempt to reach another machine is an error in this process."""
+    (tmp_path / "sitecustomize.py").write_text(
+        "import sys\n"
+        "def refuse(event, args):\n"
+        "    if event in ('socket.connect', 'socket.getaddrinfo'):\n"
+        "        raise OSError('no network')\n"
+        "sys.addaudithook(refuse)\n"
+    )
+    world = environment({"PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"})
+    check = [sys.executable, "-c", "import socket; socket.getaddrinfo('localhost', 80)"]
+    assert b"no network" in subprocess.run(check, env=world, capture_output=True, check=False).stderr
+    command = [*COMMAND, "calibrate", str(PLANAR), "--json", "kept.json"]
+    done = subprocess.run(command, cwd=tmp_path, env=world, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert json.loads((tmp_path / "kept.json").read_text())["methods"] == expected["methods"]
+
+
+def test_a_clock_that_jumps_by_months_changes_nothing(tmp_path: Path, expected) -> None:
+    (tmp_path / "sitecustomize.py").write_text(
+        "import itertools, time\n"
+        "now, jump = time.time(), itertools.cycle([0, 30, -60, 365, -4000])\n"
+        "time.time = lambda: now + 86400 * next(jump)\n"
+        "time.time_ns = lambda: int(1e9 * time.time())\n"
+    )
+    (tmp_path / "out").mkdir()
+    os.utime(tmp_path / "out", (4e9, 4e9))
+    world = environment({"PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"})
+    command = [*COMMAND, "calibrate", str(PLANAR), "--out", "out"]
+    for _ in range(2):
+        done = subprocess.run(command, cwd=tmp_path, env=world, capture_output=True, check=False)
+        assert (done.returncode, done.stderr) == (0, b"")
+    assert json.loads((tmp_path / "out" / "result.json").read_text())["methods"] == expected["methods"]
+
+
+def figures(problem: Path) -> object:
+    return calibrate(problem).to_json()["methods"]
+
+
+def test_two_threads_give_the_same_figures(expected) -> None:
+    with ThreadPoolExecutor(2) as pool:
+        assert list(pool.map(figures, [PLANAR] * 4)) == [expected["methods"]] * 4
+
+
+@pytest.mark.parametrize("how", ["fork", "spawn"])
+def test_processes_give_the_same_figures(how: str, expected) -> None:
+    with ProcessPoolExecutor(2, mp_context=get_context(how)) as pool:
+        assert list(pool.map(figures, [PLANAR] * 2)) == [expected["methods"]] * 2
