@@ -249,6 +249,7 @@ def main() -> None:
         rows.append(row)
         with given.keep.open("a") as file:
             file.write(json.dumps(row) + "\n")
+    print(f"{len(rows)} of the {len(trials(given.repeats))} campaigns, in an order drawn before")
     print("\n".join(report(rows)))
 
 

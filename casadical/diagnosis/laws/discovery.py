@@ -248,6 +248,7 @@ def _concluded(
     found: Diagnosis, rounds: list[Round], case: Case, laws: list[Scored], causes: tuple[Effect, ...], columns: Array
 ) -> Discovery:
     smooth = describe_unlisted(replace(found, verdict="unknown"))
+    smooth = smooth if smooth and smooth.effects else None
     noise = laws[-1].noise if laws else found.noise
     values = _values(case, laws, columns, noise)
     named, none = found.columns, np.zeros(0, dtype=np.int64)
