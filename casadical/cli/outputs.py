@@ -58,7 +58,8 @@ def _refuse_unusable(given: Mapping[str, Any], outputs: Collection[str]) -> None
         for one in value if isinstance(value, list) else [value]:
             fault = ""
             if isinstance(one, Path) and name not in outputs:
-                _real(one, "read")
+                real = _real(one, "read")
+                fault = "is a device; name a file" if real.is_char_device() or real.is_block_device() else ""
             if isinstance(one, str):
                 fault = text_fault(one)
             elif isinstance(one, int | float):

@@ -60,6 +60,8 @@ def read_table(path: str | Path) -> RawTable:
     """
     path = Path(path)
     try:
+        if path.is_char_device() or path.is_block_device():
+            raise InputError(f"{path}: is a device; name a file")
         data = path.read_bytes()
         text, encoding, sheet = _text(path, data)
         separator = "," if sheet else separator_of(text)

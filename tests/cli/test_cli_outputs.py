@@ -76,3 +76,11 @@ def test_the_second_writer_of_a_folder_is_told_before_it_works(monkeypatch, caps
         code = contextvars.Context().run(main, monkeypatch, "calibrate", problem, "--out", tmp_path / "o")
     assert code == 2
     assert "another casadical is writing to this folder" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+@pytest.mark.parametrize("command", [("new", "n", "--dh"), ("plan", "p", "-n", "6", "--measured")])
+def test_a_device_is_no_input(monkeypatch, capsys, tmp_path, problem, command) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(monkeypatch, *command, "/dev/full") == 2
+    assert "/dev/full: is a device; name a file" in capsys.readouterr().err
