@@ -7,6 +7,8 @@ the priors of its file (compliance is never below zero), noise is 0.02 mm a coor
 `problems`. DRAWS designs of each of the six kinds (50 without an argument: 300 designs). The formula was settled on
 draws of seed 16; SEED is 17 without an argument.
 
+`--log FILE --seconds S` runs it in pieces: each continues where the log ends, and the last one prints.
+
 "identified only" is what `Identification.predict` claimed before: the covariance of the identified parameters alone.
 """
 
