@@ -122,7 +122,8 @@ def carried(found: dict[str, Diagnosis], poses: int) -> None:
     for source, d in found.items():
         unlisted = describe_unlisted(d)
         refit = d.refit(unlisted=unlisted)
-        values = {n: v for n, v in zip(refit.names, refit.estimate, strict=True) if "@" in n}
+        labels = {e.label for e in d.effects(unlisted=unlisted)}  # those of a whole arm have no joint in their names
+        values = {n: v for n, v in zip(refit.names, refit.estimate, strict=True) if n.rpartition(".")[0] in labels}
         for target in (t for t in found if t != source):
             bare = read_problem(ROOT / "problems" / target).robot
             m = campaign(target, bare)
