@@ -30,6 +30,8 @@ def _study():
 study = _study()
 # No simulator has them: the other files of this folder compare them with formulas of their own.
 ALONE = {"cross_coupling", "load_hysteresis", "smr_offset", "frame_settling"}
+# Rivals that came later and have no pair in the study yet.
+NOT_YET = {"backlash_by_load", "frame_step", "friction_memory", "settling_lag", "thermal_bend"}
 
 
 @cache
@@ -93,4 +95,5 @@ def test_every_listed_effect_has_a_counterpart_or_is_named() -> None:
         for kind in vars(registry).values()
         if isinstance(kind, type) and getattr(kind, "on_list", "") in ("standard", "extended")
     }
-    assert listed - compared - ALONE == set()
+    assert listed - compared - ALONE - NOT_YET == set()
+    assert compared & NOT_YET == set()
