@@ -317,8 +317,9 @@ def _fault(hostile: Hostile, place: Path, before: dict[str, str], code: int, out
     after = snapshot(place / "in")
     if after != before:
         names = [n for n in {*before, *after} if before.get(n) != after.get(n)]
-        ours = "in/empty/" if hostile.command[0] == "new" else "\0"
-        if any(not f"in/{n}".startswith(ours) for n in names):
+        # What --overwrite was asked to replace may be replaced, unless the command reads it.
+        asked = hostile.command if "--overwrite" in hostile.command else ()
+        if any(f"in/{n}" not in asked for n in names):
             return f"changes inputs: {sorted(names)[:5]}"
     return _outputs_fault(hostile, place, code)
 
