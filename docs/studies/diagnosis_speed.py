@@ -1,11 +1,13 @@
 """Time and memory of a diagnosis: python docs/studies/diagnosis_speed.py [PART...] > docs/studies/diagnosis_speed.txt
 
-Parts: command (a minute), series-b (a minute), series-a (two minutes), simulated (ten minutes); all by default. Each
-row is a process of its own with one thread: seconds of CPU, seconds of wall time, peak of its memory.
+Parts, all by default: command (a minute), series-b (half a minute), command-b (two minutes), series-a (two minutes),
+simulated-1000, simulated-10000 (half a minute), simulated-100000 (ten minutes). Each row is a process of its own with
+one thread: seconds of CPU, seconds of wall time, peak of its memory. On a busy machine both times are longer. The print
+has the parts that were run so far, on a machine with seven other processes on each core.
 
 command: `casadical diagnose` of 100 poses. First: nothing is in the cache. Again: formulas are. Next: each further
-campaign of the same command. series-b and series-a: all poses of two series of the real UR10, by `diagnose` of Python.
-simulated: 1000, 10 000 and 100 000 poses of a UR10e with backlash.
+campaign of the same command. series-b and series-a: all poses of two series of the real UR10, by `diagnose` of Python;
+command-b: by the command, which also refits and judges the poses. simulated: poses of a UR10e with backlash.
 """
 
 import json
@@ -15,6 +17,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import pandas as pd
@@ -25,6 +28,7 @@ from casadical.project.problem import read_campaign, read_campaign_robot
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "data" / "ur10_laser_tracker"
+SERIES = {"a": ("series_A_grid.csv", "ur10_grid"), "b": ("series_B_joint_configurations.csv", "ur10_joints")}
 SIZES = (1000, 10_000, 100_000)
 FURTHER = 3
 COMMAND = "from casadical.cli import main; main()"
@@ -82,24 +86,25 @@ def simulated_campaign(name: str, poses: int, seed: int) -> pd.DataFrame:
 
 
 def series(folder: Path, letter: str) -> None:
-    """All poses of a real series by `diagnose`, and series B by the command."""
-    file, problem = {
-        "b": ("series_B_joint_configurations.csv", "ur10_joints"),
-        "a": ("series_A_grid.csv", "ur10_grid"),
-    }[letter]
-    used = process([__file__, "--one", ROOT / "problems" / problem, DATA / file, folder / "said.json"], folder)
-    row(f"diagnose, series {letter.upper()}", used, (folder / "said.json").read_text())
-    if letter == "b":
-        row("command, series B", process(["-c", COMMAND, "diagnose", ROOT / "problems" / problem, DATA / file], folder))
+    """All poses of a real series."""
+    file, problem = SERIES[letter]
+    used = process([__file__, "--one", ROOT / "problems" / problem, DATA / file, folder / "said.txt"], folder)
+    row(f"diagnose, series {letter.upper()}", used, (folder / "said.txt").read_text())
 
 
-def simulated(folder: Path) -> None:
+def command_of_series(folder: Path, letter: str) -> None:
+    """All poses of a real series by the command."""
+    file, problem = SERIES[letter]
+    used = process(["-c", COMMAND, "diagnose", ROOT / "problems" / problem, DATA / file], folder)
+    row(f"command, series {letter.upper()}", used)
+
+
+def simulated(folder: Path, size: int) -> None:
     """Time by the number of poses."""
-    for size in SIZES:
-        path = folder / f"simulated-{size}.csv"
-        simulated_campaign("ur10e", size, 0).to_csv(path, index=False)
-        used = process([__file__, "--one", ROOT / "problems" / "ur10e", path, folder / "said.json"], folder)
-        row(f"diagnose, {size} simulated poses", used, (folder / "said.json").read_text())
+    path = folder / f"simulated-{size}.csv"
+    simulated_campaign("ur10e", size, 0).to_csv(path, index=False)
+    used = process([__file__, "--one", ROOT / "problems" / "ur10e", path, folder / "said.txt"], folder)
+    row(f"diagnose, {size} simulated poses", used, (folder / "said.txt").read_text())
 
 
 def one(problem: Path, file: Path, answer: Path) -> None:
@@ -115,14 +120,16 @@ def one(problem: Path, file: Path, answer: Path) -> None:
 
 PARTS = {
     "command": command,
-    "series-b": lambda folder: series(folder, "b"),
-    "series-a": lambda folder: series(folder, "a"),
-    "simulated": simulated,
+    "series-b": partial(series, letter="b"),
+    "command-b": partial(command_of_series, letter="b"),
+    "series-a": partial(series, letter="a"),
+    **{f"simulated-{size}": partial(simulated, size=size) for size in SIZES},
 }
 
 
 def main() -> None:
-    print(f"{'':<52} {'CPU s':>7} {'wall s':>7} {'MB':>7}")
+    load = f"{os.getloadavg()[0]:.0f} processes on {os.cpu_count()} cores as it begins"
+    print(f"{load:<52} {'CPU s':>7} {'wall s':>7} {'MB':>7}", flush=True)
     with tempfile.TemporaryDirectory() as scratch:
         for part in sys.argv[1:] or PARTS:
             PARTS[part](Path(scratch))
