@@ -29,7 +29,7 @@ def command(*words: object) -> None:
 
 
 def calibrate(_folder: Path) -> None:
-    command("calibrate", PROBLEMS / "planar", "--quiet")
+    command("calibrate", PROBLEMS / "planar", "--details", "--quiet")
 
 
 def diagnose(folder: Path) -> None:
