@@ -208,6 +208,11 @@ def _outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[
     if not view.enough:
         text = f"{view.method}: {view.numbers} numbers were measured for {p} unknowns; measure more poses"
         return [Finding("error", "too few poses", text)]
+    if not view.names:
+        text = (
+            f"{view.method}: with noise of {1e3 * view.noise:.3g} mm a coordinate these poses determine no parameter; "
+        )
+        return [Finding("error", "identifiability", f"{text}measure more accurately, or more poses spread wider")]
     found = []
     if view.numbers < COMFORTABLE * p:
         text = f"{view.method}: {view.numbers} numbers for {p} unknowns; {COMFORTABLE} for each show how good it is"

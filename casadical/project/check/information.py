@@ -35,7 +35,7 @@ class Outlook:
     scatter : of a coordinate, or distance, that a linear step leaves [m], NaN without numbers to spare
     noise : of a coordinate that the forecasts take [m]: the given one, else the scatter
     of_points : whether points were measured, not distances
-    errors : standard errors to expect of `names` [SI]; accuracy : rms position error of them to expect [m]
+    errors : standard errors to expect of `names` [SI]; accuracy : rms position error of them to expect [m], NaN of none
     """
 
     method: str
@@ -54,7 +54,7 @@ class Outlook:
     @property
     def held_out(self) -> float | None:
         """Mean error [m] to expect on other poses like these, three coordinates with this scatter; None for others."""
-        if not (self.enough and self.of_points):
+        if not (self.enough and self.of_points and self.names):
             return None
         return float(np.sqrt(8 / np.pi) * self.scatter * np.sqrt(1 + self.unknowns / self.numbers))
 
@@ -92,7 +92,7 @@ def outlook(
     return Outlook(
         method, kept, (*found.held, *poor), problem.residual_count, problem.size, found.condition, index,
         scatter * sigmas[0][0], unit * sigmas[0][0], all(find_kind(m.kind).lengths == 3 for m in sets),
-        np.sqrt(np.diag(C)) * scale, _accuracy(robot, kept, C, seed),
+        np.sqrt(np.diag(C)) * scale, _accuracy(robot, kept, C, seed) if kept else float("nan"),
     )  # fmt: skip
 
 

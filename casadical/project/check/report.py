@@ -84,7 +84,7 @@ def _outlook(view: Outlook, found: Precheck) -> list[RenderableType]:
         f"{view.method}: {len(view.names)} parameters identifiable from {view.numbers} numbers, {len(view.held)} not; "
         f"condition number {view.condition:.0f}, observability O1 {view.O1:.3g}."
     ]
-    if view.enough:
+    if view.enough and view.names:
         given = found.noise_source == "as given"
         cause = f"noise of {1e3 * view.noise:.3g} mm a coordinate" if given else "the scatter in the data"
         lines.append(
@@ -121,7 +121,7 @@ def as_json(found: Precheck) -> dict[str, Any]:
                 "O1": view.O1,
                 "scatter_mm": 1e3 * view.scatter if view.enough else None,
                 "expected_held_out_mean_mm": None if view.held_out is None else 1e3 * view.held_out,
-                "expected_accuracy_mm": 1e3 * view.accuracy if view.enough else None,
+                "expected_accuracy_mm": 1e3 * view.accuracy if view.enough and view.names else None,
                 "std_error": dict(zip(view.names, view.errors.tolist(), strict=True)),
             }
             for view in found.outlooks
