@@ -76,6 +76,8 @@ class Calibration:
         problem = self.problem
         return [
             Words(problem.title, "title"),
+            *_prior_words(problem),
+            *_held_effects(problem),
             *list(verdict(problem, self.accuracies))[:1],
             *error_tables(self.accuracies, self.networks)[:1],
             *things_to_know(problem, self.identification, self.networks),

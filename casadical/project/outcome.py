@@ -78,8 +78,13 @@ def far_held_out(problem: Problem, robot: Robot) -> list[LeftOut]:
 
 
 def worse_than_before(result: Identification, before: Accuracy, after: Accuracy) -> str:
-    """The reason and the remedy, where the mean error of held-out poses grew."""
-    if after.mean <= before.mean:
+    """The reason and the remedy, where the mean error of held-out poses grew by more than chance.
+
+    Chance : twice the standard error of the difference of two means; a robot that was calibrated before, perhaps with
+    these very poses, is not made worse by what it hides.
+    """
+    chance = 2 * np.hypot(before.std, after.std) / np.sqrt(after.n) if after.n > 1 else 0.0
+    if after.mean <= before.mean + chance:
         return ""
     text = f"held-out poses are worse after the calibration, {mm(after.mean)} mm, than before, {mm(before.mean)} mm"
     worst = _worst(result)

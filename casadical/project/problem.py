@@ -28,7 +28,7 @@ BaseMethod = Literal["KM", "SKCM"]
 BASE_METHODS: tuple[BaseMethod, ...] = get_args(BaseMethod)
 
 # auto: huber where it finds outliers, else linear.
-ProblemLoss = Loss | Literal["auto"]
+ProblemLoss = Literal["auto", Loss]
 PROBLEM_LOSSES: tuple[ProblemLoss, ...] = ("auto", *LOSSES)
 
 # Puts into a robot what another campaign found, and says how well that is known.

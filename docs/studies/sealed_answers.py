@@ -14,10 +14,10 @@ from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-from casadical import InputError, diagnose, next_poses, read_measurements
+from casadical import InputError, diagnose, next_poses
 from casadical.core.files import write_whole
 from casadical.diagnosis import Details, as_json, describe_unlisted, localise
-from casadical.project.problem import read_campaign_robot
+from casadical.project.problem import read_campaign, read_campaign_robot
 
 ROOT = Path(__file__).parents[2]
 CAMPAIGNS = ROOT / "data" / "campaigns"
@@ -28,9 +28,10 @@ def answered(path: Path, answers: Path) -> str:
     """The line printed for a campaign, whose answer is written."""
     name = path.stem.split("-")[0]
     own = CAMPAIGNS / "robots_B" / f"{name}.robot.toml"
-    robot = read_campaign_robot(own if own.is_file() else ROOT / "problems" / name)
+    place = own if own.is_file() else ROOT / "problems" / name
+    robot = read_campaign_robot(place)
     try:
-        found = diagnose(robot, read_measurements(path, robot.n))
+        found = diagnose(robot, read_campaign(place, path, robot))
     except InputError as error:
         return f"{path.stem}  refused    {error}"
     more = Details(localise(found), unlisted=describe_unlisted(found), poses=next_poses(found, 15))
@@ -43,12 +44,13 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("round", choices=FOLDERS, nargs="?", default="A")
     options.add_argument("--jobs", type=int, default=1)
+    options.add_argument("--only", default="", help="campaigns whose names begin so")
     options.add_argument("--answers", type=Path, help="another folder for the answers")
     given = options.parse_args()
     sealed, folder = (CAMPAIGNS / name for name in FOLDERS[given.round])
     answers = given.answers or folder
     answers.mkdir(exist_ok=True)
-    paths = sorted(sealed.glob("*.csv"))
+    paths = sorted(sealed.glob(f"{given.only}*.csv"))
     with ProcessPoolExecutor(given.jobs) as pool:
         for line in pool.map(answered, paths, [answers] * len(paths)):
             print(line, flush=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -40,7 +41,10 @@ def test_bad_files_are_named(small, tmp_path) -> None:
     with pytest.raises(InputError, match="no such key"):
         score(small.folder, tmp_path / "nowhere", small.answers)
     path = tmp_path / "answers.jsonl"
-    path.write_text(small.answers.read_text().replace('"verdict":"', '"verdict":"perhaps ', 1))
+    changed = small.answers.read_text().replace('"verdict":"', '"verdict":"perhaps ', 1)
+    path.write_text(changed)  # its checksum tells that the line was changed: no answer, to be answered again
+    assert len(score(small.folder, small.key, path).unanswered) == 1
+    path.write_text(re.sub(r',"sha256":"[0-9a-f]{64}"', "", changed))  # as an earlier casadical wrote it
     with pytest.raises(InputError, match=r"line 2: verdict: .*delete this line, and run predict again"):
         score(small.folder, small.key, path)
     path.write_text("{}\n")

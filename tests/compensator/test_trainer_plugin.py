@@ -32,7 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_plug_in_trains_a_method_of_a_problem(folder: Path, tmp_path: Path) -> None:
     site = installed(tmp_path, "casadical.trainers", POINT, MODULE)
-    done = run(site, "calibrate", folder, "--out", tmp_path / "out", "--report", tmp_path / "r.html")
+    done = run(site, "calibrate", folder, "--out", tmp_path / "out", "--report", tmp_path / "r.html", "--details")
     assert (done.returncode, done.stderr) == (0, "")
     entry = json.loads((tmp_path / "out" / "result.json").read_text())["networks"]["RF-NN-SKCM"]
     assert (entry["trainer"], entry["settings"]) == ("random-features", {"draws": 300, "ridge": 0.1})

@@ -126,7 +126,9 @@ def test_outliers_are_named_and_left_out(built, loss):
     clean = identify(ARM, m[np.arange(100) % 10 != 5], ["kinematic"])
     assert arms.model_error(robust.robot, built) < 1.2 * arms.model_error(clean.robot, built)
     assert robust.sigmas[0][0] == pytest.approx(arms.NOISE, rel=0.15)
-    assert "10 poses left out" in robust.verdict
+    assert "left out as outliers: row " in robust.verdict
+    assert "and 2 more" in robust.verdict  # eight of the ten are named there, all in `left_out`
+    assert len(robust.left_out) == 10
     assert arms.model_error(identify(ARM, replace(m, position=wrong), ["kinematic"]).robot, built) > 4 * arms.NOISE
 
 

@@ -92,7 +92,7 @@ def test_a_plug_in_is_read_fitted_and_reported(site: Path, folder: Path, tmp_pat
 
 
 def test_a_plug_in_is_checked_before(site: Path, folder: Path) -> None:
-    done = run(site, "check", folder, "--strict")
+    done = run(site, "check", folder, "--strict", "--details")
     assert "56 numbers" in done.stdout
     assert done.returncode == 0, done.stdout
 

@@ -59,6 +59,9 @@ def read_program(path: str | Path, joints: int) -> Program:
     """
     table = read_table(path)
     header, rows, line = table.header, table.cells, table.line
+    if table.form.separator != "," or table.form.sheet:
+        form = "a workbook" if table.form.sheet else f"separated by {table.form.separator!r}"
+        raise InputError(f"{path}: is {form}; a program is read and written with commas and decimal points, as CSV")
     if STATUS in header:
         raise InputError(
             f"{path}: column {STATUS!r} is there already: this program was corrected before; correct the original"
