@@ -105,6 +105,8 @@ def load_toml(path: Path) -> dict[str, Any]:
     """Tables of a TOML file. Raises InputError."""
     try:
         return tomllib.loads(read_bytes(path).decode())
+    except InputError:  # no such file, a folder, a device
+        raise
     except ValueError as error:  # of TOML, of its encoding, or an integer of thousands of digits
         raise InputError(f"{shown(path)}: not valid TOML: {error}") from None
     except RecursionError:

@@ -222,8 +222,8 @@ class Columns:
         others = re.compile("|".join([_NO_CONDITIONS, *observations]))
         found = {}
         for name in map(str, self.table):
-            if others.fullmatch(name):
-                continue
+            if others.fullmatch(name) or (name in self.taken and name not in POSSIBLE):
+                continue  # a heading of which one of ours was made is no condition of its own
             numeric = pd.to_numeric(self.table[name], errors="coerce").notna()
             # Some words among numbers are mistakes: `column` says where. What the model asks for must be numbers.
             if numeric.mean() >= 0.5 or name in POSSIBLE or _NUMBERS.fullmatch(name):

@@ -8,6 +8,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from casadical.compensator import compensator_text
 from casadical.core.blocks import Table, Words, plain_text, terminal
 from casadical.core.errors import InputError, shown
@@ -78,6 +80,7 @@ class Calibration:
             Words(problem.title, "title"),
             *_prior_words(problem),
             *_held_effects(problem),
+            *_payload_not_in_the_model(problem),
             *list(verdict(problem, self.accuracies))[:1],
             *error_tables(self.accuracies, self.networks)[:1],
             *things_to_know(problem, self.identification, self.networks),
@@ -92,6 +95,7 @@ class Calibration:
             *(Words(f"note: {note}", "note") for note in problem.robot.notes),
             *_prior_words(problem),
             *_held_effects(problem),
+            *_payload_not_in_the_model(problem),
             *_unused_columns(problem),
             *verdict(problem, self.accuracies),
             *(Words(result.verdict) for result in self.identifications.values()),
@@ -268,6 +272,16 @@ def _held_effects(problem: Problem) -> list[Words]:
     carried = problem.prior.labels if problem.prior else ()
     robot = problem.robot.with_only(e for e in problem.robot.effects if e.label not in carried)
     return [Words(f"{text} {robot.effects_in_words}.", "note")] if robot.effects else []
+
+
+def _payload_not_in_the_model(problem: Problem) -> list[Words]:
+    """That the tables name a payload whose weight the robot file does not let into the model."""
+    carried = [m.conditions["payload_kg"] for _, m in problem.parts() if "payload_kg" in m.conditions]
+    gives = any(j.compliance is not None for j in problem.robot.joints)
+    if problem.robot.payload is not None or not gives or not any(np.any(p != 0) for p in carried):
+        return []
+    text = "The tables log a payload (payload_kg), but the robot file has no [payload] with its mass centre (com_mm): "
+    return [Words(f"{text}its weight is not in the model. Add it to the robot file.", "warning")]
 
 
 def _unused_columns(problem: Problem) -> list[Words]:

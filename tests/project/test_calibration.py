@@ -103,3 +103,29 @@ def test_brackets_stay_in_the_text_and_nothing_is_cut() -> None:
     assert len(re.findall("because", text)) == 30
     assert text.splitlines()[1].strip() == ""
     assert max(map(len, text.splitlines())) <= 60
+
+
+def test_a_logged_payload_that_the_robot_file_does_not_know_is_said(tmp_path: Path) -> None:
+    given = ROOT / "problems" / "ur10e"
+    campaign = (ROOT / "data" / "campaigns" / "practice" / "ur10e-P03.csv").read_text()
+    (tmp_path / "poses.csv").write_text(campaign.replace("payload_kg", "Traglast [kg]"))
+    (tmp_path / "problem.toml").write_text(
+        'casadical = 1\ntitle = "t"\ndata = "synthetic"\nmethods = ["SKCM"]\n[[measurements]]\nfile = "poses.csv"\n'
+        'columns = { payload_kg = "Traglast [kg]" }\n'
+    )
+    robot = (given / "robot.toml").read_text()
+    (tmp_path / "robot.toml").write_text(robot)
+    said = "the robot file has no [payload]"
+    known = calibrate(tmp_path)
+    assert said not in plain_text(known.brief())
+    # A heading of which payload_kg was made is used; it is no column of its own.
+    assert "Traglast" not in re.sub(r"\s+", " ", str(known))
+    (tmp_path / "robot.toml").write_text(re.sub(r"\[payload\]\n(?:.+\n)+", "", robot))
+    assert said in re.sub(r"\s+", " ", plain_text(calibrate(tmp_path).brief()))
+
+
+def test_a_robot_file_that_is_missing_is_not_called_bad_toml(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as refused:
+        read_robot(tmp_path / "none.toml")
+    assert str(refused.value).endswith("none.toml: no such file")
+    assert "TOML:" not in str(refused.value)

@@ -23,6 +23,7 @@ _ROW = [f"{stem}{unit}" for stem, units in (("a", ("_mm", "_m")), ("alpha", ("_d
         ("theta", ("_deg", "_rad"))) for unit in units]  # fmt: skip
 _ENDS = [f"{side}{unit}" for unit in ("_deg", "_rad", "_mm", "_m") for side in ("lower", "upper")]
 _BODY = ["mass_kg", "com_x_mm", "com_y_mm", "com_z_mm"]
+_YES, _NO = ("yes", "true", "1"), ("no", "false", "0")
 _KNOWN = ["joint", *_ROW, *_ENDS, "type", *_BODY, "compliant", "stiffness_Nm_per_rad"]
 
 
@@ -59,7 +60,10 @@ def _row(row: Mapping[str, Any], where: str) -> str:
             if None in ends:
                 raise InputError(f"{where}: lower{unit} and upper{unit} belong together; one is missing")
             lines.append(f"limits{unit} = {ends!r}")
-    if _word(row, "compliant") in ("yes", "true", "1"):
+    compliant = _word(row, "compliant")
+    if compliant not in ("", *_YES, *_NO):
+        raise InputError(f"{where}: compliant = {compliant!r}; allowed: {', '.join(_YES + _NO)}, or an empty cell")
+    if compliant in _YES:
         lines.append("compliant = true")
     if "stiffness_Nm_per_rad" in given:
         lines.append(f"stiffness_Nm_per_rad = {given['stiffness_Nm_per_rad']!r}")

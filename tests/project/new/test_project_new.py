@@ -167,3 +167,10 @@ def test_bad_input_is_refused_and_nothing_is_written(name: str, tmp_path: Path) 
     with pytest.raises(InputError, match=words):
         new_problem(tmp_path / "new", **paths)
     assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("word", ["ja", "maybe"])
+def test_a_word_for_compliant_that_is_not_known_is_refused(word: str, tmp_path: Path) -> None:
+    (tmp_path / "dh.csv").write_text(f"a_mm,alpha_deg,compliant\n100,90,yes\n200,0,{word}\n")
+    with pytest.raises(InputError, match=f"compliant = '{word}'; allowed: yes, true, 1, no, false, 0"):
+        new_problem(tmp_path / "new", dh=tmp_path / "dh.csv")
