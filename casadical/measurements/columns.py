@@ -223,7 +223,7 @@ class Columns:
         found = {}
         for name in map(str, self.table):
             if others.fullmatch(name) or (name in self.taken and name not in POSSIBLE):
-                continue  # a heading of which one of ours was made is no condition of its own
+                continue  # a heading that one of our columns was made from is no condition
             numeric = pd.to_numeric(self.table[name], errors="coerce").notna()
             # Some words among numbers are mistakes: `column` says where. What the model asks for must be numbers.
             if numeric.mean() >= 0.5 or name in POSSIBLE or _NUMBERS.fullmatch(name):
