@@ -45,7 +45,7 @@ LISTED = (
     ("identification/residuals.py", "3: 7.81", "3: 12.59", "knee of three degrees of freedom is that of six"),
     ("identification/residuals.py", "6: 12.59", "6: 7.81", "knee of six degrees of freedom is that of three"),
     ("identification/least_squares.py", "near = 1e-5 *", "near = 1e-2 *", "tolerance at a bound"),
-    ("identification/identification.py", "LEAST_REDUNDANCY = 0.1", "LEAST_REDUNDANCY = 1.0", "least redundancy"),
+    ("identification/screening.py", "LEAST_REDUNDANCY = 0.1", "LEAST_REDUNDANCY = 1.0", "least redundancy"),
     ("identification/identifiability.py", "share = np.abs(covariance[k] / (errors[k] * errors))",
      "share = np.abs(covariance[k])", "correlation is not normalised"),
     ("robot/kinematics.py", "key=lambda k: arm.loops[k - 1].driven)", "key=lambda k: -arm.loops[k - 1].driven)",

@@ -10,7 +10,7 @@ from scipy import stats
 from casadical import identify
 from casadical.core.parameters import Parameter
 from casadical.identification.identifiability import drop_poor
-from casadical.identification.identification import _outlier_masks
+from casadical.identification.screening import outlier_masks
 
 ARM = arms.six_axis()
 KINDS = {"distance": 1, "position": 3, "pose": 6}
@@ -75,7 +75,7 @@ def test_outliers_are_judged_by_what_the_fit_left_of_them(built) -> None:
         W = np.repeat(np.minimum(1, np.sqrt(stats.chi2.ppf(0.95, 3) / square)), 3)
         left = 1 - W * np.einsum("ij,ij->i", J @ np.linalg.pinv(J.T @ (W[:, None] * J)), J)
         far = beyond(residuals[0] / np.sqrt(np.maximum(left, 0.1)).reshape(-1, 3))
-        found.append(_outlier_masks(result.problem, result.solution)[0].tolist())
+        found.append(outlier_masks(result.problem, result.solution)[0].tolist())
         assert found[-1] == far.tolist()
         plain.append(beyond(residuals[0]).tolist())
     assert any(mask[3] for mask in found)
