@@ -245,7 +245,7 @@ def run(hostile: Hostile, template: Path, scratch: Path) -> tuple[str, int]:
     for one in hostile.changes:
         change(place, *one)
     before = snapshot(place / "in")
-    began, held = time.monotonic(), _held()
+    began = time.monotonic()
     process = os.fork()
     if process == 0:
         _child(hostile, place)
@@ -261,11 +261,12 @@ def run(hostile: Hostile, template: Path, scratch: Path) -> tuple[str, int]:
         time.sleep(0.005)
     code = os.waitstatus_to_exitcode(status)
     out, error = ((place / name).read_text("utf-8", "replace") for name in ("stdout", "stderr"))
+    held = int((place / "held").read_text())
     return _fault(hostile, place, before, code, out, error, used.ru_maxrss * 1024 - held), code
 
 
 def _held() -> int:
-    """Memory of this process [bytes], which a fork begins with."""
+    """Memory of this process [bytes]. A fork begins with less than its parent holds: pages of files are not copied."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 
@@ -273,6 +274,7 @@ def _child(hostile: Hostile, place: Path) -> None:
     """The command in this process, which ends here."""
     try:
         os.chdir(place)
+        Path("held").write_text(str(_held()))
         for number, name in ((1, "stdout"), (2, "stderr")):
             os.dup2(os.open(place / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
         os.dup2(os.open("/dev/null", os.O_RDONLY), 0)
