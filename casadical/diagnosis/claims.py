@@ -8,14 +8,15 @@ from dataclasses import replace
 from casadical.core.arrays import Array
 from casadical.diagnosis.cross_validation import partitioned_errors, shrink_interval
 from casadical.diagnosis.evidence import Evidence
-from casadical.diagnosis.posterior import Ranking
 from casadical.diagnosis.result import CauseSet
 from casadical.diagnosis.search import End, State, Step, indistinguishable, next_cause
-from casadical.diagnosis.thresholds import DETECT_FURTHER
+from casadical.diagnosis.thresholds import DETECT_FURTHER, LEAST_ALIKE
 from casadical.measurements.noise import Noise
 
 # Probabilities below this are not distinguished.
 LEAST = 1e-12
+# So many other sets are said.
+OTHERS = 3
 
 
 def named(state: State, end: End, seed: int) -> tuple[State, End]:
@@ -93,14 +94,17 @@ def cause_set(state: State) -> CauseSet | None:
     """
     if not state.steps:
         return None
-    odds = {s.labels[0]: _odds_against(s.ranking, s.labels[0]) for s in state.steps}
-    last = state.rankings[-1]
+    last, own = state.rankings[-1], tuple(s.labels[0] for s in state.steps)
+    # Odds of each set against the named one.
+    odds = {(*own, k): p / max(last.none, LEAST) for k, p in last.probability.items()}
+    against = {}
+    for step, label in zip(state.steps, own, strict=True):
+        ranking, rest = step.ranking, tuple(k for k in own if k != label)
+        p = max(ranking.probability[label], LEAST)
+        odds |= {(*rest, k): q / p for k, q in ranking.probability.items() if k != label} | {rest: ranking.none / p}
+        against[label] = (1 - p) / p
     more = (1 - last.none) / max(last.none, LEAST)
-    total = 1 + more + sum(odds.values())
-    members = {label: 1 - against / total for label, against in odds.items()}
-    return CauseSet(1 / total, 1 - last.none, members)
-
-
-def _odds_against(ranking: Ranking, label: str) -> float:
-    p = max(ranking.probability[label], LEAST)
-    return (1 - p) / p
+    total = 1 + more + sum(against.values())
+    first = sorted(odds, key=lambda k: -odds[k])[:OTHERS]
+    others = tuple((k, odds[k] / total) for k in first if odds[k] / total >= LEAST_ALIKE)
+    return CauseSet(1 / total, 1 - last.none, {k: 1 - odd / total for k, odd in against.items()}, others)

@@ -11,7 +11,7 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_floor import noise_floor, outlier_probability, replicates
 from casadical.diagnosis.result import Cause, Diagnosis, Gap, Outlier, Verdict
 from casadical.diagnosis.search import End, State, Step
-from casadical.diagnosis.thresholds import DETECT_FURTHER, LEAST_SHARE, MISMATCH, MUCH, OUT, SET_SIZE, WORSE
+from casadical.diagnosis.thresholds import DETECT_FURTHER, LEAST_SHARE, MISMATCH, MUCH, OUT, SET_CLAIM, SET_SIZE, WORSE
 from casadical.identification.identification import Identification
 from casadical.measurements.noise import Noise
 
@@ -38,6 +38,9 @@ def conclude(
     causes = sorted([*causes, *outliers], key=lambda c: -c.shrink)
     shrinks = course(case, _stages(state, noise), partitions(int(case.kept.sum()), seed), noise, seed)
     verdict, rest = _verdict(state, end, gap, bool(causes), shrinks)
+    exactly = cause_set(state)
+    if verdict == "explained" and exactly and exactly.probability < SET_CLAIM and _remainder(state) > MISMATCH:
+        verdict = "ambiguous"
     if richer and verdict == "explained":
         verdict = "unknown"
     return Diagnosis(
@@ -55,7 +58,7 @@ def conclude(
         identification=identification,
         seed=seed,
         p_nothing=p_nothing,
-        cause_set=cause_set(state),
+        cause_set=exactly,
     )
 
 

@@ -100,7 +100,13 @@ def _network(n: NetworkGap) -> dict[str, Any]:
 
 def _set(s: CauseSet) -> dict[str, Any]:
     members = {label: round(p, 4) for label, p in s.members.items()}
-    return {"probability": round(s.probability, 4), "one_more": round(s.one_more, 4), "members": members}
+    others = [{"causes": list(labels), "probability": round(p, 4)} for labels, p in s.others]
+    return {
+        "probability": round(s.probability, 4),
+        "one_more": round(s.one_more, 4),
+        "members": members,
+        "others": others,
+    }
 
 
 def _records(table: pd.DataFrame) -> list[dict[str, Any]]:

@@ -71,11 +71,13 @@ class CauseSet:
 
     probability : of exactly these, among all sets that differ from it by one cause
     one_more : probability of a further cause beside them; members : of each cause, by label, whatever the others are
+    others : the most probable other sets, forms on no list among them, each with its probability
     """
 
     probability: float
     one_more: float
     members: Mapping[str, float]
+    others: tuple[tuple[tuple[str, ...], float], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import Check, NetworkGap, of_time
 from casadical.diagnosis.next_poses import discrimination_probability, kinds_of_poses
 from casadical.diagnosis.result import Diagnosis
+from casadical.diagnosis.thresholds import CLAIM, SET_CLAIM
 
 # An effect is invisible if the base absorbs so much of it, or if it must be so many times its usual size to be found.
 ABSORBED, OUT_OF_REACH = 0.98, 5.0
@@ -78,6 +79,10 @@ def headline(d: Diagnosis) -> str:
         return "none: what is left is noise, no cause can be claimed"
     if d.verdict == "ambiguous" and not d.causes:
         return "ambiguous: something is there, but no cause that is certain makes the gap smaller on poses held out"
+    if d.verdict == "ambiguous" and d.cause_set and min(d.cause_set.members.values()) >= CLAIM:
+        exactly = d.cause_set.probability
+        words = f"ambiguous: {named}; each is certain, yet exactly these have a probability of {exactly:.2f} alone"
+        return f"{words}; {_rest(d)}" if has_rest(d) else words
     if d.verdict == "ambiguous":
         words = "ambiguous: something is there that several causes explain equally well, no single one can be claimed"
         return f"{words}; {_rest(d)}" if has_rest(d) else words
@@ -184,6 +189,9 @@ def _which(d: Diagnosis) -> Iterator[Statement]:
             f"exactly these causes with probability {d.cause_set.probability:.2f}; {each}; one more "
             f"{d.cause_set.one_more:.2f}",
         )
+        if d.cause_set.probability < SET_CLAIM and d.cause_set.others:
+            sets = [f"{' + '.join(labels) or 'none of them'} {p:.2f}" for labels, p in d.cause_set.others]
+            yield Statement("SET", f"instead: {', '.join(sets)}", d.verdict != "explained")
 
 
 def _after(d: Diagnosis, more: Details) -> Iterator[Statement]:

@@ -106,6 +106,7 @@ def _thresholds() -> str:
         ("the same for a further cause", f"{d.DETECT_FURTHER:g}"),
         ("with a bootstrap: something is there if noise alone looks like it so often at most", f"{d.FALSE_ALARMS:g}"),
         ("one cause is claimed from a probability of", f"{d.CLAIM:g}"),
+        ("named causes explain if exactly these have a probability of", f"{d.SET_CLAIM:g}"),
         ("a further cause is taken up from a probability of", f"{d.LEAST_FURTHER:g}"),
         ("an unlisted remainder of this share of the evidence makes the verdict unknown", f"{d.MISMATCH:g}"),
         ("a set holds this share of the probability, and at most so many", f"{d.SET_SHARE:g}, {d.SET_SIZE}"),

@@ -42,7 +42,7 @@ from casadical.robot.robot import Robot
 
 ROOT = Path(__file__).parents[2]
 ROBOTS = ("hh800", "kr210", "ur10e")
-SEEDS = {"develop": 1501, "judge": 1502}
+SEEDS = {"develop": 1501, "judge": 1502, "develop 2": 1503, "judge 2": 1504}
 NOISE_MM, REPEATABILITY_URAD = 0.02, 4.0
 # Campaigns of each part.
 PARTS = {
@@ -267,6 +267,10 @@ def trial(part: str, number: int, seeds: str, options: dict[str, Any]) -> dict[s
         "none": first.none,
         "rankings": [{k: r.probability[k] for k in r.order[:4]} for r in found.rankings],
         "rest": found.unknown_rest,
+        "set": found.cause_set and found.cause_set.probability,
+        "one more": found.cause_set and found.cause_set.one_more,
+        "members": dict(found.cause_set.members) if found.cause_set else {},
+        "gap": [found.gap.before, found.gap.after, found.gap.floor],
         "seconds": time.process_time() - began,
     }
 

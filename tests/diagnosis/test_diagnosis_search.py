@@ -5,17 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import robot, simulated
+from cases import case, robot, simulated
 
 from casadical.blind_check.numpy_physics import disturbances
 from casadical.core.arrays import Array
 from casadical.diagnosis.candidates import candidates_of
+from casadical.diagnosis.claims import cause_set
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.json_answer import as_json, diagnosis_files
 from casadical.diagnosis.linear_problem import Case, make_case
-from casadical.diagnosis.posterior import Ranking, Rival, rank
-from casadical.diagnosis.search import indistinguishable
+from casadical.diagnosis.posterior import PRIOR_FURTHER, Ranking, Rival, rank
+from casadical.diagnosis.search import State, Step, indistinguishable
 from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.diagnosis.text import page_of
 from casadical.identification.accuracy import errors, predicted
@@ -51,6 +52,45 @@ def test_three_that_hide_each_other_are_found_together_with_their_probabilities(
     assert s.one_more == pytest.approx(1 - d.rankings[-1].none)
     assert as_json(d, "three")["set"]["members"].keys() == s.members.keys()
     assert "exactly these causes with probability" in page_of(d)
+
+
+def test_the_sets_that_remain_are_those_that_differ_by_one_cause() -> None:
+    """By hand: one more has odds of 2 and 1 against the named set, another in its place 1."""
+    step = Step(made_up({"x": 0.5, "y": 0.5}, none=0.0), ("x",), ())
+    last = made_up({"a": 0.5, "b": 0.25}, none=0.25)
+    found = cause_set(State(case("kr210-P02"), (step,), (step.ranking, last)))
+    assert found is not None
+    assert found.probability == pytest.approx(1 / 5)
+    assert found.one_more == pytest.approx(0.75)
+    assert found.members == {"x": pytest.approx(4 / 5)}
+    assert dict(found.others) == {
+        ("x", "a"): pytest.approx(2 / 5),
+        ("x", "b"): pytest.approx(1 / 5),
+        ("y",): pytest.approx(1 / 5),
+    }
+
+
+@pytest.mark.parametrize(("odds", "verdict"), [(3.0, "ambiguous"), (0.3, "explained")])
+def test_a_set_that_is_improbable_is_no_explanation(odds: float, verdict: str) -> None:
+    """Whether something more is there is open: neither detected nor excluded."""
+
+    def rivals(case: Case, chosen: Array) -> list[Rival]:
+        if not len(chosen):
+            return []
+        alone = rank(case, chosen)
+        more = odds * PRIOR_FURTHER["none"] / PRIOR_FURTHER["unknown"]
+        return [Rival("law", float(np.log(more)), alone.noise[""])]
+
+    d = diagnose(robot("ur10e"), simulated("ur10e", 12, disturbances.GearEccentricity(4, 150e-6), n=60), rivals=rivals)
+    assert (d.verdict, [c.label for c in d.causes]) == (verdict, ["gear_eccentricity@4"])
+    assert d.cause_set is not None
+    (labels, p), *_ = d.cause_set.others
+    assert labels == ("gear_eccentricity@4", "law")
+    assert p / d.cause_set.probability == pytest.approx(odds)
+    assert as_json(d, "campaign")["set"]["others"][0] == {"causes": list(labels), "probability": round(p, 4)}
+    words = " ".join(page_of(d).split())
+    assert ("instead: gear_eccentricity@4 + law" in words) == (verdict == "ambiguous")
+    assert ("each is certain, yet exactly these have a probability of" in words) == (verdict == "ambiguous")
 
 
 def test_what_is_on_no_list_is_no_set_of_listed_causes() -> None:
