@@ -8,24 +8,24 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from casadical import Calibration, calibrate
+if TYPE_CHECKING:
+    from casadical import Calibration
 
 ROOT = Path(__file__).parents[1]
-SHARED = ("site", "calibrated", "small", "exported")  # costly, made once a process
+# Files that stay together, because a costly fixture of theirs is made once a process.
+TOGETHER = {
+    "site": ("docs/test_docs_build.py", "docs/test_docs_tutorials.py"),
+    "small": tuple(f"blind_check/test_{name}.py" for name in ("generation", "packed_files", "prediction", "scoring")),
+    "exported": tuple(f"export/c/test_export_{name}.py" for name in ("c", "targets", "text", "write")),
+}
 LONGEST_FIRST = ("docs", "diagnosis", "cli", "report", "project", "blind_check", "export", "identification")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    groups: dict[Path, str] = {}
-    for item in items:
-        used = [name for name in SHARED if name in getattr(item, "fixturenames", ())]
-        groups.setdefault(item.path, str(item.path.relative_to(ROOT)))
-        groups[item.path] = used[0] if used else groups[item.path]
-    for item in items:
-        item.add_marker(pytest.mark.xdist_group(groups[item.path]))
     items.sort(key=lambda item: _rank(item.path.relative_to(ROOT / "tests").parts[0]))
 
 
@@ -33,8 +33,25 @@ def _rank(folder: str) -> int:
     return LONGEST_FIRST.index(folder) if folder in LONGEST_FIRST else len(LONGEST_FIRST)
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Whole files to a process: the groups of `--dist=loadgroup` are lost with pytest 9.2 (it has no `_nodeid`)."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    units = {f"tests/{file}": name for name, files in TOGETHER.items() for file in files}
+
+    class ByFile(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = nodeid.partition("::")[0]
+            return units.get(file, file)
+
+    return ByFile(config, log)
+
+
 @cache
 def _calibrated(name: str) -> Calibration:
+    from casadical import calibrate  # the process that only hands tests out does without
+
     return calibrate(ROOT / "problems" / name)
 
 
