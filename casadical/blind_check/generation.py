@@ -64,6 +64,7 @@ def make(
     project: str | Path = ".",
     executor: Executor | None = None,
     show: Callable[[str, int, int], None] = lambda _text, _done, _all: None,
+    also: Callable[[Manifest], Mapping[Path, str]] = lambda _: {},
 ) -> Manifest:
     """Write n campaigns to a folder and their key to another, and publish the key's hash with the campaigns.
 
@@ -72,6 +73,7 @@ def make(
     physics : mujoco, or numpy for the project's own simulator; project : folder with problems/ and data/
     executor : any of `concurrent.futures`' kind; by default a process for each core
     show : called with a campaign's name, how many are done, and how many there are
+    also : further files that appear with them or not at all
 
     Raises InputError: too few campaigns, a folder that is in use, or a key within the campaigns' folder.
     """
@@ -104,7 +106,7 @@ def make(
     texts |= {folder / f"{c.name}.unseen.csv": c.unseen for c in made.values()}
     texts |= {folder / MANIFEST: manifest.model_dump_json(indent=1) + "\n"}
     with claimed([folder, key_folder]):
-        write_together(texts)
+        write_together({**texts, **also(manifest)})
     return manifest
 
 

@@ -13,7 +13,7 @@ from casadical.cli import completion as words
 from casadical.cli.export_model import export_mjcf, export_urdf
 from casadical.cli.options import Compensator, Json, LeaveOut, Nominal, Payload, Quiet, Tool
 from casadical.cli.outputs import guarded
-from casadical.cli.terminal import keep_json, plain
+from casadical.cli.terminal import plain, print_written, with_json
 from casadical.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -102,6 +102,7 @@ def export_c(
             data_sha256=_sha256(compensator) if compensator else "not given",
             languages=language.split(",") if language else None,
             overwrite=overwrite,
+            also=lambda written: with_json({}, json_file, written.to_json()),
         )
     except OSError as error:
         raise InputError(f"{out}: cannot be written: {error.strerror}") from error
@@ -111,7 +112,7 @@ def export_c(
         console.print(line)
     console.print(written.report())
     console.print("precondition: the controller's own absolute-accuracy option is off")
-    keep_json(json_file, written.to_json(), console)
+    print_written(json_file, console)
 
 
 def prefix_of(name: str) -> str:

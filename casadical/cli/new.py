@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from casadical.cli.options import Json, Quiet
-from casadical.cli.terminal import keep_json, wrapped
+from casadical.cli.terminal import print_written, with_json, wrapped
 from casadical.core.errors import InputError
 
 if TYPE_CHECKING:
     from casadical.measurements.headings import Question
+    from casadical.project.problem import Problem
 
 
 def new(
@@ -63,6 +64,11 @@ def new(
     if urdf is None and (base_link or tip_link):
         raise InputError("--base-link and --tip-link are of a URDF; give --urdf FILE, too")
     console = wrapped(quiet)
+
+    def answer(problem: "Problem", files: list[Path]) -> dict[Path, str]:
+        about = {"problem": problem.folder.name, "robot": problem.robot.name, "data": problem.data}
+        return with_json({}, json_file, about | {"files": [str(path) for path in files]})
+
     problem = new_problem(
         folder,
         urdf=urdf,
@@ -73,14 +79,14 @@ def new(
         data=data,
         ask=None if yes else _ask,
         show=console.print,
+        also=answer,
     )
     files = sorted(str(p) for p in folder.iterdir() if p.is_file())
     console.print(f"{folder}: {problem.robot.name}, {problem.robot.n} joints, {problem.origin}", soft_wrap=True)
     for path in files:
         console.print(f"wrote {path}", soft_wrap=True)
     console.print(f"next: casadical check {folder}; casadical calibrate {folder}", soft_wrap=True)
-    figures = {"problem": problem.folder.name, "robot": problem.robot.name, "data": problem.data, "files": files}
-    keep_json(json_file, figures, console)
+    print_written(json_file, console)
 
 
 def _ask(question: "Question") -> str:

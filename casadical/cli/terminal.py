@@ -48,6 +48,12 @@ def keep(texts: Mapping[Path, str], console: Console) -> None:
     """Write files, all or none, and print their names. Raises InputError."""
     write_together(texts)
     for path in texts:
+        print_written(path, console)
+
+
+def print_written(path: Path | None, console: Console) -> None:
+    """Print the name of a file that was written, if there is one."""
+    if path is not None:
         console.print(f"wrote {shown(path)}", soft_wrap=True, markup=False, emoji=False)
 
 

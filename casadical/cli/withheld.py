@@ -3,14 +3,17 @@
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from casadical.cli.options import Json, Quiet
 from casadical.cli.outputs import guarded
-from casadical.cli.terminal import Show, keep_json, working, wrapped
+from casadical.cli.terminal import Show, keep_json, print_written, with_json, working, wrapped
 from casadical.core.errors import InputError
+
+if TYPE_CHECKING:
+    from casadical.blind_check.protocol import Manifest
 
 withheld_app = typer.Typer(
     help="Blind check of the diagnosis on campaigns of another physics engine, whose hidden effects are kept in a key.",
@@ -64,14 +67,29 @@ def make_command(
 
     sizes = _whole(poses)
     place = key or out.with_name(f"{out.resolve().name}-key")
+
+    def kept(made: "Manifest") -> dict[Path, str]:
+        about = {"campaigns": list(made.campaigns), "folder": str(out), "key": str(place)}
+        return with_json({}, json_file, about | {"key_sha256": made.key_sha256})
+
     with working(quiet, "drawing campaigns") as step, pool(None, workers) as executor:
         show = _counted(step)
-        made = make(out, place, n, seed, poses=sizes, physics=reality, project=project, executor=executor, show=show)
+        made = make(
+            out,
+            place,
+            n,
+            seed,
+            poses=sizes,
+            physics=reality,
+            project=project,
+            executor=executor,
+            show=show,
+            also=kept,
+        )
     console = wrapped(quiet)
     console.print(f"wrote {len(made.campaigns)} campaigns to {out}, their key to {place}", soft_wrap=True)
     console.print(f"sha256 of the key: {made.key_sha256}", soft_wrap=True)
-    kept = {"campaigns": list(made.campaigns), "folder": str(out), "key": str(place), "key_sha256": made.key_sha256}
-    keep_json(json_file, kept, console)
+    print_written(json_file, console)
 
 
 def _whole(text: str) -> tuple[int, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -13,7 +14,7 @@ from checks import ROOT, Here, N
 
 from casadical.blind_check.campaign_plans import draw_plans, in_shares
 from casadical.blind_check.generation import UNSEEN, make
-from casadical.blind_check.protocol import read_key, read_manifest
+from casadical.blind_check.protocol import Manifest, read_key, read_manifest
 from casadical.blind_check.signal_size import unabsorbed_rms
 from casadical.core.errors import ConvergenceError, InputError
 
@@ -46,14 +47,21 @@ def test_a_seed_gives_the_same_check_to_the_byte(small, tmp_path) -> None:
     assert (tmp_path / "b" / "key.json").read_bytes() == (small.key / "key.json").read_bytes()
 
 
-def test_without_a_seed_each_check_is_another(tmp_path) -> None:
-    hashes = {
-        make(
-            tmp_path / f"{k}", tmp_path / f"{k}-key", N, poses=[20], physics="numpy", project=ROOT, executor=Here()
-        ).key_sha256
-        for k in range(2)
-    }
+def test_without_a_seed_each_check_is_another_and_none_is_left_half_written(tmp_path) -> None:
+    hashes = set()
+
+    def also(made: Manifest) -> dict[Path, str]:
+        hashes.add(made.key_sha256)
+        return {tmp_path / ("x" * 300): "a name that no file can have"}
+
+    for k in range(2):
+        with pytest.raises(InputError, match="nothing was written"):
+            make(
+                *(tmp_path / f"{k}", tmp_path / f"{k}-key", N),
+                poses=[20], physics="numpy", project=ROOT, executor=Here(), also=also,
+            )  # fmt: skip
     assert len(hashes) == 2
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_columns_that_depend_on_others_absorb_no_more() -> None:

@@ -84,3 +84,18 @@ def test_a_device_is_no_input(monkeypatch, capsys, tmp_path, problem, command) -
     monkeypatch.chdir(tmp_path)
     assert main(monkeypatch, *command, "/dev/full") == 2
     assert "/dev/full: is a device; name a file" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_a_folder_is_not_left_where_the_json_beside_it_is_not_written(monkeypatch, capsys, tmp_path) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(monkeypatch, "new", "n", "--json", "/dev/full") == 2
+    assert (
+        capsys.readouterr().err
+        == "casadical: /dev/full: cannot be written: No space left on device; nothing was written\n"
+    )
+    assert list(tmp_path.iterdir()) == []
+    assert main(monkeypatch, "new", "n", "--json", "n.json") == 0
+    kept = json.loads(Path("n.json").read_text())
+    assert kept["files"] == [str(path) for path in sorted(Path("n").iterdir())]
+    assert kept["problem"] == "n"

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -76,6 +76,7 @@ def write_c(
     languages: Iterable[str] | None = None,
     vectors: int = 100_000,
     overwrite: bool = False,
+    also: Callable[[Export], Mapping[Path, str]] = lambda _: {},
 ) -> Export:
     """Turn a network, curves or a command into C99 with everything an integrator needs, compiled and compared.
 
@@ -85,6 +86,7 @@ def write_c(
     languages : which to write besides the C, by name; default: all of this package (`fmu`, `structured_text`)
     vectors : joint vectors on which the compiled C is compared with the reference
     overwrite : replace files that this function did not write, or that were changed since
+    also : further files that appear with them or not at all, from what this function gives back
 
     Raises InputError: a name, type or function cannot be used, or a file is in the way. Raises CasadicalError: the C
     does not compile without warnings, or gives other bits than the reference; nothing was written.
@@ -103,7 +105,7 @@ def write_c(
     made = Export(folder, tuple(sorted([*blobs, "manifest.json"])), tuple(comparisons), figures)
     blobs["manifest.json"] = _manifest(program, label, blobs, made)
     with claimed([folder]):
-        write_together({folder / key: blob for key, blob in blobs.items()})
+        write_together({**{folder / key: blob for key, blob in blobs.items()}, **also(made)})
     remember(blobs["manifest.json"])
     return made
 

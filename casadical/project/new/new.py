@@ -33,6 +33,7 @@ def new_problem(
     seed: int = 0,
     ask: Callable[[Question], str] | None = None,
     show: Callable[[Words | Table], None] | None = None,
+    also: Callable[[Problem, list[Path]], Mapping[Path, str]] = lambda _problem, _files: {},
 ) -> Problem:
     """Write a problem folder that runs, and give it back as it reads.
 
@@ -41,6 +42,7 @@ def new_problem(
     data : measured poses; None: poses that the model itself makes up from the seed, marked synthetic everywhere
     ask : takes a question on the table and gives one of its choices; None: the first choice, which is the most probable
     show : takes what was understood of the table, before anything is asked
+    also : further files that appear with the folder or not at all, from the problem and the paths of its files
     Nothing is overwritten. Raises InputError: a file that is there already, or input that does not read.
     """
     folder = Path(folder)
@@ -74,9 +76,11 @@ def new_problem(
     with tempfile.TemporaryDirectory() as scratch:
         trial = Path(scratch) / folder.resolve().name
         write_together({trial / name: text for name, text in texts.items()})
-        _read_on_trial(trial, data, file)
+        problem = _read_on_trial(trial, data, file)
+    files = {folder / name: text for name, text in texts.items()}
+    further = also(problem, sorted(files))
     with claimed([folder]):
-        write_together({folder / name: text for name, text in texts.items()})
+        write_together({**files, **further})
     return read_problem(folder)
 
 
@@ -130,10 +134,10 @@ def _read(path: Path) -> str:
         raise InputError(f"{path}: not a text file in UTF-8") from None
 
 
-def _read_on_trial(folder: Path, data: Path | None, file: str) -> None:
+def _read_on_trial(folder: Path, data: Path | None, file: str) -> Problem:
     """Refuse what would not read, by the name of the file that the user gave."""
     try:
-        read_problem(folder)
+        return read_problem(folder)
     except InputError as error:
         text = str(error).replace(f"{folder}/", "")
         raise InputError(text.replace(file, str(data)) if data else text) from None

@@ -44,6 +44,10 @@ def test_manifest_lists_every_file_with_its_hash(exported):
 
 def test_without_a_compiler_it_is_written_and_called_unverified(tmp_path, network, monkeypatch):
     monkeypatch.setattr(write_module, "compilers", list)
+    no_place = {tmp_path / ("x" * 300): "{}"}
+    with pytest.raises(InputError, match="nothing was written"):
+        write_c(network, tmp_path / "c", name="arm", also=lambda made: no_place)
+    assert list(tmp_path.iterdir()) == []
     export = write_c(network, tmp_path, name="arm")
     assert not export.verified
     assert "UNVERIFIED" in export.report()
