@@ -117,8 +117,8 @@ def _sizes(y: Array, K: Array, sigma: float) -> Array:
         inverse = _inverse(_total(K, size, sigma))
         z = inverse @ y
         fit, cost = K @ np.outer(z, z).ravel(), K @ inverse.ravel()
-        size = size * np.sqrt(fit / np.maximum(cost, 1e-30))
-    return size
+        size *= np.sqrt(fit / np.maximum(cost, 1e-30))
+    return np.asarray(size)
 
 
 def _products_of(groups: list[Array]) -> Array:
