@@ -21,7 +21,6 @@ MOST_SLIPS = 4
 # States that are kept of all, and of each combination of shift and convention; of which so many are placed.
 BEAM, OF_EACH, PLACED = 400, 80, 12
 QUARTERS = tuple(np.deg2rad(v) for v in (0.0, 90.0, -90.0, 180.0))
-FREE = tuple(np.deg2rad(v) for v in range(-150, 180, 30) if v % 90)
 # Of the reach: errors below it are the nominal model's own; departures of a length below it are calibration's.
 OWN, LENGTH = 0.001, 0.02
 # Zeros that are off by less are calibration's [rad].
@@ -89,7 +88,7 @@ def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int]) -> list[Fit]:
     turning = [j.kind == "revolute" for j in robot.joints]
     level = [none]
     seen, found = set(level), {none: fit.placed(none)}
-    share, lengths = fit.scores(level)
+    share = fit.shares(level)
     for depth in range(MOST_SLIPS + 1):
         kept = _kept(level, share)
         for k in kept[:PLACED]:
@@ -98,20 +97,42 @@ def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int]) -> list[Fit]:
         least = min(f.error for f in found.values())
         if depth == MOST_SLIPS or least < 2 * OWN * robot.reach:
             break
-        following = []
-        for k in kept:
-            for h in (
-                *_moves(level[k], turning, shifts, len(fit.rows)),
-                *_length_moves(level[k], lengths[k], robot),
-            ):
-                if h not in seen and h.slips <= MOST_SLIPS:
-                    seen.add(h)
-                    following.append(h)
-        if not following:
+        parents = [level[k] for k in kept]
+        level = []
+        for h in _all_moves(fit, parents, robot, turning, shifts):
+            if h not in seen and h.slips <= MOST_SLIPS:
+                seen.add(h)
+                level.append(h)
+        if not level:
             break
-        level = following
-        share, lengths = fit.scores(level)
+        share = fit.shares(level)
     return list(found.values())
+
+
+def _all_moves(
+    fit: SlipFit, parents: Sequence[Hypothesis], robot: Robot, turning: Sequence[bool], shifts: Sequence[int]
+) -> Iterator[Hypothesis]:
+    lengths = fit.departures(parents)
+    for h, of_each in zip(parents, lengths, strict=True):
+        yield from _moves(h, turning, shifts, len(fit.rows))
+        yield from _length_moves(h, of_each, robot)
+    for i in _inner(turning):
+        for sign in (1, -1):
+            turned = [h.at("sign", i, sign * h.sign[i]) for h in parents]
+            for h, more in zip(turned, fit.zeros(turned, i), strict=True):
+                yield h.at("zero", i, _zero(h.zero[i] + more))
+
+
+def _inner(turning: Sequence[bool]) -> list[int]:
+    """Turning joints but the first and the last, whose zeros are those of base and tool."""
+    return [i for i in range(1, len(turning) - 1) if turning[i]]
+
+
+def _zero(angle: float) -> float:
+    """An angle from -180 to 180 deg, or the multiple of 90 deg that it is close to."""
+    away = [abs(np.arctan2(np.sin(angle - v), np.cos(angle - v))) for v in QUARTERS]
+    nearest = int(np.argmin(away))
+    return QUARTERS[nearest] if away[nearest] < ZERO else round(float(np.arctan2(np.sin(angle), np.cos(angle))), 4)
 
 
 def _kept(level: Sequence[Hypothesis], share: Array) -> list[int]:
@@ -132,10 +153,9 @@ def _moves(h: Hypothesis, turning: Sequence[bool], shifts: Sequence[int], rows: 
     for factor in (1.0, 180 / np.pi, np.pi / 180):
         yield replace(h, factor=tuple(factor if t else 1.0 for t in turning))
     for i in range(n):
-        inner = turning[i] and 0 < i < n - 1  # zeros of the first and last joint are those of base and tool
         for sign in (1, -1):
-            for zero in (*QUARTERS, *FREE) if inner else (0.0,):
-                if (sign, zero) != (h.sign[i], h.zero[i]) and (sign == h.sign[i] or zero not in FREE):
+            for zero in QUARTERS if i in _inner(turning) else (0.0,):
+                if (sign, zero) != (h.sign[i], h.zero[i]):
                     yield h.at("sign", i, sign).at("zero", i, zero)
         if turning[i]:
             for factor in (1.0, 180 / np.pi):
@@ -162,20 +182,15 @@ def _length_moves(h: Hypothesis, lengths: Array, robot: Robot) -> Iterator[Hypot
 
 def _refined(fit: SlipFit, h: Hypothesis) -> Hypothesis:
     """Free zeros and lengths as they fit best together."""
-    free = [i for i, z in enumerate(h.zero) if z and not any(np.isclose(z, q) for q in QUARTERS)]
-    if not free and not h.lengths:
-        return h
-    step = np.deg2rad(15.0)
-    while free and step > np.deg2rad(0.05):
-        tried = [h, *(h.at("zero", i, h.zero[i] + s * step) for i in free for s in (-1, 1))]
-        best = tried[int(np.argmin(fit.scores(tried)[0]))]
-        h, step = (best, step) if best is not h else (h, step / 2)
     n = len(h.zero)
-    for _ in range(ROUNDS * (len(h.lengths) > 0)):
-        for k, (name, i, departure) in enumerate(h.lengths):  # one after the other: they depend on each other
-            size = float(fit.scores([h])[1][0, i + (name == "d") * n, 1])
+    free = [i for i, z in enumerate(h.zero) if z and z not in QUARTERS]
+    for _ in range(ROUNDS * (len(free) + len(h.lengths) > 0)):  # one after the other: they depend on each other
+        before = h
+        for i in free:
+            h = h.at("zero", i, _zero(h.zero[i] + float(fit.zeros([h], i)[0])))
+        for k, (name, i, departure) in enumerate(h.lengths):
+            size = float(fit.departures([h])[0, i + (name == "d") * n, 1])
             h = replace(h, lengths=(*h.lengths[:k], (name, i, departure + size), *h.lengths[k + 1 :]))
-    for i in free:
-        if abs(h.zero[i]) < ZERO:
-            h = h.at("zero", i, 0.0)
+        if h.zero == before.zero and not h.lengths:
+            break
     return h
