@@ -217,25 +217,35 @@ def calibrate(
         problem = replace(problem, methods=base_methods([method]), networks=networks)
     for _, m in problem.parts():  # held-out poses count in the figures, so that they are checked like the others
         check_against(problem.robot, m)
-    results = _identified(problem, show)
+    count = (problem.loss == "auto") + len(problem.methods) + len(problem.networks)
+    results = _identified(problem, show, count)
     trained = None
     if problem.networks:
-        trained = train_networks(problem, results["SKCM"], problem.networks, seed=problem.seed, show=show)
+
+        def progress(text: str) -> None:
+            part = count - len(problem.networks) + 1 + problem.networks.index(text.split()[0])
+            show(f"part {part} of {count}: {text}")
+
+        trained = train_networks(problem, results["SKCM"], problem.networks, seed=problem.seed, show=progress)
     used = _used(problem, results)
     accuracies = {k: {name: result.accuracy(m) for name, m in used.items()} for k, result in results.items()}
     return Calibration(problem, results, accuracies, trained)
 
 
-def _identified(problem: Problem, show: Callable[[str], None]) -> dict[str, Identification]:
+def _identified(problem: Problem, show: Callable[[str], None], count: int) -> dict[str, Identification]:
     """By each method. With loss auto, the last method, which models most, says which poses are outliers.
 
+    count : of parts of the work, for lines of progress
     Where none is, the result is the least squares of all poses, as if none had been sought.
     """
     sets, last = problem.sets["identify"], problem.methods[-1]
+    parts = iter(range(1, count + 1))
 
     def by(method: BaseMethod, loss: Loss, among: Sequence[Measurements] = sets, screen: bool = True) -> Identification:
+        part = next(parts)
+
         def progress(iteration: int, cost: float) -> None:
-            show(f"{method} iteration {iteration}, cost {cost:.6g}")
+            show(f"part {part} of {count}: {method} iteration {iteration}, cost {cost:.6g}")
 
         return identify(
             problem.robot, among, method=method, loss=loss, prior=problem.prior, screen=screen, progress=progress

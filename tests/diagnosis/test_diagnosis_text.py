@@ -8,6 +8,8 @@ import pandas as pd
 import pytest
 from cases import practice, robot
 
+from casadical.core.blocks import plain_text
+from casadical.diagnosis.brief import brief
 from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.diagnosis.held_out_gap import COLUMNS, Check, NetworkGap
@@ -123,6 +125,26 @@ def details(seen: Details, poses: pd.DataFrame) -> Details:
 def test_page_is_the_golden_one(fixed: Diagnosis, details: Details) -> None:
     """If the change is wanted: write page_of(...) to the file."""
     assert page_of(fixed, details) + "\n" == (GOLDEN / "page.txt").read_text(encoding="utf-8")
+
+
+def test_the_short_answer_fits_a_screen_and_has_the_verdict_first(fixed: Diagnosis, details: Details) -> None:
+    lines = plain_text(brief("made-up", fixed, details), 100).splitlines()
+    assert lines[0].strip() == "made-up"
+    assert lines[1].startswith("Ambiguous: something is there that several causes explain equally well")
+    assert len(lines) <= 25
+    text = " ".join(" ".join(lines).split())
+    for words in ("before: calibrated, without causes 0.131", "after: with the causes in the model 0.0460"):
+        assert words in text
+    assert "backlash@2 0.55 38 to 49 %" in text
+    assert "These data cannot tell backlash@2 from nonlinear_stiffness@2" in text
+
+
+def test_the_short_answer_where_nothing_is_found(fixed: Diagnosis, seen: Details) -> None:
+    d = replace(fixed, verdict="none", causes=(), cause_set=None, course=fixed.course[:1], outliers=(), missing={})
+    text = plain_text(brief("made-up", d, seen), 100)
+    assert "None: what is left is noise, no cause can be claimed." in text
+    assert "after" not in text
+    assert "Where" not in text
 
 
 @pytest.mark.parametrize("verdict", ["none", "unknown"])

@@ -26,7 +26,8 @@ SCORED = 40
 class Hypothesis:
     """What the readings and rows of the robot are, if they are not what they seem.
 
-    reading i = sign * factor * column[source] + zero + add * (column i - 1); shift : rows that the readings lie before
+    reading i = own i + add * (own i - 1), own i = sign * factor * column[source i] + zero
+    shift : rows that the readings lie before
     rows : index of the DH rows that are meant; lengths : (name, joint, departure [m]) of wrong link lengths
     """
 
@@ -214,8 +215,9 @@ def _readings(hypotheses: Sequence[Hypothesis], q: Array) -> Array:
     source, sign, factor, zero, add = (
         np.array([getattr(h, name) for h in hypotheses]) for name in ("source", "sign", "factor", "zero", "add")
     )
-    found = q.T[source].swapaxes(1, 2) * (sign * factor)[:, None, :] + zero[:, None, :]
-    found[..., 1:] += add[:, None, 1:] * q[:, :-1]
+    own = q.T[source].swapaxes(1, 2) * (sign * factor)[:, None, :] + zero[:, None, :]
+    found = own.copy()
+    found[..., 1:] += add[:, None, 1:] * own[..., :-1]
     return np.asarray(found)
 
 

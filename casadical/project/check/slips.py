@@ -6,7 +6,7 @@ finds itself (zeros and lengths that are off by little) is no slip.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,12 +19,14 @@ from casadical.robot.robot import Robot
 POSES = 60
 MOST_SLIPS = 4
 # States that are kept of all, and of each combination of shift and convention; of which so many are placed.
-BEAM, OF_EACH, PLACED = 400, 80, 12
+BEAM, OF_EACH, PLACED = 800, 120, 20
 QUARTERS = tuple(np.deg2rad(v) for v in (0.0, 90.0, -90.0, 180.0))
 # Of the reach: errors below it are the nominal model's own; departures of a length below it are calibration's.
 OWN, LENGTH = 0.001, 0.02
 # Zeros that are off by less are calibration's [rad].
 ZERO = np.deg2rad(4.0)
+# Readings [rad] that are radians under a name of degrees move by so much.
+LEAST_MOVE, MOST_IN_RADIANS = np.deg2rad(0.3), np.deg2rad(2 * np.pi)
 # Share of the error that an explanation may leave.
 EXPLAINS = 0.25
 # Readings outside of the joints' ranges cost as much as half a slip; a few are bad rows.
@@ -49,8 +51,15 @@ class Slips:
         return self.best.slips > 0 and self.best.error < EXPLAINS * self.before.error
 
 
-def search_slips(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> Slips | None:
+def search_slips(
+    robot: Robot,
+    m: Measurements,
+    others: Sequence[Robot] = (),
+    show: Callable[[str], None] = lambda _text: None,
+) -> Slips | None:
     """What is wrong with a table, if anything is; others : the robot with its rows read otherwise.
+
+    show : called with a line of progress
 
     None for robots with loops and for data without positions.
     """
@@ -63,7 +72,7 @@ def search_slips(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) ->
     fit = SlipFit(m.q[order], m.position[order], rows, robot.reach)
     # Shifts need rows that follow each other in the file.
     shifts = (0, 1, -1) if np.all(np.diff(m.row[order]) >= 1) else (0,)
-    found = _search(fit, robot, shifts)
+    found = _search(fit, robot, shifts, show)
     before = fit.placed(Hypothesis.none(robot.n))
     ranked = sorted(found, key=lambda f: _cost(f, robot) + OUTSIDE * _outside(f.hypothesis, robot, fit.q))
     best = ranked[0]
@@ -82,14 +91,15 @@ def _outside(h: Hypothesis, robot: Robot, q: Array) -> bool:
     return bool(((meant < lower - 0.01) | (meant > upper + 0.01)).any(axis=1).mean() > FEW)
 
 
-def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int]) -> list[Fit]:
+def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Callable[[str], None]) -> list[Fit]:
     """The states that were best on each level, with base and tool placed."""
     none = Hypothesis.none(robot.n)
     turning = [j.kind == "revolute" for j in robot.joints]
-    level = [none]
+    level = [none, *_in_radians(none, fit.q, turning)]
     seen, found = set(level), {none: fit.placed(none)}
     share = fit.shares(level)
     for depth in range(MOST_SLIPS + 1):
+        show(f"slips, search {depth + 1} of {MOST_SLIPS + 1}")
         kept = _kept(level, share)
         for k in kept[:PLACED]:
             h = _refined(fit, level[k])
@@ -107,6 +117,14 @@ def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int]) -> list[Fit]:
             break
         share = fit.shares(level)
     return list(found.values())
+
+
+def _in_radians(none: Hypothesis, q: Array, turning: Sequence[bool]) -> Iterator[Hypothesis]:
+    """With one reading in radians where its column moves as little as that; the search starts there, too."""
+    move = np.ptp(q, axis=0)
+    for i in range(len(turning)):
+        if turning[i] and LEAST_MOVE < move[i] < MOST_IN_RADIANS and np.median(move) > MOST_IN_RADIANS:
+            yield none.at("factor", i, 180 / np.pi)
 
 
 def _all_moves(
