@@ -219,6 +219,7 @@ def calibrate(
         check_against(problem.robot, m)
     count = (problem.loss == "auto") + len(problem.methods) + len(problem.networks)
     results = _identified(problem, show, count)
+    used = used_poses(problem, results)
     trained = None
     if problem.networks:
 
@@ -226,8 +227,8 @@ def calibrate(
             part = count - len(problem.networks) + 1 + problem.networks.index(text.split()[0])
             show(f"part {part} of {count}: {text}")
 
-        trained = train_networks(problem, results["SKCM"], problem.networks, seed=problem.seed, show=progress)
-    used = _used(problem, results)
+        skcm, names = results["SKCM"], problem.networks
+        trained = train_networks(problem, skcm, names, seed=problem.seed, show=progress, judged=used)
     accuracies = {k: {name: result.accuracy(m) for name, m in used.items()} for k, result in results.items()}
     return Calibration(problem, results, accuracies, trained)
 
@@ -264,7 +265,7 @@ def _identified(problem: Problem, show: Callable[[str], None], count: int) -> di
     }
 
 
-def _used(problem: Problem, results: Mapping[str, Identification]) -> dict[str, Measurements]:
+def used_poses(problem: Problem, results: Mapping[str, Identification]) -> dict[str, Measurements]:
     """Every set by name, without the poses that any method left out: all methods are judged on the same poses."""
     out = {place for result in results.values() for place in result.outliers}
     kept = iter(without_poses(problem.sets["identify"], out))

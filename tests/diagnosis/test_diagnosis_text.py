@@ -59,7 +59,7 @@ def fixed(true: Diagnosis) -> Diagnosis:
         true,
         verdict="ambiguous",
         causes=causes,
-        gap=Gap(131e-6, 46e-6, 21e-6),
+        gap=Gap(131e-6, 46e-6, 21e-6, 127e-6),
         noise=noise,
         unknown_rest=0.2,
         course=pd.DataFrame(rows, columns=list(COLUMNS)),
@@ -162,7 +162,7 @@ def test_an_explained_gap_of_which_much_is_left_says_so_first(fixed: Diagnosis) 
     rest = "yet 0.038 of 0.124 mm rms beyond the noise (31 %) has no named cause"
     assert first() == f"VERDICT explained in part only: {named}; {rest}"
     none = first(unknown_rest=0.01)
-    assert none == f"VERDICT explained: {named}; 0.131 -> 0.046 mm, noise alone would leave 0.021"
+    assert none == f"VERDICT explained: {named}; 0.127 -> 0.046 mm, noise alone would leave 0.021"
 
 
 def test_a_long_signature_is_wrapped_and_whole(fixed: Diagnosis) -> None:
