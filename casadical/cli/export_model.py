@@ -6,8 +6,7 @@ from typing import Annotated
 import typer
 
 from casadical.cli.options import Effects, Json, LeaveOut, Nominal, Overwrite, Quiet
-from casadical.cli.progress import working
-from casadical.cli.terminal import plain, refuse_taken, with_json
+from casadical.cli.terminal import plain, refuse_taken, with_json, working
 from casadical.core.errors import InputError
 
 _Source = Annotated[

@@ -7,8 +7,7 @@ import typer
 
 from casadical.cli import completion as words
 from casadical.cli.options import Json, Quiet
-from casadical.cli.progress import PLAN, working
-from casadical.cli.terminal import keep, wrapped
+from casadical.cli.terminal import keep, working, wrapped
 from casadical.core.errors import InputError
 
 
@@ -103,10 +102,10 @@ def plan(
     workspace = read_workspace(room, robot) if room else None
     circumstances = Circumstances(_numbers(payloads), every_payload, both_approaches, repeats)
     word = checked(criterion)
-    with working(quiet, "choosing poses", steps=PLAN) as show:
+    with working(quiet, "choosing poses"):
         found = run(
             robot, n, added, criterion=word, workspace=workspace, circumstances=circumstances, measured=before,
-            noise=noise, min_distance=min_distance, order=order, target=target, seed=seed, show=show,
+            noise=noise, min_distance=min_distance, order=order, target=target, seed=seed,
         )  # fmt: skip
     place = out if n is None else out or Path("plan.csv")
     texts = found.files(place) if place else {}

@@ -326,7 +326,10 @@ def _fault(hostile: Hostile, place: Path, before: dict[str, str], code: int, out
         names = [n for n in {*before, *after} if before.get(n) != after.get(n)]
         # What --overwrite was asked to replace may be replaced, unless the command reads it.
         asked = hostile.command if "--overwrite" in hostile.command else ()
-        if any(f"in/{n}" not in asked for n in names):
+        names = [n for n in names if f"in/{n}" not in asked]
+        # A folder that `new` was told to write gets new files.
+        into = hostile.command[1] if hostile.command[0] == "new" and code == 0 else ""
+        if any(n in before or not into or Path("in", n).parent != Path(into) for n in names):
             return f"changes inputs: {sorted(names)[:5]}"
     return _outputs_fault(hostile, place, code)
 

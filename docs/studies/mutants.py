@@ -2,10 +2,13 @@
 
 Which wrong formulas would the tests notice? Each mutant is one semantic change of the package: a sign, an index, a
 constant, a unit, a dropped term, a swapped function or comparison. Those of LISTED were written by hand; the others are
-drawn with a fixed seed from all that the rules below find, so many in each room. A mutant runs the tests of its room
-alone (the folder of tests with the room's name, files that name its module first) until one fails. It is killed by a
-failure, an error, or 3 times the limit; it lives if all tests pass, or none has failed within the limit (--seconds of
-processor time, 60): the print says so. Mutants that change nothing a caller can see are argued in EQUIVALENT.
+drawn with a fixed seed from all that the rules below find, so many in each room. A mutant runs tests until one fails:
+those of its room (the folder of tests with its name) that call the mutant's function, the quickest first, the others of
+their files, and then tests of other rooms that call it. It is killed by a failure, an error or a test that hangs. It
+lives if all pass, or if none has failed within the limit (--seconds of processor time, 60); the print says which, and
+how many were killed by their own room. Tests that killed one are run without a mutant at the end; a kill by one that
+fails then does not count. Mutants that change nothing a caller can see are argued in EQUIVALENT. Which tests call what
+is in build/mutants_map.jsonl, which the first run makes by running the tests once; delete it after a change of tests.
 
 A run works in a copy of the repository, appends a line to the log for each mutant, and continues where the log ends:
 `--room effects --most 20` runs the next twenty of one room. `--list` prints all mutants.
@@ -15,17 +18,23 @@ from __future__ import annotations
 
 import argparse
 import ast
+import importlib
 import json
 import os
 import random
-import re
-import resource
 import shutil
+import signal
+import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
+
+import pytest
+from mutants_tests import Bench, chosen, read_map, run_tests
 
 ROOT = Path(__file__).parents[2]
 SEED, LIMIT = 16, 60
@@ -34,8 +43,7 @@ DRAWN = {
     "core": 16, "effects": 28, "robot": 26, "measurements": 18, "identification": 30, "pose_selection": 20,
     "compensator": 18, "diagnosis": 26, "project": 12, "blind_check": 24, "export": 24, "report": 8, "cli": 6,
 }  # fmt: skip
-# Where one file of a room's tests compares with something independent, it goes first.
-FIRST = ("test_effects_against_physics", "test_statistics")
+MAP = ROOT / "build" / "mutants_map.jsonl"
 LOG = ROOT / "docs" / "studies" / "mutants.jsonl"
 
 # File, what stands there (once), what is put in its place, and what that means.
@@ -264,46 +272,32 @@ def mutants(room: str = "") -> Iterator[Mutant]:
             yield from drawn(name)
 
 
-def tests_of(mutant: Mutant, root: Path) -> list[str]:
-    """Test files of the mutant's room, those that name its module or its class first."""
-    words = [Path(mutant.path).stem, re.sub(r"(?:^|_)(\w)", lambda m: m[1].upper(), Path(mutant.path).stem)]
-    files = sorted((root / "tests" / mutant.room).rglob("test_*.py"))
-    rank = {
-        f: -sum(w in f.read_text(encoding="utf-8") or w in f.name for w in words) - 3 * (f.stem in FIRST) for f in files
-    }
-    return [str(f) for f in sorted(files, key=lambda f: (rank[f], f.stat().st_size))]
-
-
-def outcome(mutant: Mutant, root: Path, seconds: int) -> str:
-    """killed, lived, or late (no test had failed within the limit); pytest runs in a process of its own."""
-    file = root / "casadical" / mutant.path
+def outcome(mutant: Mutant, bench: Bench, stamp: int) -> tuple[str, str]:
+    """killed, lived, or late (no test had failed within the limit), and the test that failed."""
+    file = bench.root / "casadical" / mutant.path
     original = file.read_text(encoding="utf-8")
     file.write_text(original[: mutant.start] + mutant.new + original[mutant.end :], encoding="utf-8")
+    os.utime(file, (stamp, stamp))  # so that no compiled file of another mutant is taken for this one
     try:
-        child = os.fork()
-        if not child:
-            _run_tests(root, tests_of(mutant, root), seconds)
-        _, status = os.waitpid(child, 0)
+        status = run_tests(chosen(bench.known, mutant.room, mutant.path, mutant.line), bench)
     finally:
         file.write_text(original, encoding="utf-8")
-    if os.WIFSIGNALED(status):
-        return "late" if os.WTERMSIG(status) == 24 else "killed"  # 24: out of processor time
-    return "lived" if os.WEXITSTATUS(status) == 0 else "killed"
+        os.utime(file, (stamp + 1, stamp + 1))
+    if os.WIFSIGNALED(status) and os.WTERMSIG(status) in (signal.SIGXCPU, signal.SIGALRM):
+        return "late", ""
+    if os.waitstatus_to_exitcode(status) in (0, pytest.ExitCode.NO_TESTS_COLLECTED):
+        return "lived", ""
+    return "killed", bench.failed.read_text(encoding="utf-8")
 
 
-def _run_tests(root: Path, files: list[str], seconds: int) -> None:
-    """Never returns."""
-    import pytest
-
-    os.chdir(root)
-    sys.path.insert(0, str(root))
-    os.environ |= {"PYTHONPATH": str(root), "PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1"}
-    quiet = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(quiet, 1)
-    os.dup2(quiet, 2)
-    spent = int(resource.getrusage(resource.RUSAGE_SELF).ru_utime)
-    resource.setrlimit(resource.RLIMIT_CPU, (spent + seconds, spent + 3 * seconds))
-    os._exit(int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-p", "no:randomly", *files])))
+def make_map(path: Path, rooms: list[str]) -> None:
+    """Run the tests of these rooms once, and note what each calls."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    found = [str(Path(__file__).parent), str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = {**os.environ, "MUTANTS_MAP": str(path.resolve()), "PYTHONPATH": os.pathsep.join(found)}
+    for room in rooms:
+        command = [sys.executable, "-m", "pytest", "-p", "mutants_tests", "-q", f"tests/{room}"]
+        subprocess.run(command, cwd=ROOT, env=environment, check=True)
 
 
 def copied(folder: Path) -> Path:
@@ -322,17 +316,18 @@ def report(log: Path) -> None:
     done = {line["name"]: line for line in lines}
     known = {m.name: m for m in mutants()}
     done = {name: line for name, line in done.items() if name in known}
-    print(f"{len(done)} of {len(known)} mutants ran their room's tests; * no failure within the limit")
+    print(f"{len(done)} of {len(known)} mutants ran; * no failure within the limit")
     print()
-    print(f"{'room':16s}   ran  killed  lived  equivalent  score   of")
+    print(f"{'room':16s}   ran  killed  by its own tests  lived  equivalent  score   of")
     for room in (*DRAWN, "all"):
         rows = [line for line in done.values() if room in (line["room"], "all")]
         killed = sum(line["outcome"] == "killed" for line in rows)
+        own = sum(f"tests/{line['room']}/" in line.get("by", "") for line in rows)
         same = sum(line["name"] in EQUIVALENT for line in rows)
         lived = len(rows) - killed - same
         score = f"{killed / (len(rows) - same):6.3f}" if len(rows) > same else "     -"
         total = sum(room in (m.room, "all") for m in known.values())
-        print(f"{room:16s} {len(rows):5d} {killed:7d} {lived:6d} {same:11d} {score} {total:4d}")
+        print(f"{room:16s} {len(rows):5d} {killed:7d} {own:17d} {lived:6d} {same:11d} {score} {total:4d}")
     print()
     print("lived:")
     for name, line in done.items():
@@ -347,6 +342,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=int, default=LIMIT)
     parser.add_argument("--most", type=int, default=1000)
     parser.add_argument("--log", type=Path, default=LOG)
+    parser.add_argument("--map", type=Path, default=MAP, help="which tests call what; made where it is not there")
     parser.add_argument("--print", action="store_true", dest="shown")
     parser.add_argument("--list", action="store_true", dest="names")
     parser.add_argument("--again", default="", help="run those again whose name contains this")
@@ -357,23 +353,41 @@ def main() -> None:
     if given.shown:
         report(given.log)
         return
-    import casadi  # noqa: F401 - once for all children
-    import numpy as np  # noqa: F401
-    import pandas as pd  # noqa: F401
-    import scipy.stats  # noqa: F401
-
+    if not given.map.exists():
+        make_map(given.map, list(DRAWN))
+    for module in ("casadi", "numpy", "pandas", "scipy.stats", "pydantic", "typer", "rich.console", "hypothesis"):
+        importlib.import_module(module)  # once for all children
     lines = given.log.read_text(encoding="utf-8").splitlines() if given.log.exists() else []
     known = {json.loads(line)["name"] for line in lines}
     if given.again:
         known = {name for name in known if given.again not in name}
     todo = [m for m in mutants(given.room) if m.name not in known and given.again in m.name][: given.most]
     with tempfile.TemporaryDirectory() as scratch:
-        root = copied(Path(scratch))
-        for mutant in todo:
-            found = {"name": mutant.name, "outcome": outcome(mutant, root, given.seconds), **asdict(mutant)}
-            with given.log.open("a", encoding="utf-8") as log:
-                log.write(json.dumps(found) + "\n")
-            print(found["outcome"], mutant.name, flush=True)
+        bench = Bench(copied(Path(scratch)), read_map(given.map), given.seconds)
+        done = []
+        for k, mutant in enumerate(todo):
+            began = time.monotonic()
+            result, by = outcome(mutant, bench, 10**9 + 2 * k)
+            done.append({"name": mutant.name, "outcome": result, "by": by, **asdict(mutant)})
+            print(f"{result:7s} {time.monotonic() - began:5.0f} s  {mutant.name}  {by}", flush=True)
+        unsure = failing_anyway(done, bench)
+    with given.log.open("a", encoding="utf-8") as log:
+        for line in done:
+            log.write(json.dumps(line | ({"outcome": "lived"} if line["by"] in unsure else {})) + "\n")
+
+
+def failing_anyway(done: list[dict[str, Any]], bench: Bench) -> set[str]:
+    """Tests that killed a mutant and fail without one, too: these kills do not count."""
+    killers = sorted({str(line["by"]) for line in done if "::" in str(line["by"])})
+    wrong: set[str] = set()
+    while killers and os.waitstatus_to_exitcode(run_tests(killers, bench)):
+        test = bench.failed.read_text(encoding="utf-8")
+        print(f"fails without a mutant: {test}", flush=True)
+        if test not in killers:
+            return set(killers)
+        wrong.add(test)
+        killers.remove(test)
+    return wrong
 
 
 if __name__ == "__main__":

@@ -1,0 +1,179 @@
+"""Which tests call which functions, for docs/studies/mutants.py; and which of them run on a mutant, in which order.
+
+As a plugin of pytest (`-p mutants_tests`) it appends a line of JSON for each test to the file MUTANTS_MAP: its seconds,
+and the functions of the package that it calls. What a fixture calls counts for every test that uses the fixture.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import resource
+import signal
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import CodeType, FrameType
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = f"{ROOT / 'casadical'}{os.sep}"
+# A test that takes longer than so many times what it took, and than so many seconds, hangs.
+LONGER, AT_LEAST = 20, 30
+
+_called: list[set[CodeType]] = [set()]
+_by_fixture: dict[int, set[CodeType]] = {}
+
+
+def _trace(frame: FrameType, *_: Any) -> None:
+    _called[-1].add(frame.f_code)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_fixture_setup(fixturedef: Any) -> Iterator[None]:
+    _called.append(set())
+    try:
+        return (yield)
+    finally:
+        _by_fixture[id(fixturedef)] = _called.pop()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: Any) -> Iterator[None]:
+    _called[:] = [set()]
+    spent = sum(os.times()[:4])
+    sys.settrace(_trace)
+    try:
+        done = yield
+    finally:
+        sys.settrace(None)
+    used = (one for found in item._fixtureinfo.name2fixturedefs.values() for one in found)
+    called = _called[0].union(*(_by_fixture.get(id(one), set()) for one in used))
+    names = {f"{c.co_filename}:{c.co_firstlineno}" for c in called if c.co_filename.startswith(PACKAGE)}
+    line = {
+        "test": item.nodeid,
+        "seconds": round(sum(os.times()[:4]) - spent, 3),
+        "calls": sorted(name.removeprefix(PACKAGE) for name in names),
+    }
+    with open(os.environ["MUTANTS_MAP"], "a", encoding="utf-8") as file:
+        file.write(json.dumps(line) + "\n")
+    return done
+
+
+@dataclass(frozen=True)
+class Known:
+    """Of each test: seconds, and `file:line` of the functions that it calls."""
+
+    seconds: Mapping[str, float]
+    calls: Mapping[str, frozenset[str]]
+
+
+def read_map(path: Path) -> Known:
+    """What the plugin wrote. A test that ran twice counts as the second time."""
+    lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    return Known({x["test"]: x["seconds"] for x in lines}, {x["test"]: frozenset(x["calls"]) for x in lines})
+
+
+def chosen(known: Known, room: str, path: str, line: int) -> list[str]:
+    """Tests that run on a mutant: of its room those that call the function of this line, or where it is in none, any of
+    its file; then the others of the same files, and of files that name the module; then those of other rooms that call
+    it. The quickest of each first."""
+    wanted = {f"{path}:{first}" for first in _functions_at(path, line)}
+    direct = {t for t, made in known.calls.items() if (made & wanted if wanted else any(_in(path, c) for c in made))}
+    own = {test for test in known.calls if test.startswith(f"tests/{room}/")}
+    files = {test.partition("::")[0] for test in own}
+    named = {f for f in files if Path(path).stem in (ROOT / f).read_text(encoding="utf-8")}
+    named |= {test.partition("::")[0] for test in own & direct}
+    others = {test for test in own - direct if test.partition("::")[0] in named}
+    parts = (own & direct, others, direct - own)
+    return [t for part in parts for t in sorted(part, key=lambda t: (known.seconds[t], t))]
+
+
+def _in(path: str, call: str) -> bool:
+    return call.startswith(f"{path}:")
+
+
+def _functions_at(path: str, line: int) -> list[int]:
+    """First lines, decorators included, of the innermost function that holds a line; lambdas and such count for it."""
+    held = []
+    for node in ast.walk(ast.parse((ROOT / "casadical" / path).read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            first = min([node.lineno, *(d.lineno for d in node.decorator_list)])
+            if node.body[0].lineno <= line <= (node.end_lineno or 0):
+                held.append(first)
+    return [max(held)] if held else []
+
+
+class Ordered:
+    """Plugin that runs the chosen tests only, in their order, writes the first that fails, and ends one that hangs."""
+
+    def __init__(self, tests: list[str], seconds: Mapping[str, float], failed: Path) -> None:
+        self.place = {test: k for k, test in enumerate(tests)}
+        self.seconds, self.failed = seconds, failed
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        items[:] = sorted((i for i in items if i.nodeid in self.place), key=lambda i: self.place[i.nodeid])
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> None:
+        signal.setitimer(signal.ITIMER_PROF, max(AT_LEAST, LONGER * self.seconds.get(item.nodeid, 0)))
+        self.failed.write_text(f"hangs: {item.nodeid}", encoding="utf-8")
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.failed:
+            self.failed.write_text(report.nodeid, encoding="utf-8")
+
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        if report.failed:
+            self.failed.write_text(f"collection: {report.nodeid}", encoding="utf-8")
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A copy of the repository, what is known of its tests, and how long a mutant may take [s of the processor]."""
+
+    root: Path
+    known: Known
+    seconds: int
+
+    @property
+    def failed(self) -> Path:
+        return self.root / "failed"
+
+
+def run_tests(tests: list[str], bench: Bench) -> int:
+    """Status of a child process that runs these tests in their order until one fails."""
+    bench.failed.write_text("", encoding="utf-8")
+    child = os.fork()
+    if not child:
+        code = 70
+        try:
+            code = _in_child(tests, bench)
+        finally:
+            os._exit(code)
+    _, status = os.waitpid(child, 0)
+    with suppress(ProcessLookupError):  # what a test of a mutant has left
+        os.killpg(child, signal.SIGKILL)
+    return status
+
+
+def _in_child(tests: list[str], bench: Bench) -> int:
+    os.setsid()
+    os.chdir(bench.root)
+    sys.path.insert(0, str(bench.root))
+    os.environ |= {"PYTHONPATH": str(bench.root), "OMP_NUM_THREADS": "1"}
+    with (bench.root / "said").open("w") as said:
+        os.dup2(said.fileno(), 1)
+        os.dup2(said.fileno(), 2)
+    spent = int(resource.getrusage(resource.RUSAGE_SELF).ru_utime)
+    signal.alarm(10 * bench.seconds)
+    resource.setrlimit(resource.RLIMIT_CPU, (spent + bench.seconds, spent + 3 * bench.seconds))
+    order = Ordered(tests, bench.known.seconds, bench.failed)
+    files = list(dict.fromkeys(test.partition("::")[0] for test in tests))
+    return int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", *files], plugins=[order])) if files else 0
