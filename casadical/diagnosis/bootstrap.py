@@ -35,6 +35,7 @@ def p_value(case: Case, ranking: Ranking, draws: int, seed: int, show: Callable[
 
     ranking : of the data, without any cause chosen; show : called with a line of progress
     """
+    ranking = ranking.among({c.label for c in case.candidates})
     seen = float(np.log1p(-ranking.none) - np.log(max(ranking.none, 1e-300)))
     rng = np.random.default_rng(seed)
     beyond = done = 0

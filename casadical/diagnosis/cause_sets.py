@@ -108,7 +108,7 @@ def most_probable_set(
             break
         width = BEAM
     _follow_unlisted(search, root)
-    prior = PRIOR_FURTHER if steps else PRIOR_FIRST
+    none = np.log((PRIOR_FURTHER if steps else PRIOR_FIRST)["none"]) + first.log_noise
     for _ in range(BEYOND):
         known = [k for k in search.mass if k <= listed]
         if not known:
@@ -119,11 +119,11 @@ def most_probable_set(
         search.expand(best)
     closed = np.array(list(search.mass.values())) + np.log(PRIOR_FURTHER["none"])
     of_listed = np.array([search.mass[k] for k in search.mass if k <= listed]) + np.log(PRIOR_FURTHER["none"])
-    share = float(np.exp(log_sum(of_listed) - log_sum(np.append(closed, np.log(prior["none"])))))
+    share = float(np.exp(log_sum(of_listed) - log_sum(np.append(closed, none))))
     # A single one would have been ranked first.
     if len(best) < 2 or best not in search.expanded:
         return (), frozenset()
-    total = np.append(closed, np.log(prior["none"]))
+    total = np.append(closed, none)
     there = {c: np.array([c in k for k in search.mass] + [False]) for c in best}
     without = {c: float(np.exp(log_sum(total[~there[c]]) - log_sum(total))) for c in best}
     doubted = frozenset(c for c in best if share < LISTED and without[c] > 1 - MEMBER)

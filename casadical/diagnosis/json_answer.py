@@ -40,7 +40,11 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
         "course": _records(d.course),
         **({"layers": layers_as_json(d)} if d.effects() else {}),
         **({"where": {name: _records(table) for name, table in more.where.tables()}} if more.where else {}),
-        "noise": {"sigma_mm": _mm(d.noise.sigma), "repeatability_urad": round(1e6 * d.noise.repeatability, 2)},
+        "noise": {
+            "sigma_mm": _mm(d.noise.sigma),
+            "repeatability_urad": round(1e6 * d.noise.repeatability, 2),
+            **({"form": form} if (form := d.rankings[-1].noise_form) else {}),
+        },
         "replicates": {"sigma_mm": _mm(d.replicates.sigma), "poses": d.replicates.poses, "used": d.replicates.enough},
         "outliers": [{"row": o.row, "distance_mm": _mm(o.distance), "sigmas": round(o.sigmas, 2)} for o in d.outliers],
         "outlier_rows": [o.row for o in d.outliers],

@@ -25,6 +25,8 @@ class Ranking:
     log_factor : log Bayes factor of each candidate against none, by label; log_mass : with the log of its prior
     variant : its most likely settings, by label (index of the variant); a rival has none
     noise : most likely noise, without a further cause (key "") and with each candidate
+    log_noise : what other forms of noise add to the log mass of none; noise_form : the best, where it is more probable
+        than plain noise (see `noise_forms`)
     """
 
     none: float
@@ -33,6 +35,8 @@ class Ranking:
     log_mass: Mapping[str, float]
     variant: Mapping[str, int]
     noise: Mapping[str, Noise]
+    log_noise: float = 0.0
+    noise_form: str = ""
 
     @property
     def order(self) -> tuple[str, ...]:

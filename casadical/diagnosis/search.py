@@ -15,12 +15,8 @@ from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cause_sets import most_probable_set
 from casadical.diagnosis.cross_validation import remainders
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.posterior import (
-    Ranking,
-    Rivals,
-    no_rivals,
-    rank,
-)
+from casadical.diagnosis.noise_forms import with_noise_forms
+from casadical.diagnosis.posterior import Ranking, Rivals, no_rivals, rank
 from casadical.diagnosis.settings_search import refined
 from casadical.diagnosis.thresholds import (
     CLAIM,
@@ -91,7 +87,10 @@ class State:
         covered = frozenset(c.label for c in self.case.candidates if c.variants[0][0].name in covers)
         columns = [self.columns(beside), *(self.case.group(e) for e in also.values())]
         skip = frozenset((*(s.labels[0] for s in beside), *also))
-        return rank(self.case, np.unique(np.concatenate(columns)), skip, covered, self.rivals)
+        chosen = np.unique(np.concatenate(columns))
+        ranking = rank(self.case, chosen, skip, covered, self.rivals)
+        joints = [self.by_label[s.labels[0]].joint for s in beside]
+        return ranking if also else with_noise_forms(ranking, self.case, chosen, joints)
 
     def most_probable_set(self) -> tuple[tuple[str, ...], frozenset[str]]:
         """Listed causes that explain together what the last ranking gives to no single one, and those in doubt."""

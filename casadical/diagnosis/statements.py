@@ -122,6 +122,10 @@ def _gap(d: Diagnosis) -> Iterator[Statement]:
         f"{mm(d.gap.before)} mm mean on poses held out; noise floor {mm(d.gap.floor)} ({source}); "
         f"{int(d.case.kept.sum())} poses; {there}, P(nothing) = {d.rankings[0].none:.2g}{chance}",
     )
+    if form := d.rankings[-1].noise_form:
+        yield Statement(
+            "GAP", f"what is left is more like {form} than like noise that is independent and alike everywhere"
+        )
     base = d.course.iloc[0]
     yield Statement(
         "GAP",

@@ -98,7 +98,7 @@ def test_hose_is_unknown_to_the_standard_list_and_found_by_the_extended_one() ->
     assert d.causes[0].shrink > 0.25
     # The true hose pulls more sharply than the effect's: a remainder of the wrist is left, and said to be.
     assert d.verdict == "unknown"
-    assert "most like any function of q4 in joint 4" in " ".join(page_of(d).split())
+    assert "most like scatter of joint 4" in " ".join(page_of(d).split())
 
 
 def test_loose_flange_is_unknown_to_the_standard_list_and_found_by_the_extended_one() -> None:
