@@ -21,6 +21,7 @@ from casadical.effects import Effect
 from casadical.effects.counterparts import Omission
 from casadical.export.c.products import Command, CurveFunction, Limits, NetworkFunction, mapped
 from casadical.export.controller.curves import joint_curves, pose_of, without_curves
+from casadical.export.controller.inverse import SINGULAR_POSE
 from casadical.export.omission import left_out
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
@@ -28,8 +29,6 @@ from casadical.robot.robot_file import read_robot
 
 Tool = Literal["shared", "own"]
 
-# Below it a pose counts as singular where the orientation is corrected too: of six directions the weakest is weaker.
-SINGULAR_POSE = 0.02  # m/rad
 SAME_ROBOT = 0.1  # m between nominal and calibrated tool, median: above it the files are not of one robot
 
 
@@ -71,28 +70,17 @@ def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -
 
     Raises InputError where the files are not of one robot, or the robot cannot be corrected; see `followed`.
     """
-    if sources.nominal is None:
-        raise InputError(
-            "a command needs the controller's model of the robot: give --nominal NOMINAL.toml, "
-            "the robot file from before the calibration"
-        )
-    real, _ = followed(sources)
-    nominal = _rigid(_robot(sources.nominal).with_only(()))
-    _refuse_other_robot(real, nominal, sources)
-    if sources.tool == "shared":
-        nominal = replace(nominal, tool=real.tool)
-    real, turn = in_own_frame(real, nominal)
-    nominal, _ = in_own_frame(nominal, nominal)
+    real, nominal, turn = own_robots(sources)
     network = _network(sources, real.n)
     lower, upper = np.array([(j.lower, j.upper) for j in real.joints]).T
     if network is not None:
         lower, upper = np.maximum(lower, network.lower), np.minimum(upper, network.upper)
     command = Command(
-        nominal=_tool(nominal, "nominal", orientation),
-        calibrated=_tool(real, "calibrated", orientation, turn, network),
+        nominal=tool_function(nominal, "nominal", orientation),
+        calibrated=tool_function(real, "calibrated", orientation, turn, network),
         lower=lower,
         upper=upper,
-        jacobian_of=_tool(_rigid(without_curves(real)), "chain", orientation),
+        jacobian_of=tool_function(_rigid(without_curves(real)), "chain", orientation),
         jacobian_at=_bent(real) if _compliant(real) else None,
         network=network,
         limits=Limits(singular_m_per_rad=SINGULAR_POSE) if orientation else Limits(),
@@ -102,6 +90,25 @@ def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -
     return command
 
 
+def own_robots(sources: Sources) -> tuple[Robot, Robot, Array]:
+    """The real and the nominal robot in the robot's own base frame, and the rotation into it, shape (3, 3).
+
+    Raises InputError as of `command_of`.
+    """
+    if sources.nominal is None:
+        raise InputError(
+            "a command needs the controller's model of the robot: give --nominal NOMINAL.toml, "
+            "the robot file from before the calibration"
+        )
+    real, _ = followed(sources)
+    nominal = _rigid(robot_of(sources.nominal).with_only(()))
+    _refuse_other_robot(real, nominal, sources)
+    if sources.tool == "shared":
+        nominal = replace(nominal, tool=real.tool)
+    real, turn = in_own_frame(real, nominal)
+    return real, in_own_frame(nominal, nominal)[0], turn
+
+
 def network_of(sources: Sources) -> NetworkFunction:
     """The compensator alone: joints [rad] -> what to add to the computed position [mm], in the measuring frame.
 
@@ -109,7 +116,7 @@ def network_of(sources: Sources) -> NetworkFunction:
     """
     if sources.compensator is None:
         raise InputError("a network needs its file: give --compensator NET.json, as calibrate --out wrote it")
-    network = _network(sources, _robot(sources.robot).n)
+    network = _network(sources, robot_of(sources.robot).n)
     if network is None:
         raise InputError(
             f"{_word(sources.compensator)}: this network does not help and was refused when it was trained; there is "
@@ -125,7 +132,7 @@ def curves_of(sources: Sources) -> CurveFunction:
 
     Raises InputError where the robot has no `joint_error_curve`.
     """
-    robot = _robot(sources.robot)
+    robot = robot_of(sources.robot)
     curves = joint_curves(robot)
     if curves is None:
         raise InputError(
@@ -157,7 +164,8 @@ def in_own_frame(robot: Robot, nominal: Robot) -> tuple[Robot, Array]:
     return own, turn
 
 
-def _robot(source: Path | Robot) -> Robot:
+def robot_of(source: Path | Robot) -> Robot:
+    """The robot of a file, or the robot itself."""
     return source if isinstance(source, Robot) else read_robot(source)
 
 
@@ -173,7 +181,7 @@ def followed(sources: Sources) -> tuple[Robot, tuple[str, ...]]:
 
     Effects of the measurement always are. Raises InputError that says what would be lost, unless `leave_out` is given.
     """
-    robot = _loaded(_robot(sources.robot), sources.payload_kg)
+    robot = _loaded(robot_of(sources.robot), sources.payload_kg)
     omissions = [o for e in robot.effects if (o := _not_followed(e))]
     lines = left_out(robot, omissions, "the correction of a joint command", sources.leave_out)
     gone = {o.label for o in omissions}
@@ -251,7 +259,7 @@ def _network(sources: Sources, joints: int) -> NetworkFunction | None:
     return NetworkFunction(compensator.function(), np.array(box.lower), np.array(box.upper))
 
 
-def _tool(
+def tool_function(
     robot: Robot, name: str, orientation: bool, turn: Array | None = None, network: NetworkFunction | None = None
 ) -> ca.Function:
     """NAME:(q[n])->(p[3] m) or (p[3] m, R[3x3]).

@@ -22,7 +22,7 @@ from casadical.export.controller.offline_program import Program
 LEAVES_BOX = "LEAVES_BOX"
 SHOWN = 20  # rows that a summary lists
 
-_MEANINGS = {
+MEANINGS = {
     Status.CLAMPED.name: "outside the joint ranges of the model",
     LEAVES_BOX: "the corrected targets would be outside the joint ranges of the model",
     Status.NOT_CONVERGED.name: "an error above the tolerance would remain",
@@ -126,19 +126,24 @@ def model_corrector(command: Command) -> Corrector:
 
 def corrected(corrector: Corrector, program: Program) -> Corrected:
     """Correct every row of a program independently."""
-    dq, status = corrector.correct(program.q)
-    names = [Status(int(s)).name for s in status]
-    beyond = corrector.correct(program.q + dq)[1] == Status.CLAMPED
-    names = [LEAVES_BOX if b and n == Status.OK.name else n for b, n in zip(beyond, names, strict=True)]
-    fine = np.array([n == Status.OK.name for n in names])
-    q = np.where(fine[:, None], program.q + dq, program.q)
+    q, names = corrected_joints(corrector, program.q)
     before, after = corrector.position(program.q), corrector.position(q)
     moved = 1e3 * np.linalg.norm(after - before, axis=1)
     rest = None
     if corrector.target is not None:
         target = corrector.target(program.q)
         rest = 1e3 * np.linalg.norm(np.stack([before, after], axis=1) - target[:, None], axis=2)
-    return Corrected(program, q, tuple(names), moved, rest)
+    return Corrected(program, q, names, moved, rest)
+
+
+def corrected_joints(corrector: Corrector, q: Array) -> tuple[Array, tuple[str, ...]]:
+    """Corrected joints, shape (k, n) [rad], those with a status other than OK as they were, and the statuses' names."""
+    dq, status = corrector.correct(q)
+    names = [Status(int(s)).name for s in status]
+    beyond = corrector.correct(q + dq)[1] == Status.CLAMPED
+    names = [LEAVES_BOX if b and n == Status.OK.name else n for b, n in zip(beyond, names, strict=True)]
+    fine = np.array([n == Status.OK.name for n in names])
+    return np.where(fine[:, None], q + dq, q), tuple(names)
 
 
 def _refused(result: Corrected) -> list[str]:
@@ -149,7 +154,7 @@ def _refused(result: Corrected) -> list[str]:
         lines[0] += f", {len(rows)} REFUSED and left as they were:"
     for k in rows[:SHOWN]:
         name = result.status[k]
-        lines.append(f"  row {result.program.line[k]}: {name}, {_MEANINGS[name]}")
+        lines.append(f"  row {result.program.line[k]}: {name}, {MEANINGS[name]}")
     if len(rows) > SHOWN:
         lines.append(f"  and {len(rows) - SHOWN} more; see the status column")
     return lines

@@ -1,0 +1,125 @@
+"""Inverse kinematics of any robot, the calibrated one with its deflections included: damped Newton, many poses at once.
+
+The step is J^T (J J^T + lambda^2 I)^-1 r with lambda proportional to the error r (Levenberg and Marquardt; Nakamura
+and Hanafusa 1986), so that it stays finite near singular poses and is Newton's at the end. With seven joints it is the
+one of least norm: the elbow stays where it was started.
+"""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.export.controller.curves import pose_of
+from casadical.robot.robot import Robot
+
+LENGTH = 0.3  # m: by which an error of the orientation [rad] is weighted against one of the position
+REACHED_M, REACHED_RAD = 1e-6, 1e-6
+SINGULAR_POSE = 0.02  # m/rad: of six directions the weakest is weaker, in a pose that counts as singular
+_STEPS, _LARGEST_STEP, _DAMPING, _DONE = 60, 0.4, 0.1, 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class Inverse:
+    """Joints that reach poses.
+
+    q : shape (k, n) [rad or m]; rest_m, rest_rad : what remains of position and orientation, shape (k,)
+    singular : whether the pose is nearly singular: the weakest direction moves the tool by less than 0.02 m/rad
+    inside : whether every joint is in its range, shape (k,)
+    """
+
+    q: Array
+    rest_m: Array
+    rest_rad: Array
+    singular: Array
+    inside: Array
+
+    @property
+    def reached(self) -> Array:
+        """Whether the pose is reached to a micrometre and a microradian, boolean, shape (k,)."""
+        return (self.rest_m < REACHED_M) & (self.rest_rad < REACHED_RAD)
+
+
+def inverse_kinematics(robot: Robot, p: Array, R: Array | None, start: Array) -> Inverse:
+    """Joints that bring the robot's tool to poses, by Newton's method from a start such as the nominal solution.
+
+    p : positions of the measured point in the measuring frame, shape (k, 3) [m]
+    R : orientations of the tool frame, shape (k, 3, 3); None: only the position is to be reached
+    start : joints to start from, shape (k, n) or (n,) [rad or m]; the solution nearest to them, as a rule, is found
+    The model holds compliance, effects that joints and declared payload decide, and the file's base and tool.
+
+    A pose that cannot be reached has a rest; look at `Inverse.reached`. Raises InputError for arrays of other shapes.
+    """
+    p = np.atleast_2d(np.asarray(p, float))
+    start = np.broadcast_to(np.asarray(start, float), (len(p), robot.n))
+    if p.shape[1] != 3 or (R is not None and np.shape(R) != (len(p), 3, 3)):
+        raise InputError(
+            f"inverse kinematics: p {p.shape}, R {None if R is None else np.shape(R)}; expected (k, 3) and (k, 3, 3)"
+        )
+    q = ca.SX.sym("q", robot.n)
+    return solved(ca.Function("pose", [q], pose_of(robot, q)), p, R, start, limits_of(robot))
+
+
+def limits_of(robot: Robot) -> tuple[Array, Array]:
+    """Lower and upper ends of the joints' ranges, each shape (n,) [rad or m]."""
+    lower, upper = np.array([(j.lower, j.upper) for j in robot.joints]).T
+    return lower, upper
+
+
+def solved(pose: ca.Function, p: Array, R: Array | None, start: Array, limits: tuple[Array, Array]) -> Inverse:
+    """As `inverse_kinematics`, of a function pose:(q[n])->(p[3] m, R[3x3])."""
+    k, n = start.shape
+    function = _residual_and_jacobian(pose, n, R is not None)
+    target = np.hstack([p, np.zeros((k, 9)) if R is None else np.swapaxes(R, 1, 2).reshape(k, 9)])
+    q, r, J = np.array(start, float), np.full((k, 6), np.inf), np.zeros((k, 6, n))
+    active = np.arange(k)
+    for _ in range(_STEPS):
+        r[active], J[active] = _evaluated(function, q[active], target[active])
+        size = np.linalg.norm(np.nan_to_num(r[active], nan=np.inf), axis=1)
+        active = active[(size > _DONE) & np.isfinite(size)]
+        if not len(active):
+            break
+        q[active] += _steps(J[active], r[active])
+    r, J = _evaluated(function, q, target)
+    far = np.where(np.isfinite(r), r, np.inf)
+    weakest = np.linalg.svd(np.nan_to_num(J[:, : 3 if R is None else 6]), compute_uv=False)[:, -1]
+    inside = np.asarray(((q >= limits[0] - 1e-12) & (q <= limits[1] + 1e-12)).all(axis=1))
+    turned = np.linalg.norm(far[:, 3:], axis=1) / LENGTH
+    return Inverse(q, np.linalg.norm(far[:, :3], axis=1), turned, np.asarray(weakest < SINGULAR_POSE), inside)
+
+
+def _steps(J: Array, r: Array) -> Array:
+    """Damped steps, no joint by more than `_LARGEST_STEP`."""
+    damping = _DAMPING * np.sum(r**2, axis=1) + 1e-15
+    A = J @ np.swapaxes(J, 1, 2) + damping[:, None, None] * np.eye(6)
+    step = (np.swapaxes(J, 1, 2) @ np.linalg.solve(A, r[:, :, None]))[:, :, 0]
+    return np.asarray(step / np.maximum(1.0, np.abs(step).max(axis=1, keepdims=True) / _LARGEST_STEP))
+
+
+def _residual_and_jacobian(pose: ca.Function, n: int, oriented: bool) -> ca.Function:
+    """newton:(q[n], target[12])->(r[6] m, J[6 x n]); the last three of r are zero where only the position counts."""
+    q, target = ca.SX.sym("q", n), ca.SX.sym("target", 12)
+    p, R = pose(q)
+    wanted = ca.reshape(target[3:], 3, 3)
+    if oriented:
+        turn = 0.5 * LENGTH * sum((ca.cross(R[:, i], wanted[:, i]) for i in range(3)), ca.SX.zeros(3))
+        slope = [LENGTH * _turning(R, ca.jacobian(ca.vec(R), q), i) for i in range(n)]
+        lower = ca.horzcat(*slope)
+    else:
+        turn, lower = ca.SX.zeros(3), ca.SX.zeros(3, n)
+    J = ca.vertcat(ca.jacobian(p, q), lower)
+    return ca.Function("newton", [q, target], [ca.densify(ca.vertcat(target[:3] - p, turn)), ca.densify(J)])
+
+
+def _turning(R: ca.SX, slope: ca.SX, i: int) -> ca.SX:
+    """The rotation vector by which joint i turns the frame, per its own unit: of dR R^T."""
+    W = ca.mtimes(ca.reshape(slope[:, i], 3, 3), R.T)
+    return 0.5 * ca.vertcat(W[2, 1] - W[1, 2], W[0, 2] - W[2, 0], W[1, 0] - W[0, 1])
+
+
+def _evaluated(function: ca.Function, q: Array, target: Array) -> tuple[Array, Array]:
+    r, J = function.map(len(q))(q.T, target.T)
+    n = q.shape[1]
+    return r.full().T, J.full().reshape(6, len(q), n).transpose(1, 0, 2)

@@ -1,0 +1,272 @@
+"""ABB RAPID (.mod): robtarget and jointtarget, declared or inside of a motion (manual of RAPID data types).
+
+confdata: the quarter turns of axes 1, 4 and 6, and cfx = 4 (wrist behind axis 1) + 2 (behind the lower arm) + 1 (joint
+5 negative). Tool and work object are those of the motions that use a target.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from lark import Token, Tree
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.core.transforms import frame
+from casadical.export.controller.programs.language import ProgramLanguage
+from casadical.export.controller.programs.scan import found, parts, tokens_of
+from casadical.export.controller.programs.target import DEG, MM, Given, Number, Posture, Target
+
+GRAMMAR = r"""
+start: declaration | motion | assignment | _other
+declaration: NAME ref ":=" list
+assignment: ref ":="
+motion: MOTION argument ("," argument)* ";"
+argument: (ref | call | list | NUMBER | STRING | OP | option)+
+option: "\\" NAME [":=" (ref | NUMBER | list)]
+call: NAME "(" [argument ("," argument)*] ")"
+ref: NAME ["{" (NUMBER | NAME) ("," (NUMBER | NAME))* "}"]
+list: "[" [_value ("," _value)*] "]"
+_value: NUMBER | NAME | STRING | list
+MOTION.3: /(Move|Arc|Trigg|Search|Spot|Cap|Disp|Paint)[A-Za-z]*\b/i
+NAME.2: /[A-Za-z_]\w*(\.\w+)*/
+OP: /[-+*\/]/
+STRING: /"[^"\n]*"/
+COMMENT.4: /![^\n]*/
+%ignore COMMENT
+"""
+_QUATERNION = 4
+_NO_AXIS = 9e9
+_DISPLACING = ("pdispon", "pdispset", "eoffson", "eoffsset")
+_UNIT_MISFIT = 1e-2  # of a quaternion's length: more is no rounding
+
+
+class Rapid(ProgramLanguage):
+    """ABB RAPID."""
+
+    name = "ABB RAPID"
+    suffixes = (".mod", ".modx", ".prg")
+    units = (MM, MM, MM, 1.0, 1.0, 1.0, 1.0)
+    pose = "x, y, z in mm and the quaternion q1, q2, q3, q4"
+
+    def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
+        if joints != 6:
+            raise InputError(f"{source}: a RAPID target has six axes; this robot has {joints}")
+        tokens = tokens_of(GRAMMAR, text)
+        for token in tokens:
+            if token.type == "NAME" and str(token).lower() in _DISPLACING:
+                raise InputError(
+                    f"{source}: line {token.line}: {token} displaces the targets that follow, by an amount that is "
+                    "not in the program; give the displacement to the work object"
+                )
+        module = _Module(self, source, tokens, given)
+        return [module.placed(target, name) for target, name in module.targets()]
+
+    def matrix(self, values: Array) -> Array:
+        q = values[3:]
+        length = float(np.linalg.norm(q))
+        if abs(length - 1) > _UNIT_MISFIT:
+            raise InputError(f"quaternion {q.tolist()}: its length is {length:.4g}; it must be 1")
+        w, x, y, z = q / length
+        R = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        return frame(R, values[:3])
+
+    def values(self, T: Array, like: Array) -> Array:
+        q = quaternion(T[:3, :3])
+        return np.concatenate([T[:3, 3], q if q @ like[3:] >= 0 else -q])
+
+    def turns(self, q: Array) -> tuple[int, ...]:
+        return tuple(int(np.floor(q[i] / (np.pi / 2))) for i in (0, 3, 5)) if len(q) == 6 else ()
+
+    def turns_text(self, target: Target, turns: tuple[int, ...]) -> list[str]:
+        return [str(turn) for turn in turns]
+
+
+def quaternion(R: Array) -> Array:
+    """Unit quaternion (w, x, y, z), shape (4,), of a rotation (3, 3): eigenvector of Bar-Itzhack's matrix (2000)."""
+    a, b, c = R
+    K = np.array(
+        [
+            [a[0] + b[1] + c[2], c[1] - b[2], a[2] - c[0], b[0] - a[1]],
+            [c[1] - b[2], a[0] - b[1] - c[2], a[1] + b[0], a[2] + c[0]],
+            [a[2] - c[0], a[1] + b[0], b[1] - a[0] - c[2], b[2] + c[1]],
+            [b[0] - a[1], a[2] + c[0], b[2] + c[1], c[2] - a[0] - b[1]],
+        ]
+    )
+    return np.asarray(np.linalg.eigh(K)[1][:, -1])
+
+
+class _Module:
+    """Declarations and motions of a program, and what tool and work object each target is used with."""
+
+    def __init__(self, language: Rapid, source: str, tokens: list[Token], given: Given) -> None:
+        self.language, self.source, self.given, self.tokens = language, source, given, tokens
+        self.islands = list(found(GRAMMAR, tokens))
+        self.declared = _declared(self.islands)
+        self.known_targets = {n for kind, n, _ in self.declared if kind in ("robtarget", "jointtarget")}
+        # Variables that get a value after their declaration, whole or in part, and the line.
+        self.changed: dict[str, int] = {}
+        for change in (a for island in self.islands for a in parts(island, "assignment")):
+            name = str(parts(change, "ref")[0].children[0]).lower().partition(".")[0]
+            self.changed.setdefault(name, change.meta.line)
+        self.frames: dict[tuple[str, str], tuple[int, Array | str]] = {}
+        texts = [tokens_of(GRAMMAR, text) for text in given.texts.values()]
+        for islands in (self.islands, *(list(found(GRAMMAR, other)) for other in texts)):
+            for kind, name, value in _declared(islands):
+                if kind in ("tooldata", "wobjdata"):
+                    self.frames[kind, name] = (value.meta.line, self._frame(kind, value))
+        # Of each target name: the line of its first motion, tool and work object there.
+        self.uses: dict[str, tuple[int, str, str]] = {}
+        for motion in (m for island in self.islands for m in parts(island, "motion")):
+            self._use(motion)
+
+    def _use(self, motion: Tree[Token]) -> None:
+        arguments = parts(motion, "argument")
+        tool, work = _tool_of(arguments)
+        for argument in arguments[:-1]:
+            for name in _names(argument):
+                line, *before = self.uses.get(name, (motion.meta.line, tool, work))
+                if before != [tool, work] and name in self.known_targets:
+                    raise InputError(
+                        f"{self.source}: line {motion.meta.line}: {name} is used with tool {tool} and work object "
+                        f"{work}, in line {line} with {before[0]} and {before[1]}; give it a target of its own"
+                    )
+                self.uses[name] = (line, before[0], before[1])
+
+    def targets(self) -> list[tuple[Target, str]]:
+        """Each target in its order, and the name by which motions use it, empty for one inside of a motion."""
+        made: list[tuple[int, Target, str]] = []
+        for kind, name, value in self.declared:
+            if kind in ("robtarget", "jointtarget"):
+                made += [(v.meta.start_pos, self._target(kind, n, v), name) for n, v in _elements(name, value)]
+        for motion in (m for island in self.islands for m in parts(island, "motion")):
+            tool, work = _tool_of(parts(motion, "argument"))
+            for argument in parts(motion, "argument"):
+                for value in parts(argument, "list"):
+                    kind = "jointtarget" if len(value.children) == 2 else "robtarget"
+                    key = f"in line {value.meta.line}, {value.meta.column}"
+                    self.uses[key] = (value.meta.line, tool, work)
+                    made.append((value.meta.start_pos, self._target(kind, "in the motion", value), key))
+        made += self._unread()
+        return [(t, n) for _, t, n in sorted(made, key=lambda entry: entry[0])]
+
+    def _unread(self) -> list[tuple[int, Target, str]]:
+        """Declarations of targets whose value is not a list of numbers."""
+        found = []
+        for kind, name, sign in zip(self.tokens, self.tokens[1:], self.tokens[2:], strict=False):
+            typed = str(kind).lower() in ("robtarget", "jointtarget") and sign.value == ":="
+            if typed and str(name).lower() not in self.known_targets:
+                left = Target(name.line or 0, str(name), False, (), left="its value is an expression")
+                found.append((name.start_pos or 0, left, ""))
+        return found
+
+    def _target(self, kind: str, name: str, value: Tree[Token]) -> Target:
+        line = value.meta.line
+        flat = [part.children for part in value.children if isinstance(part, Tree)]
+        sizes = (6, 6) if kind == "jointtarget" else (3, _QUATERNION, 4, 6)
+        numeric = all(isinstance(t, Token) and t.type == "NUMBER" for part in flat for t in part)
+        if tuple(map(len, flat)) != sizes or not numeric:
+            return Target(line, name, kind == "jointtarget", (), left="is not made of numbers alone")
+        external = any(float(str(t)) not in (0.0, _NO_AXIS) for t in flat[-1])
+        if kind == "jointtarget":
+            return Target(line, name, True, tuple(Number.of(t, DEG) for t in flat[0]), external=external)
+        numbers = tuple(Number.of(t, MM) for t in flat[0]) + tuple(Number.of(t, 1.0) for t in flat[1])
+        *turns, cfx = (float(str(t)) for t in flat[2])
+        posture = Posture(bool(int(cfx) & 4), bool(int(cfx) & 2), bool(int(cfx) & 1))
+        text = tuple(Number.of(t, 1.0) for t in flat[2][:3])
+        made = Target(line, name, False, numbers, posture, tuple(map(int, turns)), text, external=external)
+        return made if cfx in range(8) else made.leave(f"its cfx is {cfx:g}; 0 to 7 are known")
+
+    def placed(self, target: Target, name: str) -> Target:
+        """The target with its tool and base."""
+        if name in self.changed:
+            target = target.leave(f"line {self.changed[name]} gives it another value")
+        if name not in self.uses:
+            named = ("", "")
+        else:
+            _, *words_used = self.uses[name]
+            named = (words_used[0], words_used[1])
+        about = f"tool {named[0] or '?'}, base {named[1] or '?'}"
+        frames: list[Array | None] = []
+        for kind, word, given in (
+            ("tooldata", named[0], self.given.tools),
+            ("wobjdata", named[1], self.given.bases),
+        ):
+            known = self._known(kind, word, given)
+            if isinstance(known, str):
+                target, known = target.leave(known), None
+            frames.append(known)
+        return replace(target, tool=frames[0], base=frames[1], about=about)
+
+    def _known(self, kind: str, name: str, given: dict[str, Array]) -> Array | str | None:
+        by_name = {key.lower(): T for key, T in given.items()}
+        if name in by_name:
+            return by_name[name]
+        if name in ("tool0", "wobj0"):
+            return np.eye(4)
+        if (kind, name) in self.frames:
+            if name in self.changed:
+                raise InputError(
+                    f"{self.source}: line {self.changed[name]}: {name} is changed here; which targets it holds for "
+                    "depends on the order of execution: split the program there"
+                )
+            return self.frames[kind, name][1]
+        return by_name.get("")
+
+    def _frame(self, kind: str, value: Tree[Token]) -> Array | str:
+        """The transform of tool or work object data, or why it cannot be used."""
+        first = str(value.children[0]).upper()
+        if kind == "tooldata":
+            return self._pose(value.children[1]) if first == "TRUE" else "its tool stands still (robhold FALSE)"
+        if first == "TRUE":
+            return "the robot holds its work object (robhold TRUE)"
+        if str(value.children[1]).upper() != "TRUE":
+            return "a mechanical unit moves its work object (ufprog FALSE)"
+        return self._pose(value.children[3]) @ self._pose(value.children[4])
+
+    def _pose(self, value: Tree[Token] | Token) -> Array:
+        tokens = value.scan_values(lambda t: isinstance(t, Token)) if isinstance(value, Tree) else [value]
+        numbers = [float(str(t)) for t in tokens if t.type == "NUMBER"]
+        if len(numbers) != len(self.language.units):
+            line = value.meta.line if isinstance(value, Tree) else value.line
+            raise InputError(f"{self.source}: line {line}: a frame must be [[x, y, z], [q1, q2, q3, q4]] in numbers")
+        return self.language.matrix(np.array(numbers) * self.language.units)
+
+
+def _declared(islands: list[Tree[Token]]) -> list[tuple[str, str, Tree[Token]]]:
+    """Type, name and value of each declaration, words in lower case."""
+    made = [d for island in islands for d in parts(island, "declaration")]
+    return [
+        (str(d.children[0]).lower(), str(parts(d, "ref")[0].children[0]).lower(), parts(d, "list")[0]) for d in made
+    ]
+
+
+def _elements(name: str, value: Tree[Token]) -> list[tuple[str, Tree[Token]]]:
+    """The targets of a declaration: one, or those of an array."""
+    inner = [c for c in value.children if isinstance(c, Tree)]
+    nested = any(isinstance(c, Tree) and any(isinstance(cc, Tree) for cc in c.children) for c in inner)
+    if not nested or len(inner) != len(value.children):
+        return [(name, value)]
+    return [e for i, c in enumerate(inner, 1) for e in _elements(f"{name}{{{i}}}", c)]
+
+
+def _tool_of(arguments: list[Tree[Token]]) -> tuple[str, str]:
+    """Names of tool and work object of a motion: its last argument, and that argument's option WObj."""
+    last = arguments[-1]
+    names = [str(r.children[0]).lower() for r in parts(last, "ref")]
+    work = "wobj0"
+    for option in parts(last, "option"):
+        if str(option.children[0]).lower() == "wobj" and parts(option, "ref"):
+            work = str(parts(option, "ref")[0].children[0]).lower()
+    return (names[0] if names else ""), work
+
+
+def _names(argument: Tree[Token]) -> list[str]:
+    """Variables of an argument, those inside of a call (Offs, RelTool) included, options not."""
+    own = [str(r.children[0]).lower() for r in parts(argument, "ref")]
+    return own + [n for call in parts(argument, "call") for a in parts(call, "argument") for n in _names(a)]

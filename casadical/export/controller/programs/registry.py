@@ -1,0 +1,30 @@
+"""Languages of programs: ours, a line each, and those of installed packages (entry points of `GROUP`)."""
+
+from pathlib import Path
+
+from casadical.core.errors import InputError
+from casadical.core.plugins import members
+from casadical.export.controller.programs.language import ProgramLanguage
+
+GROUP = "casadical.program_languages"
+LANGUAGES = (
+    "casadical.export.controller.programs.krl:Krl",
+    "casadical.export.controller.programs.rapid:Rapid",
+    "casadical.export.controller.programs.urscript:UrScript",
+    "casadical.export.controller.programs.fanuc:Fanuc",
+)
+
+
+def known_program_languages() -> dict[str, type[ProgramLanguage]]:
+    """Languages of this package, then those of plug-ins, by name. Raises InputError for a faulty plug-in."""
+    return members(GROUP, ProgramLanguage, LANGUAGES)  # type: ignore[type-abstract]
+
+
+def language_of(path: Path) -> ProgramLanguage:
+    """The language of a file, by its suffix. Raises InputError that lists the suffixes."""
+    known = known_program_languages()
+    for language in known.values():
+        if path.suffix.lower() in language.suffixes:
+            return language()
+    listed = ", ".join(f"{'/'.join(kind.suffixes)} ({kind.name})" for kind in known.values())
+    raise InputError(f"{path}: programs with the suffix {path.suffix!r} cannot be read; allowed: .csv, {listed}")

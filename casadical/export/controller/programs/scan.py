@@ -1,0 +1,70 @@
+"""The parts of a controller program that a grammar knows; everything between them stays opaque.
+
+A whole grammar of such a language is that of one release of one maker. A grammar of its targets alone is small, and a
+line that it does not know costs nothing.
+"""
+
+from collections.abc import Iterator, Sequence
+from functools import cache
+
+from lark import Lark, Token, Tree, UnexpectedInput
+from lark.parsers.lalr_interactive_parser import InteractiveParser
+
+# Of every language: a number, and whatever no other terminal takes (of lowest priority, so that text is never refused).
+COMMON = r"""
+_other: OTHER
+NUMBER: /[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?/
+OTHER.-9: /./s
+%ignore /\s+/
+"""
+
+
+@cache
+def _parser(grammar: str) -> Lark:
+    return Lark(grammar + COMMON, parser="lalr", lexer="basic", propagate_positions=True)
+
+
+def tokens_of(grammar: str, text: str) -> list[Token]:
+    """All tokens of a text, without those that the grammar ignores."""
+    return list(_parser(grammar).lex(text))
+
+
+def found(grammar: str, tokens: Sequence[Token]) -> Iterator[Tree[Token]]:
+    """Each longest run of tokens that the grammar's `start` derives, in their order, without overlaps."""
+    parser, k = _parser(grammar), 0
+    first = set(_expected(parser.parse_interactive(""))) - {"OTHER", "$END"}
+    while k < len(tokens):
+        length = _longest(parser, tokens, k) if tokens[k].type in first else 0
+        if length:
+            run = parser.parse_interactive("")
+            for token in tokens[k : k + length]:
+                run.feed_token(token)
+            yield run.feed_eof(tokens[k + length - 1])  # type: ignore[no-untyped-call]
+        k += max(length, 1)
+
+
+def _longest(parser: Lark, tokens: Sequence[Token], start: int) -> int:
+    run, longest = parser.parse_interactive(""), 0
+    for k in range(start, len(tokens)):
+        try:
+            run.feed_token(tokens[k])
+        except UnexpectedInput:
+            break
+        if "$END" in _expected(run):
+            longest = k + 1 - start
+    return longest
+
+
+def _expected(run: InteractiveParser) -> dict[str, object]:
+    """The types of tokens that may come next."""
+    return run.choices()  # type: ignore[no-untyped-call, no-any-return]
+
+
+def parts(tree: Tree[Token], name: str) -> list[Tree[Token]]:
+    """A node's children of one rule."""
+    return [c for c in tree.children if isinstance(c, Tree) and c.data == name]
+
+
+def words(tree: Tree[Token], kind: str) -> list[Token]:
+    """A node's own tokens of one kind."""
+    return [c for c in tree.children if isinstance(c, Token) and c.type == kind]

@@ -1,0 +1,136 @@
+"""Targets of a controller program: where their numbers stand, what they mean, and what is known of tool and base."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+
+DEG, MM = np.pi / 180, 1e-3
+_FINEST = {DEG: 6, MM: 4, 1.0: 9}  # decimals: below a tenth of a micrometre at the tool
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number of the text: its place [characters], its text, and the factor that makes it SI.
+
+    decimals : that it is written with; None: as many as it has, and enough for its unit
+    """
+
+    start: int
+    stop: int
+    text: str
+    unit: float
+    decimals: int | None = None
+
+    @classmethod
+    def of(cls, token: Any, unit: float, decimals: int | None = None) -> Number:
+        """Of a token of the grammar."""
+        return cls(token.start_pos, token.end_pos, str(token), unit, decimals)
+
+    @property
+    def si(self) -> float:
+        """Its value in SI units."""
+        return float(self.text) * self.unit
+
+    def written(self, value: float) -> str:
+        """Another value [SI] as text."""
+        _, _, fraction = self.text.lower().partition("e")[0].partition(".")
+        decimals = max(len(fraction), _FINEST[self.unit]) if self.decimals is None else self.decimals
+        text = f"{value / self.unit:.{decimals}f}"
+        return text[1:] if float(text) == 0 and text.startswith("-") else text
+
+
+@dataclass(frozen=True)
+class Posture:
+    """Which of the eight arms of a six-axis robot reaches a pose.
+
+    behind : the wrist is behind axis 1; bent_back : it is behind the line from axis 2 through axis 3
+    wrist_negative : the reading of joint 5 is negative
+    """
+
+    behind: bool
+    bent_back: bool
+    wrist_negative: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """One target.
+
+    joints : whether its numbers are joint readings, else a pose in the language's own form
+    posture, turns, turn_text : the arm's configuration and the joints' turns where the program says them, and the
+        number or word that says the turns
+    near : joints [rad] that the pose's solution is to be near to, shape (n,), where the program says them
+    tool, base : tool in the flange's frame and base in the controller's root frame, each (4, 4) [m]; None: not known
+    about : names of tool and base; left : why the target stays as it is, empty if it is to be corrected
+    external : whether an external axis is off its zero; accurate : whether it was taught with absolute accuracy on
+    """
+
+    line: int
+    name: str
+    joints: bool
+    numbers: tuple[Number, ...]
+    posture: Posture | None = None
+    turns: tuple[int, ...] | None = None
+    turn_text: tuple[Number, ...] = ()
+    near: Array | None = None
+    tool: Array | None = None
+    base: Array | None = field(default_factory=lambda: np.eye(4))
+    about: str = ""
+    left: str = ""
+    external: bool = False
+    accurate: bool = False
+
+    @property
+    def si(self) -> Array:
+        """Its numbers [SI]."""
+        return np.array([number.si for number in self.numbers])
+
+    def leave(self, reason: str) -> Target:
+        """The same target, to be left as it is; the first reason counts."""
+        return self if self.left else replace(self, left=reason)
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """What a program does not say itself.
+
+    tools, bases : transforms (4, 4) [m] by the name or number that the program uses; "" for the only one
+    texts : other files of the program in which tools and bases are looked up, by file name
+    """
+
+    tools: dict[str, Array] = field(default_factory=dict)
+    bases: dict[str, Array] = field(default_factory=dict)
+    texts: dict[str, str] = field(default_factory=dict)
+
+
+def line_of(text: str, place: int) -> int:
+    """The line of a character, from 1."""
+    return text.count("\n", 0, place) + 1
+
+
+def only_one(source: str, what: str, found: dict[int, Any]) -> Any:
+    """What a program sets once or to one value; None where it never does. Raises InputError where it is changed.
+
+    found : by line
+    """
+    lines = list(found)
+    for line in lines[1:]:
+        if not same(found[line], found[lines[0]]):
+            raise InputError(
+                f"{source}: line {line}: {what} is changed here, after line {lines[0]}; which targets it holds for "
+                "depends on the order of execution: split the program there"
+            )
+    return found[lines[0]] if lines else None
+
+
+def same(a: Any, b: Any) -> bool:
+    """Whether two names or two transforms are equal."""
+    if isinstance(a, str) or isinstance(b, str) or a is None or b is None:
+        return bool(isinstance(a, str) and isinstance(b, str) and a == b) or (a is None and b is None)
+    return bool(np.array_equal(a, b))

@@ -1,0 +1,206 @@
+"""Universal Robots URScript (.script): joint lists and poses p[...] of motions, with `qnear` of get_inverse_kin.
+
+A pose is a target where a motion or get_inverse_kin takes it as it is; one that is part of an expression (pose_trans,
+pose_add) is relative to something that only the controller knows, and stays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from lark import Token, Tree
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.core.transforms import frame
+from casadical.export.controller.programs.language import ProgramLanguage
+from casadical.export.controller.programs.rapid import quaternion
+from casadical.export.controller.programs.scan import found, parts, tokens_of, words
+from casadical.export.controller.programs.target import DEG, Given, Number, Target, only_one
+
+GRAMMAR = r"""
+start: assign | call | _other
+assign: NAME "=" _value
+call: NAME "(" [argument ("," argument)*] ")"
+argument: [NAME "="] _value
+_value: _atom (OP _atom)*
+_atom: NUMBER | NAME | STRING | list | pose | call
+pose: POSE [_value ("," _value)*] "]"
+list: "[" [_value ("," _value)*] "]"
+POSE.3: /\bp\s*\[/
+NAME.2: /[A-Za-z_]\w*/
+OP: /[-+*\/]/
+STRING: /"[^"\n]*"/
+COMMENT.4: /#[^\n]*/
+%ignore COMMENT
+"""
+_MOTIONS = {"movej": 1, "movel": 1, "movep": 1, "movec": 2, "servoj": 1, "servoc": 1}
+_FARTHEST = 20.0  # m: no pose of a UR is farther; more is in millimetres
+_MOST_TURNS = 4 * np.pi  # rad: more is in degrees
+
+
+class UrScript(ProgramLanguage):
+    """Universal Robots URScript."""
+
+    name = "URScript"
+    suffixes = (".script", ".urscript")
+    units = (1.0,) * 6
+    pose = "x, y, z in m and the rotation vector rx, ry, rz in rad"
+
+    def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
+        program = _Program(source, text, joints)
+        tools = {line: None if pose is None else self.matrix(pose) for line, pose in program.tools.items()}
+        tool = given.tools.get("", only_one(source, "the tool centre point", tools))
+        placed = [replace(t, tool=tool, about="set_tcp" if tools else "") for t in program.targets()]
+        return [replace(t, base=given.bases.get("", np.eye(4))) for t in placed]
+
+    def matrix(self, values: Array) -> Array:
+        angle = float(np.linalg.norm(values[3:]))
+        x, y, z = values[3:] / angle if angle > 0 else (0.0, 0.0, 1.0)
+        K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        return frame(np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K, values[:3])
+
+    def values(self, T: Array, like: Array) -> Array:
+        w, *v = quaternion(T[:3, :3])
+        length = float(np.linalg.norm(v))
+        axis = np.array(v) / length if length > 0 else np.array([0.0, 0.0, 1.0])
+        angle = 2 * np.arctan2(length, w)
+        around = [axis * (angle + 2 * np.pi * k) for k in (-2, -1, 0, 1)]
+        return np.concatenate([T[:3, 3], min(around, key=lambda r: float(np.linalg.norm(r - like[3:])))])
+
+
+@dataclass
+class _Variable:
+    """A variable that is a pose or a list of joints: its value, how often it is set, how it is used."""
+
+    line: int
+    value: Tree[Token]
+    sets: list[int] = field(default_factory=list)
+    target: bool = False
+    near: Tree[Token] | None = None
+    read: int = 0
+
+
+class _Program:
+    """Poses and joint lists of a program, and what each is used for."""
+
+    def __init__(self, source: str, text: str, joints: int) -> None:
+        self.source, self.joints, self.tokens = source, joints, tokens_of(GRAMMAR, text)
+        islands = list(found(GRAMMAR, self.tokens))
+        self.variables: dict[str, _Variable] = {}
+        for assign in (a for island in islands for a in parts(island, "assign")):
+            value = assign.children[1]
+            if len(assign.children) == 2 and isinstance(value, Tree) and value.data in ("pose", "list"):
+                name = str(assign.children[0])
+                self.variables.setdefault(name, _Variable(assign.meta.line, value)).sets.append(assign.meta.line)
+        for name, sign in zip(self.tokens, self.tokens[1:], strict=False):
+            own = self.variables.get(str(name)) if name.type == "NAME" else None
+            if own is not None and sign.value == "=" and name.line not in own.sets and name.line is not None:
+                own.sets.append(name.line)
+        self.tools: dict[int, Array | None] = {}
+        self.made: list[tuple[int, Target]] = []
+        for island in islands:
+            for call in island.iter_subtrees_topdown():  # type: ignore[no-untyped-call]
+                if call.data == "call":
+                    self._call(call)
+
+    def _call(self, call: Tree[Token]) -> None:
+        name, arguments = str(call.children[0]), parts(call, "argument")
+        if name == "set_tcp" and arguments:
+            self.tools[call.meta.line] = self._numbers(self._resolved(arguments[0]))
+        elif name == "get_inverse_kin" and arguments:
+            near = next((self._resolved(a) for a in arguments[1:] if _keyword(a) in ("", "qnear")), None)
+            for argument in arguments[1:]:
+                self._read(argument)
+            self._take(arguments[0], near, call)
+        elif name in _MOTIONS:
+            for argument in arguments[: _MOTIONS[name]]:
+                self._take(argument, None, call)
+
+    def _take(self, argument: Tree[Token], near: Tree[Token] | None, call: Tree[Token]) -> None:
+        """An argument that is to be reached."""
+        value = argument.children[-1]
+        single = len([c for c in argument.children if c is not None]) == (2 if _keyword(argument) else 1)
+        if single and isinstance(value, Tree) and value.data in ("pose", "list"):
+            self.made.append((value.meta.start_pos, self._target("in the motion", value, near)))
+        elif single and isinstance(value, Token) and str(value) in self.variables:
+            variable = self.variables[str(value)]
+            variable.target, variable.read = True, variable.read + 1
+            variable.near = variable.near if near is None else near
+        elif not (single and isinstance(value, Tree) and str(value.children[0]) == "get_inverse_kin"):
+            why = "is an expression that only the controller can evaluate"
+            self.made.append((call.meta.start_pos, Target(call.meta.line, str(call.children[0]), False, (), left=why)))
+
+    def _read(self, argument: Tree[Token]) -> None:
+        for token in words(argument, "NAME"):
+            if str(token) in self.variables:
+                self.variables[str(token)].read += 1
+
+    def _resolved(self, argument: Tree[Token]) -> Tree[Token] | None:
+        """A pose or list that is written there, or that its variable always has."""
+        value = argument.children[-1]
+        if isinstance(value, Token):
+            own = self.variables.get(str(value))
+            return own.value if own is not None and len(own.sets) == 1 else None
+        return value if isinstance(value, Tree) and value.data in ("pose", "list") else None
+
+    def targets(self) -> list[Target]:
+        """All targets in their order."""
+        made = list(self.made)
+        for name, variable in self.variables.items():
+            if not variable.target:
+                continue
+            target = self._target(name, variable.value, variable.near)
+            if len(variable.sets) > 1:
+                target = target.leave(f"line {variable.sets[1]} gives it another value")
+            lines = [t.line for t in self.tokens if t.type == "NAME" and str(t) == name]
+            if len(lines) > len(variable.sets) + variable.read:
+                target = target.leave("it is also part of an expression")
+            made.append((variable.value.meta.start_pos, target))
+        return [target for _, target in sorted(made, key=lambda entry: entry[0])]
+
+    def _target(self, name: str, value: Tree[Token], near: Tree[Token] | None) -> Target:
+        line, joints = value.meta.line, value.data == "list"
+        numbers = [_number(v) for v in value.children if not (isinstance(v, Token) and v.type == "POSE")]
+        wanted = self.joints if joints else 6
+        if len(numbers) != wanted or any(n is None for n in numbers):
+            return Target(line, name, joints, (), left=f"is not made of {wanted} numbers")
+        made = Target(line, name, joints, tuple(n for n in numbers if n is not None))
+        self._refuse_units(made)
+        return made if near is None or joints else replace(made, near=self._numbers(near))
+
+    def _numbers(self, value: Tree[Token] | None) -> Array | None:
+        if value is None:
+            return None
+        numbers = [_number(v) for v in value.children if not (isinstance(v, Token) and v.type == "POSE")]
+        known = [n.si for n in numbers if n is not None]
+        return np.array(known) if len(known) == len(numbers) == 6 else None
+
+    def _refuse_units(self, target: Target) -> None:
+        size = np.abs(target.si)
+        if not target.joints and size[:3].max() > _FARTHEST:
+            raise InputError(
+                f"{self.source}: line {target.line}: {target.name} is {size[:3].max():g} m away; URScript has metres, "
+                "and this looks like millimetres"
+            )
+        if (size if target.joints else size[3:]).max() > _MOST_TURNS:
+            raise InputError(
+                f"{self.source}: line {target.line}: {target.name} has an angle of {size.max():g} rad; URScript has "
+                "radians, and this looks like degrees: write d2r(..)"
+            )
+
+
+def _keyword(argument: Tree[Token]) -> str:
+    first = argument.children[0]
+    return str(first) if len(argument.children) > 1 and isinstance(first, Token) and first.type == "NAME" else ""
+
+
+def _number(value: Tree[Token] | Token | None) -> Number | None:
+    """A number, or d2r(number)."""
+    if isinstance(value, Token):
+        return Number.of(value, 1.0) if value.type == "NUMBER" else None
+    if isinstance(value, Tree) and value.data == "call" and str(value.children[0]) == "d2r":
+        inner = parts(value, "argument")[0].children[-1]
+        return Number.of(inner, DEG) if isinstance(inner, Token) and inner.type == "NUMBER" else None
+    return None

@@ -1,0 +1,175 @@
+"""What a program does not say is left and listed; a program that cannot be corrected is refused by its line."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from command_line import main as run
+from controller_arms import nominal_path, planted
+from program_texts import Point, matrix, write
+
+from casadical.core.errors import InputError
+from casadical.export.controller.commands import Sources
+from casadical.export.controller.programs.correction import Cell
+from casadical.export.controller.programs.language import ProgramLanguage, text_of
+from casadical.export.controller.programs.program import corrected_program, read_target_program
+from casadical.export.controller.programs.registry import known_program_languages, language_of
+from casadical.export.controller.programs.target import Given
+from casadical.robot.robot_file import read_robot, write_robot
+
+ROBTARGET = "[[1500,0,1200],[0,0,1,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]]"
+E6POS = "{X 1500,Y 10,Z 1200,A 10,B 90,C 0,S 2,T 2,E1 0.0}"
+LS = "P[1]{{\n   GP1:\n\tUF : 0, UT : 1,\t\tCONFIG : {config},\n\tX = 1500.000 {unit},\tY = 1.000 mm,\tZ = 1200.000 mm,\n\tW = 180.000 deg,\tP = 0.000 deg,\tR = 0.000 deg\n}};\n"  # noqa: E501
+TOOL = {"": matrix((0, 0, 100, 0, 0, 0))}
+
+
+@pytest.fixture(scope="module")
+def cell():
+    return Cell(Sources(planted("kr210"), read_robot(nominal_path("kr210"))))
+
+
+def program(tmp_path, name, text, given=None):
+    path = tmp_path / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return read_target_program(path, given or Given(), 6)
+
+
+def statuses(tmp_path, cell, name, text, given=None):
+    read = program(tmp_path, name, text, given)
+    result = corrected_program(read, cell)
+    if not any(r.fine for r in result.results):
+        assert result.content() == (text if isinstance(text, bytes) else text.encode())
+    return {r.target.name: (r.status, r.why) for r in result.results}
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "where"),
+    [
+        (
+            "p.dat",
+            f"$TOOL={{X 0,Y 0,Z 1,A 0,B 0,C 0}}\nPTP {E6POS}\n$TOOL={{X 0,Y 0,Z 2,A 0,B 0,C 0}}\n",
+            "line 3.*split",
+        ),
+        ("p.dat", f"PTP {E6POS}\nBAS(#TOOL,1)\nBAS (#TOOL,2)\n", "line 3.*split"),
+        ("p.dat", "PTP {A1 1,A2 2,A3 3,A4 4,A5 5,A6 6,A7 7}\n", "line 1.*A7.*only 6 joints"),
+        ("p.dat", b"DEFDAT P\n\x00\x01\x02", "line 2.*encrypted"),
+        ("p.dat", "DEFDAT P\nENDDAT\n", "no target"),
+        ("p.mod", f"MoveL {ROBTARGET},v1,fine,t1;\nPDispOn p1,p2,t1;\n", "line 2.*displaces"),
+        (
+            "p.mod",
+            f"CONST robtarget p1:={ROBTARGET};\nMoveL p1,v1,fine,t1;\nMoveL p1,v1,fine,t2;\n",
+            "line 3.*tool t2.*line 2.*t1",
+        ),
+        (
+            "p.mod",
+            "PERS tooldata t1:=[TRUE,[[0,0,1],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];\n"
+            f"MoveL {ROBTARGET},v1,fine,t1;\nt1.tframe.trans.z:=5;\n",
+            "line 3: t1 is changed",
+        ),
+        ("p.script", "set_tcp(p[0,0,0.1,0,0,0])\nmovej([0,0,0,0,0,0])\nset_tcp(p[0,0,0.2,0,0,0])\n", "line 3.*split"),
+        ("p.script", "movej([0,0,0,0,0,0])\nmovel(p[350,0,200,0,3.14,0])\n", "line 2.*millimetres"),
+        ("p.script", "movej([0,-90,90,0,0,0])\n", "line 1.*degrees"),
+        ("p.ls", "/POS\n" + LS.format(config="'N U T, 0, 0, 0'", unit="inch"), "line 2.*X is given in inch"),
+        (
+            "p.ls",
+            "/MN\n 1: UTOOL[1]=PR[3] ;\n/POS\n" + LS.format(config="'N U T, 0, 0, 0'", unit="mm"),
+            "line 2.*UTOOL",
+        ),
+        ("p.tp", "x", "cannot be read.*KUKA KRL"),
+    ],
+)
+def test_a_program_that_cannot_be_corrected_is_refused_by_its_line(name, text, where, tmp_path):
+    with pytest.raises(InputError, match=rf"(?s){where}"):
+        program(tmp_path, name, text)
+
+
+def test_what_a_krl_program_does_not_say_is_left(tmp_path, cell):
+    text = (
+        f"DECL E6POS XP1={E6POS}\nDECL FDAT FP1={{TOOL_NO 3,BASE_NO 0,IPO_FRAME #BASE}}\n"
+        "DECL POS X2={X 1,Y 2,Z 3,A 0,B 0,C 0,S 2,T 2}\nX2.Z=5\n"
+        f"DECL E6POS XP3={E6POS.replace('E1 0.0', 'E1 5.0')}\nDECL FDAT FP3={{TOOL_NO 1,BASE_NO 0,IPO_FRAME #BASE}}\n"
+        f"DECL E6POS XP4={E6POS}\nDECL FDAT FP4={{TOOL_NO 1,BASE_NO 0,IPO_FRAME #TCP}}\n"
+        f"DECL E6POS XP5={E6POS.replace('S 2', 'S 5')}\nDECL FDAT FP5={{TOOL_NO 1,BASE_NO 0,IPO_FRAME #BASE}}\n"
+        "LIN_REL {X 10}\nLIN {X 1500,Y 0,Z 1200,A 0,B 90,C 0}\nTOOL_DATA[1]={X 0,Y 0,Z 100,A 0,B 0,C 0}\n"
+        "DECL E6POS XP6={X 9000,Y 2,Z 3,A 0,B 0,C 0,S 2,T 2}\nDECL FDAT FP6={TOOL_NO 1,BASE_NO 0,IPO_FRAME #BASE}\n"
+        "BAS(#TOOL,1)\n$BASE=$NULLFRAME\n"
+    )
+    found = statuses(tmp_path, cell, "p.dat", text)
+    assert found["XP1"][0] == "NO_TOOL"
+    assert found["X2"] == ("LEFT", "line 4 gives it another value")
+    assert found["XP3"][0] == "EXTERNAL_AXIS"
+    assert "stands still" in found["XP4"][1]
+    assert found["XP5"][0] == "UNREACHABLE"
+    assert found["XP6"][0] == "UNREACHABLE"
+    assert found["in the motion"][0] == "NO_CONFIGURATION"
+
+
+def test_what_the_others_do_not_say_is_left(tmp_path, cell):
+    mod = (
+        f"CONST robtarget p1:={ROBTARGET};\nCONST robtarget p2:={ROBTARGET};\nVAR robtarget p3:=CRobT();\n"
+        "p2.trans.z:=100;\nMoveL p1,v1,fine,t9;\nMoveL p2,v1,fine,t9;\n"
+    )
+    found = statuses(tmp_path, cell, "p.mod", mod)
+    assert found["p1"][0] == "NO_TOOL"
+    assert found["p2"] == ("LEFT", "line 4 gives it another value")
+    assert found["p3"] == ("LEFT", "its value is an expression")
+    assert statuses(tmp_path, cell, "p.mod", mod, Given(TOOL))["p1"][0] != "NO_TOOL"
+    script = (
+        "movel(p[1.5,0,1.2,0,1.57,0])\na=p[1.5,0,1.2,0,1.57,0]\nmovel(a)\nb=pose_add(a, a)\nmovel(pose_trans(a, a))\n"
+    )
+    found = statuses(tmp_path, cell, "p.script", script, Given(TOOL))
+    assert found["in the motion"][0] == "NO_CONFIGURATION"
+    assert found["a"] == ("LEFT", "it is also part of an expression")
+    assert found["movel"][0] == "LEFT"
+    listing = "/POS\n" + LS.format(config="'N L U T, 0, 0, 0'", unit="mm")
+    assert "CONFIG" in statuses(tmp_path, cell, "p.ls", listing, Given(TOOL))["P[1]"][1]
+
+
+def test_a_language_is_found_by_the_suffix_of_the_file(tmp_path):
+    kinds = known_program_languages()
+    assert [k.name for k in kinds.values()] == ["KUKA KRL", "ABB RAPID", "URScript", "FANUC listing"]
+    assert all(issubclass(kind, ProgramLanguage) for kind in kinds.values())
+    assert language_of(tmp_path / "X.SRC").name == "KUKA KRL"
+
+
+def test_bytes_of_other_encodings_stay():
+    content = bytes(range(32, 256)) + b"\t\r\n"
+    assert text_of("p", content).encode("latin-1") == content
+
+
+def test_the_command_writes_program_and_report_and_corrects_once(tmp_path, monkeypatch, capfd):
+    robot, nominal = tmp_path / "real.toml", nominal_path("kr210")
+    write_robot(planted("kr210"), robot)
+    points = [Point(np.deg2rad([10, -80, 90, 20, 40, -30.0]), True, 0, 0)] * 2
+    content = write("krl", points, [np.eye(4)] * 2, np.random.default_rng(0), "\r\n")
+    (tmp_path / "p.dat").write_bytes(content)
+    arguments = ("correct", robot, tmp_path / "p.dat", "--nominal", nominal, "--out", tmp_path / "new.dat")
+    assert run(monkeypatch, *arguments, "--json", tmp_path / "s.json") == 0
+    printed = capfd.readouterr().out
+    assert "2 of 2 targets corrected" in printed
+    assert "ASSUMED" in printed
+    rows = list(csv.DictReader((tmp_path / "new.dat.correction.csv").read_text().splitlines()))
+    assert [row["status"] for row in rows] == ["OK", "OK"]
+    assert float(rows[0]["off_mm_before"]) > 0.1 > 0.02 > float(rows[0]["off_mm_after"])
+    assert json.loads((tmp_path / "s.json").read_text())["corrected"] == 2
+    new = (tmp_path / "new.dat").read_bytes()
+    assert new != content
+    assert f"XP1={{{','.join(f'A{i} {v}' for i, v in enumerate(rows[0]['is'].split(), 1))}".encode() in new
+    again = ("correct", robot, tmp_path / "new.dat", "--nominal", nominal, "--out", tmp_path / "twice.dat")
+    assert run(monkeypatch, *again) == 2
+    assert "was corrected before" in capfd.readouterr().err
+    assert not (tmp_path / "twice.dat").exists()
+
+
+def test_targets_taught_with_absolute_accuracy_are_asked_for(tmp_path, monkeypatch, capfd):
+    write_robot(planted("kr210"), tmp_path / "real.toml")
+    (tmp_path / "p.dat").write_text(f"DECL E6POS XP1={E6POS.replace('S 2', 'S 10')}\n")
+    arguments = ("correct", tmp_path / "real.toml", tmp_path / "p.dat", "--nominal", nominal_path("kr210"))
+    assert run(monkeypatch, *arguments, "--out", tmp_path / "new.dat") == 2
+    assert "--accuracy-off" in capfd.readouterr().err
+    assert not list(tmp_path.glob("new*"))
+    given = ("--accuracy-off", "--tcp", "0,0,100,0,0,0", "--base", "0,0,0,0,0,0")
+    assert run(monkeypatch, *arguments, "--out", tmp_path / "new.dat", *given) == 0
