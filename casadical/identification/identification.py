@@ -172,7 +172,7 @@ class Identification:
         m = unmeasured(q, conditions)
         p, _ = predicted(self.robot, m)
         problem, x, C = self._everything
-        block = make_block(self.start, m, problem.names, "linear", 1.0, 1.0, np.zeros((0, 3)), np.zeros(len(q), int))
+        block = make_block(self.start, m, problem.names, 1.0, 1.0, np.zeros((0, 3)), np.zeros(len(q), int))
         J = block.evaluate(x, np.zeros((0, 3)))[1] / problem.scale
         return p, J @ C @ J.transpose(0, 2, 1)
 

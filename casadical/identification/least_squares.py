@@ -7,7 +7,7 @@ loss), of known separations between points, and of priors where they are asked f
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -24,15 +24,16 @@ from casadical.identification.identifiability import (
 )
 from casadical.identification.residuals import POINT_SCALE, Block, Loss, loss_slope, loss_value, make_block
 from casadical.identification.solver import Progress, Solution, minimise
-from casadical.identification.steps import solve_in_steps
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
 # Taken where no sigma is given, until it is estimated from the residuals.
 SIGMA_GUESS, SIGMA_ANGLE_GUESS = 1e-4, 1e-4
-# More parameters than this are solved for step by step (see `solve_in_steps`).
+# More parameters than this, held back by priors, are not all tested for independence.
 WIDE = 200
+# Numbers of a Jacobian that are kept from one question to the next.
+KEPT = 8_000_000
 
 # They move the robot as a whole.
 _WHOLE_ROBOT = (
@@ -44,6 +45,38 @@ _WHOLE_ROBOT = (
     "theta1",
     *(f"base_{c}" for c in ("x", "y", "z", "rx", "ry", "rz")),
 )
+
+_Part = tuple[int, Array, Array]
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Of all poses at one point: cost and gradient with the priors, J'WJ without, residuals of every set."""
+
+    cost: float
+    gradient: Array
+    information: Array
+    residuals: list[Array]
+
+
+class _Last:
+    """What came out at the last point: solver and statistics ask for one many times."""
+
+    def __init__(self) -> None:
+        self.sums: Callable[[Array, Callable[[Array], _Sums]], _Sums] = _remembered()
+        self.parts: Callable[[Array, Callable[[Array], tuple[_Part, ...]]], tuple[_Part, ...]] = _remembered()
+
+
+def _remembered() -> Any:
+    """A function of a point and what to compute there, that knows its last answer."""
+    last: list[Any] = [None, None]
+
+    def asked(v: Array, compute: Callable[[Array], Any]) -> Any:
+        if last[0] is None or not np.array_equal(last[0], v):
+            last[:] = [v.copy(), compute(v)]
+        return last[1]
+
+    return asked
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +123,7 @@ class LeastSquares:
         made = []
         for k, (m, (sigma, sigma_angle)) in enumerate(zip(self.sets, self.sigmas, strict=True)):
             group = np.array([index[name] for name in self._pose_labels(k)] or [0] * len(m), dtype=np.int64)
-            of_set = (self.robot, m, self.names, self.loss, sigma, sigma_angle, self.points, group)
+            of_set = (self.robot, m, self.names, sigma, sigma_angle, self.points, group)
             made.append(make_block(*of_set, fixed_loads=self.fixed_loads))
         return tuple(made)
 
@@ -170,37 +203,81 @@ class LeastSquares:
 
     def solve(self, progress: Progress | None = None) -> Solution:
         """The bounded optimum. Raises ConvergenceError."""
-        if self.size > WIDE:
-            return solve_in_steps(self.cost, self.gradient, self.bounds, progress)
-        v = ca.MX.sym("v", self.size)
-        x, u = v[: len(self.names)], ca.reshape(v[len(self.names) :], 3, len(self.labels))
-        cost, again, gradient, hessian = ca.MX(0), ca.MX(0), ca.MX.zeros(self.size), ca.MX(self.size, self.size)
-        for block in self.blocks:
-            cost += block.cost(x, u)
-            f, g = block.gradient(x, u)
-            again, gradient, hessian = again + f, gradient + g, hessian + block.hessian(x, u)
-        r = self._separations(u)
-        if r.numel():
-            J = ca.jacobian(r, v)
-            cost, again = cost + ca.sumsqr(r) / 2, again + ca.sumsqr(r) / 2
-            gradient, hessian = gradient + J.T @ r, hessian + ca.triu(J.T @ J)
-        if self.priors:
-            weights = ca.sparsify(ca.DM(self.prior_matrix))
-            pull = weights @ (v - ca.DM(self.prior_mean))
-            prior = ca.dot(v - ca.DM(self.prior_mean), pull) / 2
-            cost, again, gradient = cost + prior, again + prior, gradient + pull
-            hessian += ca.triu(weights)
-        lower, upper = self.bounds
-        return minimise(
-            v, cost, (again, gradient), hessian, lower, upper, scale=0.5 * self.residual_count, progress=progress
-        )
+        return minimise(self.cost, self.gradient, *self.bounds, scale=0.5 * self.residual_count, progress=progress)
 
     def cost(self, v: Array) -> float:
         """Half the sum of squares at v, through the robust loss, with the priors."""
-        residuals, _ = self.evaluate(v)
-        squares = [loss_value(self.loss, r) for r in residuals[: len(self.sets)]]
-        squares += [r**2 for r in residuals[len(self.sets) :]]
-        return 0.5 * (sum(float(s.sum()) for s in squares) + self.prior_square(v))
+        return self._sums(v).cost
+
+    def gradient(self, v: Array) -> tuple[Array, Array]:
+        """Gradient and Gauss-Newton Hessian of the cost at v, shapes (size,) and (size, size)."""
+        sums = self._sums(v)
+        return sums.gradient, sums.information + self.prior_matrix
+
+    def information(self, v: Array) -> Array:
+        """J'WJ at v without the priors, shape (size, size); W : the weights that the loss gives."""
+        return self._sums(v).information
+
+    def residuals(self, v: Array) -> list[Array]:
+        """Of every set, shape (n, m), and of the known separations, where there are any, shape (separations, 1)."""
+        return self._sums(v).residuals
+
+    def _sums(self, v: Array) -> _Sums:
+        return self._last.sums(v, self._summed)
+
+    def _summed(self, v: Array) -> _Sums:
+        cost, gradient, information = 0.0, np.zeros(self.size), np.zeros((self.size, self.size))
+        residuals: dict[int, list[Array]] = {}
+        for k, r, J in self._parts(v):
+            loss = self._loss_of(k)
+            cost += float(loss_value(loss, r).sum())
+            residuals.setdefault(k, []).append(r)
+            slope = np.repeat(loss_slope(loss, r), r.shape[1]) if loss != "linear" else None
+            rows = J if slope is None else J * np.sqrt(slope)[:, None]
+            information += rows.T @ rows
+            gradient += J.T @ (r.ravel() if slope is None else slope * r.ravel())
+        gradient += self.prior_matrix @ (v - self.prior_mean)
+        cost = 0.5 * (cost + self.prior_square(v))
+        return _Sums(cost, gradient, information, [np.concatenate(parts) for parts in residuals.values()])
+
+    def _loss_of(self, k: int) -> Loss:
+        """Known separations pass through no loss."""
+        return self.loss if k < len(self.sets) else "linear"
+
+    def _parts(self, v: Array) -> Iterable[_Part]:
+        """Some poses at a time: the set's index, residuals, shape (n, m), and Jacobian, shape (n m, size); no loss.
+
+        Kept for the last v where they are few, so that statistics need no further evaluation.
+        """
+        few = self.residual_count * self.size <= KEPT
+        return self._last.parts(v, lambda v: tuple(self._evaluated(v))) if few else self._evaluated(v)
+
+    @cached_property
+    def _last(self) -> _Last:
+        return _Last()
+
+    def _evaluated(self, v: Array) -> Iterator[_Part]:
+        x, u = self.separate(v)
+        for k, block in enumerate(self.blocks):
+            for some, r, J in block.parts(x, u):
+                yield k, r, self._widened(block, some, J)
+        if any(m.separations for m in self.sets):
+            w = ca.MX.sym("v", self.size)
+            r_s = self._separations(ca.reshape(w[x.size :], 3, len(self.labels)))
+            both = ca.Function("separations", [w], [r_s, ca.densify(ca.jacobian(r_s, w))])(v)
+            yield len(self.sets), both[0].full(), both[1].full()
+
+    def _widened(self, block: Block, some: slice, J: Array) -> Array:
+        """The Jacobian of a block's poses by (x, their own points), shape (n, m, z), as one by v, shape (n m, size)."""
+        p = len(self.names)
+        if p == self.size:
+            return J.reshape(-1, p)
+        whole = np.zeros((*J.shape[:2], self.size))
+        whole[:, :, :p] = J[:, :, :p]
+        if block.kernel.point:
+            for j in range(3):
+                whole[np.arange(len(J)), :, p + 3 * block.group[some] + j] = J[:, :, p + j]
+        return whole.reshape(-1, self.size)
 
     def _separations(self, u: ca.MX) -> ca.MX:
         """Residuals of known distances between touched points."""
@@ -214,62 +291,8 @@ class LeastSquares:
 
     def evaluate(self, v: Array) -> tuple[list[Array], Array]:
         """Residuals of every set, shape (n, m), and the whole Jacobian, shape (residuals, size), without the loss."""
-        at, result = self._last
-        if at is None or not np.array_equal(at, v):
-            self._last[:] = [v.copy(), self._evaluate(v)]
-            result = self._last[1]
-        return result  # type: ignore[no-any-return]
-
-    @cached_property
-    def _last(self) -> list[Any]:
-        """Where the problem was evaluated last, and what came out: the statistics ask for the optimum many times."""
-        return [None, None]
-
-    def _evaluate(self, v: Array) -> tuple[list[Array], Array]:
-        x, u = self.separate(v)
-        residuals, rows = [], []
-        for block in self.blocks:
-            r, J = block.evaluate(x, u)
-            residuals.append(r)
-            if not u.size:
-                rows.append(J.reshape(-1, v.size))
-                continue
-            whole = np.zeros((*r.shape, v.size))
-            whole[:, :, : x.size] = J[:, :, : x.size]
-            if block.kernel.point:
-                for j in range(3):
-                    whole[np.arange(len(r)), :, x.size + 3 * block.group + j] = J[:, :, x.size + j]
-            rows.append(whole.reshape(-1, v.size))
-        if not u.size:  # no points, and no distances between them
-            return residuals, np.concatenate(rows) if len(rows) > 1 else rows[0]
-        w = ca.MX.sym("v", self.size)
-        r_s = self._separations(ca.reshape(w[x.size :], 3, len(self.labels)))
-        if r_s.numel():
-            both = ca.Function("separations", [w], [r_s, ca.densify(ca.jacobian(r_s, w))])(v)
-            residuals.append(both[0].full())
-            rows.append(both[1].full())
-        return residuals, np.concatenate(rows)
-
-    def gradient(self, v: Array) -> tuple[Array, Array]:
-        """Gradient and Gauss-Newton Hessian of the cost at v, from residuals; independent of the solver's."""
-        r, J, slope = self._weighted(v)
-        gradient = J.T @ (slope * r) + self.prior_matrix @ (v - self.prior_mean)
-        return gradient, self._products(J, slope) + self.prior_matrix
-
-    def _products(self, J: Array, weights: Array) -> Array:
-        """Weighted products of the columns of the Jacobian, shape (size, size); weights : of its rows, not negative."""
-        J = J if self.loss == "linear" else J * np.sqrt(weights)[:, None]
-        return np.asarray(J.T @ J)
-
-    def _weighted(self, v: Array) -> tuple[Array, Array, Array]:
-        """All residuals, shape (residuals,), the whole Jacobian, and the weight that the loss gives each row."""
-        residuals, J = self.evaluate(v)
-        return np.concatenate([part.ravel() for part in residuals]), J, self.slopes(residuals)
-
-    def slopes(self, residuals: Sequence[Array]) -> Array:
-        """Weight that the loss gives each row of the Jacobian; known separations pass through no loss."""
-        rows = [np.repeat(loss_slope(self.loss, r), r.shape[1]) for r in residuals[: len(self.sets)]]
-        return np.concatenate([*rows, *(np.ones(r.size) for r in residuals[len(self.sets) :])])
+        rows = [J for _, _, J in self._parts(v)]
+        return self.residuals(v), np.concatenate(rows) if len(rows) > 1 else rows[0]
 
     def at_bounds(self, v: Array) -> Array:
         """Mask of the variables that stopped at a bound."""
@@ -289,7 +312,10 @@ class LeastSquares:
     def identifiability(self, v: Array) -> Identifiability:
         """Which of the names the data determine, by the Jacobian at v, with fixed loads if joints are compliant."""
         loaded = any(j.compliance is not None for j in self.robot.joints) or bool(self.robot.effects)
-        _, J = replace(self, fixed_loads=loaded).evaluate(v)
+        problem = self if loaded == self.fixed_loads else replace(self, fixed_loads=loaded)
+        J = np.zeros((0, self.size))  # its triangular factor: as good as the whole, and as small as the parameters are
+        for _, _, part in problem._parts(v):
+            J = np.asarray(np.linalg.qr(np.concatenate([J, part]), mode="r"))
         p = len(self.names)
         held = {n: self.robot.parameters[n].held for n in self.names if self.robot.parameters[n].held}
         if not any(find_kind(m.kind).at_rest(m.arrays) for m in self.sets):
@@ -337,11 +363,11 @@ class LeastSquares:
 
         With a robust loss it is the sandwich H^-1 (J' W^2 J) H^-1 of M-estimators (Huber and Ronchetti 2009, ch. 7).
         """
-        _, J, slope = self._weighted(v)
         free = np.flatnonzero(~self.at_bounds(v))
-        inverse = scaled_inverse((self._products(J, slope) + self.prior_matrix)[np.ix_(free, free)])
+        inverse = scaled_inverse(self.gradient(v)[1][np.ix_(free, free)])
         if self.loss != "linear":
-            inverse = inverse @ (self._products(J, slope**2) + self.prior_matrix)[np.ix_(free, free)] @ inverse
+            squared = self.prior_matrix + sum((J * w[:, None] ** 2).T @ J for w, J in self._weighted(v))
+            inverse = inverse @ squared[np.ix_(free, free)] @ inverse
         whole = np.full((self.size, self.size), np.nan)
         whole[np.ix_(free, free)] = variance * inverse
         p = len(self.names)
@@ -349,9 +375,13 @@ class LeastSquares:
 
     def redundancies(self, v: Array) -> Array:
         """Degrees of freedom of each observed number, one less its leverage; they sum to those of the fit."""
-        _, J, slope = self._weighted(v)
-        H = self._products(J, slope) + self.prior_matrix
-        return np.asarray(1 - slope * np.einsum("ij,ij->i", J @ scaled_inverse(H), J))
+        inverse = scaled_inverse(self.gradient(v)[1])
+        return np.concatenate([1 - w * np.einsum("ij,ij->i", J @ inverse, J) for w, J in self._weighted(v)])
+
+    def _weighted(self, v: Array) -> Iterator[tuple[Array, Array]]:
+        """Some rows of the Jacobian at a time, shape (rows, size), with the weight that the loss gives each."""
+        for k, r, J in self._parts(v):
+            yield np.repeat(loss_slope(self._loss_of(k), r), r.shape[1]), J
 
     def with_names(self, names: Sequence[str]) -> LeastSquares:
         return replace(self, names=tuple(names))
@@ -362,7 +392,7 @@ def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float
 
     With a robust loss, and unless outliers were trimmed, from the median absolute residuals instead.
     """
-    residuals, _ = problem.evaluate(v)
+    residuals = problem.residuals(v)
     freedom = problem.degrees_of_freedom
     if problem.loss != "linear" and not trimmed:
         typical = float(np.median([robust_std(r) ** 2 for r in residuals]))

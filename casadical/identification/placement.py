@@ -12,6 +12,8 @@ from casadical.robot.robot import Robot
 
 # Singular values of less than this share of the greatest are noise: the directions stay as they are.
 UNDETERMINED = 1e-3
+# A start needs no more poses than about so many.
+START_POSES = 10_000
 # Weight [m^2] of the rotation before, where the points determine none.
 TIE = 1e-9
 
@@ -25,6 +27,7 @@ def place_frames(robot: Robot, m: Measurements) -> Robot:
     row 1 of the table, are left as they are. Source: Kabsch (1976) for the rotation.
     """
     m = m[m.weight > 0]
+    m = m[:: max(1, len(m) // START_POSES)]
     if robot.base.unknown != "pose" or m.position is None or len(m) < 6:
         return robot
     known = None if robot.tool.unknown != "none" else robot.tool.T[:3, 3]
@@ -55,31 +58,35 @@ def solve_placement(
     """T_M0, shape (4, 4), and tool t, shape (3,); what the poses do not determine stays as in the given ones."""
     n = len(p)
     centre = y.mean(axis=0)
+    c = y - centre
+    # Sums over the poses, from which all that follows is made: time does not grow with the rounds below.
+    cp, S, Rp = c.T @ p, R.sum(axis=0), np.einsum("nik,ni->k", R, p)
+    cR = (c.T @ R.reshape(n, 9)).reshape(3, 3, 3)
     R_B = T_M0[:3, :3]
-    A = np.zeros((n, 3, 15))
-    for row in range(3):
-        A[:, row, 3 * row : 3 * row + 3] = y - centre
-        A[:, row, 9 + row] = 1.0
-    A[:, :, 12:] = -R
-    target = p
+    G, h = np.zeros((15, 15)), np.concatenate([cp.T.ravel(), p.sum(axis=0), -Rp])
+    for i in range(3):
+        at = slice(3 * i, 3 * i + 3)
+        G[at, at], G[at, 12:], G[9 + i, 12:] = c.T @ c, -cR[:, i], -S[i]
+    G[12:, :12] = G[:12, 12:].T
+    G[9:, 9:] += np.diag([n] * 6)
     before = np.concatenate([R_B.T.ravel(), R_B.T @ (centre - T_M0[:3, 3]), t])
     if known_tool is not None:
-        target = p + R @ known_tool
-        A, before = A[:, :, :12], before[:12]
-    found = _nearest(A.reshape(3 * n, -1), target.ravel(), before)
+        G, h, before = G[:12, :12], h[:12] - G[:12, 12:] @ known_tool, before[:12]
+    found = _nearest(G, h, before)
     R_B = nearest_rotation(found[:9].reshape(3, 3)).T
     t = found[12:] if known_tool is None else known_tool
     for _ in range(5):
-        if known_tool is None:
-            B = np.concatenate([R_B @ R, np.broadcast_to(np.eye(3), (n, 3, 3))], axis=2)
-            shift = (y - p @ R_B.T - R_B @ R @ t).mean(axis=0)
-            t = _nearest(B.reshape(3 * n, 6), (y - p @ R_B.T).ravel(), np.concatenate([t, shift]))[:3]
-        x = p + R @ t
-        R_B = nearest_rotation((y - centre).T @ (x - x.mean(axis=0)) + n * TIE * R_B)
-    x = p + R @ t
-    return frame(R_B, centre - R_B @ x.mean(axis=0)), t
+        if known_tool is None:  # R t + s = R_B' y - p, with s the base's origin as the base sees it
+            e = n * centre @ R_B - p.sum(axis=0)
+            Re = np.einsum("ji,jik->k", R_B, cR + np.multiply.outer(centre, S)) - Rp
+            G = np.block([[n * np.eye(3), S.T], [S, n * np.eye(3)]])
+            t = _nearest(G, np.concatenate([Re, e]), np.concatenate([t, (e - S @ t) / n]))[:3]
+        R_B = nearest_rotation(cp + cR @ t + n * TIE * R_B)
+    return frame(R_B, centre - R_B @ (p.mean(axis=0) + S @ t / n)), t
 
 
-def _nearest(A: Array, b: Array, before: Array) -> Array:
-    """The least squares solution of A x = b next to `before` in the directions that A does not determine."""
-    return np.asarray(before + np.linalg.lstsq(A, b - A @ before, rcond=UNDETERMINED)[0])
+def _nearest(G: Array, h: Array, before: Array) -> Array:
+    """The solution of the normal equations G x = h next to `before` in the directions that G does not determine."""
+    values, V = np.linalg.eigh(G)
+    seen = values > UNDETERMINED**2 * values[-1]
+    return np.asarray(before + V[:, seen] @ ((V[:, seen].T @ (h - G @ before)) / values[seen]))

@@ -28,13 +28,12 @@ def covariance_of_all(problem: LeastSquares, v: Array, variance: float) -> tuple
     whole = problem.with_names([*free, *held])
     values = problem.values(v)
     start = [(values.get(n, p.value) - p.value) / p.scale for n in whole.names for p in [problem.robot.parameters[n]]]
-    residuals, J = whole.evaluate(np.concatenate([start, v[len(problem.names) :]]))
-    slope = whole.slopes(residuals)
+    H = whole.information(np.concatenate([start, v[len(problem.names) :]]))
     f, e = len(free), len(held)
-    fitted = np.concatenate([J[:, :f], J[:, f + e :]], axis=1)
+    fitted = [*range(f), *range(f + e, len(H))]
     inside = np.flatnonzero(solved)
     P = problem.prior_matrix[np.ix_(inside, inside)]
-    A = scaled_inverse(fitted.T @ (slope[:, None] * fitted) + P) @ (fitted.T @ (slope[:, None] * J[:, f : f + e]))
+    A = scaled_inverse(H[np.ix_(fitted, fitted)] + P) @ H[fitted, f : f + e]
     scale = whole.scale
     A = A[:f] * np.outer(scale[:f], 1 / scale[f:])
     S = _known(problem.robot, held)

@@ -41,7 +41,7 @@ def _solve_with_sigmas(problem: LeastSquares, progress: Progress | None) -> Solv
 
 def _with_freedom(problem: LeastSquares, solution: Solution) -> list[tuple[Array, Array]]:
     """Residuals of each set and the degrees of freedom of each, both of shape (n, m)."""
-    residuals, _ = problem.evaluate(solution.v)
+    residuals = problem.residuals(solution.v)
     edges = np.cumsum([r.size for r in residuals])
     shares = np.split(problem.redundancies(solution.v), edges)
     return [(r, share.reshape(r.shape)) for _, r, share in zip(problem.sets, residuals, shares, strict=False)]

@@ -1,7 +1,9 @@
 """Bounded nonlinear least squares by Ipopt with the Gauss-Newton Hessian."""
 
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -15,6 +17,7 @@ Progress = Callable[[int, float], None]
 # At 1e-8 Ipopt reaches the optimum and then spends iterations at round-off level in its line search.
 TOLERANCE = 1e-6
 MAX_ITERATIONS = 200
+TINY_STEP = 1e-6
 
 _SENTENCES = {
     "Solve_Succeeded": "Ipopt found an optimum.",
@@ -29,7 +32,9 @@ _SENTENCES = {
         "or leave out poses near its folded positions."
     ),
     "Restoration_Failed": "Ipopt could not make progress; check units and outliers, or use loss='soft_l1'.",
-    "Search_Direction_Becomes_Too_Small": "Ipopt stalled at round-off; the data may be noise-free: see is_optimal().",
+    "Search_Direction_Becomes_Too_Small": (
+        "Ipopt found an optimum; its last steps were below a millionth of each parameter's scale."
+    ),
 }
 
 
@@ -47,37 +52,133 @@ class Solution:
     history: tuple[float, ...]
 
 
-class _Watch(ca.Callback):
-    """Ipopt's iteration callback: keeps the cost and reports it."""
+class _Evaluation(ca.Callback):
+    """One of the functions that Ipopt asks for, computed by numpy in the memory that Ipopt gives.
 
-    def __init__(self, size: int, scale: float, progress: Progress | None) -> None:
+    inputs, outputs : names and sparsities; compute : arguments -> outputs, of which only those asked for are written
+    """
+
+    def __init__(
+        self,
+        name: str,
+        inputs: Mapping[str, ca.Sparsity],
+        outputs: Mapping[str, ca.Sparsity],
+        compute: Callable[..., Sequence[Array | float]],
+    ) -> None:
         ca.Callback.__init__(self)
-        self.size, self.scale, self.progress = size, scale, progress
-        self.history: list[float] = []
-        self.construct("watch", {})
+        self.inputs, self.outputs, self.compute = tuple(inputs.items()), tuple(outputs.items()), compute
+        self.construct(name, {})
 
     def get_n_in(self) -> int:
-        return int(ca.nlpsol_n_out())
+        return len(self.inputs)
 
     def get_n_out(self) -> int:
-        return 1
+        return len(self.outputs)
+
+    def get_name_in(self, i: int) -> str:
+        return self.inputs[i][0]
+
+    def get_name_out(self, i: int) -> str:
+        return self.outputs[i][0]
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        shapes = {"x": self.size, "f": 1, "lam_x": self.size}
-        return ca.Sparsity.dense(shapes.get(ca.nlpsol_out(i), 0))
+        return self.inputs[i][1]
 
-    def eval(self, arg: Sequence[ca.DM]) -> list[ca.DM]:
-        self.history.append(float(arg[1]) * self.scale)
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        return self.outputs[i][1]
+
+    def has_eval_buffer(self) -> bool:
+        return True
+
+    def eval_buffer(self, arg: Sequence[memoryview | None], res: Sequence[memoryview | None]) -> int:
+        given = [np.frombuffer(a) if a is not None else np.zeros(0) for a in arg]
+        for place, value in zip(res, self.compute(*given), strict=False):
+            if place is not None:
+                np.frombuffer(place)[:] = value
+        return 0
+
+
+class _Solver:
+    """Ipopt for problems of one size; made once, because that takes longer than a solve.
+
+    The problem of the moment: cost : v -> f; gradient : v -> (g, H); scale : by which all are divided
+    """
+
+    cost: Callable[[Array], float]
+    gradient: Callable[[Array], tuple[Array, Array]]
+    scale: float
+    progress: Progress | None
+
+    def __init__(self, size: int) -> None:
+        vector, upper, none = ca.Sparsity.dense(size, 1), ca.Sparsity.upper(size), ca.Sparsity(0, 0)
+        number = ca.Sparsity.dense(1, 1)
+        self._lower = np.tril_indices(size)
+        self.history: list[float] = []
+        given = {"x": vector, "p": none}
+        weighed = given | {"lam_f": number, "lam_g": none}
+        outputs = {ca.nlpsol_out(i): none for i in range(ca.nlpsol_n_out())}
+        outputs |= {"x": vector, "f": number, "lam_x": vector}
+        f = _Evaluation("f", {"x": vector}, {"f": number}, self._cost)
+        g = _Evaluation("nlp_grad_f", given, {"f": number, "grad_f_x": vector}, self._gradient)
+        h = _Evaluation("nlp_hess_l", weighed, {"hess_gamma_x_x": upper}, self._hessian)
+        watch = _Evaluation("watch", outputs, {"stop": number}, self._watch)
+        v = ca.MX.sym("v", size)
+        options: dict[str, Any] = {
+            "grad_f": g,
+            "hess_lag": h,
+            "calc_lam_p": False,
+            "no_nlp_grad": True,
+            "print_time": False,
+            "show_eval_warnings": False,
+            "iteration_callback": watch,
+            "ipopt": {
+                "tol": TOLERANCE,
+                "max_iter": MAX_ITERATIONS,
+                "print_level": 0,
+                "sb": "yes",
+                "nlp_scaling_method": "none",
+                "mu_init": 1e-7,
+                "bound_relax_factor": 0.0,
+                # No search along a step that is a millionth of each scale: the cost is round-off there.
+                "tiny_step_tol": TINY_STEP,
+                # Robust losses converge linearly: stop where the cost no longer changes.
+                "acceptable_tol": 1e-3,
+                "acceptable_iter": 3,
+                "acceptable_obj_change_tol": 1e-9,
+            },
+        }
+        self._keep = f, g, h, watch
+        self.solve = ca.nlpsol("identify", "ipopt", {"x": v, "f": f(v)}, options)
+
+    def _cost(self, v: Array) -> Sequence[Array | float]:
+        return (self.cost(v) / self.scale,)
+
+    def _gradient(self, v: Array, _: Array) -> Sequence[Array | float]:
+        return self.cost(v) / self.scale, self.gradient(v)[0] / self.scale
+
+    def _hessian(self, v: Array, _: Array, factor: Array, __: Array) -> Sequence[Array | float]:
+        return (self.gradient(v)[1][self._lower] * (factor[0] / self.scale),)
+
+    def _watch(self, _: Array, f: Array, *__: Array) -> Sequence[Array | float]:
+        self.history.append(float(f[0]) * self.scale)
         if self.progress:
             self.progress(len(self.history) - 1, self.history[-1])
-        return [ca.DM(0)]
+        return (0.0,)
+
+
+class _Solvers(threading.local):
+    """Those of one thread, by size."""
+
+    def __init__(self) -> None:
+        self.of = lru_cache(maxsize=16)(_Solver)
+
+
+_solvers = _Solvers()
 
 
 def minimise(
-    v: ca.MX,
-    cost: ca.MX,
-    gradient: tuple[ca.MX, ca.MX],
-    hessian: ca.MX,
+    cost: Callable[[Array], float],
+    gradient: Callable[[Array], tuple[Array, Array]],
     lower: Array,
     upper: Array,
     *,
@@ -86,48 +187,16 @@ def minimise(
 ) -> Solution:
     """Minimise a sum of squares from v = 0 within bounds.
 
-    gradient : the cost once more, as it comes with the gradient, and the gradient; hessian : upper triangle of J'J
+    cost : of v, shape (size,); gradient : at v, and the Gauss-Newton Hessian J'J, shapes (size,) and (size, size)
     scale : typical size of the cost, by which it is divided
 
     Raises ConvergenceError with a sentence and a remedy if Ipopt does not stop at an optimum.
     """
-    p, lam_f, lam_g = ca.MX.sym("p", 0), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
-    grad = ca.Function("nlp_grad_f", [v, p], [part / scale for part in gradient], ["x", "p"], ["f", "grad_f_x"])
-    hess = ca.Function(
-        "nlp_hess_l",
-        [v, p, lam_f, lam_g],
-        [lam_f * hessian / scale],
-        ["x", "p", "lam_f", "lam_g"],
-        ["hess_gamma_x_x"],
-    )
-    watch = _Watch(v.numel(), scale, progress)
-    options: dict[str, Any] = {
-        "grad_f": grad,
-        "hess_lag": hess,
-        "calc_lam_p": False,
-        "no_nlp_grad": True,
-        "print_time": False,
-        "show_eval_warnings": False,
-        "iteration_callback": watch,
-        "ipopt": {
-            "tol": TOLERANCE,
-            "max_iter": MAX_ITERATIONS,
-            "print_level": 0,
-            "sb": "yes",
-            "nlp_scaling_method": "none",
-            "mu_init": 1e-7,
-            "bound_relax_factor": 0.0,
-            # Robust losses converge linearly: stop where the cost no longer changes.
-            "acceptable_tol": 1e-3,
-            "acceptable_iter": 3,
-            "acceptable_obj_change_tol": 1e-9,
-        },
-    }
-    problem: dict[str, Any] = {"x": v, "f": cost / scale}
-    solver = ca.nlpsol("identify", "ipopt", problem, options)
-    found = solver(x0=np.zeros(v.numel()), lbx=lower, ubx=upper)
-    status = str(solver.stats()["return_status"])
+    ipopt = _solvers.of(len(lower))
+    ipopt.cost, ipopt.gradient, ipopt.scale, ipopt.progress, ipopt.history = cost, gradient, scale, progress, []
+    found = ipopt.solve(x0=np.zeros(len(lower)), lbx=lower, ubx=upper)
+    status = str(ipopt.solve.stats()["return_status"])
     message = _SENTENCES.get(status, f"Ipopt stopped with {status}; see its documentation for this status.")
     if status not in ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Search_Direction_Becomes_Too_Small"):
-        raise ConvergenceError(f"{message} ({status} after {len(watch.history)} iterations)")
-    return Solution(found["x"].full().ravel(), status, message, tuple(watch.history))
+        raise ConvergenceError(f"{message} ({status} after {len(ipopt.history)} iterations)")
+    return Solution(found["x"].full().ravel(), status, message, tuple(ipopt.history))
