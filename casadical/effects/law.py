@@ -33,14 +33,15 @@ SEAMS = {
 }
 # Columns by their name in a formula, where it is another one.
 COLUMNS = {"t": "progress", "payload": "payload_kg", "warmth": "warmth_0s"}
-COLUMN = re.compile(r"t|payload|warmth|warmth_\d+s|approach\d+|move\d+")
+COLUMN = re.compile(r"t|payload|warmth|warmth_\d+s|approach\d+|move\d+|memory\d+_\d+mrad")
 _OF_POSE = re.compile(r"(q|tau)(\d+)|m(\d+)[xyz]|[gp][xyz]")
 _OF_JOINT = re.compile(r"q|tau|approach|move")
 _FACTOR = re.compile(r"[a-z]")
 ALLOWED = (
     "q1 (reading [rad or m]), tau1 (load, share of the joint's great torque), m1x (moment at a link, share), gx "
     "(gravity in the flange frame, 1 at most), px (flange [m]), t (time, 0 to 1), warmth, warmth_600s [K], payload "
-    "[kg], approach1 (-1 or 1), move1 (from the pose before [rad or m])"
+    "[kg], approach1 (-1 or 1), move1 (from the pose before [rad or m]), memory1_300mrad (of motions "
+    "so far back, -1 to 1)"
 )
 
 
@@ -138,7 +139,7 @@ class Law(Effect):
     def refuse_joints(self, arm: Arm) -> None:
         super().refuse_joints(arm)
         for name in (*self.drivers, *self.conditions):
-            found = re.fullmatch(r"(?:q|tau|m|approach|move)(\d+)[xyz]?", name)
+            found = re.fullmatch(r"(?:q|tau|m|approach|move|memory)(\d+)(?:[xyz]|_\d+mrad)?", name)
             if found and int(found[1]) not in arm.numbers:
                 raise InputError(f"formula {self.formula!r}: {name}; robot {arm.name!r} has joints 1 to {arm.n}")
         if self.seam == "joints" and self.count != arm.n:

@@ -15,14 +15,15 @@ from casadical.blind_check.numpy_physics.disturbance import Disturbance
 from casadical.blind_check.numpy_physics.disturbances_drive import GearEccentricity
 from casadical.blind_check.numpy_physics.disturbances_rare import CableStop
 from casadical.core.errors import InputError
-from casadical.diagnosis.evidence import log_sum
+from casadical.diagnosis.evidence import RHOS, log_sum
 from casadical.diagnosis.laws.answer import as_json, files_of, line_of, page_of
 from casadical.diagnosis.laws.discovery import with_law
-from casadical.diagnosis.laws.drivers import drivers_of, values_of, with_columns
-from casadical.diagnosis.laws.forms import FINE_WAVE, FORMS, WAVE
+from casadical.diagnosis.laws.drivers import drivers_of, values_of, variables, with_columns
+from casadical.diagnosis.laws.forms import FINE_WAVE, FORMS, LINEAR, WAVE, wave_by
 from casadical.diagnosis.laws.rivals import law_rivals
 from casadical.diagnosis.laws.screening import Screen
-from casadical.diagnosis.laws.search import SCREENED, Problem, scale_of, search_laws
+from casadical.diagnosis.laws.seams import with_columns as seams_with_columns
+from casadical.diagnosis.laws.search import SCREENED, Problem, Tried, scale_of, search_laws
 from casadical.diagnosis.linearisation import linearise
 from casadical.diagnosis.posterior import no_rivals, rank
 from casadical.effects import Law
@@ -93,6 +94,54 @@ def test_screened_evidence_is_the_exact_one_at_each_rho() -> None:
             screen = Screen.of(problem.evidence, rho)
             G, b = screen.products(seam.columns * seam.size, values / scale_of(values)[:, None, :])
             assert screen.gains(G, b) == pytest.approx(exact[rho], abs=1.0)
+
+
+def test_products_of_functions_of_each_column_are_those_of_the_columns() -> None:
+    c, rng = case("kr210-P02"), np.random.default_rng(3)
+    problem, n = Problem.of(c, NONE), int(c.kept.sum())
+    places, functions = rng.standard_normal((n, 3, 4)), rng.standard_normal((2, n, 4, 3))
+    screen = Screen.of(problem.evidence, 2)
+    G, b = screen.products(places, functions)
+    for k in range(functions.shape[-1]):
+        columns = np.concatenate([places * part[:, None, :, k] for part in functions], axis=2)
+        white = problem.evidence.white(float(RHOS[2]), columns)
+        np.testing.assert_allclose(G[k], white.E.T @ white.E, rtol=1e-6, atol=1e-6 * np.abs(G[k]).max())
+        np.testing.assert_allclose(b[k], white.E.T @ white.y, rtol=1e-6, atol=1e-6 * np.abs(b[k]).max())
+
+
+def test_a_law_of_every_joint_is_found_with_a_factor_each() -> None:
+    c = discovered(6).diagnosis.case
+    law = Law(None, "joints", "a*sin(3*q) + b*cos(3*q)", (("a", 3e-5), ("b", 3e-5)), count=6)
+    values = np.array([120, 0, 60, 60, 0, 90, -90, 90, 0, 120, 150, 150]) * 1e-6
+    planted = with_law(c, law)
+    shift = planted.whole.take(planted.group((law,))) @ (values / planted.sizes(planted.group((law,))))
+    hidden = replace(c, whole=replace(c.whole, r=c.whole.r + shift))
+    best = search_laws(hidden, NONE)[0]
+    assert (best.law.place, best.tried.driver.text, best.tried.form.name) == ("every joint", "q", "wave")
+    assert best.settings[0] == pytest.approx(3.0, abs=0.1)
+    more = with_law(c, best.law)
+    found = more.whole.take(more.group((best.law,)))[c.kept]
+    np.testing.assert_allclose(found, best.columns, rtol=0, atol=1e-6 * np.abs(best.columns).max())
+    names = best.law.sizes()
+    assert line_of(law, dict(zip(names, values, strict=True))) == (
+        "every joint += [120, 60, 0, -90, 0, 150] urad * sin(3*q) + [0, 60, 90, 90, 120, 150] urad * cos(3*q)"
+    )
+
+
+@pytest.mark.parametrize("text", ["memory2_300mrad", "tau2*memory2_1000mrad"])
+def test_memory_and_waves_by_the_load_are_written_out_as_they_were_judged(text: str) -> None:
+    c = case("kr210-P02")
+    drivers = {d.text: d for d in drivers_of(c.given)}
+    m, _ = with_columns(c.m, [drivers[text]])
+    linear = linearise(c.given, m, c.values)
+    known = variables(linear, ("tau2", "q2", text.removeprefix("tau2*")))
+    x = known[text.removeprefix("tau2*")] * (known["tau2"] if "*" in text else 1.0)
+    assert np.abs(known[text.removeprefix("tau2*")]).max() <= 1
+    (seam,) = seams_with_columns(linear, [Law(2, "joint", "a")])
+    waves = Tried((seam,), drivers["q2"], wave_by("tau2", known["tau2"]), (known["q2"],))
+    for tried, settings in ((Tried((seam,), drivers[text], LINEAR, (x,)), np.zeros(0)), (waves, np.array([2.5]))):
+        law, columns = tried.column(0, settings)
+        np.testing.assert_allclose(linear.columns([law]) * [s for s, _ in law.sizes().values()], columns, atol=1e-12)
 
 
 def test_the_columns_of_a_law_are_those_of_its_effect() -> None:

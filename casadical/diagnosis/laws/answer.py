@@ -25,6 +25,9 @@ def line_of(law: Law, values: Mapping[str, float] | None = None) -> str:
     unit, factor = READABLE[SEAMS[law.seam][1]]
 
     def shown(name: str) -> str:
+        if values is not None and law.seam == "joints":
+            each = (factor * values[f"{name}{j}"] for j in range(1, law.count + 1))
+            return f"[{', '.join(f'{v:.3g}' for v in each)}]"
         return name if values is None or name not in values else f"{factor * values[name]:.3g}"
 
     def vector(found: re.Match[str]) -> str:

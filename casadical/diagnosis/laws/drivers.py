@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +17,8 @@ from casadical.measurements.measurements import Measurements
 
 LETTERS = "abcdefghijklmnopqs"
 LAGS = (300, 600, 1200, 2400)
+# How far back motions are remembered [mrad or mm].
+WAYS = (100, 300, 1000, 3000)
 # A driver that varies less is none [rad, m, K, kg, or a share].
 LEAST_SPREAD = 0.02
 
@@ -50,6 +52,8 @@ def drivers_of(arm: Arm) -> list[Driver]:
     found.append(Driver("payload", "linear", "payload"))
     for i in arm.numbers:
         found += [Driver(f"approach{i}", "linear", "approach"), Driver(f"move{i}", "signed", "move")]
+        memories = [f"memory{i}_{way}mrad" for way in WAYS]
+        found += [Driver(f"{own}{m}", "linear", "memory") for m in memories for own in ("", f"tau{i}*")]
         found += [Driver(f"approach{i}*{other}", "linear", "approach") for other in (f"tau{i}", f"abs(tau{i})", "t")]
         parts = (f"q{i}", f"tau{i}", f"sin(q{i})", f"cos(q{i})")
         found += [Driver(f"{own}*{other}", "linear", "product") for own in parts for other in ("t", WARM)]
@@ -76,6 +80,20 @@ def values_of(linear: Linearisation, drivers: Sequence[Driver]) -> tuple[list[Dr
     kept = [k for k, v in enumerate(values) if np.ptp(v) > LEAST_SPREAD]
     found = [replace(drivers[k], kind="linear") if len(np.unique(values[k])) < 3 else drivers[k] for k in kept]
     return found, np.stack([values[k] for k in kept], axis=1)
+
+
+def own_drivers() -> list[Driver]:
+    """Drivers of every joint at once, each by its own: names without the joint's number."""
+    found = [Driver("q", "angle", "angle"), Driver("tau", "signed", "load"), Driver("move", "signed", "move")]
+    found += [Driver(text, "linear", "approach") for text in ("approach", "approach*tau", "approach*t")]
+    return [*found, *(Driver(f"{own}*{other}", "linear", "product") for own in ("q", "tau") for other in ("t", WARM))]
+
+
+def own_values(linear: Linearisation, known: Mapping[str, Array], driver: Driver) -> Array:
+    """Values of a driver of every joint, shape (n, joints); known : by name, as of `variables`."""
+    formula = parse(driver.text)
+    joints = [{n: known[n] if n in known else known[f"{n}{j}"] for n in formula.names} for j in linear.robot.numbers]
+    return np.stack([np.asarray(formula.values(at, NUMERIC)[0]) for at in joints], axis=1)
 
 
 def variables(linear: Linearisation, names: Sequence[str]) -> dict[str, Array]:

@@ -7,8 +7,8 @@ formula that is written out is the one that was judged.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -28,18 +28,24 @@ class Form:
 
     parts : texts, each with a factor of its own; settings : their names
     grid : settings, shape (K, settings), from the driver's values, shape (n,)
+    also : values of other names in the parts, shape (n,) each
     """
 
     name: str
     parts: tuple[str, ...]
     settings: tuple[str, ...]
     grid: Callable[[Array], Array]
+    also: Mapping[str, Array] = field(default_factory=dict)
 
     def values(self, x: Array, settings: Array) -> Array:
-        """Of each part at all poses and settings, shape (parts, n, K); settings : shape (K, settings)."""
-        names = {"x": x[:, None], **{n: settings[None, :, i] for i, n in enumerate(self.settings)}}
+        """Of each part at all poses and settings, shape (parts, n, K), with x of n poses; settings : (K, settings).
+
+        With x of every joint, shape (n, joints), it is (parts, n, joints, K).
+        """
+        names = {"x": x[..., None], **{n: settings[None, :, i] for i, n in enumerate(self.settings)}}
+        names |= {n: value[:, None] for n, value in self.also.items()}
         found = [parse(part).values(names, NUMERIC)[0] for part in self.parts]
-        return np.stack([np.broadcast_to(part, (len(x), len(settings))) for part in found])
+        return np.stack([np.broadcast_to(part, (*x.shape, len(settings))) for part in found])
 
     def texts(self, driver: str, settings: Sequence[float]) -> tuple[str, ...]:
         """Its parts written out for a driver and settings."""
@@ -98,6 +104,12 @@ def _with_widths(count: int, shares: Sequence[float]) -> Callable[[Array], Array
     return grid
 
 
+def _bands(x: Array) -> Array:
+    """Middles and half widths of a dead band that need not lie about zero."""
+    k = np.quantile(x, [0.3, 0.4, 0.5, 0.6, 0.7])
+    return rounded(np.array([(a, b) for a in k for b in np.array([0.08, 0.16, 0.24, 0.32]) * np.ptp(x)]))
+
+
 def _between(x: Array) -> Array:
     edges = np.quantile(x, np.linspace(0.05, 0.95, 16))
     return rounded(np.array([(a, b) for i, a in enumerate(edges) for b in edges[i + 2 :]]))
@@ -129,6 +141,7 @@ ABOVE = Form("hinge", ("max(0, x - k)",), ("k",), _quantiles(12))
 BELOW = Form("hinge below", ("max(0, k - x)",), ("k",), _quantiles(12))
 BEYOND = Form("hinge of the size", ("max(0, abs(x) - k)",), ("k",), _beyond)
 DEAD_BAND = Form("dead band", ("(max(0, x - k) - max(0, -x - k))",), ("k",), _beyond)
+BAND = Form("dead band in between", ("(max(0, x - k - w) - max(0, k - w - x))",), ("k", "w"), _bands)
 SATURATION = Form("saturation", ("tanh((x - k)/w)",), ("k", "w"), _with_widths(7, (0.03, 0.08, 0.16, 0.32)))
 STEPPED = Form("step", ("step(x - k)",), ("k",), _quantiles(30))
 BUMP = Form("bump", ("exp(-((x - k)/w)**2)",), ("k", "w"), _with_widths(9, (0.05, 0.1, 0.2, 0.35)))
@@ -140,10 +153,15 @@ CYCLE = Form("cycle", ("sin(f*x)", "cos(f*x)"), ("f",), _cycles)
 
 # Forms by the kind of driver.
 FORMS = {
-    "angle": (LINEAR, SQUARE, ABOVE, BELOW, SATURATION, STEPPED, BUMP, WAVE),
+    "angle": (LINEAR, SQUARE, ABOVE, BELOW, BAND, SATURATION, STEPPED, BUMP, WAVE),
     "signed": (LINEAR, SQUARE, CUBE, SIZE, SIGNED_SQUARE, ABOVE, BELOW, BEYOND, DEAD_BAND, SATURATION, STEPPED, BUMP),
     "positive": (LINEAR, SQUARE, ABOVE, BELOW, SATURATION, STEPPED, BUMP),
     "time": (LINEAR, SQUARE, ABOVE, BELOW, SATURATION, STEPPED, BUMP, BLOCK, FADE, CYCLE),
     "linear": (LINEAR,),
     "range": (LINEAR, SQUARE, WAVE),
 }
+
+
+def wave_by(name: str, values: Array) -> Form:
+    """A wave whose size follows something else, such as a load. values : of the name, shape (n,)"""
+    return Form(f"wave by {name}", (f"{name}*sin(f*x)", f"{name}*cos(f*x)"), ("f",), _turns, {name: values})

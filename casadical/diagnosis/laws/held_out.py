@@ -10,7 +10,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.diagnosis.cross_validation import Fit, random_folds
 from casadical.diagnosis.evidence import Evidence
-from casadical.diagnosis.laws.search import Problem, Scored, refined_settings, scale_of
+from casadical.diagnosis.laws.search import Problem, Scored, refined_settings, scaled
 from casadical.diagnosis.linear_problem import Case
 from casadical.measurements.noise import Noise
 
@@ -56,9 +56,8 @@ def _best(problem: Problem, law: Scored, train: Array) -> Array:
         return law.columns
     logs = []
     for seam, x, settings in zip(tried.seams, tried.x, tried.settings, strict=True):
-        values = tried.form.values(x, settings)
-        scaled = values / scale_of(values)[:, None, :]
-        logs.append(problem.gains(replace(seam, columns=seam.columns[train]), scaled[:, train]))
+        functions = scaled(tried.form.values(x, settings))
+        logs.append(problem.gains(replace(seam, columns=seam.columns[train]), functions[:, train]))
     place = int(np.argmax([g.max() for g in logs]))
     start = tried.settings[place][int(np.argmax(logs[place]))]
     best, _ = refined_settings(problem, tried, place, start, train)

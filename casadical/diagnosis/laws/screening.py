@@ -50,24 +50,30 @@ class Screen:
     def products(self, columns: Array, functions: Array) -> tuple[Array, Array]:
         """Products of every law's columns, shape (K, w, w), and with the residual, shape (K, w); w = parts times d.
 
-        columns : of the place, shape (n, 3, d); functions : parts of the forms at the poses, shape (parts, n, K)
+        columns : of the place, shape (n, 3, d); functions : parts of the forms at the poses, shape (parts, n, K), or of
+            each column, shape (parts, n, d, K)
         """
         B = self.W @ columns
         d, parts = B.shape[2], len(functions)
         M = np.einsum("nap,nad->dpn", self.Q, B)
-        seen = [[M[i] @ part for i in range(d)] for part in functions]
+        each = functions[:, :, None] if functions.ndim == 3 else functions
+        own_of = [0] * d if functions.ndim == 3 else range(d)
+        F = [[np.ascontiguousarray(part[:, i]) for i in range(each.shape[2])] for part in each]
+        seen = [[M[i] @ part[own_of[i]] for i in range(d)] for part in F]
         own = np.einsum("nai,naj->ijn", B, B)
-        K = functions.shape[2]
+        K = functions.shape[-1]
         G = np.empty((K, parts * d, parts * d))
         for a in range(parts):
             for b in range(a, parts):
-                both = functions[a] * functions[b]
+                both = F[a][0] * F[b][0]
                 for i in range(d):
                     for j in range(i if a == b else 0, d):
+                        if functions.ndim > 3:
+                            both = F[a][i] * F[b][j]
                         G[:, a * d + i, b * d + j] = own[i, j] @ both - np.einsum("pk,pk->k", seen[a][i], seen[b][j])
                         G[:, b * d + j, a * d + i] = G[:, a * d + i, b * d + j]
         right = np.einsum("nai,na->in", B, self.y)
-        return G, np.concatenate([right @ part for part in functions]).T
+        return G, np.stack([right[i] @ part[own_of[i]] for part in F for i in range(d)], axis=1)
 
     def gains(self, G: Array, b: Array) -> Array:
         """Log evidence of each law over none, mean over sizes, noise as it comes out; shape (K,).

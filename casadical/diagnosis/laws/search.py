@@ -7,7 +7,7 @@ many places with drivers were tried. Evidence on all settings is that of `screen
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,13 +16,22 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence, log_sum
-from casadical.diagnosis.laws.drivers import Driver, drivers_of, values_of, with_columns
-from casadical.diagnosis.laws.forms import FINE_WAVE, FORMS, POSES_FOR_FINE, Form, rounded
+from casadical.diagnosis.laws.drivers import (
+    Driver,
+    drivers_of,
+    own_drivers,
+    own_values,
+    values_of,
+    variables,
+    with_columns,
+)
+from casadical.diagnosis.laws.forms import FINE_WAVE, FORMS, POSES_FOR_FINE, Form, rounded, wave_by
 from casadical.diagnosis.laws.screening import Screen, log_mean
 from casadical.diagnosis.laws.seams import Seam, seams_at, stations
 from casadical.diagnosis.laws.seams import with_columns as at_poses
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import Columns, Linearisation
+from casadical.effects.formula import parse
 from casadical.effects.law import Law
 from casadical.measurements.noise import Noise
 
@@ -56,11 +65,16 @@ class Tried:
     def column(self, seam: int, settings: Array) -> tuple[Law, Array]:
         """The law of these settings, and its columns in units of their sizes, shape (n, 3, w)."""
         place = self.seams[seam]
-        values = self.form.values(self.x[seam], settings[None])[:, :, 0]
-        scales = [float(s) for s in scale_of(values)]
+        values = self.form.values(self.x[seam], settings[None])
+        scales = [float(s) for s in scale_of(values)[:, 0]]
         law = place.with_formula(self.form.texts(self.driver.text, settings.tolist()), scales)
         sizes = np.array([size for size, _ in law.sizes().values()])
-        columns = np.concatenate([place.columns * v[:, None, None] for v in values], axis=2)
+        if values.ndim > 3:  # of every joint: all factors of the first, then of the next
+            columns = np.stack([place.columns * v[:, None, :, 0] for v in values], axis=3).reshape(
+                len(place.columns), 3, -1
+            )
+        else:
+            columns = np.concatenate([place.columns * v[:, None] for v in values], axis=2)
         return law, columns * sizes
 
 
@@ -90,8 +104,18 @@ class Scored:
 
 
 def scale_of(values: Array) -> Array:
-    """How much functions vary over the poses (second axis); a constant one, which the base model holds, a little."""
-    return np.asarray(np.maximum(np.maximum(values.std(axis=1), 0.1 * np.ptp(values, axis=1)), LEAST_SCALE))
+    """How much functions vary over poses and joints, shape (parts, K); a constant one, of the base model, a little.
+
+    values : as of `Form.values`
+    """
+    flat = values.reshape(len(values), -1, values.shape[-1])
+    return np.asarray(np.maximum(np.maximum(flat.std(axis=1), 0.1 * np.ptp(flat, axis=1)), LEAST_SCALE))
+
+
+def scaled(values: Array) -> Array:
+    """Functions in units of how much they vary; values : as of `Form.values`."""
+    scales = scale_of(values)
+    return np.asarray(values / scales.reshape(len(values), *[1] * (values.ndim - 2), -1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +159,7 @@ class Problem:
         return [(float(by_rho[k]) - total, Screen.of(self.evidence, k)) for k in SCREENED]
 
     def gains(self, seam: Seam, functions: Array) -> Array:
-        """Log evidence of laws at a place, shape (K,); functions : in units of their scales, shape (parts, n, K)."""
+        """Log evidence of laws at a place, shape (K,); functions : in units of their scales, as of `Form.values`."""
         found = []
         for share, screen in self.screens:
             G, b = screen.products(seam.columns * seam.size, functions)
@@ -147,7 +171,7 @@ class Problem:
 class _Block:
     """Functions of all drivers in forms of so many parts, side by side.
 
-    functions : in units of their scales, shape (parts, n, K); edges : where each driver and form begins, and the end
+    functions : in units of their scales, as of `Form.values`; edges : where each driver and form begins, and the end
     """
 
     drivers: tuple[tuple[Driver, Form, Array], ...]
@@ -161,8 +185,8 @@ def _blocks(drivers: Sequence[tuple[Driver, Array]], forms: dict[str, tuple[Form
         if not which:
             continue
         values = [f.values(x, f.grid(x)) for _, f, x in which]
-        scaled = np.concatenate([v / scale_of(v)[:, None, :] for v in values], axis=2)
-        yield _Block(tuple(which), scaled, np.cumsum([0, *(v.shape[2] for v in values)]))
+        functions = np.concatenate([scaled(v) for v in values], axis=-1)
+        yield _Block(tuple(which), functions, np.cumsum([0, *(v.shape[-1] for v in values)]))
 
 
 def _means(gains: Array, edges: Array) -> Array:
@@ -220,6 +244,32 @@ def _fine(problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequ
             yield from _of_block(seam, block, problem.gains(seam, block.functions), 1)
 
 
+def _by_load(problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[Seam]) -> Iterator[_Rough]:
+    """Waves of each joint over its own angle whose size follows its load."""
+    by_text = {d.text: (d, x) for d, x in drivers}
+    for seam in seams:
+        names = f"q{seam.law.joint}", f"tau{seam.law.joint}"
+        if seam.law.seam in ("joint", "tilt") and all(n in by_text for n in names):
+            (driver, x), (_, load) = (by_text[n] for n in names)
+            own = replace(driver, family="wave by load")
+            (block,) = _blocks([(own, x)], {"angle": (wave_by(names[1], load),)})
+            yield from _of_block(seam, block, problem.gains(seam, block.functions), 1)
+
+
+def _every_joint(problem: Problem, linear: Linearisation, known: Collection[str], seam: Seam) -> Iterator[_Rough]:
+    """Laws of all joints at once, each by its own driver with a factor of its own.
+
+    known : names of columns that are there
+    """
+    drivers = own_drivers()
+    of_joint = {n: [f"{n}{j}" for j in linear.robot.numbers] for n in ("q", "tau", "approach", "move")}
+    needed = {d: [m for n in parse(d.text).names for m in of_joint.get(n, [n])] for d in drivers}
+    drivers = [d for d in drivers if all(n.startswith(("q", "tau")) or n in known for n in needed[d])]
+    values = variables(linear, tuple(dict.fromkeys(n for d in drivers for n in needed[d])))
+    for block in _blocks([(d, own_values(linear, values, d)) for d in drivers], FORMS):
+        yield from _of_block(seam, block, problem.gains(seam, block.functions), EXACT)
+
+
 def _along_the_beam(problem: Problem, beams: Sequence[Seam], point: Array) -> Iterator[_Rough]:
     """Laws of the range, whose station is a setting like others."""
     driver = Driver("r", "range", "range")
@@ -254,9 +304,11 @@ def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset()
     linear, known = _linear(case)
     kept, values = values_of(linear, known)
     drivers = list(zip(kept, values.T, strict=True))
-    seams = at_poses(linear, seams_at(case.given))
+    *seams, every = at_poses(linear, [*seams_at(case.given), Law(None, "joints", "a", count=case.given.n)])
     beams = at_poses(linear, stations(case.given))
     rough = [*_everywhere(problem, drivers, seams), *_fine(problem, drivers, seams)]
+    rough += _by_load(problem, drivers, seams)
+    rough += _every_joint(problem, linear, {n for d in kept for n in parse(d.text).names}, every)
     rough += _along_the_beam(problem, beams, linear.seen[:, :3])
     instances = len(seams) * len(drivers) + 1
     prices = [np.log(instances) + np.log(1 + len(FORMS[r.tried.driver.kind])) for r in rough]
