@@ -19,8 +19,10 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import importlib
 import json
 import os
+import pkgutil
 import random
 import resource
 import shutil
@@ -30,6 +32,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -157,6 +160,15 @@ def _value(kind: str | None, choose: Choose) -> list[str]:
     if kind == "dh":
         return [choose(("in/dh.csv", "in/dh.csv", "in/dh.csv", *PATHS))]
     return [choose({"number": NUMBERS, "word": WORDS, "path": PATHS, "out": OUTPUTS[:4] * 4 + OUTPUTS}[kind])]
+
+
+def load_all() -> None:
+    """Every module of the package, so that no child of this process loads it again."""
+    import casadical
+
+    for module in pkgutil.walk_packages(casadical.__path__, "casadical."):
+        with suppress(ImportError):  # of an extra that is not installed
+            importlib.import_module(module.name)
 
 
 def world(place: Path) -> None:
@@ -367,6 +379,7 @@ def main() -> int:
     faults: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as name:
         template = Path(name) / "template"
+        load_all()
         world(template)
         for one in chosen:
             fault, code = run(one, template, Path(name))

@@ -4,8 +4,8 @@ Which wrong formulas would the tests notice? Each mutant is one semantic change 
 constant, a unit, a dropped term, a swapped function or comparison. Those of LISTED were written by hand; the others are
 drawn with a fixed seed from all that the rules below find, so many in each room. A mutant runs tests until one fails:
 those of its room (the folder of tests with its name) that call the mutant's function, the quickest first, the others of
-their files, and then tests of other rooms that call it. It is killed by a failure, an error or a test that hangs. It
-lives if all pass, or if none has failed within the limit (--seconds of processor time, 60); the print says which, and
+their files, and then 60 tests of other rooms that call it. It is killed by a failure, an error or a test that hangs. It
+lives if all pass, or if none has failed within the limit (--seconds of processor time, 25); the print says which, and
 how many were killed by their own room. Tests that killed one are run without a mutant at the end; a kill by one that
 fails then does not count. Mutants that change nothing a caller can see are argued in EQUIVALENT. Which tests call what
 is in build/mutants_map.jsonl, which the first run makes by running the tests once; delete it after a change of tests.
@@ -37,7 +37,7 @@ import pytest
 from mutants_tests import Bench, chosen, read_map, run_tests
 
 ROOT = Path(__file__).parents[2]
-SEED, LIMIT = 16, 60
+SEED, LIMIT = 16, 25
 # Mutants of each room that are drawn.
 DRAWN = {
     "core": 16, "effects": 28, "robot": 26, "measurements": 18, "identification": 30, "pose_selection": 20,

@@ -25,6 +25,7 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = f"{ROOT / 'casadical'}{os.sep}"
 # A test that takes longer than so many times what it took, and than so many seconds, hangs.
 LONGER, AT_LEAST = 20, 30
+FOREIGN = 60
 
 _called: list[set[CodeType]] = [set()]
 _by_fixture: dict[int, set[CodeType]] = {}
@@ -82,16 +83,20 @@ def read_map(path: Path) -> Known:
 def chosen(known: Known, room: str, path: str, line: int) -> list[str]:
     """Tests that run on a mutant: of its room those that call the function of this line, or where it is in none, any of
     its file; then the others of the same files, and of files that name the module; then those of other rooms that call
-    it. The quickest of each first."""
+    it, as many as FOREIGN. The quickest of each first."""
     wanted = {f"{path}:{first}" for first in _functions_at(path, line)}
     direct = {t for t, made in known.calls.items() if (made & wanted if wanted else any(_in(path, c) for c in made))}
     own = {test for test in known.calls if test.startswith(f"tests/{room}/")}
+    if not direct:  # a file of constants
+        direct = own
     files = {test.partition("::")[0] for test in own}
     named = {f for f in files if Path(path).stem in (ROOT / f).read_text(encoding="utf-8")}
     named |= {test.partition("::")[0] for test in own & direct}
     others = {test for test in own - direct if test.partition("::")[0] in named}
-    parts = (own & direct, others, direct - own)
-    return [t for part in parts for t in sorted(part, key=lambda t: (known.seconds[t], t))]
+    first, second, third = (
+        sorted(part, key=lambda t: (known.seconds[t], t)) for part in (own & direct, others, direct - own)
+    )
+    return [*first, *second, *third[:FOREIGN]]
 
 
 def _in(path: str, call: str) -> bool:
@@ -176,4 +181,5 @@ def _in_child(tests: list[str], bench: Bench) -> int:
     resource.setrlimit(resource.RLIMIT_CPU, (spent + bench.seconds, spent + 3 * bench.seconds))
     order = Ordered(tests, bench.known.seconds, bench.failed)
     files = list(dict.fromkeys(test.partition("::")[0] for test in tests))
-    return int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", *files], plugins=[order])) if files else 0
+    options = ["-x", "-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"]  # loaded before
+    return int(pytest.main([*options, *files], plugins=[order])) if files else 0

@@ -31,6 +31,7 @@ fuzz = _study()
 @pytest.fixture(scope="module")
 def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("world") / "template"
+    fuzz.load_all()
     fuzz.world(place)
     return place
 
