@@ -128,11 +128,11 @@ def table(parts: dict[str, list[Trial]]) -> str:
     lines += [f"{a:<52} {b!s:<42} {c:<14} {d}" for a, b, c, d in rows]
     every = [t for trials in parts.values() for t in trials]
     lines += ["", f"{len(every)} synthetic campaigns; diagnosis, median: {np.median([t.seconds for t in every]):.2f} s"]
-    return "\n".join([*lines, "", "Wrong claims:", *(_wrong(t) for t in every if t.counted.wrongly)])
+    return "\n".join([*lines, "", "Wrong claims:", *(_wrong(t) for t in every if t.counted.wrong_claims)])
 
 
 def _wrong(t: Trial) -> str:
-    wrong = ", ".join(t.counted.wrongly)
+    wrong = ", ".join(t.counted.wrong_claims)
     return f"  {t.part:<9} {t.hidden or '-':<46} claimed {wrong}  (visible {t.visible:.2f})"
 
 
