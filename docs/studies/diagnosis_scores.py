@@ -22,6 +22,8 @@ FALSE_ALARMS = 0.01
 KINDS = {"none": "none", "unlisted": "unlisted", "two": "several"}
 # Labels on the standard list of a six-axis robot (library.standard_candidates).
 CAUSES = 67
+# A rival has at most so many numbers.
+FEW = 6
 
 
 @dataclass(frozen=True)
@@ -91,13 +93,17 @@ def visible(e: Evidence, shift: np.ndarray, noise: Noise, beside: Sequence[np.nd
 
 
 def near_rival(case: Case, shift: np.ndarray, noise: Noise, truth: str) -> float:
-    """Largest share of a shift's visible squares in the span of a listed cause other than the truth."""
+    """Largest share of a shift's visible squares in the span of a listed cause other than the truth.
+
+    Causes of many numbers (curves of all joints, masses of all links) come near to everything and are left out.
+    """
     e, k = case.evidence, case.kept
     W = whitened(e, np.concatenate([shift[k][:, :, None], e.take(np.arange(e.width))], axis=2), noise).E
     s, E = W[:, 0] / max(np.linalg.norm(W[:, 0]), 1e-30), W[:, 1:]
     best = 0.0
     for (c, _), group in zip(case.variants, case.groups, strict=True):
-        if case.candidates[c].listed and case.candidates[c].label != truth:
+        rival = case.candidates[c].listed and case.candidates[c].label != truth
+        if rival and len(group) <= FEW:
             G = E[:, group].T @ E[:, group]
             b = E[:, group].T @ s
             best = max(best, float(b @ np.linalg.pinv(G, rcond=1e-9, hermitian=True) @ b))
