@@ -42,6 +42,9 @@ def new(
             "synthetic ones, marked as such.",
         ),
     ] = None,
+    example: Annotated[
+        bool, typer.Option("--example", help="An example arm with made-up poses: what is written without a robot, too.")
+    ] = False,
     yes: Annotated[
         bool, typer.Option("--yes", "-y", help="Take the most probable answer to every question on the table.")
     ] = False,
@@ -59,6 +62,8 @@ def new(
     """
     from casadical.project.new import new_problem
 
+    if example and (urdf or dh or data):
+        raise InputError("--example brings its own robot and poses; leave --urdf, --dh and --data out")
     if convention is not None and dh is None:
         raise InputError("--convention is of a table of DH rows; give --dh FILE.csv, too")
     if urdf is None and (base_link or tip_link):

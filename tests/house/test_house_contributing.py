@@ -9,6 +9,8 @@ import tomllib
 import pytest
 from repository import ROOT, fenced
 
+import casadical
+
 yaml = pytest.importorskip("yaml")
 GITHUB = ROOT / ".github"
 FORMS = sorted(path for path in (GITHUB / "ISSUE_TEMPLATE").glob("*.yml") if path.name != "config.yml")
@@ -26,7 +28,7 @@ def test_the_citation_agrees_with_the_package() -> None:
     assert citation["type"] == "software"
     assert citation["message"]
     assert citation["title"].split(":")[0] == project["name"]
-    assert citation["version"] == project["version"]
+    assert citation["version"] == casadical.__version__
     assert citation["authors"] == project["authors"]
     assert (ROOT / "LICENSE").read_text(encoding="utf-8").startswith(f"{citation['license']} License")
     (paper,) = citation["references"]

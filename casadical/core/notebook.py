@@ -1,0 +1,53 @@
+"""What a notebook shows of a result: the blocks of its report as HTML, and small bars; nothing is loaded for it."""
+
+from collections.abc import Sequence
+from html import escape
+
+from casadical.core.blocks import Table, Words, mm
+
+_CELL = "padding:2px 12px 2px 0;text-align:{};white-space:nowrap"
+_BAR, _ROW, _LABEL = 260, 20, 190
+
+
+def html(blocks: Sequence[Words | Table], bars: Sequence[tuple[str, float]] = (), title: str = "") -> str:
+    """Blocks, beneath them a bar for each (words, length [m]); a table that is folded on a page is folded here, too."""
+    parts = [f"<b>{escape(title)}</b>"] if title else []
+    parts += [_table(b) if isinstance(b, Table) else _words(b) for b in blocks]
+    return f"<div>{''.join(parts)}{_bars(bars) if bars else ''}</div>"
+
+
+def _words(block: Words) -> str:
+    weight = "bold" if block.kind in ("title", "verdict") else "normal"
+    faint = ";opacity:.7" if block.kind == "note" else ""
+    return f'<p style="font-weight:{weight};margin:4px 0;max-width:80ch{faint}">{escape(block.text)}</p>'
+
+
+def _table(block: Table) -> str:
+    sides = ["right" if k in block.numbers else "left" for k in range(len(block.columns))]
+    head = "".join(f'<th style="{_CELL.format(s)}">{escape(c)}</th>' for c, s in zip(block.columns, sides, strict=True))
+    rows = []
+    for k, row in enumerate(block.rows):
+        weight = "bold" if k in block.strong else "normal"
+        cells = (f'<td style="{_CELL.format(s)}">{escape(c)}</td>' for c, s in zip(row, sides, strict=True))
+        rows.append(f'<tr style="font-weight:{weight}">{"".join(cells)}</tr>')
+    table = (
+        f'<table style="border-collapse:collapse"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
+    )
+    if block.folded:
+        return f"<details><summary>{escape(block.title)}</summary>{table}</details>"
+    return f'<p style="font-weight:bold;margin:6px 0 2px">{escape(block.title)}</p>{table}'
+
+
+def _bars(bars: Sequence[tuple[str, float]]) -> str:
+    """A picture of lengths, each with its value."""
+    longest = max(length for _, length in bars) or 1.0
+    rows = []
+    for k, (words, length) in enumerate(bars):
+        y, width = k * _ROW, max(1.0, _BAR * length / longest)
+        rows.append(
+            f'<text x="{_LABEL - 8}" y="{y + 14}" text-anchor="end">{escape(words)}</text>'
+            f'<rect x="{_LABEL}" y="{y + 3}" width="{width:.1f}" height="{_ROW - 6}" fill="#3d95c9"/>'
+            f'<text x="{_LABEL + width + 6:.1f}" y="{y + 14}">{mm(length)} mm</text>'
+        )
+    size = f'width="{_LABEL + _BAR + 90}" height="{_ROW * len(bars)}"'
+    return f'<svg {size} font-size="12" fill="currentColor" role="img">{"".join(rows)}</svg>'

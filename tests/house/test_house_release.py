@@ -1,0 +1,110 @@
+"""What is released: wheel and sdist, their versions and bounds, and that the base install runs without the extras."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tarfile
+import tomllib
+import zipfile
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+from repository import ROOT, tracked
+
+import casadical
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+BASE = [Path(p) for p in map(str, tracked()) if p.startswith("casadical/")]
+REPORTED = ("urdf", "xlsx", "plots", "report", "plan", "withheld", "mujoco")
+LEFT_OUT = ("plotly", "jinja2", "matplotlib", "yourdfpy", "openpyxl", "networkx", "mujoco", "scipy", "sklearn")
+# Runs the program as often as there are lines, in a process in which the extras cannot be imported.
+PROGRAM = f"""
+import sys
+sys.modules.update(dict.fromkeys({LEFT_OUT}))
+import casadical
+assert casadical.__file__.startswith(sys.argv[1]), casadical.__file__
+from casadical.cli import main
+for line in sys.argv[2:]:
+    sys.argv = ["casadical", *line.split()]
+    try:
+        main()
+    except SystemExit as end:
+        print("exit", end.code or 0)
+"""
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory) -> Path:
+    """A folder with wheel and sdist, built without a network."""
+    pytest.importorskip("hatchling")
+    folder = tmp_path_factory.mktemp("dist")
+    subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "-d", folder], cwd=ROOT, check=True, capture_output=True
+    )
+    return folder
+
+
+def test_wheel_and_sdist_hold_the_package_and_nothing_great(built) -> None:
+    (wheel,), (sdist,) = built.glob("*.whl"), built.glob("*.tar.gz")
+    expected = {str(p) for p in BASE}
+    with zipfile.ZipFile(wheel) as z:
+        held = {name for name in z.namelist() if ".dist-info/" not in name}
+    assert held == expected
+    with tarfile.open(sdist) as t:
+        names = {name.partition("/")[2] for name in t.getnames()}
+    assert expected | {"pyproject.toml", "README.md", "LICENSE"} <= names
+    assert wheel.stat().st_size < 1e6
+    assert sdist.stat().st_size < 1.2e6
+
+
+def test_the_wheel_alone_takes_a_new_user_to_a_calibrated_robot(built, tmp_path) -> None:
+    (wheel,) = built.glob("*.whl")
+    with zipfile.ZipFile(wheel) as z:
+        z.extractall(tmp_path / "site")
+    lines = ("new arm --example -q", "calibrate arm --out results", "calibrate arm -q --report r.html")
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(tmp_path / "site"), *lines], cwd=tmp_path, capture_output=True, text=True,
+        env={"PYTHONPATH": str(tmp_path / "site"), "HOME": str(tmp_path), "PATH": ""}, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert re.findall(r"^exit (\d+)$", done.stdout, re.MULTILINE) == ["0", "0", "2"]
+    assert (tmp_path / "results/SKCM.robot.toml").is_file()
+    assert "pip install 'casadical[report]'" in " ".join(done.stderr.split())
+
+
+def test_there_is_one_version() -> None:
+    assert "version" in PROJECT["dynamic"]
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"\nversion: {casadical.__version__}\n" in citation
+    assert f"\n## {casadical.__version__} " in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    tags = subprocess.run(
+        ["git", "-c", "safe.directory=*", "tag", "--points-at", "HEAD"], cwd=ROOT, capture_output=True, text=True,
+        check=True,
+    ).stdout.split()  # fmt: skip
+    assert [t for t in tags if re.match(r"v\d", t)] in ([], [f"v{casadical.__version__}"])
+
+
+def requirements() -> dict[str, tuple[tuple[int, ...], tuple[int, ...]]]:
+    """Every dependency of base and extras that users install -> the least version, and the first that is refused."""
+    lines = [*PROJECT["dependencies"], *(r for e in REPORTED for r in PROJECT["optional-dependencies"][e])]
+    found = {}
+    for line in lines:
+        name, low, high = re.fullmatch(r"([\w-]+)>=([\d.]+),<([\d.]+)", line).groups()
+        found[name.lower()] = numbers(low), numbers(high)
+    return found
+
+
+def numbers(text: str) -> tuple[int, ...]:
+    return tuple(int(n) for n in re.findall(r"\d+", text)[:3])
+
+
+def test_constraints_are_of_versions_that_are_allowed_and_no_newer_major_is() -> None:
+    lines = (ROOT / ".ci/constraints.txt").read_text(encoding="utf-8").splitlines()
+    pins = {name.lower(): numbers(at) for name, _, at in (x.partition("==") for x in lines if not x.startswith("#"))}
+    for name, (low, high) in requirements().items():
+        assert low <= pins[name] < high, name
+        assert high == (pins[name][0] + 1,), f"{name}: allowed below {high}, tried with {pins[name]} only"
+        assert numbers(version(name)) < high, f"{name}: the tests run with a version that is not allowed"
