@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from casadical.cli import completion as words
+from casadical.cli.export_driver import export_driver
 from casadical.cli.export_model import export_mjcf, export_urdf
 from casadical.cli.options import Compensator, Json, LeaveOut, Nominal, Payload, Quiet, Tool
 from casadical.cli.outputs import guarded
@@ -149,3 +150,4 @@ def _about(sources: Sources, what: str, networked: bool) -> list[str]:
 
 export_app.command("mjcf")(guarded(export_mjcf))
 export_app.command("urdf")(guarded(export_urdf))
+export_app.command("driver")(guarded(export_driver))

@@ -20,5 +20,8 @@ from casadical.export.controller.correction import Corrector as Corrector
 from casadical.export.controller.correction import corrected as corrected
 from casadical.export.controller.correction import kernel_corrector as kernel_corrector
 from casadical.export.controller.correction import model_corrector as model_corrector
+from casadical.export.controller.drivers import driver_file as driver_file
+from casadical.export.controller.inverse import Inverse as Inverse
+from casadical.export.controller.inverse import inverse_kinematics as inverse_kinematics
 from casadical.export.controller.offline_program import Program as Program
 from casadical.export.controller.offline_program import read_program as read_program

@@ -44,7 +44,7 @@ class Postures:
 
     @cached_property
     def why_not(self) -> str:
-        """Why postures cannot be told for this robot; empty if they can."""
+        """Why this robot has no postures; empty if it has."""
         if self.nominal.n != 6:
             return f"a configuration is defined for six joints; this robot has {self.nominal.n}"
         q = np.random.default_rng(0).uniform(*self._box, (20, 6))

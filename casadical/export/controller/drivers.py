@@ -1,0 +1,207 @@
+"""The calibrated geometry as drivers and controllers read it: kinematics YAML of the UR driver, tables, xacro.
+
+Each holds the geometry of a rigid arm in the robot's own base frame; what a form cannot hold is told in millimetres.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.core.transforms import frame, inverse, to_rpy
+from casadical.export.controller.commands import Sources, own_robots, robot_of
+from casadical.export.omission import POSES
+from casadical.robot.axes import row_matrix
+from casadical.robot.kinematics import LEAST_MARGIN
+from casadical.robot.robot import Robot, modified_dh
+
+UR_LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
+_UR_TWISTS = np.deg2rad([0, 90, 0, 0, 90, -90])
+_UR_MISFIT = np.deg2rad(3)
+_NEAR_PARALLEL = 1e-9  # sine of the angle between axes that have no common normal of their own
+
+
+@dataclass(frozen=True, eq=False)
+class Written:
+    """A driver's file. text : its content; lines : what it does not hold, in words and millimetres."""
+
+    text: str
+    lines: tuple[str, ...]
+
+
+def driver_file(sources: Sources, form: str, checksum: str = "") -> Written:
+    """The calibrated robot as a driver reads it.
+
+    form : `ur` (kinematics YAML of the UR ROS 2 description), `standard_dh`, `modified_dh` (CSV), or `xacro`
+    checksum : of the controller's own calibration, for `ur`: the driver compares it
+
+    Raises InputError for another form, a robot with closed loops, or one that has not the structure of the form.
+    """
+    if form not in FORMS:
+        raise InputError(f"--form {form}: not known; allowed: {', '.join(FORMS)}")
+    whole = robot_of(sources.robot)
+    if whole.loops:
+        raise InputError(f"{whole.name}: a four-bar has no place in a driver's kinematics; export c has one")
+    real, nominal, _ = own_robots(replace(sources, leave_out=True))
+    return Written(FORMS[form](real, nominal, checksum), _not_held(whole, real))
+
+
+def rigid_rest(robot: Robot, seed: int = 0) -> tuple[float, float]:
+    """How far the measured point is from that of the rigid geometry alone: mean and maximum [m], declared payload.
+
+    Over the range of the joints on which the robot was learnt, or their whole range.
+    """
+    known = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
+    lower, upper = (known if len(known) else np.array([(j.lower, j.upper) for j in robot.joints])).T
+    q = np.random.default_rng(seed).uniform(lower, upper, (POSES, robot.n))
+    w = np.tile(robot.declared, (POSES, 1))
+    p, margin = robot.model.evaluate(("p", "margin"), q, w, robot.parameters.values)
+    bare = replace(robot.with_only(()), joints=tuple(replace(j, compliance=None) for j in robot.joints), knowledge=None)
+    (stiff,) = bare.model.evaluate(("p",), q, np.tile(bare.declared, (POSES, 1)), bare.parameters.values)
+    closed = (margin.reshape(-1, POSES) > LEAST_MARGIN).all(axis=0)
+    moved = np.linalg.norm(p - stiff, axis=0)[closed]
+    return float(moved.mean()), float(moved.max())
+
+
+def standard_dh(robot: Robot, like: Array) -> tuple[Array, Array, Array]:
+    """Base (4, 4), rows (n, 4) of theta, d, a, alpha [rad, m], and tool (4, 4), with Rz(theta) Tz(d) Tx(a) Rx(alpha).
+
+    The common normals are the exact ones, as makers calibrate: nearly parallel axes have a large d, and its opposite in
+    a later row. like : thetas [rad], shape (n,), of the signs that the normals get. Base and last row take what four
+    numbers for each joint cannot hold. (Denavit and Hartenberg 1955; Hayati 1983 on parallel axes.)
+    """
+    T, frames = np.eye(4), []
+    for joint in robot.joints:
+        T = T @ row_matrix(joint)
+        frames.append(T)
+    base = frame(_aligned(np.eye(3), frames[0][:3, 2]), frames[0][:3, 3] - _along(frames[0]) * frames[0][:3, 2])
+    at, rows = base, []
+    for i in range(robot.n - 1):
+        theta, d, a, alpha = _row(at, frames[i + 1], like[i])
+        rows.append((theta, d, a, alpha))
+        at = at @ _standard(theta, d, a, alpha)
+    last = np.linalg.inv(at) @ frames[-1]
+    theta, d = float(np.arctan2(last[1, 0], last[0, 0])), float(last[2, 3])
+    rows.append((theta, d, 0.0, 0.0))
+    tool = np.array(inverse(at @ _standard(theta, d, 0.0, 0.0))) @ frames[-1] @ robot.tool.T
+    return base, np.array(rows), tool
+
+
+def _row(at: Array, following: Array, like: float) -> tuple[float, float, float, float]:
+    """theta, d, a, alpha from a frame whose z is an axis to the next axis."""
+    local = np.array(inverse(at)) @ following
+    z, p = local[:3, 2], local[:3, 3]
+    normal = np.array([-z[1], z[0], 0.0])  # across both axes
+    if np.linalg.norm(normal) < _NEAR_PARALLEL:
+        normal = np.array([p[0], p[1], 0.0]) if np.hypot(p[0], p[1]) > _NEAR_PARALLEL else np.array([1.0, 0, 0])
+        on = p - p[2] / z[2] * z
+    else:
+        # The point of the next axis nearest to ours: its offset from our axis is along the normal.
+        on = p - (p[:2] @ z[:2]) / (z[:2] @ z[:2]) * z
+    normal /= np.linalg.norm(normal)
+    normal *= 1.0 if normal[0] * np.cos(like) + normal[1] * np.sin(like) >= 0 else -1.0
+    theta = float(np.arctan2(normal[1], normal[0]))
+    alpha = float(np.arctan2(np.cross([0, 0, 1], z) @ normal, z[2]))
+    return theta, float(on[2]), float(on @ normal), alpha
+
+
+def _standard(theta: float, d: float, a: float, alpha: float) -> Array:
+    c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+    R = np.array([[c, -s * ca, s * sa], [s, c * ca, -c * sa], [0, sa, ca]])
+    return frame(R, np.array([a * c, a * s, d]))
+
+
+def _along(T: Array) -> float:
+    return float(T[:3, 2] @ T[:3, 3])
+
+
+def _aligned(R: Array, z: Array) -> Array:
+    """The rotation nearest to R whose third axis is z."""
+    x = R[:, 0] - (R[:, 0] @ z) * z
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+def _ur(real: Robot, nominal: Robot, checksum: str) -> str:
+    """Origins of the links in the link before, at zero readings: the frames of the maker's DH table."""
+    twists = np.array([j.alpha for j in nominal.joints])
+    if (
+        len(twists) != len(UR_LINKS)
+        or np.abs(twists - _UR_TWISTS).max() > _UR_MISFIT
+        or nominal.joints[0].b is not None
+    ):
+        raise InputError(
+            f"{nominal.name}: its twists are {np.rad2deg(twists).round(3).tolist()} deg, those of a UR "
+            f"{np.rad2deg(_UR_TWISTS).tolist()}: give a robot file with the maker's DH table (convention standard)"
+        )
+    lines = ["kinematics:"]
+    for name, joint in zip(UR_LINKS, real.joints, strict=True):
+        T = row_matrix(joint)
+        values = (*T[:3, 3], *to_rpy(T[:3, :3]))
+        keys = ("x", "y", "z", "roll", "pitch", "yaw")
+        lines += [f"  {name}:", *(f"    {key}: {float(v)!r}" for key, v in zip(keys, values, strict=True))]
+    return "\n".join([*lines, *([f"  hash: {checksum}"] if checksum else [])]) + "\n"
+
+
+def _standard_table(real: Robot, nominal: Robot, _: str) -> str:
+    like = standard_dh(nominal, np.zeros(nominal.n))[1][:, 0]
+    base, rows, tool = standard_dh(real, like)
+    before = standard_dh(nominal, like)[1]
+    table = [["joint", "theta_deg", "d_mm", "a_mm", "alpha_deg", *(f"delta_{k}" for k in ("theta", "d", "a", "alpha"))]]
+    units = np.array([180 / np.pi, 1e3, 1e3, 180 / np.pi])
+    for i, (row, nom) in enumerate(zip(rows * units, before * units, strict=True), 1):
+        table.append([str(i), *(f"{v:.12f}" for v in (*row, *(row - nom)))])
+    for name, T in (("base", base), ("tool", tool)):
+        angles = np.rad2deg(to_rpy(T[:3, :3]))
+        table.append([f"{name} x y z roll pitch yaw", *(f"{v:.12f}" for v in (*(1e3 * T[:3, 3]), *angles)), "", ""])
+    return _csv(table)
+
+
+def _modified_table(real: Robot, _nominal: Robot, _: str) -> str:
+    rows = modified_dh(real)
+    texts = [["" if v is None else f"{v:.12f}" if isinstance(v, float) else str(v) for v in r.values()] for r in rows]
+    table = [list(rows[0]), *texts]
+    return _csv(table)
+
+
+def _xacro(real: Robot, _nominal: Robot, _: str) -> str:
+    lines = ['<?xml version="1.0"?>', '<robot xmlns:xacro="http://www.ros.org/wiki/xacro">']
+    places = [(f"joint{i}", row_matrix(joint)) for i, joint in enumerate(real.joints, 1)]
+    for name, T in [*places, ("measured", real.tool.T)]:
+        for what, values in (("xyz", T[:3, 3]), ("rpy", to_rpy(T[:3, :3]))):
+            text = " ".join(repr(float(v)) for v in values)
+            lines.append(f'  <xacro:property name="{name}_{what}" value="{text}"/>')
+    return "\n".join([*lines, "</robot>"]) + "\n"
+
+
+def _csv(table: list[list[str]]) -> str:
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerows(table)
+    return out.getvalue()
+
+
+def _not_held(whole: Robot, real: Robot) -> tuple[str, ...]:
+    soft = [f"compliance of joints {', '.join(str(i) for i, j in enumerate(whole.joints, 1) if j.compliance)}"]
+    held = [*(soft if any(j.compliance for j in whole.joints) else []), *(e.label for e in whole.effects)]
+    lines = ["base and tool of the measurement: the kinematics are those of the flange in the robot's own base frame"]
+    if held:
+        mean, most = rigid_rest(real.with_only(e for e in real.effects if not e.of_measurement))
+        lines.append(
+            f"{', '.join(held)}: without them the point is off by {1e3 * mean:.4f} mm on average, "
+            f"{1e3 * most:.4f} mm at most, by the model"
+        )
+    return tuple(lines)
+
+
+FORMS: dict[str, Callable[[Robot, Robot, str], str]] = {
+    "ur": _ur,
+    "standard_dh": _standard_table,
+    "modified_dh": _modified_table,
+    "xacro": _xacro,
+}
