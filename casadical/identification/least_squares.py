@@ -33,7 +33,7 @@ SIGMA_GUESS, SIGMA_ANGLE_GUESS = 1e-4, 1e-4
 # More parameters than this, held back by priors, are not all tested for independence.
 WIDE = 200
 # Numbers of a Jacobian that are kept from one question to the next.
-KEPT = 8_000_000
+KEPT = 2_000_000
 
 # They move the robot as a whole.
 _WHOLE_ROBOT = (

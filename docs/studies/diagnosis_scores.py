@@ -21,7 +21,7 @@ Row = tuple[str, Estimate, str, str]
 FALSE_ALARMS = 0.01
 KINDS = {"none": "none", "unlisted": "unlisted", "two": "several"}
 # Labels on the standard list of a six-axis robot (library.standard_candidates).
-CAUSES = 67
+CAUSES = 69
 # A rival has at most so many numbers.
 FEW = 6
 
