@@ -35,6 +35,10 @@ FEW = 0.2
 REACH = 25.0
 # It is not judged any further where it is so much less likely than nothing.
 HOPELESS = 50.0
+# A sigma counts where the log likelihood may come within so much of a group's greatest one.
+NEGLIGIBLE = 40.0
+# Factors of a determinant that are multiplied before a logarithm is taken.
+AT_ONCE = 8
 # Models that are kept ready for judging further groups.
 MOST_BESIDE = 2
 
@@ -371,11 +375,42 @@ def _log_gain(sigmas: Array, log_base: Array, value: Array, turned: Array) -> Ar
     """Log likelihood with groups of columns, shape (groups, sigmas, kappas), from that without, shape (sigmas,).
 
     value, turned : eigenvalues of their visible products, and products with what is left, shapes (groups, width)
+    Only at sigmas where it counts; it is minus infinity at the others (see `NEGLIGIBLE`).
     """
-    signal = (KAPPAS[None, :] / sigmas[:, None]) ** 2
-    gain = 1 + signal[None, :, :, None] * np.maximum(value, 0)[:, None, None, :]
-    quad = (signal[None, :, :, None] * turned[:, None, None, :] ** 2 / gain).sum(axis=3) / sigmas[None, :, None] ** 2
-    return np.asarray(log_base[None, :, None] - 0.5 * np.log(gain).sum(axis=3) + 0.5 * quad)
+    value, square = np.maximum(value, 0), turned**2
+    # An upper bound: the gain at the greatest kappa, without what its width costs.
+    bound = log_base + 0.5 * _explained((sigmas / KAPPAS[-1]) ** 2, value, square) / sigmas**2
+    best = bound.argmax(axis=1)
+    unit = (sigmas[best, None] / KAPPAS) ** 2
+    least = log_base[best] + _gain(unit, sigmas[best, None], value, square).max(axis=1)
+    likely = np.flatnonzero((bound > least[:, None] - NEGLIGIBLE).any(axis=0))
+    out = np.full((len(value), len(sigmas), len(KAPPAS)), -np.inf)
+    unit, own = ((sigmas[likely, None] / KAPPAS) ** 2).ravel(), np.repeat(sigmas[likely], len(KAPPAS))
+    gain = _gain(unit, own, value, square).reshape(len(value), len(likely), len(KAPPAS))
+    out[:, likely] = log_base[likely, None] + gain
+    return out
+
+
+def _explained(unit: Array, value: Array, square: Array) -> Array:
+    """Sum of squares / (unit + value) over a group's directions, shape (groups, units)."""
+    total = np.zeros(np.broadcast_shapes(unit.shape, (len(value), 1)))
+    for v, s in zip(value.T[:, :, None], square.T[:, :, None], strict=True):
+        total += s / (unit + v)
+    return total
+
+
+def _gain(unit: Array, sigma: Array, value: Array, square: Array) -> Array:
+    """What groups gain in log likelihood, shape (groups, units); unit : squared sigma over kappa."""
+    total = np.zeros(np.broadcast_shapes(unit.shape, (len(value), 1)))
+    product, log = np.ones_like(total), np.zeros_like(total)
+    for k, (v, s) in enumerate(zip(value.T[:, :, None], square.T[:, :, None], strict=True), 1):
+        wide = unit + v
+        total += s / wide
+        product *= wide
+        if k % AT_ONCE == 0 or k == value.shape[1]:
+            log += np.log(product)
+            product[:] = 1.0
+    return np.asarray(0.5 * (total / sigma**2 - log + value.shape[1] * np.log(unit)))
 
 
 def log_sum(a: Array, axis: int | tuple[int, ...] | None = None) -> Array:
