@@ -115,8 +115,7 @@ def diagnose(
     from casadical.diagnosis.diagnose import Masses
     from casadical.diagnosis.diagnose import diagnose as run
     from casadical.diagnosis.json_answer import as_json, diagnosis_files
-    from casadical.diagnosis.laws.rivals import law_rivals
-    from casadical.diagnosis.posterior import no_rivals
+    from casadical.diagnosis.posterior import Rivals, no_rivals
     from casadical.diagnosis.text import page_of, titled
     from casadical.pose_selection.workspace_file import read_workspace
     from casadical.project.problem import read_campaign, read_campaign_robot
@@ -129,6 +128,11 @@ def diagnose(
         raise InputError("--room says where the poses of --next may lie; give --next FILE, too")
     if unlisted and out is None:
         raise InputError("--unlisted says what --out writes; give --out DIR, too")
+    rivals: Rivals = no_rivals
+    if laws:
+        from casadical.diagnosis.laws.rivals import law_rivals
+
+        rivals = law_rivals
     console = wrapped(quiet)
     robot = read_campaign_robot(problem)
     if isolability:
@@ -145,7 +149,6 @@ def diagnose(
         with working(quiet, "diagnosing", path.stem) as show:
             masses: Masses = "nuisance" if nuisance_masses else "candidate"
             chosen = effects_of(effects)
-            rivals = law_rivals if laws else no_rivals
             found = run(
                 robot, m, chosen, seed=seed, bootstrap=bootstrap, prior=known, masses=masses, rivals=rivals, show=show
             )

@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.diagnosis.gains import log_gain
 from casadical.diagnosis.linearisation import EVERY, Columns
 from casadical.diagnosis.sums import WIDE, Kept, Sums, taken
 from casadical.effects.base import CHOSEN
@@ -35,10 +36,6 @@ FEW = 0.2
 REACH = 25.0
 # It is not judged any further where it is so much less likely than nothing.
 HOPELESS = 50.0
-# A sigma counts where the log likelihood may come within so much of a group's greatest one.
-NEGLIGIBLE = 40.0
-# Factors of a determinant that are multiplied before a logarithm is taken.
-AT_ONCE = 8
 # Models that are kept ready for judging further groups.
 MOST_BESIDE = 2
 
@@ -256,6 +253,10 @@ class Judge:
         if key is not None:  # it is likely to be asked for again
             self._beside[key] = self._beside.pop(key)
         new = np.setdiff1d(chosen, before.chosen)
+        wide = self.sums.widest(new)
+        if 0 < len(wide) < len(new):  # what takes long is made alone, for it is likely to stay
+            before = self.beside(np.union1d(before.chosen, wide))
+            new = np.setdiff1d(chosen, before.chosen)
         self._look_at(before, [new])
         weights = self.e.reference / self.e.width_in_model(new)
         own, found = self.sums.crossed(new, self.e.near, new), {}
@@ -324,7 +325,7 @@ class Judge:
                 V = beside.axes(k, columns)
                 value, vector = np.linalg.eigh(own[:, k] - V @ V.transpose(0, 2, 1))
                 turned = np.einsum("gij,gi->gj", vector, beside.b[k][columns][:, :, 0])
-                out[which, k] = _log_gain(self.e.sigmas, beside.log_base[k], value, turned)
+                out[which, k] = log_gain(self.e.sigmas, KAPPAS, beside.log_base[k], value, turned)
         return out
 
     def _wide(self, group: Array, beside: Beside, also: Array | None, out: Array) -> None:
@@ -337,7 +338,7 @@ class Judge:
             while 0 <= i < len(near):
                 k = near[i]
                 value, turned = self._spectrum(group, beside, also, k)
-                out[k] = _log_gain(self.e.sigmas, beside.log_base[k], value[None], turned[None])[0]
+                out[k] = log_gain(self.e.sigmas, KAPPAS, beside.log_base[k], value[None], turned[None])[0]
                 if out[k].max() < top - REACH:
                     break
                 if out[k].max() < float(beside.log_base.max()) - HOPELESS:
@@ -369,48 +370,6 @@ def _added(normal: Array, right: Array, square: float, log_norm: float) -> _Adde
     root = np.linalg.inv(L) * scale
     z = root @ right
     return _Added(root, z, square - float(z @ z), log_norm - float((np.log(np.diag(L)) - np.log(scale)).sum()))
-
-
-def _log_gain(sigmas: Array, log_base: Array, value: Array, turned: Array) -> Array:
-    """Log likelihood with groups of columns, shape (groups, sigmas, kappas), from that without, shape (sigmas,).
-
-    value, turned : eigenvalues of their visible products, and products with what is left, shapes (groups, width)
-    Only at sigmas where it counts; it is minus infinity at the others (see `NEGLIGIBLE`).
-    """
-    value, square = np.maximum(value, 0), turned**2
-    # An upper bound: the gain at the greatest kappa, without what its width costs.
-    bound = log_base + 0.5 * _explained((sigmas / KAPPAS[-1]) ** 2, value, square) / sigmas**2
-    best = bound.argmax(axis=1)
-    unit = (sigmas[best, None] / KAPPAS) ** 2
-    least = log_base[best] + _gain(unit, sigmas[best, None], value, square).max(axis=1)
-    likely = np.flatnonzero((bound > least[:, None] - NEGLIGIBLE).any(axis=0))
-    out = np.full((len(value), len(sigmas), len(KAPPAS)), -np.inf)
-    unit, own = ((sigmas[likely, None] / KAPPAS) ** 2).ravel(), np.repeat(sigmas[likely], len(KAPPAS))
-    gain = _gain(unit, own, value, square).reshape(len(value), len(likely), len(KAPPAS))
-    out[:, likely] = log_base[likely, None] + gain
-    return out
-
-
-def _explained(unit: Array, value: Array, square: Array) -> Array:
-    """Sum of squares / (unit + value) over a group's directions, shape (groups, units)."""
-    total = np.zeros(np.broadcast_shapes(unit.shape, (len(value), 1)))
-    for v, s in zip(value.T[:, :, None], square.T[:, :, None], strict=True):
-        total += s / (unit + v)
-    return total
-
-
-def _gain(unit: Array, sigma: Array, value: Array, square: Array) -> Array:
-    """What groups gain in log likelihood, shape (groups, units); unit : squared sigma over kappa."""
-    total = np.zeros(np.broadcast_shapes(unit.shape, (len(value), 1)))
-    product, log = np.ones_like(total), np.zeros_like(total)
-    for k, (v, s) in enumerate(zip(value.T[:, :, None], square.T[:, :, None], strict=True), 1):
-        wide = unit + v
-        total += s / wide
-        product *= wide
-        if k % AT_ONCE == 0 or k == value.shape[1]:
-            log += np.log(product)
-            product[:] = 1.0
-    return np.asarray(0.5 * (total / sigma**2 - log + value.shape[1] * np.log(unit)))
 
 
 def log_sum(a: Array, axis: int | tuple[int, ...] | None = None) -> Array:

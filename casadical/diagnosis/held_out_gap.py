@@ -1,12 +1,14 @@
 """How far the gap shrinks on held-out poses: cause by cause, in the nonlinear refit, with networks."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from casadical.compensator import Compensator, Trainer
 from casadical.core.arrays import Array
 from casadical.diagnosis.cross_validation import FOLDS, covariance, fitted_without, held_out_errors, random_folds
 from casadical.diagnosis.linear_problem import Case
@@ -16,6 +18,9 @@ from casadical.effects import Effect
 from casadical.identification.accuracy import errors
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.noise import Noise
+
+if TYPE_CHECKING:
+    from casadical.compensator import Trainer
 
 DRAWS = 1000
 COLUMNS = ("model", "gap_mm", "low_mm", "high_mm", "loo_mm", "blocks_mm", "model_mm", "model_low_mm", "model_high_mm")
@@ -146,6 +151,9 @@ def network_gap(
 
     columns : of the causes in the model, refitted to each four fifths; the network sees joint readings alone
     """
+    # Loaded where a network is asked for: it takes a tenth of the time of all imports.
+    from casadical.compensator import Compensator
+
     e, q = case.evidence, case.m.q[case.kept]
     folds = random_folds(len(e.r), seed)
     before, used = np.empty(len(e.r)), np.empty(len(e.r))

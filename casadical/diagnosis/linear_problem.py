@@ -103,7 +103,7 @@ class Case:
         whole = replace(self.whole, sigmas=ALL_SIGMAS)
         if left > most:
             assert isinstance(whole.E, Columns)
-            whole = replace(whole, reference=left, E=replace(whole.E, growth=left / most))
+            whole = replace(whole, reference=left, E=replace(whole.E, growth=left / most, first=None))
         return replace(self, whole=whole)
 
     @property
@@ -172,7 +172,10 @@ class Case:
         assert isinstance(self.whole.E, Columns)
         E = self.whole.E.plus(effects, m.conditions)
         more = replace(self, m=m, candidates=candidates, columns=columns, whole=replace(self.whole, E=E, held=E.held))
-        more.evidence.extending(self.evidence)
+        known = self.evidence
+        assert isinstance(known.E, Columns)
+        own = known.E.plus(effects, {name: values[self.kept] for name, values in m.conditions.items()})
+        more.__dict__["evidence"] = replace(known, E=own, held=E.held).extending(known)
         return more
 
 

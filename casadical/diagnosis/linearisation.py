@@ -17,7 +17,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.casadi_buffers import call
 from casadical.diagnosis.formulas import Part, plan
-from casadical.diagnosis.seams import seams_of
+from casadical.diagnosis.seams import Seams, seams_of
 from casadical.effects import Effect
 from casadical.measurements.measurements import Measurements
 from casadical.robot.model import constants_of
@@ -30,6 +30,54 @@ EVERY = slice(None)
 
 
 @dataclass(frozen=True, eq=False)
+class Factors:
+    """Columns as sums over seams: the position's derivative by a seam's variable times a factor at each pose.
+
+    blocks : a seam, the columns that act there, at most once each, and their factors, shape (columns, n)
+    width : number of columns
+    """
+
+    blocks: tuple[tuple[int, Array, Array], ...]
+    width: int
+
+    def columns_at(self, S: Array) -> Array:
+        """The columns, shape (n, 3, columns); S : derivative by all seam variables, shape (n, 3, seams)."""
+        out = np.zeros((len(S), 3, self.width))
+        for seam, columns, values in self.blocks:
+            out[:, :, as_slice(columns)] += S[:, :, seam, None] * values.T[:, None]
+        return out
+
+    def scaled(self, sizes: Array) -> Factors:
+        """In units of sizes, shape (columns,)."""
+        return replace(self, blocks=tuple((s, c, values * sizes[c, None]) for s, c, values in self.blocks))
+
+    def at(self, poses: Array | slice) -> Factors:
+        """At some of the poses."""
+        return replace(self, blocks=tuple((s, c, values[:, poses]) for s, c, values in self.blocks))
+
+    def only(self, columns: Array) -> Factors:
+        """Of some of the columns, renumbered in this order."""
+        place = np.full(self.width, -1)
+        place[columns] = np.arange(len(columns))
+        found = []
+        for seam, own, values in self.blocks:
+            kept = np.flatnonzero(place[own] >= 0)
+            if len(kept):
+                found.append((seam, place[own[kept]], values[kept] if len(kept) < len(own) else values))
+        return Factors(tuple(found), len(columns))
+
+    def before(self, others: Factors) -> Factors:
+        """With the columns of others behind."""
+        shifted = tuple((s, self.width + c, values) for s, c, values in others.blocks)
+        return Factors((*self.blocks, *shifted), self.width + others.width)
+
+
+def as_slice(columns: Array) -> Array | slice:
+    """Columns one after the other as a slice, which is faster."""
+    return slice(columns[0], columns[-1] + 1) if (np.diff(columns) == 1).all() else columns
+
+
+@dataclass(frozen=True, eq=False)
 class Linearisation:
     """A robot at its seams at measured poses; columns of effects are made from it, some poses at a time.
 
@@ -37,9 +85,11 @@ class Linearisation:
     q, conditions : of the poses, shapes (n, joints) and (n,) each
     J : by the base model's parameters, shape (n, 3, P); S : by all seam variables, shape (n, 3, seams)
     seen : what effects look at, shape (n, numbers); constants : of the model with effects in it
+    model : the robot at its seams, of any pose
     """
 
     robot: Robot
+    model: Seams
     phi: Array
     q: Array
     conditions: dict[str, Array]
@@ -65,37 +115,31 @@ class Linearisation:
 
         Raises KeyError for a condition that is not there (see `derived_columns.derive`).
         """
-        s = seams_of(self.robot)
-        parts = plan(s, tuple(effects))
-        out = np.zeros((len(self.q), 3, sum(len(part.starts) * part.width for part in parts)))
-        for part in parts:
-            self._fill(out, part)
-        return out
+        return self.factors(plan(self.model, tuple(effects))).columns_at(self.S)
 
-    def _fill(self, out: Array, part: Part) -> None:
-        """Columns of effects that share a formula."""
-        n, formula = len(self.q), part.formula
-        logged = [self._condition(c)[:, None] for c in formula.conditions]
-        q, seen = ([c[:, None] for c in values.T] for values in (self.q, self.seen))
-        (found,) = formula.function(q, logged, list(self.phi), list(self.constants), seen, part.settings)
-        for seam in np.unique(formula.rows):
-            own = np.flatnonzero(formula.rows == seam)
-            factor = np.empty((n, len(part.starts), len(own)))
-            for i, k in enumerate(own):
-                factor[:, :, i] = found[k]
-            columns = (part.starts[:, None] + formula.columns[own]).ravel()
-            out[:, :, _as_slice(columns)] += self.S[:, :, seam, None] * factor.reshape(n, 1, -1)
+    def factors(self, parts: Sequence[Part]) -> Factors:
+        """The same columns as factors of the seams at which they act; parts : of `plan`."""
+        n, found = len(self.q), dict[int, list[tuple[Array, Array]]]()
+        q, seen = ([c[None] for c in numbers.T] for numbers in (self.q, self.seen))
+        for part in parts:
+            f = part.formula
+            logged = [self._condition(c)[None] for c in f.conditions]
+            settings = [setting[:, None] for setting in part.settings]
+            (factors,) = f.function(q, logged, list(self.phi), list(self.constants), seen, settings)
+            for seam, column, factor in zip(f.rows.tolist(), f.columns, factors, strict=True):
+                own = np.broadcast_to(factor, (len(part.starts), n))
+                found.setdefault(seam, []).append((part.starts + column, own))
+        blocks = tuple(
+            (seam, np.concatenate([c for c, _ in own]), np.concatenate([f for _, f in own]))
+            for seam, own in sorted(found.items())
+        )
+        return Factors(blocks, sum(len(part.starts) * part.width for part in parts))
 
     def _condition(self, name: str) -> Array:
         if name in self.conditions:
             return self.conditions[name]
         known = dict(zip(self.robot.conditions, self.robot.declared, strict=True))
         return np.full(len(self.q), known[name])
-
-
-def _as_slice(columns: Array) -> Array | slice:
-    """Columns one after the other as a slice, which is faster."""
-    return slice(columns[0], columns[-1] + 1) if (np.diff(columns) == 1).all() else columns
 
 
 def linearise(robot: Robot, m: Measurements, phi: Array) -> Linearisation:
@@ -113,7 +157,7 @@ def linearise(robot: Robot, m: Measurements, phi: Array) -> Linearisation:
         for part, value in zip(parts, found, strict=True):
             part.append(value.reshape(value.shape[0], n, -1).transpose(1, 0, 2))
     J, S, seen = (np.concatenate(part) for part in parts)
-    return Linearisation(robot, phi, m.q, dict(m.conditions), J, S, seen[:, :, 0], constants)
+    return Linearisation(robot, s, phi, m.q, dict(m.conditions), J, S, seen[:, :, 0], constants)
 
 
 def signatures(robot: Robot, effects: Sequence[Effect], m: Measurements, values: Array) -> tuple[Array, Array, Array]:
@@ -126,8 +170,8 @@ def signatures(robot: Robot, effects: Sequence[Effect], m: Measurements, values:
     return found.columns(effects), found.J, found.Jq
 
 
-# Columns of up to so many bytes are kept once they were made.
-KEPT = 60_000_000
+# Factors of up to so many bytes are kept once they were made.
+KEPT = 100_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,21 +180,29 @@ class Columns:
 
     linear : the poses; effects : one after the other; sizes : of every parameter, shape (columns,)
     growth : of the sizes, for a robot that leaves more than others do
+    first : the columns of the first of the effects, which were made before
     """
 
     linear: Linearisation
     effects: tuple[Effect, ...]
     growth: float = 1.0
+    first: Columns | None = None
 
     @cached_property
     def sizes(self) -> Array:
         """Realistic size of every parameter, shape (columns,)."""
-        return self.growth * np.array([size for e in self.effects for size, _ in e.sizes().values()])
+        known = np.zeros(0) if self.first is None else self.first.sizes
+        return np.concatenate([known, [self.growth * size for e in self._own for size, _ in e.sizes().values()]])
 
     @cached_property
     def held(self) -> Array:
         """One sigma of every parameter once it is in a model, in sizes, shape (columns,)."""
-        return np.array([e.held for e in self.effects for _ in e.sizes()])
+        known = np.zeros(0) if self.first is None else self.first.held
+        return np.concatenate([known, [e.held for e in self._own for _ in e.sizes()]])
+
+    @property
+    def _own(self) -> tuple[Effect, ...]:
+        return self.effects if self.first is None else self.effects[len(self.first.effects) :]
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -159,57 +211,67 @@ class Columns:
 
     @cached_property
     def _edges(self) -> Array:
-        return np.cumsum([0, *(len(e.sizes()) for e in self.effects)])
+        known = np.zeros(1, dtype=np.int64) if self.first is None else self.first._edges
+        return np.concatenate([known, known[-1] + np.cumsum([len(e.sizes()) for e in self._own], dtype=np.int64)])
 
     @cached_property
-    def _all(self) -> Array:
-        return self.linear.columns(self.effects) * self.sizes
+    def _parts(self) -> tuple[Part, ...]:
+        return plan(self.linear.model, self.effects)
+
+    @cached_property
+    def _all(self) -> Factors:
+        if self.first is None:
+            return self._made(self.linear)
+        return self.first._all.before(Columns(self.linear, self._own, self.growth)._all)
+
+    def _made(self, linear: Linearisation) -> Factors:
+        return linear.factors(self._parts).scaled(self.sizes)
 
     @property
     def _few(self) -> bool:
-        return 8 * int(np.prod(self.shape)) <= KEPT
+        return 8 * self.shape[0] * self.shape[2] <= KEPT
+
+    def factors(self, poses: Array | slice = EVERY) -> Factors:
+        """All columns at some poses as factors of the seams (see `Linearisation.S`)."""
+        return self._all.at(poses) if self._few else self._made(self.linear.at(poses))
 
     def take(self, columns: Array, poses: Array | slice = EVERY) -> Array:
         """Some of the columns at some poses, shape (poses, 3, len(columns)) [m per unit of size]."""
+        S = self.linear.S[poses]
         if self._few:
-            return np.asarray(self._all[poses][:, :, columns])
-        owners = np.unique(np.searchsorted(self._edges, columns, side="right") - 1)
-        some = replace(self, effects=tuple(self.effects[k] for k in owners))
-        starts = self._edges[owners] - some._edges[:-1]
-        place = np.searchsorted(owners, np.searchsorted(self._edges, columns, side="right") - 1)
-        found = self.linear.at(poses).columns(some.effects)
-        found *= some.sizes
-        places = columns - starts[place]
-        return found if np.array_equal(places, np.arange(found.shape[2])) else np.asarray(found[:, :, places])
+            return self._all.only(columns).at(poses).columns_at(S)
+        some, places = self._owning(columns)
+        return np.asarray(some.factors(poses).columns_at(S)[:, :, places])
+
+    def _owning(self, columns: Array) -> tuple[Columns, Array]:
+        """The columns of those effects that have some columns, and the places of these among them."""
+        owners = np.searchsorted(self._edges, columns, side="right") - 1
+        used = np.unique(owners)
+        some = Columns(self.linear, tuple(self.effects[k] for k in used), self.growth)
+        starts = self._edges[used] - some._edges[:-1]
+        return some, columns - starts[np.searchsorted(used, owners)]
 
     def only(self, columns: Array) -> Columns:
         """Some of the columns, in rising order, all those of an effect or none."""
-        owners = np.unique(np.searchsorted(self._edges, columns, side="right") - 1)
-        some = replace(self, effects=tuple(self.effects[k] for k in owners))
-        assert some.shape[2] == len(columns)
+        used = np.unique(np.searchsorted(self._edges, columns, side="right") - 1)
+        some = Columns(self.linear, tuple(self.effects[k] for k in used), self.growth)
+        some.__dict__["sizes"] = self.sizes[columns]
         if self._few:
-            some.__dict__["_all"] = self._all[:, :, columns]
+            some.__dict__["_all"] = self._all.only(columns)
         return some
-
-    def block(self, poses: slice) -> Array:
-        """All columns at some poses, shape (poses, 3, columns) [m per unit of size]."""
-        return np.asarray(self._all[poses] if self._few else self.linear.at(poses).columns(self.effects) * self.sizes)
 
     def at(self, poses: Array) -> Columns:
         """The same columns at some of the poses."""
-        some = replace(self, linear=self.linear.at(poses))
+        some = Columns(self.linear.at(poses), self.effects, self.growth)
         if self._few:
-            some.__dict__["_all"] = self._all[poses]
+            some.__dict__["_all"] = self._all.at(poses)
         return some
 
     def after(self, column: int) -> Columns:
         """The columns from this one on, with which an effect's columns begin."""
-        return replace(self, effects=self.effects[int(np.searchsorted(self._edges, column)) :])
+        return Columns(self.linear, self.effects[int(np.searchsorted(self._edges, column)) :], self.growth)
 
     def plus(self, effects: tuple[Effect, ...], conditions: Mapping[str, Array]) -> Columns:
         """With further effects behind the others; conditions : all logged and derived columns of these poses."""
         linear = replace(self.linear, conditions=dict(conditions))
-        more = replace(self, linear=linear, effects=(*self.effects, *effects))
-        if more._few:
-            more.__dict__["_all"] = np.concatenate([self._all, Columns(linear, effects, self.growth)._all], axis=2)
-        return more
+        return Columns(linear, (*self.effects, *effects), self.growth, self)

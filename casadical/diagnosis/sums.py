@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.linearisation import EVERY, Columns
+from casadical.diagnosis.linearisation import EVERY, Columns, Factors, as_slice
 
 # Columns that are in memory at a time, in bytes; at least so many poses.
 BYTES, LEAST_POSES = 32_000_000, 64
@@ -30,6 +30,33 @@ def taken(E: Array | Columns, columns: Array, poses: Array | slice = EVERY) -> A
 def _only(E: Array | Columns, columns: Array) -> Array | Columns:
     """Some columns in rising order, all those of an effect or none, made when asked for."""
     return E[:, :, columns] if isinstance(E, np.ndarray) else E.only(columns)
+
+
+def _factors(E: Array | Columns, poses: slice) -> tuple[Factors, Array]:
+    """Columns at some poses as factors of seams, and the derivative by the seams' variables, shape (n, 3, seams).
+
+    Of columns that are given as an array the three coordinates are the seams.
+    """
+    if not isinstance(E, np.ndarray):
+        return E.factors(poses), E.linear.S[poses]
+    every = np.arange(E.shape[2])
+    blocks = tuple((i, every, E[poses, i].T) for i in range(3))
+    return Factors(blocks, len(every)), np.broadcast_to(np.eye(3), (len(E[poses]), 3, 3))
+
+
+def _add_products(total: Array, F: Factors, G: Factors, U: Array, weight: Array) -> None:
+    """Add products of columns F with columns G at some poses, at some rhos, to an array of shape (F, rhos, G).
+
+    U : derivative by the seams' variables in the axes of repeatability, shape (n, 3, seams); weight : of these axes,
+    shape (rhos, n, 3)
+    """
+    for s, columns, values in F.blocks:
+        # What the seam's variable does, times each column of G.
+        across = np.zeros((len(weight), G.width, len(U)))
+        shares = np.einsum("kni,ni,nit->tkn", weight, U[:, :, s], U[:, :, [t for t, _, _ in G.blocks]], optimize=True)
+        for share, (_, own, factors) in zip(shares, G.blocks, strict=True):
+            across[:, as_slice(own)] += share[:, None] * factors
+        total[as_slice(columns)] += (values @ across.reshape(-1, len(U)).T).reshape(len(values), *total.shape[1:])
 
 
 class Sums:
@@ -62,10 +89,31 @@ class Sums:
         return self._by_base(self.E)
 
     def _by_base(self, E: Array | Columns) -> Array:
-        total = np.zeros((E.shape[2], self.base.shape[0] * self.base.shape[1]))
-        for some, rows in self._blocks(E):
-            total += some.T @ np.concatenate([*(self._weight[:, rows, None] * self._base[rows])], axis=1)
-        return total.reshape(E.shape[2], *self.base.shape[:2])
+        rhos, numbers = self.base.shape[:2]
+        total = np.zeros((E.shape[2], rhos * numbers))
+        for poses in self._parts(E):
+            F, U = self._at_seams(E, poses)
+            base = self._base.reshape(-1, 3, numbers)[poses]
+            for s, columns, values in F.blocks:
+                # What the seam's variable does, times the base's columns, at each rho.
+                across = np.einsum("kni,ni,nip->nkp", self._axes[:, poses], U[:, :, s], base, optimize=True)
+                total[as_slice(columns)] += values @ across.reshape(len(U), -1)
+        return total.reshape(-1, rhos, numbers)
+
+    @property
+    def _axes(self) -> Array:
+        """Weights of the three axes of each pose, shape (rhos, n, 3)."""
+        return self._weight.reshape(len(self._weight), -1, 3)
+
+    def _parts(self, E: Array | Columns) -> Iterator[slice]:
+        """The poses in parts whose columns take little memory."""
+        n, step = len(self._turn), max(LEAST_POSES, BYTES // (8 * max(E.shape[2], 1)))
+        return (slice(first, min(first + step, n)) for first in range(0, n, step))
+
+    def _at_seams(self, E: Array | Columns, poses: slice) -> tuple[Factors, Array]:
+        """Columns at some poses as factors, and the seams in the axes of repeatability, shape (n, 3, seams)."""
+        F, S = _factors(E, poses)
+        return F, np.asarray(self._turn[poses].transpose(0, 2, 1) @ S)
 
     def extend(self, known: Sums) -> None:
         """Take over sums of the same poses and the first of the columns."""
@@ -101,12 +149,9 @@ class Sums:
 
     def _blocks(self, E: Array | Columns) -> Iterator[tuple[Array, slice]]:
         """All columns of some poses, turned, and the rows where they stand."""
-        n = len(self._turn)
-        step = max(LEAST_POSES, BYTES // (24 * max(E.shape[2], 1)))
-        for first in range(0, n, step):
-            poses = slice(first, min(first + step, n))
-            some = E[poses] if isinstance(E, np.ndarray) else E.block(poses)
-            yield self._turned(some, poses), slice(3 * poses.start, 3 * poses.stop)
+        for poses in self._parts(E):
+            F, U = self._at_seams(E, poses)
+            yield F.columns_at(U).reshape(-1, E.shape[2]), slice(3 * poses.start, 3 * poses.stop)
 
     def add_own(self, groups: Iterable[Array]) -> None:
         """Add up the products of each narrow group's columns among themselves, all in one go."""
@@ -138,19 +183,26 @@ class Sums:
         """Products of a wide group's columns among themselves at one rho, shape (width, width)."""
         key = group.tobytes(), k
         if key not in self._wide:
-            total = np.zeros((len(group), len(group)))
-            for E, rows in self._blocks(_only(self.E, group)):
-                E *= np.sqrt(self._weight[k, rows])[:, None]
-                total += E.T @ E
-            self._wide[key] = total
+            total, E = np.zeros((len(group), 1, len(group))), _only(self.E, group)
+            for poses in self._parts(E):
+                F, U = self._at_seams(E, poses)
+                _add_products(total, F, F, U, self._axes[[k], poses])
+            self._wide[key] = total[:, 0]
         return self._wide[key]
+
+    def widest(self, columns: Array) -> Array:
+        """The widest group among some columns whose own products are known; none where there is none."""
+        groups = [np.frombuffer(key, dtype=np.int64) for key, _ in self._wide]
+        return max((g for g in groups if np.isin(g, columns).all()), key=len, default=columns[:0])
 
     def crossed(self, columns: Array, ks: Sequence[int], wanted: Array) -> dict[int, Array]:
         """Products of wanted columns with some others at some rhos, shape (wanted, columns) each; kept by runs.
 
         wanted : in rising order, all columns of an effect or none
         """
-        runs = np.split(columns, np.flatnonzero(np.diff(columns) != 1) + 1)
+        firsts, lasts = ([key[k] for key in self._cross] for k in (0, 1))
+        apart = (np.diff(columns) != 1) | np.isin(columns[1:], firsts) | np.isin(columns[:-1], lasts)
+        runs = np.split(columns, np.flatnonzero(apart) + 1)
         found: dict[int, list[Array]] = {k: [] for k in ks}
         for run in runs:
             keys = {k: (int(run[0]), int(run[-1]), k) for k in ks}
@@ -168,14 +220,14 @@ class Sums:
 
     def _add_crossed(self, run: Array, new: Array, to: dict[int, Kept]) -> None:
         """Add up products of new columns with a run, at some rhos, in one go."""
-        totals = {k: np.zeros((len(new), len(run))) for k in to}
-        for some, rows in self._blocks(_only(self.E, new)):
-            at = slice(rows.start // 3, rows.stop // 3)
-            other = self._turned(taken(self.E, run, at), at)
-            for k, total in totals.items():
-                total += some.T @ (self._weight[k, rows, None] * other)
-        for k, total in totals.items():
-            to[k].add(new, total)
+        E, R = _only(self.E, new), _only(self.E, run)
+        total = np.zeros((E.shape[2], len(to), len(run)))
+        for poses in self._parts(E):
+            F, U = self._at_seams(E, poses)
+            G, _ = _factors(R, poses)
+            _add_products(total, F, G, U, self._axes[[*to], poses])
+        for i, kept in enumerate(to.values()):
+            kept.add(new, total[:, i])
 
 
 class Kept:

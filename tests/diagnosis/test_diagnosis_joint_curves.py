@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 from casadical import InputError
 from casadical.blind_check.numpy_physics import disturbances
 from casadical.core.casadi_arrays import ArrayFunction
-from casadical.diagnosis import evidence
+from casadical.diagnosis import evidence, gains
 from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.evidence import KAPPAS, RHOS, SIGMAS, Evidence
@@ -96,7 +96,7 @@ def test_a_wide_group_is_the_normal_density(monkeypatch: pytest.MonkeyPatch, n: 
     monkeypatch.setattr(evidence, "WIDE", 20)
     monkeypatch.setattr(evidence, "REACH", np.inf)
     monkeypatch.setattr(evidence, "HOPELESS", np.inf)
-    monkeypatch.setattr(evidence, "NEGLIGIBLE", np.inf)
+    monkeypatch.setattr(gains, "NEGLIGIBLE", np.inf)
     e, also, group = wide_problem(n), np.array(chosen, dtype=np.int64), np.arange(35)
     grid, base = e.log_grids([group], also)[0], e.log_base(also)
     J, E = e.J.reshape(3 * n, -1), e.E.reshape(3 * n, -1)

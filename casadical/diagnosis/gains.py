@@ -1,0 +1,53 @@
+"""What groups of columns gain in log likelihood, over grids of the noise's sigma and of their size kappa."""
+
+import numpy as np
+
+from casadical.core.arrays import Array
+
+# A sigma counts where the log likelihood may come within so much of a group's greatest one.
+NEGLIGIBLE = 40.0
+# Factors of a determinant that are multiplied before a logarithm is taken.
+AT_ONCE = 8
+
+
+def log_gain(sigmas: Array, kappas: Array, log_base: Array, value: Array, turned: Array) -> Array:
+    """Log likelihood with groups of columns, shape (groups, sigmas, kappas), from that without, shape (sigmas,).
+
+    sigmas : of the noise [m]; kappas : sizes of the cause in units of its usual one, rising
+    value, turned : eigenvalues of their visible products, and products with what is left, shapes (groups, width)
+    Only at sigmas where it counts; it is minus infinity at the others (see `NEGLIGIBLE`).
+    """
+    value, square = np.maximum(value, 0), turned**2
+    # An upper bound: the gain at the greatest kappa, without what its width costs.
+    bound = log_base + 0.5 * _explained((sigmas / kappas[-1]) ** 2, value, square) / sigmas**2
+    best = bound.argmax(axis=1)
+    unit = (sigmas[best, None] / kappas) ** 2
+    least = log_base[best] + _gain(unit, sigmas[best, None], value, square).max(axis=1)
+    likely = np.flatnonzero((bound > least[:, None] - NEGLIGIBLE).any(axis=0))
+    out = np.full((len(value), len(sigmas), len(kappas)), -np.inf)
+    unit, own = ((sigmas[likely, None] / kappas) ** 2).ravel(), np.repeat(sigmas[likely], len(kappas))
+    gain = _gain(unit, own, value, square).reshape(len(value), len(likely), len(kappas))
+    out[:, likely] = log_base[likely, None] + gain
+    return out
+
+
+def _explained(unit: Array, value: Array, square: Array) -> Array:
+    """Sum of squares / (unit + value) over a group's directions, shape (groups, units)."""
+    total = np.zeros(np.broadcast_shapes(unit.shape, (len(value), 1)))
+    for v, s in zip(value.T[:, :, None], square.T[:, :, None], strict=True):
+        total += s / (unit + v)
+    return total
+
+
+def _gain(unit: Array, sigma: Array, value: Array, square: Array) -> Array:
+    """What groups gain in log likelihood, shape (groups, units); unit : squared sigma over kappa."""
+    total = np.zeros(np.broadcast_shapes(unit.shape, (len(value), 1)))
+    product, log = np.ones_like(total), np.zeros_like(total)
+    for k, (v, s) in enumerate(zip(value.T[:, :, None], square.T[:, :, None], strict=True), 1):
+        wide = unit + v
+        total += s / wide
+        product *= wide
+        if k % AT_ONCE == 0 or k == value.shape[1]:
+            log += np.log(product)
+            product[:] = 1.0
+    return np.asarray(0.5 * (total / sigma**2 - log + value.shape[1] * np.log(unit)))
