@@ -7,7 +7,8 @@ import typer
 
 from casadical.cli.completion import losses, methods
 from casadical.cli.options import Details, Frozen, Json, Prior, PriorEffects, Problems, Quiet, Report, carried
-from casadical.cli.terminal import WORSE, as_text, as_typed, keep, working, wrapped
+from casadical.cli.progress import working
+from casadical.cli.terminal import WORSE, as_text, as_typed, keep, wrapped
 from casadical.core.blocks import terminal
 from casadical.core.errors import InputError
 

@@ -5,7 +5,8 @@ from typing import Annotated
 import typer
 
 from casadical.cli.options import Details, Json, Problems, Quiet
-from casadical.cli.terminal import BAD_INPUT, keep_json, working, wrapped
+from casadical.cli.progress import CHECK, working
+from casadical.cli.terminal import BAD_INPUT, keep_json, wrapped
 from casadical.core.errors import shown
 
 
@@ -47,14 +48,14 @@ def check(
     found = []
     for folder in problems:
         noise = None if noise_mm is None else 1e-3 * noise_mm
-        with working(quiet, "checking", folder.name):
-            found.append(precheck(folder, noise))
+        with working(quiet, "reading", folder.name, CHECK) as show:
+            found.append(precheck(folder, noise, show=show))
         slips, robot = found[-1].slips, found[-1].nominal
         if repair and slips and robot and slips.explains:
             console.print(write_repair(folder, slips.best, robot), markup=False, highlight=False, soft_wrap=True)
             console.print(f"repaired: {1e3 * slips.before.error:.4g} mm before, {1e3 * slips.best.error:.3g} mm after")
-            with working(quiet, "checking again", folder.name):
-                found[-1] = precheck(folder, noise)
+            with working(quiet, "reading again", folder.name, CHECK) as show:
+                found[-1] = precheck(folder, noise, show=show)
         console.print(report(found[-1]) if details else brief(found[-1]))
         console.print()
     keep_json(json_file, [as_json(f) for f in found], console)

@@ -10,6 +10,7 @@ from rich.console import Console
 
 from casadical.cli.options import (
     Campaigns,
+    Details,
     Effects,
     Frozen,
     Json,
@@ -21,7 +22,8 @@ from casadical.cli.options import (
     carried,
     effects_of,
 )
-from casadical.cli.terminal import as_text, as_typed, keep, keep_json, working, wrapped
+from casadical.cli.progress import DIAGNOSIS, working
+from casadical.cli.terminal import as_text, as_typed, keep, keep_json, wrapped
 
 if TYPE_CHECKING:
     from casadical.robot.robot import Robot
@@ -104,13 +106,18 @@ def diagnose(
             "positions are not needed; nothing is diagnosed.",
         ),
     ] = False,
+    details: Details = False,
     quiet: Quiet = False,
 ) -> None:
     """Explain the error that is left: where it lies, which effect causes it, and how far it shrinks with the effect.
 
+    Prints the verdict, the error before and after, and what must be known of them; with --details all that was found.
+
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
+    from casadical.core.blocks import terminal
     from casadical.core.errors import InputError, shown
+    from casadical.diagnosis.brief import brief
     from casadical.diagnosis.details import analyse
     from casadical.diagnosis.diagnose import Masses
     from casadical.diagnosis.diagnose import diagnose as run
@@ -146,7 +153,7 @@ def diagnose(
     texts: dict[Path, str] = {}
     for path in campaigns:
         m = read_campaign(problem, path, robot)
-        with working(quiet, "diagnosing", path.stem) as show:
+        with working(quiet, "diagnosing", path.stem, DIAGNOSIS) as show:
             masses: Masses = "nuisance" if nuisance_masses else "candidate"
             chosen = effects_of(effects)
             found = run(
@@ -169,7 +176,11 @@ def diagnose(
                 texts |= diagnosis_files(folder, found, more, path.stem, unlisted=unlisted)
         answers.append(as_json(found, path.stem, more))
         answered.append((path, found, more))
-        console.print(titled(f"{path.stem} ({robot.name})", page_of(found, more)), soft_wrap=True)
+        title = f"{path.stem} ({robot.name})"
+        if details:
+            console.print(titled(title, page_of(found, more)), soft_wrap=True)
+        else:
+            console.print(terminal(brief(title, found, more)))
         console.print()
         if file and more.poses is not None:
             if len(more.poses):
@@ -184,6 +195,8 @@ def diagnose(
         with working(quiet, "writing the report"):
             texts[report_file] = diagnosis_report(problem, answered, as_typed())
     keep(texts, console)
+    if not (details or isolability):
+        console.print("where it lies, how sure, what is left: --details, --out DIR or --report FILE.html", style="dim")
 
 
 def _print_isolability(

@@ -9,7 +9,8 @@ import typer
 from rich.console import Console
 
 from casadical.cli.options import Effects, Json, Problem, Quiet, Report, effects_of
-from casadical.cli.terminal import as_text, as_typed, keep, working
+from casadical.cli.progress import DISCOVERY, working
+from casadical.cli.terminal import as_text, as_typed, keep
 
 
 def discover(
@@ -48,7 +49,7 @@ def discover(
     robot = read_campaign_robot(problem)
     m = read_campaign(problem, campaign, robot)
     texts: dict[Path, str] = {}
-    with working(quiet, "diagnosing", campaign.stem) as show:
+    with working(quiet, "diagnosing", campaign.stem, DISCOVERY) as show:
         found = run(robot, m, effects_of(effects), seed=seed, show=show)
         if out:
             show("the robot with its law")

@@ -6,7 +6,8 @@ from typing import Annotated
 import typer
 
 from casadical.cli.options import Effects, Json, LeaveOut, Nominal, Overwrite, Quiet
-from casadical.cli.terminal import plain, refuse_taken, with_json, working
+from casadical.cli.progress import working
+from casadical.cli.terminal import plain, refuse_taken, with_json
 from casadical.core.errors import InputError
 
 _Source = Annotated[

@@ -7,7 +7,8 @@ import typer
 
 from casadical.cli import completion as words
 from casadical.cli.options import Json, Quiet
-from casadical.cli.terminal import keep, working, wrapped
+from casadical.cli.progress import PLAN, working
+from casadical.cli.terminal import keep, wrapped
 from casadical.core.errors import InputError
 
 
@@ -102,10 +103,10 @@ def plan(
     workspace = read_workspace(room, robot) if room else None
     circumstances = Circumstances(_numbers(payloads), every_payload, both_approaches, repeats)
     word = checked(criterion)
-    with working(quiet, "choosing poses"):
+    with working(quiet, "choosing poses", steps=PLAN) as show:
         found = run(
             robot, n, added, criterion=word, workspace=workspace, circumstances=circumstances, measured=before,
-            noise=noise, min_distance=min_distance, order=order, target=target, seed=seed,
+            noise=noise, min_distance=min_distance, order=order, target=target, seed=seed, show=show,
         )  # fmt: skip
     place = out if n is None else out or Path("plan.csv")
     texts = found.files(place) if place else {}

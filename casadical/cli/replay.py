@@ -6,7 +6,8 @@ from typing import Annotated, Any
 import typer
 
 from casadical.cli.options import Campaigns, Effects, Json, Problem, Quiet
-from casadical.cli.terminal import keep, keep_json, plain, working
+from casadical.cli.progress import DIAGNOSIS, working
+from casadical.cli.terminal import keep, keep_json, plain
 
 
 def replay(
@@ -40,7 +41,7 @@ def replay(
     texts: dict[Path, str] = {}
     for path in campaigns:
         m = read_campaign(problem, path, robot)
-        with working(quiet, "diagnosing", path.stem) as show:
+        with working(quiet, "diagnosing", path.stem, DIAGNOSIS) as show:
             found = replay_campaign(robot, m, effects.split(",") if effects else "standard", seed=seed, show=show)
         console.print(f"{path.stem} ({robot.name}), held-out poses replayed in MuJoCo")
         console.print(found.table.to_string(index=False, float_format=lambda v: f"{v:.4f}"))

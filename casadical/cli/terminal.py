@@ -1,20 +1,16 @@
-"""What all commands share on a terminal: exit codes, lines and JSON, progress where a person watches."""
+"""What all commands share on a terminal: exit codes, lines and JSON."""
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from casadical.core.errors import InputError, shown
 from casadical.core.files import json_text, write_together
 
 BAD_INPUT, NO_CONVERGENCE, WORSE, NOT_VALID, OUR_BUG = 2, 3, 4, 5, 70
-
-Show = Callable[[str], None]
 
 
 def as_text(figures: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> str:
@@ -66,17 +62,3 @@ def refuse_taken(out: Path, overwrite: bool) -> None:
 def as_typed() -> list[str]:
     """The command line, for provenance."""
     return ["casadical", *sys.argv[1:]]
-
-
-@contextmanager
-def working(quiet: bool, step: str, name: str = "") -> Iterator[Show]:
-    """Live progress of one piece of work; silent but on a terminal, and never on standard output.
-
-    step : what is done first; name : of what. The function that it gives takes the next step's name.
-    """
-    console = Console(stderr=True)
-    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
-    head = f"{name}: " if name else ""
-    with Progress(*columns, console=console, transient=True, disable=quiet or not console.file.isatty()) as bar:
-        task = bar.add_task(head + step, total=None)
-        yield lambda text: bar.update(task, description=head + text)

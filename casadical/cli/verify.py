@@ -7,7 +7,8 @@ import typer
 from rich.console import Console
 
 from casadical.cli.options import Json, Quiet
-from casadical.cli.terminal import NOT_VALID, keep_json, working
+from casadical.cli.progress import working
+from casadical.cli.terminal import NOT_VALID, keep_json
 from casadical.core.blocks import terminal
 
 

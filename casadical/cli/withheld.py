@@ -9,7 +9,8 @@ import typer
 
 from casadical.cli.options import Json, Quiet
 from casadical.cli.outputs import guarded
-from casadical.cli.terminal import Show, keep_json, print_written, with_json, working, wrapped
+from casadical.cli.progress import Show, working
+from casadical.cli.terminal import keep_json, print_written, with_json, wrapped
 from casadical.core.errors import InputError
 
 if TYPE_CHECKING:

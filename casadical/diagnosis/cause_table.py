@@ -15,7 +15,8 @@ class CauseRow:
     """One cause in words.
 
     shown : what the data show; named : its label, and what it may be mechanically
-    gap : without it and with it alone, "0.127 -> 0.071"; shrinks : by what share, a 95 % interval
+    gap : without it and with it alone, "0.127 -> 0.071"; shrinks : by what share, a 95 % interval; of outliers the
+    mean error with them, for leaving rows out is no cure
     parameters : (name, value, standard error, unit); no standard error of what was chosen
     """
 
@@ -44,8 +45,8 @@ def cause_rows(d: Diagnosis) -> list[CauseRow]:
                 c,
                 shown,
                 f"{c.label}; may be {mechanical}" if mechanical else c.label,
-                " -> ".join(map(mm, _gap_if_added(d, c))),
-                f"{low:.0f} to {high:.0f} %",
+                " -> ".join(map(mm, _gap_if_added(d, c))) if c.effects else f"{mm(d.gap.before)} with them",
+                f"{low:.0f} to {high:.0f} %" if c.effects else "left out",
                 tuple(parameters),
             )
         )
@@ -53,12 +54,9 @@ def cause_rows(d: Diagnosis) -> list[CauseRow]:
 
 
 def _gap_if_added(d: Diagnosis, c: Cause) -> tuple[float, float]:
-    """The gap without and with one cause [m]: outliers beside all poses, an effect beside those that are kept."""
-    if c.effect == "outliers":
-        return d.gap.before, d.gap.before * (1 - c.shrink)
-    before = 1e-3 * float(d.course.iloc[0]["gap_mm"])
+    """The gap without and with one cause [m]."""
     alone = sum(bool(k.effects) for k in d.causes) == 1
-    return before, d.gap.after if alone else before * (1 - c.shrink)
+    return d.gap.kept, d.gap.after if alone else d.gap.kept * (1 - c.shrink)
 
 
 def _signature(c: Cause) -> tuple[str, str]:

@@ -34,7 +34,7 @@ def conclude(
     left, distance = remainders(case.whole, columns, noise, case.kept)
     causes = [_cause(state, step, before, seed) for step in state.steps]
     before_all, outliers = _outliers_as_cause(case, before, left, distance, seed)
-    gap = Gap(float(before_all.mean()), float(after.mean()), floor)
+    gap = Gap(float(before_all.mean()), float(after.mean()), floor, float(before.mean()))
     causes = sorted([*causes, *outliers], key=lambda c: -c.shrink)
     shrinks = course(case, _stages(state, noise), partitions(int(case.kept.sum()), seed), noise, seed)
     verdict, rest = _verdict(state, end, gap, bool(causes), shrinks)

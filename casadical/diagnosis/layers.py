@@ -37,7 +37,7 @@ def layers(d: Diagnosis) -> tuple[Layer, ...]:
 def _layers(d: Diagnosis) -> Iterator[Layer]:
     whole = any(c.effect == "outliers" for c in d.causes)
     if whole:
-        yield Layer("as calibrated", 1e3 * d.gap.before)
+        yield Layer("as calibrated, outliers in", 1e3 * d.gap.before)
     for k, row in enumerate(d.course.to_dict("records")):
         first = "outliers left out" if whole else "as calibrated"
         figures = (float(row[name]) for name in ("gap_mm", "low_mm", "high_mm", "blocks_mm", "model_mm"))

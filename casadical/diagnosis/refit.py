@@ -18,18 +18,17 @@ def refit(case: Case, effects: Sequence[Effect], noise: Noise, use: Array | None
     """Base model and effects identified together: the evidence's model without its linearisation.
 
     The data, their noise and the priors are the evidence's: positions of the poses that are no outliers, the sigma
-    that the diagnosis found, base parameters that depart from the robot that was given. It starts from the calibrated
-    base model, for what loads a joint shows nothing while the joint's compliance is zero.
+    that the diagnosis found, base parameters that depart from the robot that was given. It starts from the base model
+    calibrated on all poses, whichever are used: what loads a joint shows nothing while the joint's compliance is zero,
+    and the optimum does not depend on the start.
     effects : with their settings (knee, lag, cycles), which stay; their parameters are free
     use : mask over the kept poses of those to identify from, all by default
     """
     m = refit_measurements(case, effects, noise)
     m = m if use is None else m[use]
-    own = ("kinematic", "compliance", *case.free)
-    base = case.robot if use is None else identify(case.given, m, own, priors=True, prior=case.prior).robot
-    free = (*own, *dict.fromkeys(e.label for e in effects))
+    free = ("kinematic", "compliance", *case.free, *dict.fromkeys(e.label for e in effects))
     priors = _priors(case) | _priors_of_effects(case, effects)
-    return identify(base.with_effect(*effects), m, free, priors=priors, prior=case.prior)
+    return identify(case.robot.with_effect(*effects), m, free, priors=priors, prior=case.prior)
 
 
 def _priors(case: Case) -> dict[str, tuple[float, float]]:

@@ -24,11 +24,17 @@ Verdict = Literal["none", "explained", "ambiguous", "unknown"]
 
 @dataclass(frozen=True)
 class Gap:
-    """Mean position error on poses held out from the fit [m]: base model, with the causes, and the noise floor."""
+    """Mean distance [m] of measured from computed positions on poses held out from the fit.
+
+    kept : of the base model; after : with the causes; floor : what noise alone would leave. All three are means over
+    the poses that are no outliers and over the same partitions into fifths: a page shows these
+    before : of the base model, the outliers counted where they are named as a cause; else the same as kept
+    """
 
     before: float
     after: float
     floor: float
+    kept: float
 
 
 @dataclass(frozen=True)

@@ -91,7 +91,9 @@ def headline(d: Diagnosis) -> str:
         return f"{words}; named: {named}" if named else words
     if has_rest(d):
         return f"explained in part only: {named}; yet {_rest(d)}"
-    return f"explained: {named}; {mm(d.gap.before)} -> {mm(d.gap.after)} mm, noise alone would leave {mm(d.gap.floor)}"
+    if not d.effects():
+        return f"explained: {named}; the other poses: {mm(d.gap.kept)} mm, noise alone would leave {mm(d.gap.floor)}"
+    return f"explained: {named}; {mm(d.gap.kept)} -> {mm(d.gap.after)} mm, noise alone would leave {mm(d.gap.floor)}"
 
 
 def has_rest(d: Diagnosis) -> bool:
@@ -117,9 +119,10 @@ def _gap(d: Diagnosis) -> Iterator[Statement]:
     there = "nothing detected" if d.verdict == "none" else "detected"
     p = d.p_nothing
     chance = "" if p is None else f", p < {p:.1g}" if p < 1e-3 else f", p = {p:.2g}"
+    out = f", {len(d.outliers)} outliers left out" if d.outliers else ""
     yield Statement(
         "GAP",
-        f"{mm(d.gap.before)} mm mean on poses held out; noise floor {mm(d.gap.floor)} ({source}); "
+        f"{mm(d.gap.kept)} mm mean on poses held out{out}; noise floor {mm(d.gap.floor)} ({source}); "
         f"{int(d.case.kept.sum())} poses; {there}, P(nothing) = {d.rankings[0].none:.2g}{chance}",
     )
     if form := d.rankings[-1].noise_form:
@@ -230,13 +233,13 @@ def _layered(d: Diagnosis) -> Iterator[Statement]:
 
 
 def _refitted(check: Check) -> Statement:
-    """What the nonlinear refit says; it is tried on one partition into fifths, the gap is the mean over several."""
+    """What the nonlinear refit says. It is tried on one partition into fifths, so that its own gap is not shown."""
     off = 100 * (check.refit / check.linearised - 1)
     said = "they agree" if check.agree else "they DISAGREE"
     return Statement(
         "AFTER",
-        f"refitted by Ipopt, nonlinear: {mm(check.refit)} mm on the first partition into fifths, {abs(off):.0f} % "
-        f"{'above' if off >= 0 else 'below'} the linearised model there; {said}",
+        f"refitted by Ipopt, nonlinear, each fifth left out once more: {abs(off):.0f} % "
+        f"{'above' if off >= 0 else 'below'} the linearised model; {said}",
         doubtful=not check.agree,
     )
 
@@ -246,9 +249,14 @@ def _networks(networks: tuple[NetworkGap, NetworkGap], steps: bool) -> Iterator[
         refused = f", refused in {net.refused} of 5 trainings" if net.refused else ""
         yield Statement(
             "AFTER",
-            f"6-5-3 network {what if steps else 'on the gap'}: {mm(net.before)} -> {mm(net.used)} mm{refused}"
-            + (f" (used all the same: {mm(net.forced)})" if net.refused else ""),
+            f"6-5-3 network {what if steps else 'on the gap'}: {_change(net.used / net.before)}{refused}"
+            + (f" (used all the same: {_change(net.forced / net.before)})" if net.refused else ""),
         )
+
+
+def _change(ratio: float) -> str:
+    """A held-out error beside that of the same model without the network, on the same fifths."""
+    return f"{abs(100 * (ratio - 1)):.0f} % {'more' if ratio > 1 else 'less'}"
 
 
 def _cannot(d: Diagnosis, more: Details) -> Iterator[Statement]:

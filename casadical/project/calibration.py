@@ -217,25 +217,36 @@ def calibrate(
         problem = replace(problem, methods=base_methods([method]), networks=networks)
     for _, m in problem.parts():  # held-out poses count in the figures, so that they are checked like the others
         check_against(problem.robot, m)
-    results = _identified(problem, show)
+    count = (problem.loss == "auto") + len(problem.methods) + len(problem.networks)
+    results = _identified(problem, show, count)
+    used = used_poses(problem, results)
     trained = None
     if problem.networks:
-        trained = train_networks(problem, results["SKCM"], problem.networks, seed=problem.seed, show=show)
-    used = _used(problem, results)
+
+        def progress(text: str) -> None:
+            part = count - len(problem.networks) + 1 + problem.networks.index(text.split()[0])
+            show(f"part {part} of {count}: {text}")
+
+        skcm, names = results["SKCM"], problem.networks
+        trained = train_networks(problem, skcm, names, seed=problem.seed, show=progress, judged=used)
     accuracies = {k: {name: result.accuracy(m) for name, m in used.items()} for k, result in results.items()}
     return Calibration(problem, results, accuracies, trained)
 
 
-def _identified(problem: Problem, show: Callable[[str], None]) -> dict[str, Identification]:
+def _identified(problem: Problem, show: Callable[[str], None], count: int) -> dict[str, Identification]:
     """By each method. With loss auto, the last method, which models most, says which poses are outliers.
 
+    count : of parts of the work, for lines of progress
     Where none is, the result is the least squares of all poses, as if none had been sought.
     """
     sets, last = problem.sets["identify"], problem.methods[-1]
+    parts = iter(range(1, count + 1))
 
     def by(method: BaseMethod, loss: Loss, among: Sequence[Measurements] = sets, screen: bool = True) -> Identification:
+        part = next(parts)
+
         def progress(iteration: int, cost: float) -> None:
-            show(f"{method} iteration {iteration}, cost {cost:.6g}")
+            show(f"part {part} of {count}: {method} iteration {iteration}, cost {cost:.6g}")
 
         return identify(
             problem.robot, among, method=method, loss=loss, prior=problem.prior, screen=screen, progress=progress
@@ -254,7 +265,7 @@ def _identified(problem: Problem, show: Callable[[str], None]) -> dict[str, Iden
     }
 
 
-def _used(problem: Problem, results: Mapping[str, Identification]) -> dict[str, Measurements]:
+def used_poses(problem: Problem, results: Mapping[str, Identification]) -> dict[str, Measurements]:
     """Every set by name, without the poses that any method left out: all methods are judged on the same poses."""
     out = {place for result in results.values() for place in result.outliers}
     kept = iter(without_poses(problem.sets["identify"], out))

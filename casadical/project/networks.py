@@ -70,12 +70,15 @@ def train_networks(
     *,
     seed: int = 0,
     show: Callable[[str], None] = lambda _text: None,
+    judged: Mapping[str, Measurements] | None = None,
 ) -> Networks:
     """Train the networks of `methods`, by default of all, on what an identification left.
 
     The set train is learnt from, the set choose decides, all others have no part in either. show : called with a line
-    of progress that holds the loss. Raises InputError.
+    of progress that holds the loss. judged : poses whose errors are told, by set; all of the problem's by default.
+    Raises InputError.
     """
+    judged = dict(problem.parts()) if judged is None else judged
     trainers = network_methods()
     methods = tuple(trainers) if methods is None else methods
     material = training_material(problem, result, seed)
@@ -90,7 +93,7 @@ def train_networks(
 
         kind = trainers[method]
         compensator = fit(material, kind.for_method(), kind.output_scale_mm, seed, progress)
-        found[method] = NetworkResult(method, compensator, "", _errors(problem, result.robot, compensator))
+        found[method] = NetworkResult(method, compensator, "", _errors(judged, result.robot, compensator))
     return Networks(found, material.lent or f"Networks: trained on the set train{chosen}; report was kept from both.")
 
 
@@ -161,7 +164,7 @@ def _lend(parts: Sequence[Measurements], seed: int) -> dict[str, tuple[Measureme
     return {name: (m,) for name, m in first.split({"train": train, "choose": choose}, seed).items()}
 
 
-def _errors(problem: Problem, robot: Robot, compensator: Compensator) -> dict[str, Accuracy]:
+def _errors(judged: Mapping[str, Measurements], robot: Robot, compensator: Compensator) -> dict[str, Accuracy]:
     """Error figures of the corrected positions by set; named as the identifications' are."""
-    left = {name: residual_mm(robot, m) - compensator.correction_mm(m.q) for name, m in problem.parts()}
+    left = {name: residual_mm(robot, m) - compensator.correction_mm(m.q) for name, m in judged.items()}
     return {name: summarise(1e-3 * np.linalg.norm(rest, axis=1)) for name, rest in left.items()}

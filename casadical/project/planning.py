@@ -1,6 +1,6 @@
 """A plan of what to measure: the robot calibrated with what was measured, the next poses, their order, the forecast."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -81,12 +81,14 @@ def plan(
     order: bool = True,
     target: float | None = None,
     seed: int = 0,
+    show: Callable[[str], None] = lambda _text: None,
 ) -> MeasurementPlan:
     """Poses in order and the forecast beyond them.
 
     n : how many; None: the stopping rule alone, the accuracy to expect of up to 100 poses more
     effects : to identify, besides the accuracy over the task; measured : poses measured already; order : for
-    little travel; target : accuracy that is wanted [m]; other arguments as of `select_poses`. Raises InputError.
+    little travel; target : accuracy that is wanted [m]; other arguments as of `select_poses`
+    show : called with a line of progress. Raises InputError.
     """
     known = {e.label for e in robot.effects}
     if effects:
@@ -94,17 +96,20 @@ def plan(
     # Other effects that the robot has are held at their values.
     free = ("kinematic", "compliance", *dict.fromkeys(e.label for e in effects))
     if measured is not None:
+        show("calibrating with the poses measured so far")
         robot, measured, noise = continued(robot, measured, noise, free)
     circumstances = _mounted(circumstances, effects, measured)
     total = 0 if measured is None else len(measured)
     found = None
     if n is not None:
+        show("choosing poses")
         found = select_poses(
             robot, workspace, n, criterion, circumstances=circumstances, measured=measured,
             interest=tuple(e.label for e in effects), noise=noise, free=free, min_distance=min_distance, seed=seed,
         )  # fmt: skip
         total += len(found)
     most = total + (100 if n is None else max(20, total // 2))
+    show("accuracy of further poses")
     ahead = forecast(
         robot, most, workspace=workspace, circumstances=circumstances, measured=measured, noise=noise,
         free=free, seed=seed,

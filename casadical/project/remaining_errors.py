@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,9 +11,10 @@ from casadical.core.arrays import Array
 from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.localisation import Localisation, localise_residual
 from casadical.identification.accuracy import errors, residual_mm
+from casadical.identification.identification import LeftOut
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
-from casadical.project.calibration import Calibration
+from casadical.project.calibration import Calibration, used_poses
 from casadical.robot.robot import Robot
 
 BEFORE = "before"
@@ -47,10 +48,11 @@ class ModelErrors:
 
 @dataclass(frozen=True, eq=False)
 class PoseErrors:
-    """What every model leaves at the poses of one set.
+    """What every model leaves at the poses of one set, outliers left out.
 
     name : of the set; held_out : whether no model saw it; row : line of the source file, shape (n,)
     q : shape (n, joints) [rad or m]; position : measured, shape (n, 3) [m], or None; models : in order of reading
+    source : the file; left_out : its poses that are in no figure of the set
     """
 
     name: str
@@ -59,6 +61,8 @@ class PoseErrors:
     q: Array
     position: Array | None
     models: tuple[ModelErrors, ...]
+    source: str = ""
+    left_out: tuple[LeftOut, ...] = ()
 
     def __len__(self) -> int:
         return len(self.row)
@@ -75,23 +79,27 @@ class PoseErrors:
             return self
         k = np.linspace(0, len(self) - 1, most).round().astype(int)
         models = tuple(
-            ModelErrors(x.model, x.length[k], None if x.vector is None else x.vector[k], x.note, x.shown)
-            for x in self.models
+            replace(x, length=x.length[k], vector=None if x.vector is None else x.vector[k]) for x in self.models
         )
         position = None if self.position is None else self.position[k]
-        return PoseErrors(self.name, self.held_out, self.row[k], self.q[k], position, models)
+        return replace(self, row=self.row[k], q=self.q[k], position=position, models=models)
 
 
 def pose_errors(calibration: Calibration) -> dict[str, PoseErrors]:
     """For every set of a problem, report first: what placement, each method and each network leave at its poses.
 
-    Networks that were refused are there as they were trained, and say so.
+    Of the same poses as `Calibration.accuracies`. Refused networks are there as they were trained, and say so.
     """
     order = list(SETS)
     found = {}
-    for name, m in sorted(calibration.problem.parts(), key=lambda part: order.index(part[0].split("/")[0])):
+    whole, used = dict(calibration.problem.parts()), used_poses(calibration.problem, calibration.identifications)
+    for name in sorted(used, key=lambda name: order.index(name.split("/")[0])):
+        m, every = used[name], whole[name]
+        out = ~np.isin(every.row, m.row)
+        rows = zip(every.row[out], errors(calibration.robot, every)[out], strict=True)
+        left_out = tuple(LeftOut(every.source, int(row), float(e)) for row, e in rows)
         models = tuple(_models(m, calibration))
-        found[name] = PoseErrors(name, name.startswith("report"), m.row, m.q, m.position, models)
+        found[name] = PoseErrors(name, name.startswith("report"), m.row, m.q, m.position, models, m.source, left_out)
     return found
 
 
@@ -104,7 +112,7 @@ def where_left(calibration: Calibration) -> Localisation | None:
 
 
 def _models(m: Measurements, calibration: Calibration) -> Iterator[ModelErrors]:
-    yield _errors_of(BEFORE, calibration.identification.placed, m, shown=False)
+    yield _errors_of(BEFORE, calibration.identification.placed, m)
     for method, result in calibration.identifications.items():
         yield _errors_of(method, result.robot, m)
     paper = calibration.problem.paper
@@ -118,6 +126,6 @@ def _models(m: Measurements, calibration: Calibration) -> Iterator[ModelErrors]:
             yield ModelErrors(trained.method, length, rest, note, trained.helps or trained.method in published)
 
 
-def _errors_of(model: str, robot: Robot, m: Measurements, shown: bool = True) -> ModelErrors:
+def _errors_of(model: str, robot: Robot, m: Measurements) -> ModelErrors:
     vector = None if m.position is None else 1e-3 * residual_mm(robot, m)
-    return ModelErrors(model, errors(robot, m), vector, shown=shown)
+    return ModelErrors(model, errors(robot, m), vector)

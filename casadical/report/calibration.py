@@ -11,6 +11,7 @@ from casadical.project.outcome import left_out_table
 from casadical.project.problem import Problem
 from casadical.project.tables import error_tables, judged_on, network_tables, paper_tables, verdict
 from casadical.report.figures_of_calibration import calibration_figures
+from casadical.report.fit_figures import fit_drawings
 from casadical.report.page import Block, Drawing, Part, Section, Tile, report_html
 from casadical.report.provenance import problem_files, provenance_of
 from casadical.report.share_figures import where_drawings
@@ -45,6 +46,7 @@ def calibration_part(calibration: Calibration) -> Part:
         Section("Where the gap lies", [*_where_blocks(figures, last)]),
         Section("Which causes", [*_cause_blocks(problem)]),
         Section("Parameters", [*_parameter_blocks(figures, last)]),
+        Section("Can the fit be trusted", [*fit_drawings(figures)]),
         Section("Training of the networks", [*_network_blocks(figures, networks)]),
         Section("What to measure next", [*_next_blocks(problem, last)]),
     ]
@@ -80,12 +82,14 @@ def _verdict(calibration: Calibration) -> Iterator[Block]:
 
 def _pose_blocks(figures: Mapping[str, Figure], networks: Networks | None) -> Iterator[Block]:
     captions = {
-        "report": "Held-out poses: no model saw them (Fig. 7 of the paper).",
-        "identify": "Poses that identified the parameters; errors here are smaller than on new poses (Fig. 6).",
+        "report": "No model saw these poses.",
+        "identify": "Poses that identified the parameters; errors here are smaller than on new poses.",
         "train": "Poses that the networks learnt from.",
         "choose": "Poses by which the networks were kept or refused.",
     }
     more = "Before: with base and tool fitted. Click a name in the legend to show or hide it."
+    if any("left out" in str(trace.name) for figure in figures.values() for trace in figure.data):
+        more += " Crosses: poses left out as outliers; no figure of this report counts them."
     if networks and any(r.compensator and not r.helps for r in networks.results.values()):
         more += " Refused networks are drawn as they were trained; they are not in use."
     for name, figure in figures.items():

@@ -67,7 +67,9 @@ def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] | None = None) -> Fi
     words = ("network instead", "network on the rest") if d.effects() else ("network",)
     for name, net in zip(words, networks or (), strict=False):
         note = ", refused" if net.refused else ""
-        rows.append((name + note, 1e3 * net.used, 1e3 * net.used, 1e3 * net.used, ORANGE))
+        # Tried on one partition: drawn by its ratio there, beside the gap of all partitions.
+        alone = 1e3 * (d.gap.after if name.endswith("rest") else d.gap.kept) * net.used / net.before
+        rows.append((name + note, alone, alone, alone, ORANGE))
     floor = 1e3 * d.gap.floor
     rows.append(("noise alone", floor, floor, floor, GREEN))
     names, values, low, high, colours = zip(*rows, strict=True)
@@ -105,10 +107,11 @@ def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] | None = None) -> Fi
 
 def shrinks(d: Diagnosis) -> Figure:
     """By how much the held-out gap shrinks with each cause alone [%], with 95 % intervals."""
-    share = [100 * c.shrink for c in d.causes]
-    low, high = ([100 * c.shrink_interval[k] for c in d.causes] for k in (0, 1))
-    notes = [f"probability {c.confidence:.3f}" for c in d.causes]
-    labels = [c.label for c in d.causes]
+    causes = [c for c in d.causes if c.effects]
+    share = [100 * c.shrink for c in causes]
+    low, high = ([100 * c.shrink_interval[k] for c in causes] for k in (0, 1))
+    notes = [f"probability {c.confidence:.3f}" for c in causes]
+    labels = [c.label for c in causes]
     title, x = "Gap shrinks by, each cause alone", "share of the held-out gap [%]"
     figure = intervals(title, x, labels, share, low, high, notes, "%{x:.0f} %")
     return figure.update_xaxes(range=[min(0.0, *low), 100])

@@ -16,8 +16,8 @@ from casadical.diagnosis.spectrum_report import curve_rows
 from casadical.diagnosis.statements import has_rest, left_over, statements
 from casadical.diagnosis.thresholds import PARTITIONS
 from casadical.identification.tables import correlated, held_table, parameter_tables
-from casadical.project.remaining_errors import BEFORE
 from casadical.report.figures_of_diagnosis import diagnosis_figures, held_out_poses
+from casadical.report.fit_figures import fit_drawings
 from casadical.report.page import Block, Drawing, Part, Section, Tile, report_html
 from casadical.report.provenance import campaign_files, provenance_of
 from casadical.report.replay_blocks import replay_blocks
@@ -66,6 +66,7 @@ def diagnosis_part(d: Diagnosis, name: str, more: Details | None = None) -> Part
         Section("What these poses cannot tell", [*_said(said, "CANNOT", "MISSING")]),
         Section("Replayed in a simulator", [*replay_blocks(d)]),
         Section("Parameters of the base model", [*_parameter_blocks(d, figures)]),
+        Section("Can the fit be trusted", [*fit_drawings(figures)]),
         Section("What to measure next", [*_next_blocks(said, more)]),
     ]
     return Part(f"Diagnosis of {name}", d.identification.given.name, sections, [*_tiles(d)])
@@ -74,7 +75,8 @@ def diagnosis_part(d: Diagnosis, name: str, more: Details | None = None) -> Part
 # Where a long name may be broken.
 BREAK = "\u200b"
 _GAP = (
-    f"Mean over poses that the fit did not see (in fifths, {PARTITIONS} partitions), with a 95 % interval over poses. "
+    "The gap, here and everywhere in this report: mean distance of measured from computed positions over poses that "
+    f"the fit did not see (in fifths, {PARTITIONS} partitions), outliers left out, with a 95 % interval over poses. "
     "Noise alone: what a perfect model would leave, simulated through the same fit."
 )
 _EACH = "Every pose is judged by a fit to others; outliers are left out. Click a name in the legend to show or hide it."
@@ -108,12 +110,12 @@ def _said(said: Sequence[Statement], *about: str) -> Iterator[Words]:
 
 
 def _tiles(d: Diagnosis) -> Iterator[Tile]:
-    yield Tile("Gap, held out", mm(d.gap.before), "mm", f"mean of {int(d.case.kept.sum())} poses")
-    if d.causes:
-        yield Tile("With the causes", mm(d.gap.after), "mm", f"{100 * (1 - d.gap.after / d.gap.before):.0f} % less")
+    yield Tile("Gap, held out", mm(d.gap.kept), "mm", f"mean of {int(d.case.kept.sum())} poses")
+    if d.effects():
+        yield Tile("With the causes", mm(d.gap.after), "mm", f"{100 * (1 - d.gap.after / d.gap.kept):.0f} % less")
     yield Tile("Noise alone", mm(d.gap.floor), "mm", f"instrument {mm(d.noise.sigma)} mm a coordinate")
-    if d.causes:
-        first = d.causes[0]
+    if d.effects():
+        first = next(c for c in d.causes if c.effects)
         yield Tile("Leading cause", first.label.replace("_", f"_{BREAK}"), "", f"probability {first.confidence:.3f}")
     if has_rest(d):
         before, after, share = left_over(d)
@@ -134,8 +136,7 @@ def _error_table(d: Diagnosis) -> Table:
     for left in held_out_poses(d).models:
         e = left.length
         figures = (e.mean(), e.max(), e.std(ddof=1), np.sqrt((e**2).mean()), np.quantile(e, 0.95))
-        words = "base model" if left.model == BEFORE else "with the causes"
-        rows.append((words, str(len(e)), *(mm(float(v)) for v in figures)))
+        rows.append((left.model, str(len(e)), *(mm(float(v)) for v in figures)))
     columns = ("held-out poses, outliers left out", "n", "mean", "max", "std", "rms", "95 %")
     strong = frozenset({len(rows) - 1})
     return Table("Errors in mm", columns, rows, frozenset(range(1, 7)), strong)

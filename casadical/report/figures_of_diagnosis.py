@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadical.diagnosis.cross_validation import fitted_without, partitioned_errors
-from casadical.project.remaining_errors import BEFORE, ModelErrors, PoseErrors
+from casadical.identification.identification import LeftOut
+from casadical.project.remaining_errors import ModelErrors, PoseErrors
 from casadical.report.cause_figures import gap_course, posteriors, shrinks
 from casadical.report.curve_figures import curve_figures
-from casadical.report.error_figures import before_after
+from casadical.report.error_figures import errors_by_pose
+from casadical.report.fit_figures import fit_figures
 from casadical.report.parameter_figures import parameter_figures
 from casadical.report.share_figures import where_figure
 from casadical.report.style import Figure
@@ -20,20 +22,20 @@ if TYPE_CHECKING:
     from casadical.diagnosis.details import Details
     from casadical.diagnosis.result import Diagnosis
 
-WITH = "with causes"
+BASE, WITH = "base model", "with causes"
 
 
 def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> dict[str, Figure]:
     """Every figure of a diagnosis' report, by name.
 
     gap; errors (held out, pose by pose); workspace; causes/STEP; shrink (where a cause was found); parameters/lengths,
-    /angles, /compliance; of `analyse` where/TABLE as `Localisation` names them, curves/angles and /lines, and networks
-    beside the gap. Raises InputError without plotly.
+    /angles, /compliance; fit/residuals, /coverage, /pairs; of `analyse` where/TABLE as `Localisation` names them,
+    curves/angles and /lines, and networks beside the gap. Raises InputError without plotly.
     """
     poses = held_out_poses(d)
     found = {
         "gap": gap_course(d, more.networks if more else None),
-        "errors": before_after(poses, d.gap.floor),
+        "errors": errors_by_pose(poses, d.gap.floor),
         "workspace": workspace(fitted_poses(d), d.identification.robot),
     }
     if more and more.where:
@@ -41,15 +43,20 @@ def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> dict[str, Fi
     if more and more.curves:
         found |= {f"curves/{name}": figure for name, figure in curve_figures(more.curves).items()}
     found |= {f"causes/{k + 1}": posteriors(d, k) for k in range(len(d.rankings))}
-    if d.causes:
+    if d.effects():
         found["shrink"] = shrinks(d)
-    return found | {f"parameters/{k}": f for k, f in parameter_figures(d.identification).items()}
+    found |= {f"parameters/{k}": f for k, f in parameter_figures(d.identification).items()}
+    measured = {"poses of the campaign": (d.case.m[d.case.kept],)}
+    rest = fitted_poses(d).models[-1].vector
+    assert rest is not None
+    fit = fit_figures(d.identification, measured, rest / float(np.sqrt((rest**2).mean())))
+    return found | {f"fit/{k}": f for k, f in fit.items()}
 
 
 def held_out_poses(d: Diagnosis) -> PoseErrors:
     """Held-out error of every pose that is no outlier: base model, and with the causes in it."""
     e, none = d.case.evidence, np.zeros(0, dtype=np.int64)
-    models = [ModelErrors(BEFORE, partitioned_errors(e, none, d.rankings[0].noise[""], d.seed))]
+    models = [ModelErrors(BASE, partitioned_errors(e, none, d.rankings[0].noise[""], d.seed))]
     if d.columns.size:
         models.append(ModelErrors(WITH, partitioned_errors(e, d.columns, d.noise, d.seed)))
     return _poses(d, tuple(models), "Held-out poses")
@@ -59,7 +66,7 @@ def fitted_poses(d: Diagnosis) -> PoseErrors:
     """What a fit to all poses leaves at each, as vectors: base model, and with the causes in it."""
     k = d.case.kept
     base = d.case.evidence.r
-    models = [ModelErrors("base model", np.linalg.norm(base, axis=1), base)]
+    models = [ModelErrors(BASE, np.linalg.norm(base, axis=1), base)]
     if d.columns.size:
         rest = fitted_without(d.case.whole, d.columns, d.noise, ~k)[k]
         models.append(ModelErrors(WITH, np.linalg.norm(rest, axis=1), rest))
@@ -69,4 +76,5 @@ def fitted_poses(d: Diagnosis) -> PoseErrors:
 def _poses(d: Diagnosis, models: tuple[ModelErrors, ...], name: str) -> PoseErrors:
     m, k = d.case.m, d.case.kept
     assert m.position is not None
-    return PoseErrors(name, name.startswith("Held"), m.row[k], m.q[k], m.position[k], models)
+    out = tuple(LeftOut(m.source, o.row, o.distance) for o in d.outliers)
+    return PoseErrors(name, name.startswith("Held"), m.row[k], m.q[k], m.position[k], models, m.source, out)

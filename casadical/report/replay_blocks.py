@@ -61,7 +61,8 @@ def _shown(found: Replay) -> tuple[ReplayedModel, ...]:
 
 _CAPTION = (
     "Nominal: the drawing, with base and tool fitted; calibrated: geometry and joint stiffness. Mean over poses that "
-    "had no part in the values, with a 95 % interval, on a logarithmic axis. Noise alone: as in the figure of the gap."
+    "had no part in the values, with a 95 % interval, on a logarithmic axis: other poses than those of the gap. Noise "
+    "alone: as there."
 )
 
 

@@ -43,6 +43,7 @@ STYLES: dict[str, tuple[str, str, str]] = {
     "KM": (COLOURS["orange"][0], "square", "dash"),
     "SKCM": (COLOURS["blue"][0], "circle", "solid"),
     "with causes": (COLOURS["blue"][0], "circle", "solid"),
+    "base model": (COLOURS["grey"][0], "x-thin-open", "dot"),
 }
 # Of networks, in the order of their trainers; those of many plug-ins share some.
 NETWORK_STYLES = (

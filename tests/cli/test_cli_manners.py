@@ -16,6 +16,7 @@ import pytest
 import typer
 
 from casadical.cli import app
+from casadical.cli.progress import DIAGNOSIS, share
 
 ROOT = Path(__file__).parents[2]
 BIN = Path(sys.executable).parent
@@ -144,7 +145,7 @@ def on_terminal(*arguments: str) -> tuple[str, str]:
 
 def test_progress_is_shown_on_a_terminal_and_nowhere_else() -> None:
     out, shown = on_terminal("calibrate", "problems/planar")
-    assert "planar: KM iteration" in re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown)
+    assert "planar: part 1 of 2: KM iteration" in re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown)
     assert "iteration" not in out
     done = subprocess.run(
         [BIN / "casadical", "calibrate", "problems/planar"], cwd=ROOT, capture_output=True, text=True, check=True
@@ -152,6 +153,20 @@ def test_progress_is_shown_on_a_terminal_and_nowhere_else() -> None:
     assert done.stderr == ""
     assert "iteration" not in done.stdout
     assert on_terminal("calibrate", "problems/planar", "--quiet") == ("", "")
+
+
+def test_the_share_done_grows_with_the_steps_of_a_run() -> None:
+    told = ["calibrating the base model", "signatures of the candidates", "cause 1: evidence of 90 candidates"]
+    told += ["cause 5: evidence of 3 candidates", "refit 1 of 5", "refit 4 of 5", "poses to measure next"]
+    shares = [share(text, DIAGNOSIS) for text in told]
+    assert shares == sorted(shares)
+    assert shares[0] == 0
+    assert max(shares) < 1
+    assert share("30 of 60 (campaign)", {}) == 0.5
+    solves = [share(f"part {k} of 2: SKCM iteration {i}, cost 1", {}) for k in (1, 2) for i in (0, 8, 99)]
+    assert solves == sorted(solves)
+    assert solves[:2] == [0, 0.25]
+    assert share("reading", {}) == 0
 
 
 def test_linear_algebra_has_one_thread_unless_the_environment_says_how_many() -> None:

@@ -8,6 +8,8 @@ import pandas as pd
 import pytest
 from cases import practice, robot
 
+from casadical.core.blocks import plain_text
+from casadical.diagnosis.brief import brief
 from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.diagnosis.held_out_gap import COLUMNS, Check, NetworkGap
@@ -57,7 +59,7 @@ def fixed(true: Diagnosis) -> Diagnosis:
         true,
         verdict="ambiguous",
         causes=causes,
-        gap=Gap(131e-6, 46e-6, 21e-6),
+        gap=Gap(131e-6, 46e-6, 21e-6, 127e-6),
         noise=noise,
         unknown_rest=0.2,
         course=pd.DataFrame(rows, columns=list(COLUMNS)),
@@ -125,6 +127,26 @@ def test_page_is_the_golden_one(fixed: Diagnosis, details: Details) -> None:
     assert page_of(fixed, details) + "\n" == (GOLDEN / "page.txt").read_text(encoding="utf-8")
 
 
+def test_the_short_answer_fits_a_screen_and_has_the_verdict_first(fixed: Diagnosis, details: Details) -> None:
+    lines = plain_text(brief("made-up", fixed, details), 100).splitlines()
+    assert lines[0].strip() == "made-up"
+    assert lines[1].startswith("Ambiguous: something is there that several causes explain equally well")
+    assert len(lines) <= 25
+    text = " ".join(" ".join(lines).split())
+    for words in ("before: calibrated, without causes 0.131", "after: with the causes in the model 0.0460"):
+        assert words in text
+    assert "backlash@2 0.55 38 to 49 %" in text
+    assert "These data cannot tell backlash@2 from nonlinear_stiffness@2" in text
+
+
+def test_the_short_answer_where_nothing_is_found(fixed: Diagnosis, seen: Details) -> None:
+    d = replace(fixed, verdict="none", causes=(), cause_set=None, course=fixed.course[:1], outliers=(), missing={})
+    text = plain_text(brief("made-up", d, seen), 100)
+    assert "None: what is left is noise, no cause can be claimed." in text
+    assert "after" not in text
+    assert "Where" not in text
+
+
 @pytest.mark.parametrize("verdict", ["none", "unknown"])
 def test_verdicts_without_a_cause(fixed: Diagnosis, seen: Details, verdict: str) -> None:
     d = replace(fixed, verdict=verdict, causes=(), cause_set=None, course=fixed.course[:1], outliers=(), missing={})
@@ -140,7 +162,7 @@ def test_an_explained_gap_of_which_much_is_left_says_so_first(fixed: Diagnosis) 
     rest = "yet 0.038 of 0.124 mm rms beyond the noise (31 %) has no named cause"
     assert first() == f"VERDICT explained in part only: {named}; {rest}"
     none = first(unknown_rest=0.01)
-    assert none == f"VERDICT explained: {named}; 0.131 -> 0.046 mm, noise alone would leave 0.021"
+    assert none == f"VERDICT explained: {named}; 0.127 -> 0.046 mm, noise alone would leave 0.021"
 
 
 def test_a_long_signature_is_wrapped_and_whole(fixed: Diagnosis) -> None:

@@ -74,6 +74,15 @@ def test_on_a_phone_no_words_of_a_figure_are_cut_or_lie_on_others(opened, kind) 
     assert overlapping == []
 
 
+def test_on_a_phone_the_tables_of_errors_show_all_their_columns(opened) -> None:
+    cut = opened("calibration", PHONE).js(
+        """[...document.querySelectorAll('#p1s2 .table')].filter(t => t.textContent.includes('95 %'))
+            .map(t => t.querySelector('.scroll')).map(s => [s.scrollWidth, s.clientWidth])"""
+    )
+    assert cut
+    assert all(whole <= seen for whole, seen in cut), cut
+
+
 def hover(page: Opened, name: str) -> str:
     """The tooltip that a real mouse finds over a mark of a plane figure."""
     figure = page.page.locator(FIGURE.format(name))
@@ -89,8 +98,8 @@ def hover(page: Opened, name: str) -> str:
 
 def test_tooltips_tell_the_pose_its_error_and_the_interval(opened) -> None:
     errors = hover(opened("calibration"), "errors/report")
-    assert "pose " in errors
-    assert "SKCM" in errors
+    assert "row " in errors
+    assert "before" in errors
     assert "mm" in errors
     assert "95 %" in hover(opened("calibration"), "parameters/lengths")
     assert "95 %" in hover(opened("calibration"), "where/regions")

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from casadical.core.errors import InputError
+from casadical.identification.identification import LeftOut
 from casadical.project.remaining_errors import ModelErrors, PoseErrors
 from casadical.report import calibration_figures, dark, diagnosis_figures
 from casadical.report import optional_imports as libraries
+from casadical.report.error_figures import error_distribution, errors_by_pose
+from casadical.report.fit_figures import most_correlated, residual_quantiles
 from casadical.report.page import safe_json
 from casadical.report.style import COLOURS, NETWORK_STYLES, STYLES
 from casadical.report.workspace import round_factor, skeleton, workspace
@@ -28,13 +31,13 @@ def trace(figure, name):
 def test_errors_of_each_pose_average_to_the_error_table(hh800, figures) -> None:
     for name in ("report", "identify"):
         for method in ("KM", "SKCM"):
-            y = np.array(trace(figures[f"errors/{name}"], method).y)
+            y = np.array(trace(figures[f"errors/{name}"], method).customdata)
             assert y.mean() == pytest.approx(1e3 * hh800.accuracies[method][name]["calibrated"].mean, abs=1e-5)
     # A refused network is drawn as it was trained: its mean is that of its own report, not that of SKCM.
     refused = [r for r in hh800.networks.results.values() if r.compensator and not r.helps]
     assert refused
     for r in refused:
-        y = np.array(trace(figures["errors/report"], f"{r.method}, refused").y)
+        y = np.array(trace(figures["errors/report"], f"{r.method}, refused").customdata)
         assert y.mean() == pytest.approx(r.compensator.validation.after.mean_mm, abs=1e-5)
 
 
@@ -66,9 +69,9 @@ def test_shares_and_probabilities_sum_to_one(diagnosis, details) -> None:
     assert sum(figures["where/joints"].data[0].x) == pytest.approx(100, abs=1e-3)
     assert sum(figures["causes/1"].data[0].x) == pytest.approx(1, abs=0.02)  # those beyond the first eight are left out
     bars = figures["gap"].data[0].x
-    assert bars[0] == pytest.approx(1e3 * diagnosis.gap.before, rel=0.01)
-    held_out = [np.mean(t.y) for t in figures["errors"].data]
-    assert held_out == pytest.approx([1e3 * diagnosis.gap.before, 1e3 * diagnosis.gap.after], rel=0.01)
+    assert bars[0] == pytest.approx(1e3 * diagnosis.gap.kept)
+    held_out = [np.mean(t.customdata) for t in figures["errors"].data[:2]]
+    assert held_out == pytest.approx([1e3 * diagnosis.gap.kept, 1e3 * diagnosis.gap.after], abs=1e-5)
 
 
 def test_curves_are_drawn_with_their_bands_and_lines(diagnosis, details, curves) -> None:
@@ -109,13 +112,82 @@ def test_many_poses_are_thinned_and_said_to_be() -> None:
     error = rng.normal(size=(n, 3)) * 1e-4
     models = (ModelErrors("SKCM", np.linalg.norm(error, axis=1), error),)
     poses = PoseErrors("report", True, np.arange(n) + 2, np.zeros((n, 6)), rng.uniform(-1, 1, (n, 3)), models)
-    from casadical.report.error_figures import error_distribution, errors_by_pose
-
     figure = errors_by_pose(poses)
     assert len(figure.data[0].y) == 400
     assert "400 of 3000 drawn" in figure.layout.xaxis.title.text
+    assert set(figure.data[0].x) <= set(poses.row)
     assert error_distribution(poses).data[0].x[-1] == pytest.approx(1e3 * models[0].length.max(), abs=1e-5)  # of all
     assert len(workspace(poses).to_json()) < 400_000
+
+
+def made_up(n: int = 60, **changes: object) -> PoseErrors:
+    """Errors of a model ten times as good as the one before, in the rows of a file whose order means nothing."""
+    rng = np.random.default_rng(1)
+    before = np.abs(rng.normal(1e-3, 1e-4, n))
+    models = (ModelErrors("before", before), ModelErrors("SKCM", 0.1 * before))
+    given = {"source": "data/arm.csv", "models": models, **changes}
+    return PoseErrors("report", True, np.arange(n) + 2, np.zeros((n, 6)), None, **given)
+
+
+def test_before_and_after_are_both_seen_as_points_over_the_rows_of_the_file() -> None:
+    figure = errors_by_pose(made_up(), floor=5e-5)
+    assert [t.mode for t in figure.data] == ["markers", "markers", "lines"]
+    assert all(t.visible in (True, None) for t in figure.data)
+    assert figure.layout.yaxis.type == "log"
+    assert figure.layout.xaxis.title.text == "row of arm.csv"
+    assert list(figure.data[0].x) == list(range(2, 62))
+    low, top = (10.0**v for v in figure.layout.yaxis.range)
+    assert low < 0.05  # the floor
+    assert top > max(figure.data[0].y)
+
+
+def test_far_poses_neither_set_the_scale_nor_vanish() -> None:
+    after = np.full(60, 1e-4)
+    after[[7, 30]] = 9e-3
+    out = (LeftOut("data/arm.csv", 99, 0.2),)
+    figure = errors_by_pose(made_up(models=(ModelErrors("SKCM", after),), left_out=out))
+    top = figure.layout.yaxis.range[1]
+    assert top < 1.0
+    points, crosses = figure.data
+    assert [k for k, s in enumerate(points.marker.symbol) if s.startswith("triangle")] == [7, 30]
+    assert points.customdata[7] == pytest.approx(9.0)
+    assert max(points.y) <= top
+    assert "rows 9, 32" in figure.layout.annotations[0].text
+    assert (crosses.name, list(crosses.x), crosses.customdata[0]) == ("left out as outlier", [99], pytest.approx(200))
+    assert crosses.y[0] <= top
+    assert figure.layout.xaxis.range[1] > 99
+
+
+def test_quantiles_of_normal_noise_lie_in_their_band_and_a_wrong_row_does_not() -> None:
+    noise = np.random.default_rng(3).normal(size=(400, 3))
+    for residuals in (noise, np.where(noise > 2.2, 9.0, noise)):
+        band, points = residual_quantiles(residuals).data
+        half = len(band.x) // 2
+        high, low = np.array(band.y[:half]), np.array(band.y[half:])[::-1]
+        inside = (points.y <= high) & (points.y >= low)
+        assert inside.mean() > 0.95
+        assert inside[-1] == (residuals is noise)
+    assert max(points.y) == 9.0
+
+
+def test_ellipses_are_those_of_the_covariance(hh800, figures) -> None:
+    result = hh800.identification
+    names = most_correlated(result)
+    assert 2 <= len(names) <= 4
+    joint = np.array([result.names.index(n) for n in names[:2]])
+    C = result.covariance[np.ix_(joint, joint)] / np.outer(*[result.standard_errors[joint]] * 2)
+    ellipse = np.stack([figures["fit/pairs"].data[0].x, figures["fit/pairs"].data[0].y])
+    distance = (ellipse * np.linalg.solve(C, ellipse)).sum(axis=0)
+    assert distance == pytest.approx(5.991, rel=0.05)  # chi squared, two degrees of freedom, 95 %
+
+
+def test_the_coverage_has_every_reading_between_the_limits(hh800, figures) -> None:
+    (m,) = hh800.problem.sets["report"]
+    ticks = trace(figures["fit/coverage"], "Held-out poses")
+    assert len(ticks.x) == m.q.size
+    second = hh800.robot.joints[1]
+    share = (m.q[:, 1] - second.lower) / (second.upper - second.lower)
+    assert np.array(ticks.x).reshape(m.q.shape)[:, 1] == pytest.approx(100 * share, abs=0.01)
 
 
 def test_dark_changes_every_colour_and_no_number(figures) -> None:
@@ -148,7 +220,7 @@ def test_words_and_lines_stand_out_from_their_ground(mode) -> None:
     for name in ("blue", "orange", "green", "red", "pink", "sky", "grey"):
         assert contrast(COLOURS[name][mode], ground) > 2.7, name
     # Not by colour alone.
-    styles = [*list(STYLES.values())[:-1], *NETWORK_STYLES]
+    styles = [*list(STYLES.values())[:3], *NETWORK_STYLES]
     assert len({(marker, dash) for _, marker, dash in styles}) == len(styles)
 
 

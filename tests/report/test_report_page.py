@@ -51,11 +51,13 @@ def test_the_order_is_that_of_a_reader(calibration_file, diagnosis_file) -> None
     diagnosis = Reader(diagnosis_file.read_text(encoding="utf-8"))
     first = ["Verdict", "Errors before and after", "Error of each pose", "In the workspace", "Where the gap lies"]
     assert calibration.headings == [
-        *first, "Which causes", "Parameters", "Training of the networks", "What to measure next", "Provenance",
+        *first, "Which causes", "Parameters", "Can the fit be trusted", "Training of the networks",
+        "What to measure next", "Provenance",
     ]  # fmt: skip
     assert diagnosis.headings == [
         *first, "Which causes, and how sure", "Joint error curves", "What these poses cannot tell",
-        "Replayed in a simulator", "Parameters of the base model", "What to measure next", "Provenance",
+        "Replayed in a simulator", "Parameters of the base model", "Can the fit be trusted", "What to measure next",
+        "Provenance",
     ]  # fmt: skip
     for page in (calibration, diagnosis):
         assert page.sources == []

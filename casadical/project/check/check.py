@@ -1,6 +1,6 @@
 """The check of a whole problem before a solve: its files, its data, and the accuracy to expect."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -71,21 +71,28 @@ class Precheck:
         return not self.of("error")
 
 
-def precheck(folder: str | Path, noise: float | None = None, seed: int | None = None) -> Precheck:
+def precheck(
+    folder: str | Path,
+    noise: float | None = None,
+    seed: int | None = None,
+    show: Callable[[str], None] = lambda _text: None,
+) -> Precheck:
     """Examine a problem folder and its data without solving anything.
 
     noise : one sigma of a measured coordinate [m] for the forecasts; None: what a linear step leaves of the data
-    seed : of the split, instead of the problem's. Faults of the input are findings, not exceptions.
+    seed : of the split, instead of the problem's; show : called with a line of progress
+    Faults of the input are findings, not exceptions.
     """
     folder = Path(folder)
     try:
         problem = read_problem(folder, seed)
     except InputError as error:
         return Precheck(folder, (Finding("error", "reading", str(error)), *_more_faults(folder)))
+    show("comparing with the nominal robot")
     sets = problem.sets["identify"]
     others = other_conventions(folder)
     found, usable = _data_findings(problem.robot, sets, others)
-    slips = None if usable else _slips(problem, [*others.values()])
+    slips = None if usable else _slips(problem, [*others.values()], show)
     if slips and slips.explains and slips.best.slips > 1:
         found = [f for f in found if not (f.topic == "units" and f.level == "error")]
         found.insert(0, _slip_finding(slips, problem.robot, sets[0].source))
@@ -94,6 +101,7 @@ def precheck(folder: str | Path, noise: float | None = None, seed: int | None = 
     known, source = _noise(noise, sets)
     start = place_frames(problem.robot, next((m for m in sets if m.position is not None), sets[0]))
     outlooks: list[Outlook] = []
+    show("accuracy to expect")
     for method in problem.methods if usable else ():
         try:
             taken, free = by_method(start, method)
@@ -111,7 +119,7 @@ def precheck(folder: str | Path, noise: float | None = None, seed: int | None = 
     )  # fmt: skip
 
 
-def _slips(problem: Problem, others: list[Robot]) -> Slips | None:
+def _slips(problem: Problem, others: list[Robot], show: Callable[[str], None]) -> Slips | None:
     """Several slips at once, from all poses of a problem's only table, in the order of the file."""
     parts = [part for _, part in problem.parts()]
     first = parts[0]
@@ -125,7 +133,7 @@ def _slips(problem: Problem, others: list[Robot]) -> Slips | None:
         position=np.concatenate([part.position for part in parts if part.position is not None])[order],
         row=row[order],
     )
-    return search_slips(problem.robot, whole, others)
+    return search_slips(problem.robot, whole, others, show)
 
 
 def _slip_finding(slips: Slips, robot: Robot, source: str) -> Finding:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -112,16 +113,20 @@ def repaired_columns(fit: Fit, robot: Robot, known: Mapping[str, Source]) -> dic
     unit = [si[name.rsplit("_", 1)[1]] for name in names]
     found: dict[str, Source] = {}
     for i, name in enumerate(names):
-        own, k = h.sign[i] * h.factor[i], h.source[i]
-        source, ratio = _simple(known[names[k]]), unit[k] / unit[i]
-        times = own * ratio * source.times
-        plus = own * ratio * source.plus + h.zero[i] / unit[i]
-        add = {}
+
+        def own(j: int, i: int = i) -> Source:
+            """The reading of joint j before others are added, in the unit of joint i."""
+            source, factor = _simple(known[names[h.source[j]]]), h.sign[j] * h.factor[j] * unit[h.source[j]] / unit[i]
+            return Source(
+                source.name, factor * source.times, factor * source.plus + h.zero[j] / unit[i], {}, source.rows
+            )
+
+        made, add = own(i), {}
         if h.add[i]:
-            other, ratio = _simple(known[names[i - 1]]), unit[i - 1] / unit[i]
-            add[other.name] = h.add[i] * ratio * other.times
-            plus += h.add[i] * ratio * other.plus
-        made = Source(source.name, _round(times), _round(plus), add, source.rows + h.shift)
+            other = own(i - 1)
+            add[other.name] = h.add[i] * other.times
+            made = replace(made, plus=made.plus + h.add[i] * other.plus)
+        made = Source(made.name, _round(made.times), _round(made.plus), add, made.rows + h.shift)
         if made != known[name]:
             found[name] = made
     for c, scale in zip("xyz", fit.scale, strict=True):

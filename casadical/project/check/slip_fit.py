@@ -7,8 +7,8 @@ frame. So only what is wrong with readings and rows must be searched for.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,7 +26,8 @@ SCORED = 40
 class Hypothesis:
     """What the readings and rows of the robot are, if they are not what they seem.
 
-    reading i = sign * factor * column[source] + zero + add * (column i - 1); shift : rows that the readings lie before
+    reading i = own i + add * (own i - 1), own i = sign * factor * column[source i] + zero
+    shift : rows that the readings lie before
     rows : index of the DH rows that are meant; lengths : (name, joint, departure [m]) of wrong link lengths
     """
 
@@ -63,9 +64,7 @@ class Hypothesis:
 
     def readings(self, q: Array) -> Array:
         """Readings as meant, shape (n, joints); q : as they stand in the table."""
-        found = q[:, list(self.source)] * np.array(self.sign) * np.array(self.factor) + np.array(self.zero)
-        found[:, 1:] += np.array(self.add[1:]) * q[:, :-1]
-        return np.asarray(found)
+        return np.asarray(_readings([self], q)[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +96,6 @@ class SlipFit:
     y: Array
     rows: Sequence[Sequence[Joint]]
     reach: float
-    _frames: Mapping[int, Array] = field(default_factory=dict, repr=False)
 
     def _aligned(self, shift: int) -> tuple[Array, Array]:
         """Readings and positions of the rows that belong together if the readings lie `shift` rows before."""
@@ -124,49 +122,69 @@ class SlipFit:
             p = p + (d[:, i, None] + (0.0 if turns else q[..., i]))[..., None] * z
         return p, np.stack([x, y, z], axis=3), along_a, along_d
 
-    def scores(self, hypotheses: Sequence[Hypothesis]) -> tuple[Array, Array]:
-        """Share of the motion that each leaves unexplained, shape (k,), and departures of the lengths that would
-        explain most of it, one at a time: shape (k, 2 joints, 2) [share of that, metres], the a first.
-        """
+    def shares(self, hypotheses: Sequence[Hypothesis]) -> Array:
+        """Share of the motion that each leaves unexplained, shape (k,)."""
         share = np.empty(len(hypotheses))
-        lengths = np.empty((len(hypotheses), 2 * self.q.shape[1], 2))
-        keys = [(h.shift, h.rows) for h in hypotheses]
-        for key in set(keys):
-            index = [k for k, other in enumerate(keys) if other == key]
-            for part in np.array_split(index, -(-len(index) // 128)):
-                share[part], lengths[part] = self._scores([hypotheses[k] for k in part], *key)
-        return share, lengths
+        for part, y, p, R, _ in self._parts(hypotheses):
+            left, turn, _ = _without(y, p, R)
+            left = left - (turn @ _solved(turn, left[..., None]))[..., 0]
+            spread = np.sqrt(((p - p.mean(axis=1, keepdims=True)) ** 2).sum(axis=(1, 2)) / len(y)) + 1e-3 * self.reach
+            share[part] = self._trimmed(left) / spread
+        return share
 
-    def _scores(self, hypotheses: Sequence[Hypothesis], shift: int, rows: int) -> tuple[Array, Array]:
-        q, y = (part[:SCORED] for part in self._aligned(shift))
-        joints = self.rows[rows]
-        readings = np.stack([h.readings(q) for h in hypotheses])
-        a, d = (np.tile([getattr(j, name) for j in joints], (len(hypotheses), 1)) for name in ("a", "d"))
+    def departures(self, hypotheses: Sequence[Hypothesis]) -> Array:
+        """Departures of the lengths that would explain most, one at a time: shape (k, 2 joints, 2) [share that is left
+        of the error, metres], the a first.
+        """
+        found = np.empty((len(hypotheses), 2 * self.q.shape[1], 2))
+        for part, y, p, R, along in self._parts(hypotheses):
+            left, turn, extra = _without(y, p, R, np.moveaxis(np.concatenate(along, axis=1), 1, 3))
+            left = left - (turn @ _solved(turn, left[..., None]))[..., 0]
+            extra = extra - turn @ _solved(turn, extra)
+            norms = np.maximum((extra**2).sum(axis=1), 1e-6 * len(y))
+            products = (extra * left[..., None]).sum(axis=1)
+            whole = (left**2).sum(axis=1)[:, None]
+            after = np.maximum(whole - products**2 / norms, 0)
+            found[part] = np.stack([np.sqrt(after / np.maximum(whole, 1e-18)), -products / norms], axis=2)
+        return found
+
+    def zeros(self, hypotheses: Sequence[Hypothesis], joint: int) -> Array:
+        """What to add to the zero of a turning joint so that it fits best, shape (k,) [rad].
+
+        Poses are linear in cosine and sine of it, so that p + R t is in both, in t and in their products; these are
+        taken as unknowns of their own, of a linear least squares.
+        """
+        found = np.empty(len(hypotheses))
+        turned = [[h.at("zero", joint, h.zero[joint] + z) for h in hypotheses] for z in (0.0, np.pi / 2, np.pi)]
+        for (part, y, p0, R0, _), (_, _, p1, R1, _), (_, _, p2, R2, _) in zip(*map(self._parts, turned), strict=True):
+            constant, x0 = (p0 + p2) / 2, (R0 + R2) / 2
+            parts = [_without(y, *pR) for pR in ((constant, x0), (p0 - constant, R0 - x0), (p1 - constant, R1 - x0))]
+            (fixed, R, _), (cosine, R_cos, _), (sine, R_sin, _) = parts
+            A = np.concatenate([cosine[..., None], sine[..., None], R, R_cos, R_sin], axis=2)
+            w = -_solved(A, fixed[..., None])[..., 0]
+            found[part] = np.arctan2(w[:, 1], w[:, 0])
+        return found
+
+    def _parts(
+        self, hypotheses: Sequence[Hypothesis]
+    ) -> Iterator[tuple[list[int], Array, Array, Array, tuple[Array, Array]]]:
+        """Hypotheses with the same rows, some at a time: their indices, measured positions, and what `_flange` says."""
+        keys = [(h.shift, h.rows) for h in hypotheses]
+        for shift, rows in dict.fromkeys(keys):
+            index = [k for k, key in enumerate(keys) if key == (shift, rows)]
+            q, y = (part[:SCORED] for part in self._aligned(shift))
+            for first in range(0, len(index), 128):
+                part = index[first : first + 128]
+                some = [hypotheses[k] for k in part]
+                p, R, *along = self._flange(_readings(some, q), self.rows[rows], *self._lengths(some, rows))
+                yield part, y, p, R, (along[0], along[1])
+
+    def _lengths(self, hypotheses: Sequence[Hypothesis], rows: int) -> tuple[Array, Array]:
+        a, d = (np.tile([getattr(j, name) for j in self.rows[rows]], (len(hypotheses), 1)) for name in ("a", "d"))
         for k, h in enumerate(hypotheses):
             for name, i, departure in h.lengths:
                 (a if name == "a" else d)[k, i] += departure
-        p, R, along_a, along_d = self._flange(readings, joints, a, d)
-        basis = np.linalg.qr(np.column_stack([y - y.mean(axis=0), np.ones(len(y))]))[0]
-
-        def without(x: Array) -> Array:
-            """Less what positions explain; x : shape (k, n, ...)."""
-            flat = x.reshape(len(x), len(y), -1)
-            return np.asarray((flat - basis @ (basis.T @ flat)).reshape(len(x), -1, *x.shape[3:]))
-
-        left, turn = without(p), without(R)  # (k, 3 n), (k, 3 n, 3)
-        gram = np.swapaxes(turn, 1, 2) @ turn + 1e-9 * np.eye(3)
-        left = left - (turn @ np.linalg.solve(gram, np.swapaxes(turn, 1, 2) @ left[..., None]))[..., 0]
-        spread = np.sqrt(((p - p.mean(axis=1, keepdims=True)) ** 2).sum(axis=(1, 2)) / len(y)) + 1e-3 * self.reach
-        share = self._trimmed(left) / spread
-        columns = np.moveaxis(np.concatenate([along_a, along_d], axis=1), 1, 3)  # (k, n, 3, 2 joints)
-        extra = without(columns)
-        extra = extra - turn @ np.linalg.solve(gram, np.swapaxes(turn, 1, 2) @ extra)
-        norms = (extra**2).sum(axis=1)
-        products = (extra * left[..., None]).sum(axis=1)
-        size = -products / np.maximum(norms, 1e-6 * len(y))
-        after = np.maximum((left**2).sum(axis=1)[:, None] - products**2 / np.maximum(norms, 1e-6 * len(y)), 0)
-        rest = np.sqrt(after / np.maximum((left**2).sum(axis=1)[:, None], 1e-18))
-        return share, np.stack([rest, size], axis=2)
+        return a, d
 
     @staticmethod
     def _trimmed(left: Array) -> Array:
@@ -177,11 +195,7 @@ class SlipFit:
     def placed(self, h: Hypothesis) -> Fit:
         """The hypothesis with base and tool as frames: its error, and what is wrong with the positions."""
         q, y = self._aligned(h.shift)
-        joints = self.rows[h.rows]
-        a, d = (np.array([[getattr(j, name) for j in joints]]) for name in ("a", "d"))
-        for name, i, departure in h.lengths:
-            (a if name == "a" else d)[0, i] += departure
-        p, R, _, _ = self._flange(h.readings(q)[None], joints, a, d)
+        p, R, _, _ = self._flange(_readings([h], q), self.rows[h.rows], *self._lengths([h], h.rows))
         kept = np.ones(len(y), dtype=bool)
         scale, mirrored, error = (1.0, 1.0, 1.0), False, np.inf
         for _ in range(3):  # far rows draw the fit towards themselves
@@ -194,6 +208,32 @@ class SlipFit:
         # Positions that are made small fit everything.
         error *= max(1.0, _spread(p[0]) / max(_spread(meant), 1e-12))
         return Fit(h, error, scale, mirrored)
+
+
+def _readings(hypotheses: Sequence[Hypothesis], q: Array) -> Array:
+    """Readings as meant, shape (k, n, joints); q : as they stand in the table, shape (n, joints)."""
+    source, sign, factor, zero, add = (
+        np.array([getattr(h, name) for h in hypotheses]) for name in ("source", "sign", "factor", "zero", "add")
+    )
+    own = q.T[source].swapaxes(1, 2) * (sign * factor)[:, None, :] + zero[:, None, :]
+    found = own.copy()
+    found[..., 1:] += add[:, None, 1:] * own[..., :-1]
+    return np.asarray(found)
+
+
+def _without(y: Array, p: Array, R: Array, more: Array | None = None) -> tuple[Array, Array, Array]:
+    """Less what M y + c explains: p as (k, 3 n), R as (k, 3 n, 3), more as (k, 3 n, columns)."""
+    basis = np.linalg.qr(np.column_stack([y - y.mean(axis=0), np.ones(len(y))]))[0]
+    x = np.concatenate([R, p[..., None], *([] if more is None else [more])], axis=3)
+    flat = x.reshape(*x.shape[:2], -1)
+    x = (flat - basis @ (basis.T @ flat)).reshape(len(x), -1, x.shape[3])
+    return x[..., 3], x[..., :3], x[..., 4:]
+
+
+def _solved(A: Array, b: Array) -> Array:
+    """Least squares of A x = b for each; a touch of damping, for columns may be none."""
+    At = np.swapaxes(A, 1, 2)
+    return np.asarray(np.linalg.solve(At @ A + 1e-9 * np.eye(A.shape[2]), At @ b))
 
 
 def _spread(p: Array) -> float:

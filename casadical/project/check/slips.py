@@ -6,7 +6,7 @@ finds itself (zeros and lengths that are off by little) is no slip.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,13 +19,14 @@ from casadical.robot.robot import Robot
 POSES = 60
 MOST_SLIPS = 4
 # States that are kept of all, and of each combination of shift and convention; of which so many are placed.
-BEAM, OF_EACH, PLACED = 400, 80, 12
+BEAM, OF_EACH, PLACED = 800, 120, 20
 QUARTERS = tuple(np.deg2rad(v) for v in (0.0, 90.0, -90.0, 180.0))
-FREE = tuple(np.deg2rad(v) for v in range(-150, 180, 30) if v % 90)
 # Of the reach: errors below it are the nominal model's own; departures of a length below it are calibration's.
 OWN, LENGTH = 0.001, 0.02
 # Zeros that are off by less are calibration's [rad].
 ZERO = np.deg2rad(4.0)
+# Readings [rad] that are radians under a name of degrees move by so much.
+LEAST_MOVE, MOST_IN_RADIANS = np.deg2rad(0.3), np.deg2rad(2 * np.pi)
 # Share of the error that an explanation may leave.
 EXPLAINS = 0.25
 # Readings outside of the joints' ranges cost as much as half a slip; a few are bad rows.
@@ -50,8 +51,15 @@ class Slips:
         return self.best.slips > 0 and self.best.error < EXPLAINS * self.before.error
 
 
-def search_slips(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> Slips | None:
+def search_slips(
+    robot: Robot,
+    m: Measurements,
+    others: Sequence[Robot] = (),
+    show: Callable[[str], None] = lambda _text: None,
+) -> Slips | None:
     """What is wrong with a table, if anything is; others : the robot with its rows read otherwise.
+
+    show : called with a line of progress
 
     None for robots with loops and for data without positions.
     """
@@ -64,7 +72,7 @@ def search_slips(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) ->
     fit = SlipFit(m.q[order], m.position[order], rows, robot.reach)
     # Shifts need rows that follow each other in the file.
     shifts = (0, 1, -1) if np.all(np.diff(m.row[order]) >= 1) else (0,)
-    found = _search(fit, robot, shifts)
+    found = _search(fit, robot, shifts, show)
     before = fit.placed(Hypothesis.none(robot.n))
     ranked = sorted(found, key=lambda f: _cost(f, robot) + OUTSIDE * _outside(f.hypothesis, robot, fit.q))
     best = ranked[0]
@@ -83,14 +91,15 @@ def _outside(h: Hypothesis, robot: Robot, q: Array) -> bool:
     return bool(((meant < lower - 0.01) | (meant > upper + 0.01)).any(axis=1).mean() > FEW)
 
 
-def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int]) -> list[Fit]:
+def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Callable[[str], None]) -> list[Fit]:
     """The states that were best on each level, with base and tool placed."""
     none = Hypothesis.none(robot.n)
     turning = [j.kind == "revolute" for j in robot.joints]
-    level = [none]
+    level = [none, *_in_radians(none, fit.q, turning)]
     seen, found = set(level), {none: fit.placed(none)}
-    share, lengths = fit.scores(level)
+    share = fit.shares(level)
     for depth in range(MOST_SLIPS + 1):
+        show(f"slips, search {depth + 1} of {MOST_SLIPS + 1}")
         kept = _kept(level, share)
         for k in kept[:PLACED]:
             h = _refined(fit, level[k])
@@ -98,20 +107,50 @@ def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int]) -> list[Fit]:
         least = min(f.error for f in found.values())
         if depth == MOST_SLIPS or least < 2 * OWN * robot.reach:
             break
-        following = []
-        for k in kept:
-            for h in (
-                *_moves(level[k], turning, shifts, len(fit.rows)),
-                *_length_moves(level[k], lengths[k], robot),
-            ):
-                if h not in seen and h.slips <= MOST_SLIPS:
-                    seen.add(h)
-                    following.append(h)
-        if not following:
+        parents = [level[k] for k in kept]
+        level = []
+        for h in _all_moves(fit, parents, robot, turning, shifts):
+            if h not in seen and h.slips <= MOST_SLIPS:
+                seen.add(h)
+                level.append(h)
+        if not level:
             break
-        level = following
-        share, lengths = fit.scores(level)
+        share = fit.shares(level)
     return list(found.values())
+
+
+def _in_radians(none: Hypothesis, q: Array, turning: Sequence[bool]) -> Iterator[Hypothesis]:
+    """With one reading in radians where its column moves as little as that; the search starts there, too."""
+    move = np.ptp(q, axis=0)
+    for i in range(len(turning)):
+        if turning[i] and LEAST_MOVE < move[i] < MOST_IN_RADIANS and np.median(move) > MOST_IN_RADIANS:
+            yield none.at("factor", i, 180 / np.pi)
+
+
+def _all_moves(
+    fit: SlipFit, parents: Sequence[Hypothesis], robot: Robot, turning: Sequence[bool], shifts: Sequence[int]
+) -> Iterator[Hypothesis]:
+    lengths = fit.departures(parents)
+    for h, of_each in zip(parents, lengths, strict=True):
+        yield from _moves(h, turning, shifts, len(fit.rows))
+        yield from _length_moves(h, of_each, robot)
+    for i in _inner(turning):
+        for sign in (1, -1):
+            turned = [h.at("sign", i, sign * h.sign[i]) for h in parents]
+            for h, more in zip(turned, fit.zeros(turned, i), strict=True):
+                yield h.at("zero", i, _zero(h.zero[i] + more))
+
+
+def _inner(turning: Sequence[bool]) -> list[int]:
+    """Turning joints but the first and the last, whose zeros are those of base and tool."""
+    return [i for i in range(1, len(turning) - 1) if turning[i]]
+
+
+def _zero(angle: float) -> float:
+    """An angle from -180 to 180 deg, or the multiple of 90 deg that it is close to."""
+    away = [abs(np.arctan2(np.sin(angle - v), np.cos(angle - v))) for v in QUARTERS]
+    nearest = int(np.argmin(away))
+    return QUARTERS[nearest] if away[nearest] < ZERO else round(float(np.arctan2(np.sin(angle), np.cos(angle))), 4)
 
 
 def _kept(level: Sequence[Hypothesis], share: Array) -> list[int]:
@@ -132,10 +171,9 @@ def _moves(h: Hypothesis, turning: Sequence[bool], shifts: Sequence[int], rows: 
     for factor in (1.0, 180 / np.pi, np.pi / 180):
         yield replace(h, factor=tuple(factor if t else 1.0 for t in turning))
     for i in range(n):
-        inner = turning[i] and 0 < i < n - 1  # zeros of the first and last joint are those of base and tool
         for sign in (1, -1):
-            for zero in (*QUARTERS, *FREE) if inner else (0.0,):
-                if (sign, zero) != (h.sign[i], h.zero[i]) and (sign == h.sign[i] or zero not in FREE):
+            for zero in QUARTERS if i in _inner(turning) else (0.0,):
+                if (sign, zero) != (h.sign[i], h.zero[i]):
                     yield h.at("sign", i, sign).at("zero", i, zero)
         if turning[i]:
             for factor in (1.0, 180 / np.pi):
@@ -162,20 +200,15 @@ def _length_moves(h: Hypothesis, lengths: Array, robot: Robot) -> Iterator[Hypot
 
 def _refined(fit: SlipFit, h: Hypothesis) -> Hypothesis:
     """Free zeros and lengths as they fit best together."""
-    free = [i for i, z in enumerate(h.zero) if z and not any(np.isclose(z, q) for q in QUARTERS)]
-    if not free and not h.lengths:
-        return h
-    step = np.deg2rad(15.0)
-    while free and step > np.deg2rad(0.05):
-        tried = [h, *(h.at("zero", i, h.zero[i] + s * step) for i in free for s in (-1, 1))]
-        best = tried[int(np.argmin(fit.scores(tried)[0]))]
-        h, step = (best, step) if best is not h else (h, step / 2)
     n = len(h.zero)
-    for _ in range(ROUNDS * (len(h.lengths) > 0)):
-        for k, (name, i, departure) in enumerate(h.lengths):  # one after the other: they depend on each other
-            size = float(fit.scores([h])[1][0, i + (name == "d") * n, 1])
+    free = [i for i, z in enumerate(h.zero) if z and z not in QUARTERS]
+    for _ in range(ROUNDS * (len(free) + len(h.lengths) > 0)):  # one after the other: they depend on each other
+        before = h
+        for i in free:
+            h = h.at("zero", i, _zero(h.zero[i] + float(fit.zeros([h], i)[0])))
+        for k, (name, i, departure) in enumerate(h.lengths):
+            size = float(fit.departures([h])[0, i + (name == "d") * n, 1])
             h = replace(h, lengths=(*h.lengths[:k], (name, i, departure + size), *h.lengths[k + 1 :]))
-    for i in free:
-        if abs(h.zero[i]) < ZERO:
-            h = h.at("zero", i, 0.0)
+        if h.zero == before.zero and not h.lengths:
+            break
     return h

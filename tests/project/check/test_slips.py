@@ -15,7 +15,9 @@ import first_hour
 
 from casadical import calibrate
 from casadical.project.check import precheck
+from casadical.project.check.repair import write_repair
 from casadical.project.new import new_problem
+from casadical.project.problem import read_problem
 
 Table = tuple[np.ndarray, np.ndarray]
 
@@ -80,8 +82,6 @@ def test_slips_are_found_together_and_repaired(
 
 
 def test_a_wrong_length_is_repaired_in_the_robot_file(tmp_path: Path) -> None:
-    from casadical.project.check.repair import write_repair
-
     folder = folder_of(tmp_path, None)
     robot = folder / "robot.toml"
     robot.write_text(robot.read_text().replace("a_mm = 700.0", "a_mm = 0.7"))
@@ -104,3 +104,22 @@ def test_a_clean_table_is_left_alone(
     assert main(monkeypatch, "check", folder, "--repair") == 0
     assert "repaired" not in capfd.readouterr().out
     assert {path: path.read_bytes() for path in folder.iterdir()} == texts
+
+
+def test_what_a_coupled_reading_counts_from_may_be_wrong_itself(tmp_path: Path) -> None:
+    """Joint 3 counts from the horizontal; then joint 2 was written with another sign, and columns 2 and 5 swapped."""
+
+    def slip(q: np.ndarray, p: np.ndarray) -> Table:
+        q = q.copy()
+        q[:, 2] += q[:, 1]
+        q[:, 1] *= -1
+        return q[:, [0, 4, 2, 3, 1, 5]], p
+
+    folder = folder_of(tmp_path, slip)
+    found = precheck(folder)
+    assert found.slips is not None
+    assert found.nominal is not None
+    write_repair(folder, found.slips.best, found.nominal)
+    q, _ = first_hour.measured(90)
+    (m, *_) = read_problem(folder).sets["identify"]
+    np.testing.assert_allclose(np.rad2deg(m.q), q[m.row - m.row.min()], atol=1e-6)
