@@ -48,8 +48,8 @@ LOG = ROOT / "docs" / "studies" / "mutants.jsonl"
 
 # File, what stands there (once), what is put in its place, and what that means.
 LISTED = (
-    ("identification/least_squares.py", 'if self.loss != "linear":\n            inverse = inverse',
-     "if False:\n            inverse = inverse", "plain inverse as the covariance of a robust loss"),
+    ("identification/least_squares.py", 'if self.loss != "linear":\n            squared',
+     "if False:\n            squared", "plain inverse as the covariance of a robust loss"),
     ("identification/residuals.py", "3: 7.81", "3: 12.59", "knee of three degrees of freedom is that of six"),
     ("identification/residuals.py", "6: 12.59", "6: 7.81", "knee of six degrees of freedom is that of three"),
     ("identification/least_squares.py", "near = 1e-5 *", "near = 1e-2 *", "tolerance at a bound"),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from bench import campaign, robot, with_columns
 
+from casadical.diagnosis.candidates import extended_candidates
 from casadical.effects import (
     CrossCoupling,
     Effect,
@@ -204,3 +205,24 @@ def test_identify_takes_an_extended_effect(effect: Effect) -> None:
     for name in effect.sizes():
         assert table.loc[f"{effect.label}.{name}", "status"] == "identified"
         assert np.isfinite(table.loc[f"{effect.label}.{name}", "std_error"])
+
+
+def test_a_reflector_straight_above_the_instrument_or_in_it_has_a_position() -> None:
+    """Across the beam has no direction there; the offset is left out, and nothing is NaN."""
+    poses = campaign(NAME)
+    seen = predicted(robot(NAME), poses)[0][0]
+    for station in (seen, seen - [0.0, 0.0, 1.5]):
+        effect = SmrOffset(None, tuple(float(x) for x in station))
+        moved = shift(effect, dict.fromkeys(effect.sizes(), 1e-5), poses)[0]
+        assert np.isfinite(moved).all()
+        assert np.linalg.norm(moved) < 2e-5
+
+
+def test_steps_are_looked_for_within_the_campaign_only() -> None:
+    """What moves at once at a share of the campaign: no candidate at or beyond its ends, and none twice."""
+    steps = [e for c in extended_candidates(robot(NAME)) for v in c.variants for e in v if hasattr(e, "at")]
+    for kind in {type(e) for e in steps}:
+        times = {e.at for e in steps if type(e) is kind}
+        assert len(times) > 5
+        assert 0 < min(times) < 0.1
+        assert 0.9 < max(times) < 1

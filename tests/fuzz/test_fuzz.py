@@ -67,7 +67,7 @@ def test_every_input_ends_as_documented(template: Path, data: st.DataObject) -> 
         ("open('out/a.json', 'w').write('{'); sys.argv = 1", "no JSON"),
         ("open('out/a.json', 'w').write('{}'); print('casadical: x', file=sys.stderr); sys.exit(2)", "leaves outputs"),
         ("open('out/.casadical-x.part', 'w')", "hidden file"),
-        ("import time; time.sleep(60)", "takes more than"),
+        ("while True: pass", "takes more than"),
         ("b = bytearray(700_000_000); b[::4096] = b'x' * len(b[::4096])", "GB"),
     ],
 )
@@ -76,7 +76,7 @@ def test_what_is_wrong_is_found(template: Path, monkeypatch: pytest.MonkeyPatch,
     import casadical.cli
 
     monkeypatch.setattr(casadical.cli, "main", lambda: exec(body, {"sys": sys}))
-    monkeypatch.setattr(fuzz, "SECONDS", 3)
+    monkeypatch.setattr(fuzz, "SECONDS", 2)
     monkeypatch.setattr(fuzz, "BYTES", 600_000_000)
     hostile = fuzz.Hostile(("calibrate", "in/p", "--json", "out/a.json"), ())
     fault, _ = fuzz.run(hostile, template, template.parent)

@@ -62,6 +62,7 @@ FAULTS = {
         ["joint[1].limits_deg", "prismatic", "limits_mm"],
     ),
     "range the wrong way round": (("[-170, 170]", "[170, -170]"), ["joint[1].limits_deg = [170, -170]", "lower one"]),
+    "range of one value": (("[-170, 170]", "[170, 170]"), ["joint[1].limits_deg = [170, 170]", "lower one"]),
     "range of three numbers": (("[-170, 170]", "[-1, 0, 1]"), ["joint[1].limits_deg", "at most 2 entries, not 3"]),
     "place of two numbers": (("[10, 0, 0]", "[10, 0]"), ["tool.xyz_mm = [10, 0]", "at least 3 entries, not 2"]),
     "negative stiffness": (
