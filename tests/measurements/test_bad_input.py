@@ -230,3 +230,15 @@ def test_the_good_ones_pass():
     assert identify(ARM, GOOD, ["kinematic"]).is_optimal()
     assert len(TABLES) >= 30
     assert len({b.what for b in TABLES}) == len(TABLES)
+
+
+@pytest.mark.parametrize("end", [-2.0, 2.0])
+def test_a_reading_beyond_either_end_is_refused_and_one_at_the_end_is_not(end: float) -> None:
+    """A file's digits may round a reading past its limit by a hair."""
+    good = from_table(table(), joints=3)
+    q = good.q.copy()
+    q[5, 1] = end * (1 + 2e-7)
+    check_against(ARM, replace(good[5:6], q=q[5:6]))
+    q[5, 1] = end * 1.001
+    with pytest.raises(InputError, match=r"q2 = .*outside of the joint's range"):
+        check_against(ARM, replace(good[5:6], q=q[5:6]))

@@ -1,12 +1,22 @@
 """Indices against their definitions, and slopes against finite differences."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy import linalg
 
-from casadical import InputError
+from casadical import InputError, read_campaign_robot
+from casadical.effects import Backlash, JointZeroStep
+from casadical.identification.accuracy import predicted
+from casadical.measurements.measurements import unmeasured
+from casadical.measurements.noise import Noise
 from casadical.pose_selection import observability
 from casadical.pose_selection.criteria import SPECTRAL, checked
+from casadical.pose_selection.information import noise_covariance
+from casadical.pose_selection.plan import _thirds
+
+ROOT = Path(__file__).parents[2]
 
 
 def test_indices_are_those_of_sun_and_hollerbach() -> None:
@@ -40,3 +50,23 @@ def test_logarithms_and_slopes(index: str) -> None:
 def test_an_unknown_criterion_is_refused_with_those_there_are() -> None:
     with pytest.raises(InputError, match="'E' is not known; allowed: O1, O2"):
         checked("E")
+
+
+def test_thirds_hold_a_third_each() -> None:
+    values = np.random.default_rng(0).permutation(np.arange(300.0))
+    assert np.bincount(_thirds(values)).tolist() == [100, 100, 100]
+    assert (_thirds(values) == values // 100).all()
+
+
+def test_the_covariance_of_a_point_holds_what_each_joint_repeats() -> None:
+    """By finite differences of the positions, of a robot whose model follows two logged columns."""
+    robot = read_campaign_robot(ROOT / "problems" / "ur10e").with_effect(Backlash(2), JointZeroStep(3))
+    rng = np.random.default_rng(0)
+    columns = {"payload_kg": np.full(5, 3.0), "approach2": rng.choice([-1.0, 1.0], 5), "progress": np.linspace(0, 1, 5)}
+    m = unmeasured(rng.uniform(-1, 1, (5, 6)), columns)
+    step = 1e-6 * np.eye(6)
+    there = [[predicted(robot, unmeasured(m.q + way * s, columns))[0] for s in step] for way in (1, -1)]
+    J = (np.array(there[0]) - np.array(there[1])).transpose(1, 2, 0) / 2e-6
+    found = noise_covariance(robot, m, Noise(2e-5, 1e-5))
+    expected = (0.02**2) * np.eye(3) + (J * 1e-2) @ (J * 1e-2).transpose(0, 2, 1)
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-9)
