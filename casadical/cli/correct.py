@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from casadical.cli.options import Compensator, Json, LeaveOut, Nominal, Overwrite, Payload, Quiet
+from casadical.cli.options import (
+    Compensator,
+    Json,
+    LeaveOut,
+    Nominal,
+    Overwrite,
+    Payload,
+    Quiet,
+    What,
+    poses_of,
+    wants_pose,
+)
 from casadical.cli.terminal import plain, refuse_taken, with_json
 from casadical.core.errors import InputError
 
@@ -53,6 +64,7 @@ def correct(
     steps: Annotated[
         int | None, typer.Option(min=1, max=10, help="Least-squares steps of the correction; default: 2.")
     ] = None,
+    what: What = "position",
     payload: Payload = None,
     tool: Annotated[
         str | None, typer.Option(metavar="shared|own", help="As in `casadical export c`; default: shared.")
@@ -86,7 +98,7 @@ def correct(
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """Rewrite the targets of a program so that the real tool reaches the nominal tool's positions.
+    """Rewrite the targets of a program so that the real tool reaches the nominal tool's positions, or poses.
 
     Every target gets a status; one whose status is not OK keeps its numbers and is listed. A folder has
     the options of its export; with a robot file, give --nominal and the other options of `casadical export c`.
@@ -95,26 +107,31 @@ def correct(
     Exit codes: 0 written, with or without refused targets; 2 bad input; 70 a bug in casadical.
     """
     from casadical.export.controller.commands import followed
+    from casadical.robot.robot_file import read_robot
 
     refuse_taken(out, overwrite)
+    oriented = wants_pose(what)
     if not model.exists():
         raise InputError(f"{model}: no such folder or robot file")
-    decided = {
-        "--nominal": nominal,
-        "--compensator": compensator,
-        "--payload": payload,
-        "--steps": steps,
-        "--tool": tool,
-    }
     corrector = sources = None
     lines: tuple[str, ...] = ()
     if model.is_dir():
-        decided = {"--nominal": nominal, "--compensator": compensator, "--payload": payload, "--steps": steps}
-        decided |= {"--tool": tool, "--leave-out": leave_out or None, "--root": root, "--flange": flange}
+        decided: dict[str, Any] = {
+            "--nominal": nominal,
+            "--compensator": compensator,
+            "--payload": payload,
+            "--steps": steps,
+            "--correct": None if what == "position" else what,
+            "--tool": tool,
+            "--leave-out": leave_out or None,
+            "--root": root,
+            "--flange": flange,
+        }
         corrector = _of_folder(model, decided, trust)
     else:
         sources = _of_robot(model, nominal, compensator, payload, tool, leave_out, trust)
-        lines = followed(sources)[1]
+        lines = tuple(f"LEFT OUT {line}" for line in followed(sources)[1])
+        lines += (poses_of(read_robot(model).n),) if oriented else ()
     of_language = {"--tcp": tcp, "--base": base, "--root": root, "--flange": flange, "--data": data}
     flags = {"--nearest": nearest, "--external-still": external_still, "--accuracy-off": accuracy_off}
     console = plain(quiet)
@@ -122,7 +139,7 @@ def correct(
         for option, value in {**of_language, **flags}.items():
             if value:
                 raise InputError(f"{option}: is for programs in a controller's language; {program} is a CSV")
-        texts = _correct_table(program, out, json_file, corrector, sources, steps or 2)
+        texts = _correct_table(program, out, json_file, corrector, sources, steps or 2, oriented)
     else:
         from casadical.export.controller.programs.correction import Cell
 
@@ -130,6 +147,7 @@ def correct(
         cell = Cell(
             sources,
             steps or 2,
+            oriented,
             root=frames[0],
             flange=frames[1],
             nearest=nearest,
@@ -137,7 +155,7 @@ def correct(
             folder=corrector,
         )
         texts = _correct_program(read, out, json_file, cell, accuracy_off)
-    for text in (*texts, *(f"LEFT OUT {line}" for line in lines)):
+    for text in (*texts, *lines):
         console.print(text)
     if model.is_dir():
         console.print(_stated(model))
@@ -171,7 +189,13 @@ def _of_robot(
 
 
 def _correct_table(
-    program: Path, out: Path, json_file: Path | None, corrector: Corrector | None, sources: Sources | None, steps: int
+    program: Path,
+    out: Path,
+    json_file: Path | None,
+    corrector: Corrector | None,
+    sources: Sources | None,
+    steps: int,
+    oriented: bool,
 ) -> list[str]:
     """Write the corrected CSV; what to print."""
     from casadical.core.files import write_together
@@ -181,7 +205,8 @@ def _correct_table(
 
     if corrector is None:
         assert sources is not None
-        corrector = model_corrector(command_of(sources, steps))
+        instead = model_corrector(command_of(sources, steps)) if oriented else None
+        corrector = model_corrector(command_of(sources, steps, orientation=oriented), instead)
     result = corrected(corrector, read_program(program, corrector.joints))
     write_together(with_json({out: result.to_csv()}, json_file, result.to_json()))
     return [result.report()]

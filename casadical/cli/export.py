@@ -12,7 +12,7 @@ import typer
 from casadical.cli import completion as words
 from casadical.cli.export_driver import export_driver
 from casadical.cli.export_model import export_mjcf, export_urdf
-from casadical.cli.options import Compensator, Json, LeaveOut, Nominal, Payload, Quiet, Tool
+from casadical.cli.options import Compensator, Json, LeaveOut, Nominal, Payload, Quiet, Tool, What, poses_of, wants_pose
 from casadical.cli.outputs import guarded
 from casadical.cli.terminal import plain, print_written, with_json
 from casadical.core.errors import InputError
@@ -50,6 +50,7 @@ def export_c(
     compensator: Compensator = None,
     real: Annotated[str, typer.Option(metavar="float|double", help="Number type of the C.")] = "double",
     steps: _Steps = 2,
+    correct: What = "position",
     payload: Payload = None,
     tool: Tool = "shared",
     leave_out: LeaveOut = False,
@@ -89,9 +90,14 @@ def export_c(
         raise InputError("--nominal and --payload have no part in a network alone; remove them, or give --what command")
     if what == "curves" and (nominal or compensator or payload is not None):
         raise InputError("--nominal, --compensator and --payload have no part in curves alone; remove them")
+    oriented = wants_pose(correct)
+    if oriented and what != "command":
+        raise InputError(f"--correct {correct}: is for --what command; {what} corrects nothing")
     sources = Sources(robot, nominal, compensator, payload, tool, leave_out)  # type: ignore[arg-type]
     product = (
-        command_of(sources, steps) if what == "command" else (curves_of if what == "curves" else network_of)(sources)
+        command_of(sources, steps, orientation=oriented)
+        if what == "command"
+        else (curves_of if what == "curves" else network_of)(sources)
     )
     try:
         written = write_c(
@@ -109,6 +115,8 @@ def export_c(
         raise InputError(f"{out}: cannot be written: {error.strerror}") from error
     console = plain(quiet)
     console.print(f"{what} of {robot}, {real}")
+    if oriented:
+        console.print(poses_of(read_robot(robot).n))
     for line in _about(sources, what, getattr(product, "network", product) is not None):
         console.print(line)
     console.print(written.report())

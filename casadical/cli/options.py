@@ -42,6 +42,15 @@ Tool = Annotated[
         "measured point that is the controller's tool centre point.",
     ),
 ]
+What = Annotated[
+    str,
+    typer.Option(
+        "--correct",
+        metavar="position|pose",
+        help="What the real tool reaches: the nominal tool's position by the least change of the joints, or its "
+        "orientation too, which needs six joints.",
+    ),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 Json = Annotated[
     Path | None,
@@ -114,3 +123,19 @@ def carried(prior: Path | None, parts: str | None, frozen: bool) -> "Carried":
     other = read_robot(prior)
     wanted = tuple(name.strip() for name in (parts or "effects").split(","))
     return lambda robot: carry_over(robot, other, wanted, frozen=frozen)
+
+
+def wants_pose(word: str) -> bool:
+    """Whether --correct asks for the orientation. Raises InputError for another word."""
+    if word not in ("position", "pose"):
+        raise InputError(f"--correct {word}: not known; allowed: position, pose")
+    return word == "pose"
+
+
+def poses_of(joints: int) -> str:
+    """What --correct pose does for an arm, in words."""
+    from casadical.export.controller.commands import POSE_JOINTS
+
+    if joints < POSE_JOINTS:
+        return f"--correct pose: {joints} joints cannot reach every orientation; the position alone is corrected"
+    return "position and orientation are corrected, by the least change of the joints"

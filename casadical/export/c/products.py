@@ -142,7 +142,7 @@ def _checked_signature(function: casadi.Function, n: int, sizes: tuple[int, ...]
 
 
 def mapped(function: casadi.Function, q: Array) -> Array:
-    """A function's outputs column by column, a row for each row of q, shape (k, n) [rad]."""
+    """A function's outputs, matrices column by column, in a row for each row of q, shape (k, n) [rad]."""
     out = function.map(len(q)).call([casadi.DM(q.T)])
-    columns = [np.array(o).reshape(o.shape[0], len(q), -1, order="F") for o in out]
-    return np.hstack([c.transpose(1, 2, 0).reshape(len(q), -1) for c in columns])
+    columns = [np.array(o).reshape(o.shape[0], -1, len(q), order="F") for o in out]
+    return np.hstack([c.transpose(2, 1, 0).reshape(len(q), -1) for c in columns])

@@ -80,9 +80,10 @@ def accuracy(program: TapeProgram, count: int = 10_000) -> dict[str, float]:
     Largest errors of the network [um], of the joints' curves [urad] and of the forward kinematics [um]; for curves,
     what is left if a controller commands q - curves(q) [urad], and if it calls twice, q - curves(q - curves(q)); for a
     command, the tool's error before the correction [um], what remains of it over the poses with status OK [um], and
-    their share. Joints at which the model has no value (a four-bar that cannot close) count in this share only, not in
-    the share of those where the correction converged. Of
-    tables their bytes and the bound of their error, before rounding [urad].
+    their share; for poses also what remains of the orientation [urad], and the share of singular ones, which count in
+    the first share only. Joints at which the model has no value (a four-bar that cannot close) count in this share
+    only, not in the share of those where the correction converged. Of tables their bytes and the bound of their error,
+    before rounding [urad].
     """
     q = inside(program, count)
     figures: dict[str, float] = {}
@@ -105,12 +106,20 @@ def accuracy(program: TapeProgram, count: int = 10_000) -> dict[str, float]:
             error = abs(values - mapped(program.command.calibrated, exact))[known, :3].max()
             figures["forward_error_um"] = 1e6 * float(error)
         if key == "correct" and program.command is not None:
-            target = mapped(program.command.nominal, exact)[:, :3]
-            before = np.linalg.norm(mapped(program.command.calibrated, exact)[:, :3] - target, axis=1)
-            moved = mapped(program.command.calibrated, exact + values)[:, :3]
+            wanted, moved = mapped(program.command.nominal, exact), mapped(program.command.calibrated, exact + values)
+            before = np.linalg.norm(mapped(program.command.calibrated, exact)[:, :3] - wanted[:, :3], axis=1)
             fine = status == Status.OK
-            rest = np.linalg.norm(moved - target, axis=1)[fine]
+            rest = np.linalg.norm(moved[:, :3] - wanted[:, :3], axis=1)[fine]
             figures |= {"start_error_um_mean": 1e6 * float(before[known].mean()), "share_ok": float(fine.mean())}
+            if moved.shape[1] > 3:  # of poses many are singular; a correction that says so has not failed to converge
+                known = known & (status != Status.SINGULAR)
+                figures["share_singular"] = float((status == Status.SINGULAR).mean())
+                turned = np.linalg.norm(moved[:, 3:] - wanted[:, 3:], axis=1)[fine] / np.sqrt(2)  # small angles
+                if fine.any():
+                    figures |= {
+                        "rest_urad_median": 1e6 * float(np.median(turned)),
+                        "rest_urad_worst": 1e6 * turned.max(),
+                    }
             figures["share_converged"] = float(fine[known].mean()) if known.any() else 0.0
             if fine.any():
                 figures |= {"rest_um_median": 1e6 * float(np.median(rest)), "rest_um_worst": 1e6 * float(rest.max())}

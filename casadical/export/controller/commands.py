@@ -29,6 +29,7 @@ from casadical.robot.robot_file import read_robot
 
 Tool = Literal["shared", "own"]
 
+POSE_JOINTS = 6  # an arm with fewer cannot reach every orientation
 SAME_ROBOT = 0.1  # m between nominal and calibrated tool, median: above it the files are not of one robot
 
 
@@ -65,12 +66,14 @@ def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -
     The nominal robot is rigid and without effects, as a controller computes. The box is the calibrated robot's joint
     limits [rad], within the angles that the compensator's training saw.
 
-    steps : least-squares steps, 1 to 10; orientation : whether the tool's orientation is to be reached as well, which
-    needs six joints; without it the joints change by the least that reaches the position
+    steps : least-squares steps, 1 to 10; orientation : whether the tool's orientation is to be reached as well, by the
+    least change of the joints (with seven, the elbow moves by no more); fewer than six joints reach the position only.
+    Without it the joints change by the least that reaches the position.
 
     Raises InputError where the files are not of one robot, or the robot cannot be corrected; see `followed`.
     """
     real, nominal, turn = own_robots(sources)
+    orientation = orientation and real.n >= POSE_JOINTS
     network = _network(sources, real.n)
     lower, upper = np.array([(j.lower, j.upper) for j in real.joints]).T
     if network is not None:

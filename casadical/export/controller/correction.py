@@ -20,6 +20,8 @@ from casadical.export.c.tape_program import tape_program
 from casadical.export.controller.offline_program import Program
 
 LEAVES_BOX = "LEAVES_BOX"
+POSITION_ONLY = "POSITION_ONLY"
+FINE = (Status.OK.name, POSITION_ONLY)  # statuses of what is corrected
 SHOWN = 20  # rows that a summary lists
 
 MEANINGS = {
@@ -40,12 +42,14 @@ class Corrector:
     correct : q, shape (k, joints) [rad] -> corrections [rad] of the same shape, and status, shape (k,)
     position : q -> calibrated tool positions [m], shape (k, 3)
     target : q -> nominal tool positions [m], shape (k, 3); None where it is not known
+    instead : of the position alone, for targets whose pose cannot be corrected; None: they are refused
     """
 
     joints: int
     correct: Callable[[Array], tuple[Array, Array]]
     position: Callable[[Array], Array]
     target: Callable[[Array], Array] | None = None
+    instead: "Corrector | None" = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +70,7 @@ class Corrected:
     @property
     def fine(self) -> Array:
         """Which rows were corrected, boolean, shape (rows,)."""
-        return np.array([s == Status.OK.name for s in self.status])
+        return np.array([s in FINE for s in self.status])
 
     def to_csv(self) -> str:
         """The program's table with the new targets and a status for each row."""
@@ -104,7 +108,7 @@ def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
         raise InputError(f"{folder}: holds no correction of a command; export with --what command")
 
     def position(q: Array) -> Array:
-        return np.asarray(kernel.forward(q)[0], dtype=float)
+        return np.asarray(kernel.forward(q)[0], dtype=float)[:, :3]
 
     def correct(q: Array) -> tuple[Array, Array]:
         dq, status = kernel.correct(q)
@@ -113,14 +117,18 @@ def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
     return Corrector(kernel.shape.joints, correct, position)
 
 
-def model_corrector(command: Command) -> Corrector:
-    """Correction by the export's reference in NumPy: the same bits as the exported double C, without a compiler."""
+def model_corrector(command: Command, instead: Corrector | None = None) -> Corrector:
+    """Correction by the export's reference in NumPy: the same bits as the exported double C, without a compiler.
+
+    instead : as of `Corrector`
+    """
     made = tape_program(command, "double")
     return Corrector(
         made.n,
         lambda q: reference_correct(made, q),
         lambda q: mapped(command.calibrated, q)[:, :3],
         lambda q: mapped(command.nominal, q)[:, :3],
+        instead,
     )
 
 
@@ -137,19 +145,25 @@ def corrected(corrector: Corrector, program: Program) -> Corrected:
 
 
 def corrected_joints(corrector: Corrector, q: Array) -> tuple[Array, tuple[str, ...]]:
-    """Corrected joints, shape (k, n) [rad], those with a status other than OK as they were, and the statuses' names."""
+    """Corrected joints, shape (k, n) [rad], and the names of the statuses; joints without one of `FINE` stay."""
     dq, status = corrector.correct(q)
     names = [Status(int(s)).name for s in status]
     beyond = corrector.correct(q + dq)[1] == Status.CLAMPED
     names = [LEAVES_BOX if b and n == Status.OK.name else n for b, n in zip(beyond, names, strict=True)]
     fine = np.array([n == Status.OK.name for n in names])
-    return np.where(fine[:, None], q + dq, q), tuple(names)
+    new = np.where(fine[:, None], q + dq, q)
+    if corrector.instead is not None and not fine.all():
+        other, reached = corrected_joints(corrector.instead, q[~fine])
+        for k, joints, name in zip(np.flatnonzero(~fine), other, reached, strict=True):
+            if name in FINE:
+                new[k], names[k] = joints, POSITION_ONLY
+    return new, tuple(names)
 
 
 def _refused(result: Corrected) -> list[str]:
     """The number of corrected rows, and each refused row with its reason."""
     rows = np.flatnonzero(~result.fine)
-    lines = [f"{int(result.fine.sum())} of {len(result.status)} rows corrected"]
+    lines = [f"{int(result.fine.sum())} of {len(result.status)} rows corrected{position_only(result.status)}"]
     if len(rows):
         lines[0] += f", {len(rows)} REFUSED and left as they were:"
     for k in rows[:SHOWN]:
@@ -158,6 +172,12 @@ def _refused(result: Corrected) -> list[str]:
     if len(rows) > SHOWN:
         lines.append(f"  and {len(rows) - SHOWN} more; see the status column")
     return lines
+
+
+def position_only(status: tuple[str, ...]) -> str:
+    """How many of the corrected ones are corrected in position only, in words."""
+    count = status.count(POSITION_ONLY)
+    return f" ({count} in position only, near poses in which the orientation cannot be corrected)" if count else ""
 
 
 def _moved(result: Corrected) -> list[str]:

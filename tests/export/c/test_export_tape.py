@@ -8,6 +8,7 @@ import pytest
 from casadical.core.errors import InputError
 from casadical.export.c.intervals import bounds, without_needless_guards
 from casadical.export.c.numpy_evaluation import NumpyFunctions, run
+from casadical.export.c.products import mapped
 from casadical.export.c.tape import tape_of
 
 REALS = ("float", "double")
@@ -163,3 +164,10 @@ def test_needless_guards_go_and_needed_ones_stay():
     assert [n.op for n in without_needless_guards(divided, np.array([-1.0]), np.array([1.0]), "float").nodes].count(
         "guard_min"
     )
+
+
+def test_matrices_are_mapped_column_by_column():
+    q = ca.SX.sym("q", 2)
+    function = ca.Function("f", [q], [3 * q, ca.blockcat([[q[0], 10 * q[0]], [q[1], 10 * q[1]]])])
+    rows = np.array([[1.0, 2.0], [3.0, 5.0], [7.0, 11.0]])
+    assert np.array_equal(mapped(function, rows), [[3 * a, 3 * b, a, b, 10 * a, 10 * b] for a, b in rows])

@@ -15,7 +15,7 @@ import casadical.export.c.kernel as kernel_module
 import casadical.export.c.write as write_module
 from casadical.cli.export import prefix_of
 from casadical.compensator import Compensator, save_compensator
-from casadical.export import load
+from casadical.export import Sources, command_of, kernel_corrector, load, model_corrector, write_c
 from casadical.export.c.toolchain import compilers
 from casadical.robot.robot_file import read_robot
 
@@ -250,3 +250,39 @@ def test_a_damaged_manifest_is_a_users_mistake(tmp_path, monkeypatch, capfd):
 )
 def test_prefixes_are_c_names(name, prefix):
     assert prefix_of(name) == prefix
+
+
+@needs_compiler
+def test_the_c_of_full_poses_says_what_remains_of_both(files, tmp_path):
+    command = command_of(Sources(files / "ur10.toml", nominal_path("ur10")), 3, orientation=True)
+    written = write_c(command, tmp_path / "c", name="arm", vectors=500, languages=())
+    assert written.verified
+    assert written.figures["rest_um_worst"] < 50
+    assert written.figures["rest_urad_worst"] < 200  # 0.05 mm of the weighted error at 0.3 m
+    assert 0.05 < written.figures["share_singular"] < 0.5
+    corrector = kernel_corrector(tmp_path / "c")
+    q = poses(read_robot(files / "ur10.toml"), 5)
+    assert np.array_equal(corrector.correct(q)[0], model_corrector(command).correct(q)[0])
+    assert np.allclose(corrector.position(q), model_corrector(command).position(q), atol=1e-9)
+
+
+def test_another_word_for_what_is_corrected_is_refused(files, tmp_path, monkeypatch, capfd):
+    given = (files / "ur10.toml", "--nominal", nominal_path("ur10"), "--out", tmp_path / "c", "--correct")
+    assert run(monkeypatch, "export", "c", *given, "all") == 2
+    assert "allowed: position, pose" in capfd.readouterr().err
+    curves = ("export", "c", files / "ur10.toml", "--what", "curves", "--out", tmp_path / "c", "--correct", "pose")
+    assert run(monkeypatch, *curves) == 2
+    assert "is for --what command" in capfd.readouterr().err
+
+
+def test_a_table_is_corrected_in_its_poses(files, tmp_path, monkeypatch, capfd):
+    q = poses(read_robot(files / "ur10.toml"), 20)
+    program(tmp_path / "p.csv", q)
+    given = (files / "ur10.toml", tmp_path / "p.csv", "--nominal", nominal_path("ur10"), "--correct", "pose")
+    assert run(monkeypatch, "correct", *given, "--out", tmp_path / "out.csv", "--steps", 3) == 0
+    printed = capfd.readouterr().out
+    assert "position and orientation are corrected" in printed
+    status = [row["correction_status"] for row in table(tmp_path / "out.csv")]
+    assert status.count("OK") > 10
+    assert set(status) <= {"OK", "POSITION_ONLY", "SINGULAR"}
+    assert ("in position only" in printed) == ("POSITION_ONLY" in status)

@@ -16,7 +16,7 @@ from casadical.compensator import Compensator, save_compensator
 from casadical.core.errors import InputError
 from casadical.effects import GearEccentricity, Law, PayloadError, ThermalGrowth
 from casadical.export.controller.commands import Sources, command_of, network_of
-from casadical.export.controller.correction import model_corrector
+from casadical.export.controller.correction import POSITION_ONLY, corrected_joints, model_corrector
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot_file import read_robot, write_robot
 
@@ -223,3 +223,26 @@ def test_a_network_is_exported_only_where_it_helps(files, compensator, tmp_path)
     assert command_of(null).network is None
     with pytest.raises(InputError, match="give --compensator"):
         network_of(Sources(files / "hh800.toml"))
+
+
+def test_a_pose_that_cannot_be_corrected_is_corrected_in_its_position_and_says_so(files):
+    sources = Sources(files / "ur10.toml", nominal_path("ur10"))
+    plain = model_corrector(command_of(sources, 3))
+    both = model_corrector(command_of(sources, 3, orientation=True), plain)
+    q = poses(read_robot(sources.robot), 100)
+    q[:50, 4] = 0.002 * np.sign(q[:50, 4])  # the axes of joints 4 and 6 are nearly parallel
+    moved, names = corrected_joints(both, q)
+    alone, its = corrected_joints(plain, q)
+    only = np.array(names) == POSITION_ONLY
+    assert set(np.array(names)[:50]) - {"SINGULAR", "LIMITED"} == {POSITION_ONLY}
+    assert "SINGULAR" not in names[50:] or only[50:].mean() < 0.5
+    assert np.array_equal(moved[only], alone[only])
+    assert all(its[k] == "OK" for k in np.flatnonzero(only))
+    assert (np.array(names) == "OK")[50:].mean() > 0.5
+
+
+def test_fewer_than_six_joints_correct_the_position_alone():
+    real, nominal = read_robot(nominal_path("planar")), read_robot(nominal_path("planar"))
+    assert real.n < 6
+    command = command_of(Sources(real, nominal), orientation=True)
+    assert command.calibrated.n_out() == 1

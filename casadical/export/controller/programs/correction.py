@@ -19,7 +19,7 @@ from casadical.core.parts import Placement
 from casadical.core.transforms import frame
 from casadical.export.c.reference import Status
 from casadical.export.controller.commands import Sources, command_of, own_robots, robot_of, tool_function
-from casadical.export.controller.correction import LEAVES_BOX, Corrector, corrected_joints, model_corrector
+from casadical.export.controller.correction import FINE, LEAVES_BOX, Corrector, corrected_joints, model_corrector
 from casadical.export.controller.inverse import limits_of, solved
 from casadical.export.controller.postures import Postures
 from casadical.export.controller.programs.language import ProgramLanguage
@@ -101,9 +101,10 @@ class Cell:
 
 def _tooled(sources: Sources, steps: int, orientation: bool) -> Tooled:
     command = command_of(sources, steps, orientation=orientation)
+    instead = model_corrector(command_of(sources, steps)) if orientation else None
     real, nominal, turn = own_robots(sources)
     return Tooled(
-        model_corrector(command),
+        model_corrector(command, instead),
         tool_function(nominal, "nominal", True),
         tool_function(real, "calibrated", True, turn, command.network),
     )
@@ -132,7 +133,7 @@ class Result:
     @property
     def fine(self) -> bool:
         """Whether the target was corrected."""
-        return self.status == Status.OK.name
+        return self.status in FINE
 
 
 def corrected_targets(language: ProgramLanguage, targets: list[Target], cell: Cell) -> list[Result]:
@@ -152,10 +153,11 @@ def corrected_targets(language: ProgramLanguage, targets: list[Target], cell: Ce
         q = np.array([results[k].q[0] for k in chosen])  # type: ignore[index]
         new, names = corrected_joints(made.corrector, q)
         for k, old, to, name in zip(chosen, q, new, names, strict=True):
-            if name != Status.OK.name:
+            if name not in FINE:
                 results[k] = replace(results[k], status=name, q=None)
             else:
-                results[k] = _written(language, results[k].target, cell, made, old, to)
+                found = _written(language, results[k].target, cell, made, old, to)
+                results[k] = replace(found, status=name) if found.fine else found
     return results
 
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from casadical.core.errors import InputError
 from casadical.core.files import read_bytes
-from casadical.export.c.reference import Status
-from casadical.export.controller.correction import MEANINGS, SHOWN
+from casadical.export.controller.correction import FINE, MEANINGS, SHOWN, position_only
 from casadical.export.controller.programs import correction as c
 from casadical.export.controller.programs.language import ProgramLanguage, text_of
 from casadical.export.controller.programs.registry import language_of
@@ -85,6 +84,7 @@ class CorrectedProgram:
         """The number of corrected targets, the others with their reasons, and how far off the tool was and is."""
         fine, refused = [r for r in self.results if r.fine], [r for r in self.results if not r.fine]
         lines = [f"{self.program.language.name}: {len(fine)} of {len(self.results)} targets corrected"]
+        lines[0] += position_only(tuple(r.status for r in fine))
         if refused:
             lines[0] += f", {len(refused)} LEFT as they were:"
         for r in refused[:SHOWN]:
@@ -123,7 +123,7 @@ def _refuse_corrected(path: Path, targets: list[Target]) -> None:
     if not report_of(path).exists():
         return
     rows = csv.DictReader(io.StringIO(read_bytes(report_of(path)).decode("utf-8", "replace")))
-    written = {(row.get("target"), row.get("is")) for row in rows if row.get("status") == Status.OK.name}
+    written = {(row.get("target"), row.get("is")) for row in rows if row.get("status") in FINE}
     for target in targets:
         if (target.name, _numbers(target)) in written:
             raise InputError(

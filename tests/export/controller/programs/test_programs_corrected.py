@@ -32,9 +32,10 @@ def cells():
     made = {}
     for name in ("kr210", "ur10"):
         real, nominal = planted(name), read_robot(nominal_path(name))
-        cell = Cell(Sources(real, nominal), steps=3)
-        for language in ("krl", "rapid", "fanuc") if name == "kr210" else ("urscript",):
-            made[language] = real, _rigid(nominal), cell
+        for pose in (False, True):
+            cell = Cell(Sources(real, nominal), steps=3, orientation=pose)
+            for language in ("krl", "rapid", "fanuc") if name == "kr210" else ("urscript",):
+                made[language, pose] = real, _rigid(nominal), cell
     return made
 
 
@@ -57,10 +58,10 @@ def drawn(language, robot, count, seed):
     return points, poses_in_base
 
 
-@pytest.mark.parametrize("end", ["\n", "\r\n"])
+@pytest.mark.parametrize(("end", "pose"), [("\n", False), ("\r\n", True)])
 @pytest.mark.parametrize("language", list(SUFFIX))
-def test_the_real_tool_ends_where_the_nominal_one_would(language, end, cells, tmp_path):
-    real, nominal, cell = cells[language]
+def test_the_real_tool_ends_where_the_nominal_one_would(language, end, pose, cells, tmp_path):
+    real, nominal, cell = cells[language, pose]
     points, in_base = drawn(language, nominal, 24, seed=7 if end == "\n" else 8)
     path = tmp_path / f"prog{SUFFIX[language]}"
     content = write(language, points, in_base, np.random.default_rng(3), end)
@@ -93,8 +94,13 @@ def test_the_real_tool_ends_where_the_nominal_one_would(language, end, cells, tm
     assert len(wanted) >= sum(fine) - 1
     w, b, a = (np.array(x) for x in (wanted, before, after))
     assert rigid_motion(w[:, :3, 3], b[:, :3, 3])[2].mean() > 3e-4
-    rest = rigid_motion(w[:, :3, 3], a[:, :3, 3])[2]
+    R, _, rest = rigid_motion(w[:, :3, 3], a[:, :3, 3])
     assert rest.max() < 20e-6 + ROUNDING[language]
+    turned = np.linalg.norm(a[:, :3, :3] - R @ w[:, :3, :3], axis=(1, 2)) / np.sqrt(2)
+    oriented = sum(r.status == "OK" for r in result.results) if pose else 0
+    assert sum(turned < 1e-4 + ROUNDING[language]) >= oriented - 1
+    assert oriented >= 0.5 * len(points) * pose
+    assert pose or np.median(turned) > 2e-4 + ROUNDING[language]
     outside(language, content, new)
 
 
