@@ -15,6 +15,8 @@ from casadical.measurements.noise import Noise
 
 # Probabilities below this are not distinguished.
 LEAST = 1e-12
+# A cause in doubt, with those that cannot be distinguished from it, is at least so probable.
+LIKELY = 0.5
 # So many other sets are said.
 OTHERS = 3
 
@@ -23,15 +25,18 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
     """The state with those causes alone that are certain beside the others, and why there is no further one.
 
     A cause is certain from `thresholds.CLAIM` on, against every other in its place and none, if the gap shrinks with it
-    on poses held out. One that is there without being certain is kept if it has more evidence than each certain one; it
-    comes first, with what cannot be distinguished from it. All others that are in doubt are left out.
+    on poses held out. One that is there without being certain is kept if it has more evidence than each certain one and
+    is probable together with what cannot be distinguished from it; it comes first. All others in doubt are left out.
     """
     if not state.steps:
         return state, end
     steps = [_beside_others(state, k) for k in range(len(state.steps))]
     there = [s for k, s in enumerate(steps) if _shrinks(state, k, seed)]
-    certain = [s for s in there if s.labels[0] not in state.doubted and len(s.labels) == 1]
-    doubtful = [s for s in there if s not in certain and s.labels[0] not in state.doubted and _is_listed(state, s)]
+    there = [s for s in there if s.labels[0] not in state.doubted]
+    alone = len(state.steps) == 1
+    certain = [s for s in there if len(s.labels) == 1 and (alone or s.ranking.none <= DETECT_FURTHER)]
+    doubtful = [s for s in there if s not in certain and _is_listed(state, s)]
+    doubtful = [s for s in doubtful if sum(s.ranking.probability[k] for k in s.labels) >= LIKELY]
     strongest = max(doubtful, key=_evidence, default=None)
     if strongest and all(_evidence(strongest) > _evidence(s) for s in certain):
         certain = [strongest, *certain]

@@ -23,7 +23,10 @@ from casadical.identification.accuracy import errors, predicted
 from casadical.identification.identification import identify
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.noise import Noise
+from casadical.project.problem import read_problem
 from casadical.robot.robot_file import read_robot
+
+ROOT = Path(__file__).parents[2]
 
 
 def test_two_are_found_though_their_mixture_looks_like_the_unknown() -> None:
@@ -175,3 +178,10 @@ def test_a_rival_competes_at_every_ranking(gain: float, verdict: str) -> None:
     assert "law" in d.rankings[0].probability
     assert as_json(d, "campaign")["verdict"] == verdict
     assert ("most like law" in " ".join(page_of(d).split())) == (verdict == "unknown")
+
+
+def test_a_jump_of_the_last_poses_among_noise_with_heavy_tails_is_no_cause() -> None:
+    """Real data of a camera: the jump was named, though beside the rest there is probably none."""
+    problem = read_problem(ROOT / "problems" / "fr3_camera")
+    d = diagnose(problem.robot, problem.sets["identify"][0])
+    assert (d.verdict, d.causes) == ("ambiguous", ())
