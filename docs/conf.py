@@ -46,6 +46,14 @@ autodoc_default_options = {"members": True}
 python_use_unqualified_type_names = True
 maximum_signature_line_length = 100
 
+# A notebook has no file name, by which a tutorial finds problems and data.
+_NOTEBOOK = """# To be run in the folder of the repository or below it, with `pip install '.[docs]'`.
+import sys
+from pathlib import Path
+
+root = next(p for p in (Path.cwd(), *Path.cwd().parents) if (p / "problems/ur10").is_dir())
+sys.argv = [str(root / "docs/tutorials/notebook.py")]"""
+
 sphinx_gallery_conf = {
     "examples_dirs": ["tutorials"],
     "gallery_dirs": ["gallery"],
@@ -56,7 +64,7 @@ sphinx_gallery_conf = {
     "download_all_examples": False,
     "show_memory": False,
     "show_signature": False,
-    "notebook_extensions": set(),
+    "first_notebook_cell": _NOTEBOOK,
     "write_computation_times": False,
     "remove_config_comments": True,
     "copyfile_regex": r".*\.rst",

@@ -8,6 +8,8 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.arrays import Array
+from casadical.core.blocks import Table, mm
+from casadical.core.notebook import html
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_floor import Replicates
 from casadical.diagnosis.posterior import Ranking
@@ -149,6 +151,22 @@ class Diagnosis:
     prior: Prior | None = None
     changes: tuple[Change, ...] = ()
     cause_set: CauseSet | None = None
+
+    def __repr__(self) -> str:
+        named = ", ".join(c.label for c in self.causes) or "no cause named"
+        gap = f"gap {mm(self.gap.kept)} -> {mm(self.gap.after)} mm, noise alone {mm(self.gap.floor)} mm"
+        return f"<Diagnosis of {self.identification.given.name!r}: {self.verdict}; {named}; {gap}>"
+
+    def _repr_html_(self) -> str:
+        """For a notebook: the causes, and the gap before and after them."""
+        rows = [
+            (c.label, f"{c.confidence:.3f}", " to ".join(f"{100 * v:.0f} %" for v in c.shrink_interval),
+             ", ".join(c.indistinguishable))
+            for c in self.causes
+        ]  # fmt: skip
+        head = ("cause", "probability", "gap shrinks by, 95 %", "cannot be told from")
+        bars = [("gap, held out", self.gap.kept), ("with the causes", self.gap.after), ("noise alone", self.gap.floor)]
+        return html([Table("Causes", head, rows, frozenset({1, 2}))] if rows else [], bars, repr(self)[1:-1])
 
     @property
     def in_question(self) -> tuple[str, ...]:

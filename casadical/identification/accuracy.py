@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.blocks import mm
 from casadical.core.errors import InputError
 from casadical.measurements.kinds.base import PositionsAt
 from casadical.measurements.kinds.registry import find_kind
@@ -23,6 +24,10 @@ class Accuracy:
     std: float
     rms: float
     p95: float
+
+    def __repr__(self) -> str:
+        mean, top, p95 = mm(self.mean), mm(self.max), mm(self.p95)
+        return f"<Accuracy of {self.n} poses: mean {mean} mm, 95 % below {p95} mm, max {top} mm>"
 
 
 def summarise(errors: Array) -> Accuracy:

@@ -9,8 +9,9 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.arrays import Array
-from casadical.core.blocks import mm
+from casadical.core.blocks import Table, Words, mm
 from casadical.core.errors import InputError
+from casadical.core.notebook import html
 from casadical.core.statistics import student_t
 from casadical.identification.accuracy import Accuracy, errors, predicted, summarise
 from casadical.identification.identifiability import Identifiability
@@ -77,6 +78,29 @@ class Identification:
     variance: float
     degrees_of_freedom: int
     outliers: tuple[tuple[int, int], ...] = ()
+
+    def __repr__(self) -> str:
+        used = sum(map(len, self.used))
+        held, left = len(self.identifiability.held), max(1e3 * sigma for sigma, _ in self.sigmas)
+        return (
+            f"<Identification {self.method} of {self.given.name!r}: {len(self.names)} parameters from {used} poses, "
+            f"{held} not identifiable, {left:.3g} mm a coordinate left>"
+        )
+
+    def _repr_html_(self) -> str:
+        """For a notebook: the verdict, every parameter, and the errors of what was used."""
+        rows = [
+            (str(r["name"]), f"{r['nominal']:.4f}", f"{r['value']:.4f}", f"{r['std_error']:.2g}", str(r["unit"]),
+             str(r["reason"] or r["status"]))
+            for r in self.shown.to_dict("records")
+        ]  # fmt: skip
+        head = ("parameter", "nominal", "value", "std error", "unit", "status")
+        table = Table("All parameters", head, rows, frozenset({1, 2, 3}), folded=True)
+        bars = []
+        for m in self.used:
+            a = summarise(errors(self.robot, m))
+            bars += [(f"{m.kind}, mean", a.mean), (f"{m.kind}, 95 % below", a.p95)]
+        return html([Words(self.verdict), table], bars, repr(self)[1:-1])
 
     @property
     def names(self) -> tuple[str, ...]:

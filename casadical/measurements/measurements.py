@@ -8,7 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.blocks import Table
 from casadical.core.errors import InputError
+from casadical.core.notebook import html
 from casadical.measurements.kinds.registry import find_kind
 
 SETS = ("identify", "train", "choose", "report")
@@ -72,6 +74,19 @@ class Measurements:
         if not len(self.row):
             object.__setattr__(self, "row", np.arange(n))
         _refuse_malformed(self)
+
+    def __repr__(self) -> str:
+        return f"<Measurements {self.source}: {len(self)} poses of {self.q.shape[1]} joints, {self.kind}>"
+
+    def _repr_html_(self) -> str:
+        """For a notebook: ranges of readings, positions and logged columns."""
+        columns = [(f"q{k + 1} [rad or m]", column) for k, column in enumerate(self.q.T)]
+        if self.position is not None:
+            columns += [(f"{axis} [mm]", 1e3 * column) for axis, column in zip("xyz", self.position.T, strict=True)]
+        columns += list(self.conditions.items())
+        rows = [(name, f"{c.min():.4g}", f"{c.mean():.4g}", f"{c.max():.4g}") for name, c in columns]
+        table = Table("Ranges", ("column", "least", "mean", "greatest"), rows, frozenset({1, 2, 3}))
+        return html([table], title=repr(self)[1:-1])
 
     def __len__(self) -> int:
         return len(self.q)

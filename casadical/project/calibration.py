@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casadical.compensator import compensator_text
-from casadical.core.blocks import Table, Words, plain_text, terminal
+from casadical.core.blocks import Table, Words, mm, plain_text, terminal
 from casadical.core.errors import InputError, shown
 from casadical.core.files import claimed, json_text, write_together
+from casadical.core.notebook import html
 from casadical.identification.accuracy import Accuracy
 from casadical.identification.identification import Identification, identify, without_poses
 from casadical.identification.plausibility import check_against
@@ -108,6 +109,18 @@ class Calibration:
             held_table(last),
             *correlated(last),
         ]
+
+    def __repr__(self) -> str:
+        method, before, after, held_out = judged_on(self.accuracies)
+        poses = f"{after.n} {'held-out poses' if held_out else 'poses, not held out'}"
+        change = f"{mm(before.mean)} -> {mm(after.mean)} mm with {method}"
+        return f"<Calibration of {self.problem.robot.name!r}: {change}, mean of {poses}>"
+
+    def _repr_html_(self) -> str:
+        """For a notebook: verdict, errors before and after, and what must be known of them."""
+        method, before, after, _ = judged_on(self.accuracies)
+        bars = [("before, mean", before.mean), (f"{method}, mean", after.mean), (f"{method}, 95 %", after.p95)]
+        return html(self.brief(), bars)
 
     def report(self) -> RenderableType:
         """What `casadical calibrate` prints, for a console of rich; `str` gives it as plain text."""

@@ -16,6 +16,8 @@ import numpy as np
 
 from casadical.core.arm import Arm
 from casadical.core.arrays import Array
+from casadical.core.blocks import Table, Words
+from casadical.core.notebook import html
 from casadical.core.parameters import Parameters
 from casadical.core.parts import FourBar, Joint
 from casadical.core.transforms import frame, small_frame, to_rpy
@@ -46,6 +48,23 @@ class Robot(Arm):
         super().__post_init__()
         for effect in self.effects:
             effect.refuse_joints(self)
+
+    def __repr__(self) -> str:
+        effects = f", with {', '.join(e.label for e in self.effects)}" if self.effects else ""
+        what = f"{self.n} joints, reach {self.reach:.2f} m, {len(self.parameters)} parameters{effects}"
+        return f"<Robot {self.name!r}: {what}>"
+
+    def _repr_html_(self) -> str:
+        """For a notebook: the DH table with the limits of each joint."""
+        units = [(key.split("_")[1], factor) for key, factor in self.reading_units.items()]
+        rows = [
+            (str(row["joint"]), *("" if v is None else f"{v:.3f}" for k, v in row.items() if k != "joint"),
+             f"{j.lower / factor:.4g} to {j.upper / factor:.4g} {unit}")
+            for row, j, (unit, factor) in zip(modified_dh(self), self.joints, units, strict=True)
+        ]  # fmt: skip
+        head = ("joint", "alpha [deg]", "a [mm]", "beta [deg]", "b [mm]", "theta [deg]", "d [mm]", "readings")
+        table = Table("Modified DH rows", head, rows, frozenset(range(1, 7)))
+        return html([table, *(Words(note, "note") for note in self.notes)], title=repr(self)[1:-1])
 
     @cached_property
     def conditions(self) -> tuple[str, ...]:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 from urllib.parse import unquote
 
-from site_of_docs import ROOT, pages
+from site_of_docs import ROOT, TUTORIALS, pages
 
 
 def external(link: str) -> bool:
@@ -61,3 +65,16 @@ def test_links_to_tutorials_lead_to_their_pages(site) -> None:
     links = pages(site.folder)[site.folder / "index.html"].links
     assert "gallery/tutorial_5_diagnose_a_gap.html" in links
     assert (site.folder / "gallery" / "images").is_dir() or list((site.folder / "_images").glob("sphx_glr_tutorial_*"))
+
+
+def test_every_tutorial_is_a_notebook_that_runs_where_the_repository_is(site) -> None:
+    books = {path.stem: path for path in (site.folder / "_downloads").rglob("*.ipynb")}
+    assert set(books) == {name.removesuffix(".py") for name in TUTORIALS}
+    cells = json.loads(books["tutorial_1_planar_arm"].read_text(encoding="utf-8"))["cells"]
+    program = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    done = subprocess.run(
+        [sys.executable, "-"], input=program, cwd=ROOT, env={**os.environ, "MPLBACKEND": "Agg"}, text=True,
+        capture_output=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "mm after" in done.stdout

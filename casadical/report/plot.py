@@ -1,0 +1,51 @@
+"""All figures of a result by one call."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, overload
+
+from casadical.core.errors import InputError
+from casadical.diagnosis.result import Diagnosis
+from casadical.identification.identification import Identification
+from casadical.project.calibration import Calibration
+from casadical.report.figures_of_calibration import calibration_figures
+from casadical.report.figures_of_diagnosis import diagnosis_figures
+from casadical.report.fit_figures import fit_figures
+from casadical.report.parameter_figures import parameter_figures
+from casadical.report.style import Figure
+
+if TYPE_CHECKING:
+    from casadical.diagnosis.details import Details
+
+
+@overload
+def plot(
+    result: Calibration | Identification | Diagnosis, name: None = None, more: Details | None = None
+) -> dict[str, Figure]: ...
+@overload
+def plot(result: Calibration | Identification | Diagnosis, name: str, more: Details | None = None) -> Figure: ...
+def plot(
+    result: Calibration | Identification | Diagnosis, name: str | None = None, more: Details | None = None
+) -> Figure | dict[str, Figure]:
+    """The figures of a report, as plotly makes them: one by its name, or all by name.
+
+    result : of `calibrate`, `identify` or `diagnose`; more : what `casadical.diagnosis.analyse` computed of a diagnosis
+    name : as "errors/report"; without it all figures are given
+    Raises InputError: a name that the result does not have, or plotly is not installed.
+
+    >>> import casadical
+    >>> sorted(casadical.plot(casadical.calibrate("problems/planar")))[:3]
+    ['distribution/identify', 'distribution/report', 'errors/identify']
+    """
+    if isinstance(result, Calibration):
+        found = calibration_figures(result)
+    elif isinstance(result, Diagnosis):
+        found = diagnosis_figures(result, more)
+    else:
+        found = {f"parameters/{kind}": figure for kind, figure in parameter_figures(result).items()}
+        found |= {f"fit/{k}": f for k, f in fit_figures(result, {"poses that identified": result.used}).items()}
+    if name is None:
+        return found
+    if name not in found:
+        raise InputError(f"plot: {name!r} is no figure of this result; there are {', '.join(found)}")
+    return found[name]

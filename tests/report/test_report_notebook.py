@@ -1,0 +1,84 @@
+"""What a notebook shows: short texts with units, tables that parse, and every figure by one call."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+
+import pytest
+
+from casadical import plot
+from casadical.core.blocks import Table, Words
+from casadical.core.errors import InputError
+from casadical.core.notebook import html
+from casadical.report import calibration_figures
+
+
+class Cells(HTMLParser):
+    """Text by tag; the parser refuses nothing, so that open tags are counted."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.cells: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs) -> None:
+        self.open.append(tag)
+
+    def handle_endtag(self, tag) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data) -> None:
+        if self.open and self.open[-1] in ("td", "th"):
+            self.cells.append(data)
+
+
+@pytest.fixture(scope="module")
+def shown(calibrated, diagnosis):
+    c = calibrated("planar")
+    i = c.identification
+    return {
+        "calibration": c,
+        "identification": i,
+        "robot": i.robot,
+        "measurements": i.measurements[0],
+        "diagnosis": diagnosis,
+    }
+
+
+@pytest.mark.parametrize("name", ["calibration", "identification", "robot", "measurements", "diagnosis"])
+def test_results_show_themselves_in_a_line_and_in_tables(shown, name) -> None:
+    text = repr(shown[name])
+    assert len(text) < 200
+    assert "\n" not in text
+    page = Cells(shown[name]._repr_html_())
+    assert page.open == []
+    assert len(page.cells) > 4
+    assert len(shown[name]._repr_html_()) < 40_000
+
+
+def test_every_length_has_its_unit(shown) -> None:
+    a = shown["calibration"].accuracies["KM"]["report"]["calibrated"]
+    assert re.fullmatch(r"<Accuracy of 15 poses: mean [\d.]+ mm, 95 % below [\d.]+ mm, max [\d.]+ mm>", repr(a))
+    assert f"{1e3 * a.mean:.4f} mm" in repr(a)
+    assert f"-> {1e3 * a.mean:.4f} mm" in repr(shown["calibration"])
+    assert {"a [mm]", "theta [deg]"} <= set(Cells(shown["robot"]._repr_html_()).cells)
+
+
+def test_bars_are_as_long_as_their_values_and_text_stays_text() -> None:
+    page = html([Words("<b>"), Table("<i>", ("<u>",), [("<s>",)])], [("half", 1e-3), ("whole", 2e-3)])
+    assert not re.search(r"<[bius]>", page)
+    half, whole = (float(w) for w in re.findall(r'rect [^>]*width="([\d.]+)"', page))
+    assert whole == pytest.approx(2 * half)
+    assert "2.000 mm" in page
+
+
+def test_plot_has_every_figure_of_the_report(shown) -> None:
+    c = shown["calibration"]
+    assert list(plot(c)) == list(calibration_figures(c))
+    assert plot(c, "fit/residuals").layout.title.text == "Residuals: are they noise?"
+    assert {"parameters/lengths", "fit/coverage"} <= set(plot(shown["identification"]))
+    with pytest.raises(InputError, match=r"'gap' is no figure of this result; there are errors/report"):
+        plot(c, "gap")
+    assert plot(shown["diagnosis"], "gap").layout.title.text == "Gap on held-out poses"
