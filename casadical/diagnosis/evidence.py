@@ -165,14 +165,21 @@ class Evidence:
 class _Added:
     """Parameters that joined a model at one rho.
 
-    root : of the inverse of their normal matrix beside those before, shape (new, new); z : what they take up in these
-        axes, shape (new,); square, log_norm : what is left, and what does not depend on sigma
+    L, scale : Cholesky factor of their scaled normal matrix beside those before, and what scales it
+    z : what they take up in the axes of `root`, shape (new,)
+    square, log_norm : what is left, and what does not depend on sigma
     """
 
-    root: Array
+    L: Array
+    scale: Array
     z: Array
     square: float
     log_norm: float
+
+    @cached_property
+    def root(self) -> Array:
+        """Of the inverse of their normal matrix, shape (new, new)."""
+        return np.asarray(np.linalg.inv(self.L) * self.scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +219,7 @@ class Judge:
 
     def __init__(self, e: Evidence) -> None:
         # A copy, which does not hold the judge in turn: large arrays would be kept too long.
-        self.e, self.sums = replace(e), Sums(e.r, e.J, e.Jq, e.E, RHOS)
+        self.e, self.sums = replace(e), Sums(e.r, e.J, e.Jq, e.E, RHOS, e.near)
         self._beside: dict[bytes, Beside] = {}
 
     def extend(self, known: Judge) -> None:
@@ -367,9 +374,8 @@ def _added(normal: Array, right: Array, square: float, log_norm: float) -> _Adde
     # A parameter whose column is long is scaled first, so that rank is judged fairly.
     scale = 1 / np.sqrt(np.diag(normal))
     L = np.linalg.cholesky(normal * np.outer(scale, scale))
-    root = np.linalg.inv(L) * scale
-    z = root @ right
-    return _Added(root, z, square - float(z @ z), log_norm - float((np.log(np.diag(L)) - np.log(scale)).sum()))
+    z = np.linalg.solve(L, scale * right)
+    return _Added(L, scale, z, square - float(z @ z), log_norm - float((np.log(np.diag(L)) - np.log(scale)).sum()))
 
 
 def log_sum(a: Array, axis: int | tuple[int, ...] | None = None) -> Array:

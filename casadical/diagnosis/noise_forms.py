@@ -7,7 +7,7 @@ joint that scatters is still something that nobody listed, unless it has a cause
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -79,20 +79,26 @@ def _weighed(ranking: Ranking, none: float) -> Ranking:
 
 def noise_forms(case: Case, chosen: Array) -> Sequence[Rival]:
     """Each form with its log evidence over plain noise, averaged over its settings; the kinds share the prior."""
-    base = case.evidence.with_base(chosen)
+    known = case.evidence
+    base = known.with_base(chosen)
     base = replace(base, E=np.zeros((len(base.r), 3, 1)), held=None)
-    plain = float(log_sum(base.log_base()))
+    plain = float(log_sum(known.log_base(chosen)))
     progress = derive(case.m, ["progress"])[0].conditions["progress"][case.kept]
-    joints = base.Jq.shape[2]
-    kinds = [(FOLLOWING, [*_following(base, np.argsort(progress, kind="stable"))], 1)]
-    if tails := _tails(base):
-        kinds.append((TAILED, [tails], 1))
-    kinds += [(scatter_of(j + 1), [(_scattering(base, j), 0.0)], joints) for j in range(joints)]
+    joints = range(base.Jq.shape[2])
+    # One problem at a time is made and judged, for each holds as much as the data.
+    kinds: list[tuple[str, Iterable[tuple[Evidence, float]], int]]
+    kinds = [
+        (FOLLOWING, _following(base, np.argsort(progress, kind="stable")), 1),
+        (TAILED, filter(None, map(_tails, [base])), 1),
+    ]
+    kinds += [(scatter_of(j + 1), ((_scattering(base, k), 0.0) for k in (j,)), len(joints)) for j in joints]
     found = []
     for label, ways, alike in kinds:
         grids = [e.log_base() + weight for e, weight in ways]
+        if not grids:
+            continue
         logs = np.array([float(log_sum(g)) for g in grids])
-        factor = float(log_sum(logs)) - np.log(len(ways) * alike * 3) - plain
+        factor = float(log_sum(logs)) - np.log(len(grids) * alike * 3) - plain
         found.append(Rival(label, float(factor), likely_noise(grids[int(np.argmax(logs))], base.sigmas)))
     return found
 

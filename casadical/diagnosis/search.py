@@ -88,9 +88,14 @@ class State:
         columns = [self.columns(beside), *(self.case.group(e) for e in also.values())]
         skip = frozenset((*(s.labels[0] for s in beside), *also))
         chosen = np.unique(np.concatenate(columns))
-        ranking = rank(self.case, chosen, skip, covered, self.rivals)
-        joints = [self.by_label[s.labels[0]].joint for s in beside]
-        return ranking if also else with_noise_forms(ranking, self.case, chosen, joints)
+        joints = tuple(self.by_label[s.labels[0]].joint for s in beside)
+        # A search asks for the same ranking again when it looks at its causes once more.
+        known: dict[object, Ranking] = self.case.evidence.__dict__.setdefault("rankings", {})
+        key = (chosen.tobytes(), skip, covered, self.rivals, not also, joints)
+        if key not in known:
+            ranking = rank(self.case, chosen, skip, covered, self.rivals)
+            known[key] = ranking if also else with_noise_forms(ranking, self.case, chosen, joints)
+        return known[key]
 
     def most_probable_set(self) -> tuple[tuple[str, ...], frozenset[str]]:
         """Listed causes that explain together what the last ranking gives to no single one, and those in doubt."""

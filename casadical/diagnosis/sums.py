@@ -62,18 +62,22 @@ def _add_products(total: Array, F: Factors, G: Factors, U: Array, weight: Array)
 class Sums:
     """Of one problem: residuals, base model, candidates (see `Evidence`).
 
-    base : products of the base model's columns and the residual, shape (rhos, P + 1, P + 1)
+    base : products of the base model's columns and the residual, shape (rhos, P + 1, P + 1); zero at rhos that are not
+        near, by their numbers
     log_det : log determinant of the noise's covariance in units of sigma, shape (rhos,)
     """
 
-    def __init__(self, r: Array, J: Array, Jq: Array, E: Array | Columns, rhos: Array) -> None:
+    def __init__(self, r: Array, J: Array, Jq: Array, E: Array | Columns, rhos: Array, near: Sequence[int]) -> None:
         self.E = E
         square, self._turn = np.linalg.eigh(Jq @ Jq.transpose(0, 2, 1))
         square = np.maximum(square, 0.0).reshape(-1)
         self._weight = 1 / (1 + np.outer(rhos**2, square))
         self.log_det = np.log1p(np.outer(rhos**2, square)).sum(axis=1)
         self._base = self._turned(np.concatenate([J, r[:, :, None]], axis=2), EVERY)
-        self.base = self._base.T @ (self._weight[:, :, None] * self._base)
+        self.base = np.zeros((len(rhos), *[self._base.shape[1]] * 2))
+        for k in near:
+            scaled = self._base * np.sqrt(self._weight[k, :, None])
+            self.base[k] = scaled.T @ scaled
         self._own: dict[bytes, Array] = {}
         self._wide: dict[tuple[bytes, int], Array] = {}
         self._cross: dict[tuple[int, int, int], Kept] = {}
