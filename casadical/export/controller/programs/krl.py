@@ -48,9 +48,14 @@ class Krl(ProgramLanguage):
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
         own = _Module(text)
         others = [_Module(other) for other in given.texts.values()]
+        elsewhere = {name: file for file, module in zip(given.texts, others, strict=True) for name in module.assigned}
         frames = _Frames(self, source, [own, *others], given)
         used = {name for module in (own, *others) for name in module.moves}
-        return [frames.placed(t, name) for t, name in own.targets(source, joints, used)]
+        targets = [(t, name, elsewhere.get(name.partition("[")[0])) for t, name in own.targets(source, joints, used)]
+        return [
+            frames.placed(t if file is None else t.leave(f"{file} gives it another value"), name)
+            for t, name, file in targets
+        ]
 
     def matrix(self, values: Array) -> Array:
         return matrix_of_angles(values, _ORDER)
@@ -143,7 +148,8 @@ class _Frames:
         numbers = [values.get(key) for key in _POSE]
         if not all(isinstance(n, Token) and n.type == "NUMBER" for n in numbers):
             raise InputError(f"{self.source}: line {line}: a tool or base needs X, Y, Z, A, B, C as numbers")
-        return self.language.matrix(np.array([float(str(n)) for n in numbers]) * self.language.units)
+        pose = np.array([float(str(n)) for n in numbers]) * self.language.units
+        return self.language.frame(f"{self.source}: line {line}", pose)
 
     def placed(self, target: Target, name: str) -> Target:
         """The target with its tool and base."""

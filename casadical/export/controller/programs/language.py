@@ -49,6 +49,12 @@ class ProgramLanguage(ABC):
         """The texts of the words that say the turns, one for each of `target.turn_text`."""
         raise NotImplementedError
 
+    def frame(self, where: str, values: Array) -> Array:
+        """The transform of a tool or base in a program. Raises InputError that begins with `where`."""
+        if not np.isfinite(values).all():
+            raise InputError(f"{where}: a tool or base needs finite numbers, {self.pose}")
+        return self.matrix(values)
+
     def transform(self, option: str, text: str) -> Array:
         """A pose that a user gives as the controller shows it. Raises InputError."""
         try:

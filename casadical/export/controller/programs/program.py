@@ -104,6 +104,7 @@ def read_target_program(path: Path, given: Given, joints: int) -> TargetProgram:
     targets = language.targets(str(path), text, given, joints)
     if not targets:
         raise InputError(f"{path}: has no target that {language.name} programs have; is it the right file?")
+    targets = [t if np.isfinite(t.si).all() else t.leave("has a number that is too large") for t in targets]
     _refuse_corrected(path, targets)
     return TargetProgram(str(path), language, text, tuple(targets))
 

@@ -180,6 +180,9 @@ class _Module:
         posture = Posture(bool(int(cfx) & 4), bool(int(cfx) & 2), bool(int(cfx) & 1))
         text = tuple(Number.of(t, 1.0) for t in flat[2][:3])
         made = Target(line, name, False, numbers, posture, tuple(map(int, turns)), text, external=external)
+        length = float(np.linalg.norm(made.si[3:]))
+        if not abs(length - 1) <= _UNIT_MISFIT:
+            made = made.leave(f"its quaternion has the length {length:.4g}; it must be 1")
         return made if cfx in range(8) else made.leave(f"its cfx is {cfx:g}; 0 to 7 are known")
 
     def placed(self, target: Target, name: str) -> Target:
@@ -232,10 +235,10 @@ class _Module:
     def _pose(self, value: Tree[Token] | Token) -> Array:
         tokens = value.scan_values(lambda t: isinstance(t, Token)) if isinstance(value, Tree) else [value]
         numbers = [float(str(t)) for t in tokens if t.type == "NUMBER"]
+        line = value.meta.line if isinstance(value, Tree) else value.line
         if len(numbers) != len(self.language.units):
-            line = value.meta.line if isinstance(value, Tree) else value.line
             raise InputError(f"{self.source}: line {line}: a frame must be [[x, y, z], [q1, q2, q3, q4]] in numbers")
-        return self.language.matrix(np.array(numbers) * self.language.units)
+        return self.language.frame(f"{self.source}: line {line}", np.array(numbers) * self.language.units)
 
 
 def _declared(islands: list[Tree[Token]]) -> list[tuple[str, str, Tree[Token]]]:

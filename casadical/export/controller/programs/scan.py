@@ -34,25 +34,31 @@ def found(grammar: str, tokens: Sequence[Token]) -> Iterator[Tree[Token]]:
     parser, k = _parser(grammar), 0
     first = set(_expected(parser.parse_interactive(""))) - {"OTHER", "$END"}
     while k < len(tokens):
-        length = _longest(parser, tokens, k) if tokens[k].type in first else 0
-        if length:
-            run = parser.parse_interactive("")
-            for token in tokens[k : k + length]:
-                run.feed_token(token)
-            yield run.feed_eof(tokens[k + length - 1])  # type: ignore[no-untyped-call]
-        k += max(length, 1)
+        island, length = _longest(parser, tokens, k) if tokens[k].type in first else (None, 1)
+        if island is not None:
+            yield island
+        k += length
 
 
-def _longest(parser: Lark, tokens: Sequence[Token], start: int) -> int:
-    run, longest = parser.parse_interactive(""), 0
+def _longest(parser: Lark, tokens: Sequence[Token], start: int) -> tuple[Tree[Token] | None, int]:
+    """The longest run from a token that is a whole island, and how many tokens it has; None and 1 where none is."""
+    run, ends = parser.parse_interactive(""), []
     for k in range(start, len(tokens)):
         try:
             run.feed_token(tokens[k])
         except UnexpectedInput:
             break
-        if "$END" in _expected(run):
-            longest = k + 1 - start
-    return longest
+        if "$END" in _expected(run):  # where lookaheads are merged (LALR), the end may be refused all the same
+            ends.append(k + 1)
+    for end in reversed(ends):
+        run = parser.parse_interactive("")
+        try:
+            for token in tokens[start:end]:
+                run.feed_token(token)
+            return run.feed_eof(tokens[end - 1]), end - start  # type: ignore[no-untyped-call]
+        except UnexpectedInput:
+            continue
+    return None, 1
 
 
 def _expected(run: InteractiveParser) -> dict[str, object]:

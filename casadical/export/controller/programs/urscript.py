@@ -50,7 +50,10 @@ class UrScript(ProgramLanguage):
 
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
         program = _Program(source, text, joints)
-        tools = {line: None if pose is None else self.matrix(pose) for line, pose in program.tools.items()}
+        tools = {
+            line: None if pose is None else self.frame(f"{source}: line {line}", pose)
+            for line, pose in program.tools.items()
+        }
         tool = given.tools.get("", only_one(source, "the tool centre point", tools))
         placed = [replace(t, tool=tool, about="set_tcp" if tools else "") for t in program.targets()]
         return [replace(t, base=given.bases.get("", np.eye(4))) for t in placed]

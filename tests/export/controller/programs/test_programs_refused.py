@@ -128,6 +128,34 @@ def test_what_the_others_do_not_say_is_left(tmp_path, cell):
     assert "CONFIG" in statuses(tmp_path, cell, "p.ls", listing, Given(TOOL))["P[1]"][1]
 
 
+@pytest.mark.parametrize("name", ["krl", "rapid", "urscript", "fanuc"])
+def test_a_damaged_program_is_read_or_refused(name):
+    """Whatever is deleted, replaced or repeated: targets whose numbers stand where they say, or a refusal."""
+    kind = dict(zip(("krl", "rapid", "urscript", "fanuc"), known_program_languages().values(), strict=True))[name]
+    points = [Point(np.array([0.1, -1.2, 1.3, 0.2, 0.5, 0.1]), k == 0, 0, 1) for k in range(2)]
+    whole = write(name, points, [np.eye(4)] * 2, np.random.default_rng(0), "\n").decode("latin-1")
+    rng, read = np.random.default_rng(1), 0
+    for _ in range(40):
+        text = whole
+        for at in rng.integers(len(whole) - 50, size=rng.integers(1, 6)):
+            middle = ("", rng.choice(list("{}[](),;:=\"'-.09eA \n")), 2 * text[at : at + 20])[rng.integers(3)]
+            text = text[:at] + middle + text[at + rng.integers(1, 12) :]
+        try:
+            targets = kind().targets("p", text, Given(), 6)
+        except InputError:
+            continue
+        read += len(targets)
+        for number in (n for t in targets for n in (*t.numbers, *t.turn_text)):
+            assert text[number.start : number.stop] == number.text
+    assert read > 20
+
+
+def test_a_target_that_another_file_changes_is_left(tmp_path, cell):
+    given = Given({"": matrix((0, 0, 100, 0, 0, 0))}, {}, {"p.src": "XP1.Z=5\nPTP XP1\n"})
+    text = f"DECL E6POS XP1={E6POS}\nDECL FDAT FP1={{TOOL_NO 0,BASE_NO 0,IPO_FRAME #BASE}}\n"
+    assert statuses(tmp_path, cell, "p.dat", text, given)["XP1"] == ("LEFT", "p.src gives it another value")
+
+
 def test_a_language_is_found_by_the_suffix_of_the_file(tmp_path):
     kinds = known_program_languages()
     assert [k.name for k in kinds.values()] == ["KUKA KRL", "ABB RAPID", "URScript", "FANUC listing"]
