@@ -22,6 +22,7 @@ import importlib
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -313,11 +314,17 @@ def copied(folder: Path) -> Path:
     return folder
 
 
+def unplaced(name: str) -> str:
+    """A mutant's name without its line, which moves."""
+    return re.sub(r":\d+ ", " ", name, count=1)
+
+
 def report(log: Path) -> None:
     """Score by room, and what lived."""
     lines = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()] if log.exists() else []
-    done = {line["name"]: line for line in lines}
-    known = {m.name: m for m in mutants()}
+    done = {unplaced(line["name"]): line for line in lines}
+    known = {unplaced(m.name): m for m in mutants()}
+    same_as = {unplaced(name): why for name, why in EQUIVALENT.items()}
     done = {name: line for name, line in done.items() if name in known}
     print(f"{len(done)} of {len(known)} mutants ran; * no failure within the limit")
     print()
@@ -326,7 +333,7 @@ def report(log: Path) -> None:
         rows = [line for line in done.values() if room in (line["room"], "all")]
         killed = sum(line["outcome"] == "killed" for line in rows)
         own = sum(f"tests/{line['room']}/" in line.get("by", "") for line in rows)
-        same = sum(line["name"] in EQUIVALENT for line in rows)
+        same = sum(unplaced(line["name"]) in same_as for line in rows)
         lived = len(rows) - killed - same
         score = f"{killed / (len(rows) - same):6.3f}" if len(rows) > same else "     -"
         total = sum(room in (m.room, "all") for m in known.values())
@@ -334,8 +341,8 @@ def report(log: Path) -> None:
     print()
     print("lived:")
     for name, line in done.items():
-        if line["outcome"] != "killed" and name not in EQUIVALENT:
-            print(f"  {name}{' *' if line['outcome'] == 'late' else ''}")
+        if line["outcome"] != "killed" and name not in same_as:
+            print(f"  {line['name']}{' *' if line['outcome'] == 'late' else ''}")
     print("\n".join(["", "equivalent:", *(f"  {name}: {why}" for name, why in EQUIVALENT.items())] * bool(EQUIVALENT)))
 
 
@@ -361,10 +368,9 @@ def main() -> None:
     for module in ("casadi", "numpy", "pandas", "scipy.stats", "pydantic", "typer", "rich.console", "hypothesis"):
         importlib.import_module(module)  # once for all children
     lines = given.log.read_text(encoding="utf-8").splitlines() if given.log.exists() else []
-    known = {json.loads(line)["name"] for line in lines}
-    if given.again:
-        known = {name for name in known if given.again not in name}
-    todo = [m for m in mutants(given.room) if m.name not in known and given.again in m.name][: given.most]
+    known = {unplaced(json.loads(line)["name"]) for line in lines}
+    todo = [m for m in mutants(given.room) if given.again in m.name and (given.again or unplaced(m.name) not in known)]
+    todo = todo[: given.most]
     with tempfile.TemporaryDirectory() as scratch:
         bench = Bench(copied(Path(scratch)), read_map(given.map), given.seconds)
         done = []

@@ -127,6 +127,15 @@ def test_an_effect_has_its_counterpart(name: str, effect: Effect, values: dict[s
     assert stage.apart.max() < 0.35 * without.max()
 
 
+def test_the_spring_of_a_cubic_stiffness_says_how_near_it_comes() -> None:
+    """The true deflection, great (c load - bend load^3 / great), is far larger than what the spring misses of it."""
+    robot = robot_of("kr210").with_effect(CubicStiffness(3)).with_values({"cubic_stiffness@3.bend": 2e-5})
+    (words,) = [text for text in replay(robot, poses(robot)).export.written if text.startswith("cubic_stiffness@3")]
+    deflection = robot.joints[2].compliance * robot.torque_scale[2]
+    assert deflection > 1e-4
+    assert 1e-6 * float(re.findall(r"within ([\d.]+) urad", words)[0]) < 0.02 * deflection
+
+
 def test_play_lies_on_the_flank_to_which_gravity_pushes() -> None:
     effect = Backlash(3, 0.02, 0.002)
     robot = robot_of("kr210").with_effect(effect).with_values({"backlash@3.half": 8e-5})
