@@ -164,7 +164,7 @@ class Diagnosis:
              ", ".join(c.indistinguishable))
             for c in self.causes
         ]  # fmt: skip
-        head = ("cause", "probability", "gap shrinks by, 95 %", "cannot be told from")
+        head = ("cause", "probability", "gap shrinks by, 95 %", "indistinguishable from")
         bars = [("gap, held out", self.gap.kept), ("with the causes", self.gap.after), ("noise alone", self.gap.floor)]
         return html([Table("Causes", head, rows, frozenset({1, 2}))] if rows else [], bars, repr(self)[1:-1])
 
