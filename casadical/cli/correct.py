@@ -104,6 +104,8 @@ def correct(
     the options of its export; with a robot file, give --nominal and the other options of `casadical export c`.
     A program in a controller's language gets a report beside it, FILE.correction.csv; every other byte stays.
 
+    Example: casadical correct results/SKCM.robot.toml program.csv --nominal robot.toml --out corrected.csv
+
     Exit codes: 0 written, with or without refused targets; 2 bad input; 70 a bug in casadical.
     """
     from casadical.export.controller.commands import followed

@@ -113,6 +113,8 @@ def diagnose(
 
     Prints the verdict, the error before and after, and what must be known of them; with --details all that was found.
 
+    Example: casadical diagnose problems/hh800 CAMPAIGN.csv --details --report diagnosis.html
+
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
     from casadical.core.blocks import terminal

@@ -34,6 +34,8 @@ def discover(
 
     Laws compete with listed effects and smooth forms, and pay for the search; see docs/diagnosis.md.
 
+    Example: casadical discover problems/hh800 CAMPAIGN.csv --out law
+
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
     from casadical.core.blocks import terminal

@@ -76,6 +76,8 @@ def export_c(
 
     Precondition: the controller's own absolute-accuracy option is off.
 
+    Example: casadical export c results/SKCM.robot.toml --nominal robot.toml --out c
+
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
     from casadical.export import write_c

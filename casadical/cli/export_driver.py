@@ -30,6 +30,8 @@ def export_driver(
 ) -> None:
     """Write the calibrated geometry as a driver or a controller reads it, and what is left out, in millimetres.
 
+    Example: casadical export driver results/SKCM.robot.toml --nominal robot.toml --form standard_dh --out dh.csv
+
     Exit codes: 0 written; 2 bad input; 70 a bug in casadical.
     """
     from casadical.core.files import write_together

@@ -56,6 +56,8 @@ def export_mjcf(
 ) -> None:
     """Write a calibrated robot as a MuJoCo model: geometry, masses, joint springs, closed loops, diagnosed effects.
 
+    Example: casadical export mjcf problems/hh800 --campaign CAMPAIGN.csv --out hh800.xml
+
     Exit codes: 0 written, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
     from casadical.core.files import write_together
@@ -93,6 +95,8 @@ def export_urdf(
     """Write a calibrated robot as a URDF: the problem's own URDF with new numbers, or a new one if it has none.
 
     A URDF holds geometry and masses, but no springs and effects. For closed loops use `export mjcf`.
+
+    Example: casadical export urdf results/SKCM.robot.toml --out arm.urdf
 
     Exit codes: 0 written, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """

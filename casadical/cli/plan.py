@@ -80,6 +80,8 @@ def plan(
     Without -n only the stopping rule: the expected accuracy against the number of poses, given the poses measured
     so far.
 
+    Example: casadical plan problems/kr210 -n 40 --target-mm 0.03 --out next.csv
+
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
     from casadical.core.files import json_text

@@ -28,6 +28,8 @@ def replay(
 
     Needs MuJoCo: pip install 'casadical[mujoco]'.
 
+    Example: casadical replay problems/hh800 CAMPAIGN.csv --effects backlash --out models
+
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
     from casadical.export.mjcf.equilibrium import load_mujoco

@@ -61,6 +61,8 @@ def make_command(
     A quarter hides nothing, 45 % one effect, 15 % two or three, 15 % one that is on no list; 40, 100 or 200 poses of
     three robots; a third lacks a column. With a seed that is known, anyone can make the key again.
 
+    Example: casadical withheld make --n 60 --out check --key sealed
+
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
     from casadical.blind_check.generation import make
@@ -120,6 +122,8 @@ def predict_command(
 
     Answers that are in the file already are kept: a run that was cut goes on where it ended.
 
+    Example: casadical withheld predict check
+
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
     from casadical.blind_check.prediction import predict
@@ -152,6 +156,8 @@ def score_command(
     """Open the key, check that it is the one whose hash was published, and count: every figure with its interval.
 
     Several files of answers stand side by side, on the campaigns that all of them answer.
+
+    Example: casadical withheld score check sealed check/answers.diagnosis.jsonl
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -50,6 +52,29 @@ def test_every_command_has_an_example_or_a_page() -> None:
     for name in names:
         assert f"\n## {name}: " in text
         assert f"$ casadical {name} " in text
+
+
+def test_the_help_of_every_command_has_an_example_that_parses() -> None:
+    import typer
+
+    from casadical.cli import app
+
+    found = dict(commands(typer.main.get_command(app), "casadical"))
+    assert len(found) >= 16
+    for name, command in found.items():
+        example = next(line for line in command.help.splitlines() if line.strip().startswith("Example: "))
+        assert example.strip().removeprefix("Example: ").startswith(f"{name} ")
+        arguments = example.split(name, 1)[1].split()
+        command.make_context(name, arguments, resilient_parsing=False)
+
+
+def commands(command: Any, name: str) -> Iterator[tuple[str, Any]]:
+    """Every command by its whole name."""
+    if hasattr(command, "commands"):
+        for word, below in command.commands.items():
+            yield from commands(below, f"{name} {word}")
+    else:
+        yield name, command
 
 
 def test_the_examples_print_what_the_page_shows(tmp_path: Path) -> None:
