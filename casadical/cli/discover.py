@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from casadical.cli.options import Effects, Json, Problem, Quiet, Report, effects_of
 from casadical.cli.progress import DISCOVERY, working
-from casadical.cli.terminal import as_text, as_typed, keep
+from casadical.cli.terminal import as_text, as_typed, keep, wrapped
 
 
 def discover(
@@ -47,7 +46,7 @@ def discover(
         from casadical.report.optional_imports import require
 
         require()
-    console = Console(quiet=quiet)
+    console = wrapped(quiet)
     robot = read_campaign_robot(problem)
     m = read_campaign(problem, campaign, robot)
     texts: dict[Path, str] = {}
@@ -56,7 +55,7 @@ def discover(
         if out:
             show("the robot with its law")
             texts |= dict(files_of(found, out, campaign.stem))
-    console.print(terminal(blocks_of(found)), soft_wrap=True)
+    console.print(terminal(blocks_of(found)))
     if json_file:
         texts[json_file] = as_text([as_json(found, campaign.stem)])
     if report_file:

@@ -1,5 +1,6 @@
 """What all commands share on a terminal: exit codes, lines and JSON."""
 
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,14 +20,24 @@ def as_text(figures: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> str:
     return json_text(whole)
 
 
+class _Console(Console):
+    """One that goes on silently where nobody reads any more, as after `| head`: files are still to be written."""
+
+    def on_broken_pipe(self) -> None:
+        """What was to be printed goes nowhere from here on."""
+        self.quiet = True
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+
+
 def wrapped(quiet: bool, width: int | None = None) -> Console:
     """A console for tables and sentences, as wide as the terminal; brackets in names are no markup."""
-    return Console(quiet=quiet, width=width, markup=False, emoji=False)
+    return _Console(quiet=quiet, width=width, markup=False, emoji=False)
 
 
 def plain(quiet: bool) -> Console:
     """A console for lines that are neither wrapped nor coloured."""
-    return Console(quiet=quiet, soft_wrap=True, highlight=False, markup=False, emoji=False)
+    return _Console(quiet=quiet, soft_wrap=True, highlight=False, markup=False, emoji=False)
 
 
 def keep_json(path: Path | None, figures: Mapping[str, Any] | Sequence[Mapping[str, Any]], console: Console) -> None:

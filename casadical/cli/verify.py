@@ -4,11 +4,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from casadical.cli.options import Json, Quiet
 from casadical.cli.progress import working
-from casadical.cli.terminal import NOT_VALID, keep_json
+from casadical.cli.terminal import NOT_VALID, keep_json, wrapped
 from casadical.core.blocks import terminal
 
 
@@ -22,7 +21,8 @@ def verify(
         typer.Option(
             min=0.0,
             metavar="MM",
-            help="Promised rms position error; default: of the held-out poses, from result.json beside the robot file.",
+            help="Promised rms position error; default: of the held-out poses, from result.json or diagnosis.json "
+            "beside the robot file.",
         ),
     ] = None,
     json_file: Json = None,
@@ -39,7 +39,7 @@ def verify(
     """
     from casadical.project import verification
 
-    console = Console(quiet=quiet)
+    console = wrapped(quiet)
     with working(quiet, "fitting base and tool", table.name):
         found = verification.verify(robot, table, promised_mm)
     console.print(terminal(found.blocks()))

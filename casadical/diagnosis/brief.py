@@ -54,7 +54,11 @@ def _causes(d: Diagnosis) -> Iterator[Table | Words]:
 
 def _things(d: Diagnosis, told: Sequence[Statement]) -> list[Statement]:
     """One statement of each kind at most, doubts first."""
-    of_each = {s.about: s for s in reversed(told) if s.about in _ABOUT and (s.about not in _DOUBTS or s.doubtful)}
+    of_each: dict[str, Statement] = {}
+    for s in told:
+        known = of_each.get(s.about)
+        if s.about in _ABOUT and (s.doubtful or s.about not in _DOUBTS) and (known is None or s.doubtful):
+            of_each[s.about] = known if known and known.doubtful else s
     if d.verdict == "none":
         of_each.pop("WHERE", None)
     return sorted(of_each.values(), key=lambda s: (not s.doubtful, [*_ABOUT].index(s.about)))[:THINGS]

@@ -64,7 +64,8 @@ def _prior(d: Diagnosis) -> Iterator[Statement]:
     """What another campaign told, and what of it changed."""
     if d.prior is None:
         return
-    yield Statement("PRIOR", d.prior.in_words([d.case.m]).removeprefix("Prior "))
+    twice = d.prior.learnt_from([d.case.m])
+    yield Statement("PRIOR", d.prior.in_words([d.case.m]).removeprefix("Prior "), twice)
     for c in d.changes:
         where = c.effect if c.joint is None or "@" in c.effect else f"{c.effect}, joint {c.joint}"
         new = c.probability >= NEW

@@ -24,6 +24,8 @@ from casadical.robot.robot import Robot
 WIDENED = 1.5
 # What each parameter may have changed besides, one sigma as a share of its usual size (of geometry: 1 mm or 1 mrad).
 CHANGED = 0.1
+# Readings that differ by less are the same [rad or m].
+SAME = 1e-9
 FRAMES = ("base", "tool")
 
 
@@ -80,10 +82,23 @@ class Prior:
                 "frozen values are allowed inside these ranges only: use them as a prior instead"
             )
 
+    def learnt_from(self, sets: Sequence[Measurements]) -> bool:
+        """Whether it seems to have been learnt from these measurements: the same source, and its outermost readings."""
+        theirs = self.knowledge.readings
+        if not len(theirs) or not {m.source for m in sets} & set(self.knowledge.campaign.split(", ")):
+            return False
+        q = np.concatenate([m.q for m in sets])
+        return all(np.abs(q[:, j] - end).min() < SAME for j, ends in enumerate(theirs) for end in ends)
+
     def in_words(self, sets: Sequence[Measurements]) -> str:
         """What was carried over, how it is used, and whether its ranges cover these measurements."""
         what = ", ".join(self.labels) or "geometry and compliance"
         source = f"Prior from {self.knowledge.campaign or 'another campaign'}: {what}"
+        if self.learnt_from(sets):
+            source = (
+                "The prior seems to have been learnt from these very measurements: they count twice, and all standard "
+                f"errors are too small; use it with a later campaign. {source}"
+            )
         if self.frozen:
             return f"{source} held at the values found there."
         text = (
@@ -102,6 +117,7 @@ class Prior:
             "effects": list(self.labels),
             "parameters": len(self.free),
             "frozen": self.frozen,
+            "same_data": self.learnt_from(sets),
             "uncovered": {name: round(share, 4) for name, share in self.uncovered(sets).items()},
         }
 

@@ -88,14 +88,15 @@ def understand(raw: RawTable, joints: Sequence[str], given: Collection[str] = ()
     """
     ours = {*raw.header, *given}
     joints_missing = bool(set(range(1, len(joints) + 1)) - {int(m[1]) for h in ours if (m := _OURS.fullmatch(h))})
-    if not joints_missing and _has_observation(ours):
-        return Understanding()
+    named = not joints_missing and _has_observation(ours)
     frame = raw.frame()
     headings = [
         found
         for k, name in enumerate(raw.header)
         if name and (found := _heading(name, raw.form.units[k] if k < len(raw.form.units) else "", frame.iloc[:, k]))
     ]
+    if named:  # beside our own names only what is said with its unit
+        return Understanding(tuple(_conditions([h for h in headings if h.unit], ours)))
     stated = _stated_units([*raw.comments, *(text for _, text in raw.form.skipped)])
     if not raw.form.header_line:
         headings = _by_order(raw, frame, len(joints))

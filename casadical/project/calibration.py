@@ -22,7 +22,7 @@ from casadical.identification.residuals import Loss
 from casadical.identification.tables import correlated, held_table, how_sure, parameter_tables
 from casadical.measurements.measurements import Measurements
 from casadical.project.networks import NetworkResult, Networks, train_networks
-from casadical.project.outcome import left_out_table, things_to_know, worse_than_before
+from casadical.project.outcome import chance_of, left_out_table, methods_worse, things_to_know, worse_than_before
 from casadical.project.problem import (
     BASE_METHODS,
     PROBLEM_LOSSES,
@@ -51,12 +51,14 @@ class Calibration:
     accuracies : error figures by method, by set (one of several kinds as SET/KIND), by state: "nominal", "placed" (base
     and tool fitted), "calibrated"
     networks : trained on what SKCM left, or None where the problem lists none
+    without_prior : of the poses by which the last method is judged, had there been no prior; None without one
     """
 
     problem: Problem
     identifications: Mapping[str, Identification]
     accuracies: Accuracies
     networks: Networks | None = None
+    without_prior: Accuracy | None = None
 
     @property
     def identification(self) -> Identification:
@@ -79,12 +81,13 @@ class Calibration:
         problem = self.problem
         return [
             Words(problem.title, "title"),
-            *_prior_words(problem),
+            *_prior_words(self),
             *_held_effects(problem),
             *_payload_not_in_the_model(problem),
             *list(verdict(problem, self.accuracies))[:1],
             *error_tables(self.accuracies, self.networks)[:1],
-            *things_to_know(problem, self.identification, self.networks),
+            *methods_worse(self.accuracies),
+            *things_to_know(problem, self.identification, self.networks, self.accuracies),
         ]
 
     def blocks(self) -> Sequence[Words | Table]:
@@ -94,12 +97,13 @@ class Calibration:
             Words(problem.title, "title"),
             Words(f"{problem.robot.name}; {problem.origin}"),
             *(Words(f"note: {note}", "note") for note in problem.robot.notes),
-            *_prior_words(problem),
+            *_prior_words(self),
             *_held_effects(problem),
             *_payload_not_in_the_model(problem),
             *_unused_columns(problem),
             *verdict(problem, self.accuracies),
             *(Words(result.verdict) for result in self.identifications.values()),
+            *methods_worse(self.accuracies),
             how_sure(last),
             *left_out_table(self.identifications),
             *error_tables(self.accuracies, self.networks),
@@ -166,7 +170,9 @@ class Calibration:
             found["trained_on"] = self.networks.trained_on
             found["networks"] = {name: _network(result) for name, result in self.networks.results.items()}
         if problem.prior:
-            found["prior"] = problem.prior.to_json(problem.sets["identify"])
+            found["prior"] = problem.prior.to_json([m for _, m in problem.parts()])
+            if self.without_prior is not None:
+                found["prior"]["without_mean_mm"] = 1e3 * self.without_prior.mean
         if problem.paper:
             paper = {"calibration": problem.paper.calibration, "validation": problem.paper.validation}
             found["paper"] = {"source": problem.paper.source} | {
@@ -217,8 +223,11 @@ def calibrate(
         raise InputError(f"--method {method}: not known; allowed: {', '.join(all_methods())}")
     if loss is not None and loss not in PROBLEM_LOSSES:
         raise InputError(f"--loss {loss}: not known; allowed: {', '.join(PROBLEM_LOSSES)}")
+    plain = None
     if not isinstance(problem, Problem):
-        problem = read_problem(problem, seed, carried or as_it_is)
+        folder = problem
+        problem = read_problem(folder, seed, carried or as_it_is)
+        plain = read_problem(folder, seed) if problem.prior else None
     elif seed is not None:
         raise InputError(f"seed {seed}: this problem is split into sets already; give the seed to read_problem")
     elif carried is not None:
@@ -243,7 +252,8 @@ def calibrate(
         skcm, names = results["SKCM"], problem.networks
         trained = train_networks(problem, skcm, names, seed=problem.seed, show=progress, judged=used)
     accuracies = {k: {name: result.accuracy(m) for name, m in used.items()} for k, result in results.items()}
-    return Calibration(problem, results, accuracies, trained)
+    without = _without_prior(plain, results) if plain else None
+    return Calibration(problem, results, accuracies, trained, without)
 
 
 def _identified(problem: Problem, show: Callable[[str], None], count: int) -> dict[str, Identification]:
@@ -278,6 +288,17 @@ def _identified(problem: Problem, show: Callable[[str], None], count: int) -> di
     }
 
 
+def _without_prior(plain: Problem, results: Mapping[str, Identification]) -> Accuracy | None:
+    """Of held-out poses, by the last method, as if there were no prior; plain : the problem without it."""
+    method, found = list(results.items())[-1]
+    held_out = next((m for name, m in plain.parts() if name.startswith("report")), None)
+    if held_out is None:
+        return None
+    kept = without_poses(plain.sets["identify"], found.outliers)
+    alone = identify(plain.robot, kept, method="KM" if method == "KM" else "SKCM", loss=found.loss, screen=False)
+    return alone.accuracy(held_out)["calibrated"]
+
+
 def used_poses(problem: Problem, results: Mapping[str, Identification]) -> dict[str, Measurements]:
     """Every set by name, without the poses that any method left out: all methods are judged on the same poses."""
     out = {place for result in results.values() for place in result.outliers}
@@ -285,10 +306,19 @@ def used_poses(problem: Problem, results: Mapping[str, Identification]) -> dict[
     return {name: next(kept) if name.split("/")[0] == "identify" else m for name, m in problem.parts()}
 
 
-def _prior_words(problem: Problem) -> list[Words]:
+def _prior_words(found: Calibration) -> list[Words]:
+    problem, without = found.problem, found.without_prior
     if problem.prior is None:
         return []
-    return [Words(problem.prior.in_words(problem.sets["identify"]), "note")]
+    whole = [m for _, m in problem.parts()]
+    words = [Words(problem.prior.in_words(whole), "warning" if problem.prior.learnt_from(whole) else "note")]
+    if without is None:
+        return words
+    _, _, after, held_out = judged_on(found.accuracies)
+    text = f"Without the prior the mean error {'of these held-out poses' if held_out else ''} is {mm(without.mean)} mm"
+    worse = after.mean > without.mean + chance_of(without, after)
+    doubt = f", with it {mm(after.mean)} mm: the robot may have changed since; leave out --prior" if worse else ""
+    return [*words, Words(f"{' '.join(text.split())}{doubt}.", "warning" if worse else "note")]
 
 
 def _held_effects(problem: Problem) -> list[Words]:

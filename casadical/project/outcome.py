@@ -9,13 +9,17 @@ import numpy as np
 from casadical.core.blocks import Table, Words, mm
 from casadical.identification.accuracy import Accuracy, errors
 from casadical.identification.identification import Identification, LeftOut, rows_in_words
+from casadical.project.check.coverage import coverage
 from casadical.project.networks import Networks
 from casadical.project.problem import Problem
+from casadical.project.tables import Accuracies, judged_on
 from casadical.robot.robot import Robot
 
 # A held-out pose with more than so many times the median error is far off.
 FAR = 10.0
 THINGS = 3
+# A mean error that falls by less, as a share, is hardly better; a joint that covers less of its range moves little.
+LITTLE, NARROW = 0.1, 0.5
 
 
 def left_out_table(identifications: Mapping[str, Identification]) -> list[Table]:
@@ -32,9 +36,11 @@ def left_out_table(identifications: Mapping[str, Identification]) -> list[Table]
     return [Table(title, ("file", "row", *methods), cells, frozenset(range(1, 2 + len(methods))))]
 
 
-def things_to_know(problem: Problem, last: Identification, networks: Networks | None) -> Iterator[Words]:
+def things_to_know(
+    problem: Problem, last: Identification, networks: Networks | None, accuracies: Accuracies
+) -> Iterator[Words]:
     """At most three, the most important first; last : by the method that counts."""
-    found = [*_doubts(problem, last), *_notes(problem, last, networks)]
+    found = [*_doubts(problem, last), *_no_better(problem, last, accuracies), *_notes(problem, last, networks)]
     yield from found[:THINGS]
 
 
@@ -51,6 +57,29 @@ def _doubts(problem: Problem, last: Identification) -> Iterator[Words]:
         yield Words(f"At bounds: {', '.join(last.at_bounds)}: widen the bounds or doubt the model.", "warning")
     if not any(name.startswith("report") for name in problem.sets):
         yield Words("No poses were held out: on new poses the error will be greater.", "warning")
+
+
+def _no_better(problem: Problem, last: Identification, accuracies: Accuracies) -> Iterator[Words]:
+    """Where calibration hardly helps: which data would."""
+    _, before, after, held_out = judged_on(accuracies)
+    if not held_out or after.mean < (1 - LITTLE) * before.mean:
+        return
+    robot, sets = problem.robot, problem.sets["identify"]
+    missing = []
+    if last.degrees_of_freedom < 2 * len(last.names):
+        missing.append(f"more poses ({len(last.names)} parameters from {sum(len(m) for m in sets)}; casadical plan)")
+    narrow = [c.joint for c in coverage(robot, sets[0]) if c.share < NARROW]
+    if narrow:
+        missing.append(
+            f"wider ranges of joint {', '.join(map(str, narrow))} (they cover less than half of their limits)"
+        )
+    if not any(j.compliance is not None for j in robot.joints):
+        missing.append(
+            "masses (mass_kg, com_mm) and compliant = true in the robot file, which let SKCM find what gravity bends"
+        )
+    if not missing:
+        missing.append("what the model lacks: casadical diagnose names it")
+    yield Words(f"The calibration hardly helps. It would need {'; '.join(missing)}.", "warning")
 
 
 def _notes(problem: Problem, last: Identification, networks: Networks | None) -> Iterator[Words]:
@@ -77,14 +106,29 @@ def far_held_out(problem: Problem, robot: Robot) -> list[LeftOut]:
     return sorted(found, key=lambda out: -out.error)
 
 
+def chance_of(before: Accuracy, after: Accuracy) -> float:
+    """Twice the standard error of the difference of two mean errors [m]."""
+    return float(2 * np.hypot(before.std, after.std) / np.sqrt(after.n)) if after.n > 1 else 0.0
+
+
+def methods_worse(accuracies: Accuracies) -> Iterator[Words]:
+    """Of methods before the last one: those with which held-out poses are worse than before."""
+    for method, states in list(accuracies.items())[:-1]:
+        name = next((name for name in states if name.startswith("report")), "")
+        if name:
+            before, after = states[name]["placed"], states[name]["calibrated"]
+            if after.mean > before.mean + chance_of(before, after):
+                text = f"{method} makes held-out poses worse: {mm(after.mean)} mm, {mm(before.mean)} mm before"
+                yield Words(f"{text}; do not use {method}.robot.toml.", "warning")
+
+
 def worse_than_before(result: Identification, before: Accuracy, after: Accuracy) -> str:
     """The reason and the remedy, where the mean error of held-out poses grew by more than chance.
 
     Chance : twice the standard error of the difference of two means; a robot that was calibrated before, perhaps with
     these very poses, is not made worse by what it hides.
     """
-    chance = 2 * np.hypot(before.std, after.std) / np.sqrt(after.n) if after.n > 1 else 0.0
-    if after.mean <= before.mean + chance:
+    if after.mean <= before.mean + chance_of(before, after):
         return ""
     text = f"held-out poses are worse after the calibration, {mm(after.mean)} mm, than before, {mm(before.mean)} mm"
     worst = _worst(result)

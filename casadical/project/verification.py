@@ -21,6 +21,8 @@ from casadical.robot.robot_file import read_robot
 QUANTILE = 2.326
 # A pose with more than so many times the promised error is named.
 FAR = 4.0
+# Of the length of a normally distributed error in three coordinates.
+RMS_OF_MEAN = float(np.sqrt(3 * np.pi / 8))
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ def verify(robot: str | Path, table: str | Path, promised_mm: float | None = Non
     """Check a calibrated robot by poses that were measured later; base and tool are fitted again.
 
     robot : file as `casadical calibrate --out` writes it; table : measured positions
-    promised_mm : rms position error [mm]; None: of the held-out poses, from result.json beside the robot file
+    promised_mm : rms position error [mm]; None: of the held-out poses, see `promised_rms`
 
     With `found` of 3 n - k degrees of freedom, k numbers of base and tool, its limit is the 99 % quantile of
     chi-squared (Wilson and Hilferty 1931). Raises InputError.
@@ -105,7 +107,14 @@ def verify(robot: str | Path, table: str | Path, promised_mm: float | None = Non
 
 
 def promised_rms(robot: Path) -> float:
-    """Rms error of the held-out poses [m] that result.json beside METHOD.robot.toml states. Raises InputError."""
+    """Rms error of held-out poses [m] that the file beside METHOD.robot.toml or diagnosed.robot.toml states.
+
+    Of result.json it is that of the report set; diagnosis.json and discovery.json state a mean, which is taken for that
+    of normally distributed errors. Raises InputError.
+    """
+    for name, stated in (("diagnosed", "diagnosis"), ("discovered", "discovery")):
+        if robot.name == f"{name}.robot.toml" and (mean := _mean_of(robot.parent / f"{stated}.json")) is not None:
+            return RMS_OF_MEAN * 1e-3 * mean
     path = robot.parent / "result.json"
     remedy = "give the promised rms error with --promised-mm"
     try:
@@ -117,3 +126,12 @@ def promised_rms(robot: Path) -> float:
     if not held:
         raise InputError(f"{path}: no held-out poses of {robot.name}; {remedy}")
     return 1e-3 * float(held[0]["rms_mm"])
+
+
+def _mean_of(path: Path) -> float | None:
+    """Mean held-out error [mm] of the model that was kept, as a diagnosis or a discovery states it."""
+    try:
+        stated = json.loads(path.read_text(encoding="utf-8"))
+        return float(stated["gap_mm"][stated.get("kept", "after")])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None

@@ -69,6 +69,8 @@ def test_calibrate_takes_them_as_a_prior(
     assert "friction_windup@3; 2 parameters are free about the values found there" in words(capfd)
     found = json.loads((tmp_path / "out" / "result.json").read_text())
     assert found["prior"]["effects"] == ["friction_windup@3"]
+    assert not found["prior"]["same_data"]
+    assert found["prior"]["without_mean_mm"] > found["methods"]["SKCM"]["sets"]["report"]["mean_mm"]
     rows = {p["name"]: p for p in found["methods"]["SKCM"]["parameters"]}
     assert rows["friction_windup@3.constant"]["status"] == "identified"
     assert main(monkeypatch, *command, "--frozen") in (0, 2)
@@ -84,10 +86,11 @@ def test_a_diagnosis_says_what_changed_since_the_prior(
     kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """The same campaign again: nothing changed; the robot that is written has the friction with a standard error."""
-    chosen = ["--effects", "backlash", "--json", tmp_path / "d.json", "--out", tmp_path / "out"]
+    chosen = ["--effects", "backlash", "--json", tmp_path / "d.json", "--out", tmp_path / "out", "--details"]
     assert main(monkeypatch, "diagnose", PROBLEM, CAMPAIGN, *chosen, "--prior", kept) == 0
     assert "friction_windup@3: changed since then with probability 0.0" in words(capfd)
     answer = json.loads((tmp_path / "d.json").read_text())
+    assert answer["prior"]["same_data"]
     assert [(c["effect"], c["joint"]) for c in answer["prior"]["changed"]] == [("friction_windup@3", 3)]
     after = read_robot(tmp_path / "out" / "diagnosed.robot.toml")
     before = read_robot(kept).knowledge.std_errors["friction_windup@3.constant"]

@@ -169,6 +169,18 @@ def test_the_share_done_grows_with_the_steps_of_a_run() -> None:
     assert share("reading", {}) == 0
 
 
+def test_a_reader_that_goes_away_loses_no_file(tmp_path: Path) -> None:
+    """As `| head -1` does."""
+    command = [BIN / "casadical", "calibrate", "problems/planar", "--details", "--out", tmp_path / "out"]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout
+        assert process.stderr
+        process.stdout.close()
+        said = process.stderr.read()
+    assert (process.returncode, said) == (0, b"")
+    assert (tmp_path / "out" / "result.json").exists()
+
+
 def test_linear_algebra_has_one_thread_unless_the_environment_says_how_many() -> None:
     code = (
         "import os, sys; from casadical import cli; assert 'numpy' not in sys.modules\n"

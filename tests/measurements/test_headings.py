@@ -104,6 +104,16 @@ def test_our_own_names_are_never_understood_otherwise(tmp_path: Path) -> None:
     assert understand(read_table(path), ["revolute"] * 2).columns == ()
 
 
+def test_a_condition_with_its_unit_is_taken_beside_our_own_names(tmp_path: Path) -> None:
+    """A word without a unit is not: what `temperature` holds there nobody said."""
+    names = [*(f"q{k}_deg" for k in range(1, 7)), "x_mm", "y_mm", "z_mm", "Traglast [kg]", "temperature"]
+    path = tmp_path / "t.csv"
+    path.write_text("\n".join([",".join(names), *(",".join(["1"] * 9 + [str(k), "20"]) for k in range(5))]))
+    m = read_measurements(path, 6)
+    assert m.conditions["payload_kg"].tolist() == [0, 1, 2, 3, 4]
+    assert "temperature_degC" not in m.conditions
+
+
 def test_a_column_is_made_as_its_source_says(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text("A1,A2,X,Y,Z\n10,1,5,6,7\n20,2,8,9,10\n30,3,11,12,13\n")

@@ -15,8 +15,10 @@ import first_hour
 
 from casadical import calibrate, read_problem
 from casadical.core.blocks import Table
+from casadical.identification.accuracy import Accuracy
 from casadical.project.check import precheck
 from casadical.project.new import new_problem
+from casadical.project.outcome import methods_worse
 from casadical.report.calibration import calibration_part
 
 # Rows of the file (headings in line 4), as they are in the set that is fitted with seed 0.
@@ -39,6 +41,15 @@ def test_clean_data_lose_nothing(tmp_path: Path) -> None:
     auto, linear = calibrate(clean), calibrate(clean, loss="linear")
     assert auto.to_json() == linear.to_json()
     assert auto.identification.loss == "linear"
+
+
+def test_the_forecast_is_without_rows_that_are_far_off(tmp_path: Path) -> None:
+    (tmp_path / "clean").mkdir()
+    clean, spoiled = precheck(arm(tmp_path / "clean", {})), precheck(arm(tmp_path, dict.fromkeys(SPOILED, 900.0)))
+    assert spoiled.ok
+    told = clean.outlooks[-1].held_out, spoiled.outlooks[-1].held_out
+    assert told[1] == pytest.approx(told[0], rel=0.2)
+    assert any("the accuracy to expect is without them" in f.text for f in spoiled.findings)
 
 
 def test_every_row_left_out_is_named(tmp_path: Path) -> None:
@@ -87,3 +98,29 @@ def test_rows_without_numbers_are_left_out_by_new_and_named(tmp_path: Path) -> N
     text = (tmp_path / "arm" / "problem.toml").read_text()
     assert "12, # a cell is no number" in text
     assert json.dumps("Messwert X [mm]") in text
+
+
+def test_a_calibration_that_hardly_helps_says_which_data_would(tmp_path: Path) -> None:
+    """Few poses near the robot's rest, of a robot of which only the DH table is known."""
+    q, _ = first_hour.measured(90)
+    q = 0.1 * q[:30]
+    noise = np.random.default_rng(0).normal(0, 0.5, (30, 3))
+    table = first_hour.write(
+        tmp_path, "messung.csv", q, first_hour.positions(q, first_hour.ROWS, first_hour.TOOL) + noise
+    )
+    new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=table)
+    said = " ".join(" ".join(str(getattr(b, "text", "")) for b in calibrate(tmp_path / "arm").brief()).split())
+    assert "The calibration hardly helps. It would need" in said
+    assert "more poses (" in said
+    assert "wider ranges of joint 1, 2, 3, 4, 5, 6" in said
+    assert "masses (mass_kg, com_mm)" in said
+
+
+def test_a_method_that_is_worse_than_nothing_is_named(tmp_path: Path) -> None:
+    """Made-up figures: KM is worse than before, SKCM, which counts, is not."""
+    before, worse, better = (Accuracy(40, 1e-3 * v, 2e-3 * v, 1e-4 * v, 1e-3 * v, 2e-3 * v) for v in (1.0, 1.5, 0.5))
+    states = [{"nominal": before, "placed": before, "calibrated": after} for after in (worse, better)]
+    accuracies = {"KM": {"report": states[0]}, "SKCM": {"report": states[1]}}
+    (words,) = methods_worse(accuracies)
+    assert words.text == "KM makes held-out poses worse: 1.500 mm, 1.000 mm before; do not use KM.robot.toml."
+    assert list(methods_worse({"KM": {"report": states[1]}, "SKCM": {"report": states[1]}})) == []

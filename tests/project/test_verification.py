@@ -52,6 +52,25 @@ def test_the_same_robot_keeps_its_promise_and_a_changed_one_does_not(
     assert json.loads(broken.read_text())["found_rms_mm"] > 2 * figures["found_rms_mm"]
 
 
+@pytest.mark.parametrize(
+    ("name", "stated", "figures"),
+    [
+        ("diagnosed", "diagnosis", {"gap_mm": {"before": 0.4, "after": 0.05, "floor": 0.01}}),
+        ("discovered", "discovery", {"gap_mm": {"base": 0.4, "law": 0.05}, "kept": "law"}),
+    ],
+)
+def test_the_promise_of_a_diagnosed_robot_is_in_its_json(
+    calibrated_arm: Path, tmp_path: Path, name: str, stated: str, figures: dict[str, object]
+) -> None:
+    """A mean; of errors with a standard deviation of 1 in three coordinates the mean is 1.5958 and the rms 1.7321."""
+    robot = tmp_path / f"{name}.robot.toml"
+    robot.write_bytes(calibrated_arm.read_bytes())
+    with pytest.raises(InputError, match="--promised-mm"):
+        verify(robot, later(tmp_path))
+    (tmp_path / f"{stated}.json").write_text(json.dumps(figures))
+    assert verify(robot, later(tmp_path)).promised == pytest.approx(0.05e-3 * 1.7321 / 1.5958, rel=1e-4)
+
+
 def test_false_alarms_are_rare(calibrated_arm: Path, tmp_path: Path) -> None:
     """Limits of 60 checks by ten poses each, the noise alone: at most three alarms, where 0.6 are expected."""
     q, p = first_hour.measured(700)

@@ -17,6 +17,10 @@ from casadical.robot.robot_file import to_toml
 
 # Unit of a factor -> (in words, its size).
 READABLE = {"rad": ("urad", 1e6), "m": ("um", 1e6), "kg/kg": ("%", 1e2)}
+NATS = (
+    "Nats measure evidence: the natural logarithm of how many times more probable the data are with the law, less the "
+    "price of the search; 3 nats are 20 times."
+)
 _MODELS = {"base": "base model", "causes": "with listed causes", "law": "with the law", "smooth": "with smooth forms"}
 
 
@@ -67,6 +71,7 @@ def blocks_of(d: Discovery) -> list[Words | Table]:
         found.append(Words(f"Listed effects in the model: {causes}."))
     for number, r in enumerate(d.rounds, 1):
         found.append(_table(r, "Laws that compete" if len(d.rounds) == 1 else f"Laws that compete, round {number}"))
+    found.append(Words(NATS, "note"))
     found.append(_gaps(d))
     if d.shrink:
         low, high = d.shrink[1]
@@ -109,15 +114,15 @@ def _why_not(r: Round) -> str:
 
 
 def _table(r: Round, title: str) -> Table:
-    rows = [(line_of(s.law), s.tried.form.name, f"{s.score:.1f}") for s in (r.best, *r.alike)]
+    rows = [(f"{s.score:.1f}", line_of(s.law), s.tried.form.name) for s in (r.best, *r.alike)]
     rivals = (("listed", r.listed), ("on no list", r.smooth))
-    rows += [(f"{kind}: {label}", "", f"{score:.1f}") for kind, (label, score) in rivals]
+    rows += [(f"{score:.1f}", f"{kind}: {label}", "") for kind, (label, score) in rivals]
     count = 1 + len(r.alike)
     return Table(
         title,
-        ("law", "form", "nats"),
+        ("nats", "law", "form"),
         rows,
-        frozenset({2}),
+        frozenset({0}),
         frozenset({0}) if r.claimed else frozenset(),
         faint=frozenset(range(count, count + 2)),
     )

@@ -24,7 +24,7 @@ from casadical.project.check.coverage import (
 )
 from casadical.project.check.findings import Finding, Level
 from casadical.project.check.information import Outlook, outlook
-from casadical.project.check.plausible import far_rows, other_conventions, plausible
+from casadical.project.check.plausible import far_off, far_rows, other_conventions, plausible
 from casadical.project.check.repair import in_words
 from casadical.project.check.slips import Slips, search_slips
 from casadical.project.check.table_faults import table_faults, unknown_columns
@@ -102,10 +102,11 @@ def precheck(
     start = place_frames(problem.robot, next((m for m in sets if m.position is not None), sets[0]))
     outlooks: list[Outlook] = []
     show("accuracy to expect")
+    trusted = [m[np.flatnonzero(~far_off(problem.robot, m)[0])] for m in sets] if usable else []
     for method in problem.methods if usable else ():
         try:
             taken, free = by_method(start, method)
-            outlooks.append(outlook(taken, sets, free, method, noise))
+            outlooks.append(outlook(taken, trusted, free, method, noise))
         except (InputError, np.linalg.LinAlgError) as error:
             found.append(Finding("error", "identifiability", f"{method}: {error}"))
     for view in outlooks:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.schema import load_toml
 from casadical.identification.accuracy import errors, predicted
@@ -59,26 +60,35 @@ def plausible(robot: Robot, m: Measurements, others: Mapping[str, Robot] | None 
     ]
 
 
-def far_rows(robot: Robot, m: Measurements) -> list[Finding]:
-    """Rows at which the placed nominal model is off by many times its usual error: doubtful measurements."""
-    if m.position is None or len(m) < FEWEST:
-        return []
-    free = _rigid(robot)
+def far_off(robot: Robot, m: Measurements) -> tuple[Array, Array]:
+    """At which rows the placed nominal model is off by many times its usual error, and its errors [m].
+
+    Both of shape (n,); none is far off where there are too few poses, or where many are.
+    """
     kept = np.ones(len(m), dtype=bool)
     e = np.zeros(len(m))
+    if m.position is None or len(m) < FEWEST:
+        return ~kept, e
+    free = _rigid(robot)
     for _ in range(4):  # far rows draw base and tool towards themselves
         e = errors(place_frames(free, m[kept]), m)
         near = e <= FAR * np.median(e)
         if (near == kept).all():
             break
         kept = near
-    if kept.all() or kept.mean() < 0.5:
+    return (~kept if kept.mean() >= 0.5 else np.zeros(len(m), dtype=bool)), e
+
+
+def far_rows(robot: Robot, m: Measurements) -> list[Finding]:
+    """Rows that are far off: doubtful measurements."""
+    far, e = far_off(robot, m)
+    if not far.any():
         return []
-    order = [k for k in np.argsort(-e) if not kept[k]]
+    order = [k for k in np.argsort(-e) if far[k]]
     rows = ", ".join(f"{m.row[k]} ({1e3 * e[k]:.3g} mm)" for k in order[:8]) + (" ..." if len(order) > 8 else "")
     text = (
         f"{m.source}: rows {rows} are far off, where the median is {1e3 * float(np.median(e)):.3g} mm; calibrate "
-        "leaves out those that its fit does not explain, and names them"
+        "leaves out those that its fit does not explain, and names them; the accuracy to expect is without them"
     )
     return [Finding("warning", "rows", text)]
 

@@ -1,4 +1,4 @@
-"""A robot file out of a table of DH rows: one row a joint, units in the column names.
+"""A robot file out of a table of DH rows: one row a joint, units in the column names; see `dh_headings` for others.
 
 | column | meaning |
 |---|---|
@@ -17,6 +17,7 @@ from typing import Any
 
 from casadical.core.errors import InputError
 from casadical.measurements.raw_table import read_table
+from casadical.project.new.dh_headings import with_our_names
 from casadical.project.new.texts import ROBOT_HEAD
 
 _ROW = [f"{stem}{unit}" for stem, units in (("a", ("_mm", "_m")), ("alpha", ("_deg", "_rad")), ("d", ("_mm", "_m")),
@@ -32,17 +33,16 @@ def robot_text(path: Path, name: str, convention: str) -> str:
     if convention not in ("modified", "standard"):
         raise InputError(f"--convention {convention}: not known; allowed: modified, standard")
     table = read_table(path)
-    unknown = [name for name in table.header if name not in _KNOWN]
-    if unknown:
-        raise InputError(f"{path.name}: column {unknown[0]!r} is not known; allowed: {', '.join(_KNOWN)}")
-    if not set(table.header) & set(_ROW):
+    frame, said = with_our_names(table, _KNOWN)
+    if not set(frame) & set(_ROW):
         raise InputError(f"{path.name}: no DH number found; columns are a_mm, alpha_deg, d_mm, theta_deg")
     rows = [
         _row({str(key): value for key, value in row.items()}, f"{path.name}: row {line}")
-        for line, row in zip(table.line, table.frame().to_dict("records"), strict=True)
+        for line, row in zip(table.line, frame.to_dict("records"), strict=True)
     ]
     head = ROBOT_HEAD.format(name=name.replace('"', "'"), convention=convention, table=path.name.replace('"', "'"))
-    return head + "\n" + "\n".join(rows)
+    understood = "".join(f"# {words}\n" for words in said)
+    return head + understood + "\n" + "\n".join(rows)
 
 
 def _row(row: Mapping[str, Any], where: str) -> str:

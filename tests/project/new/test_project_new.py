@@ -16,8 +16,12 @@ from casadical.core.errors import InputError
 from casadical.identification.identification import identify
 from casadical.project.check import precheck
 from casadical.project.new import new_problem
+from casadical.project.new.dh_table import robot_text
 from casadical.project.problem import read_problem
 from casadical.robot.robot_file import read_robot
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "cli"))
+import first_hour
 
 ROOT = Path(__file__).parents[3]
 COMMAND = str(Path(sys.executable).parent / "casadical")
@@ -85,6 +89,43 @@ def test_a_dh_table_gives_the_robot_that_is_in_the_repository(tmp_path: Path) ->
     torques = [r.torque(q, r.parameters.values).full() / abs(r.gravity[2]) for r in (made, ours)]
     # Gravity is taken in the measuring frame there and in the base here: both are upright.
     assert np.allclose(torques[0], torques[1], rtol=0, atol=1e-9)
+
+
+HEADINGS = {
+    "German": "Gelenk;Verdrehung α [°];Gliedlänge a [mm];Versatz d [mm];Winkel θ [°];untere Grenze [°];obere [°]",
+    "German, cp1252": "Achse;Verdrehwinkel [Grad];Armlänge [mm];Gliedversatz [mm];Gelenkwinkel [Grad];min [°];max [°]",
+    "French": "Axe;torsion (degrés);longueur (mm);décalage (mm);angle (degrés);limite inférieure (°);supérieure (°)",
+    "Chinese": "关节;扭转角(度);连杆长度(毫米);连杆偏距(毫米);关节角(度);下限(度);上限(度)",
+    "Japanese": "関節;ねじれ角(度);リンク長さ(mm);リンクオフセット(mm);関節角(度);下限(度);上限(度)",
+    "no units": "i;link twist;link length;link offset;joint angle;min;max",
+    "textbook": "i;alpha_i-1 [deg];a_i-1 [mm];d_i [mm];theta_i [deg];lower limit [deg];upper limit [deg]",
+}  # fmt: skip
+ENCODINGS = {"German, cp1252": "cp1252", "French": "cp1252", "Chinese": "gb18030", "Japanese": "cp932"}
+
+
+@pytest.mark.parametrize("language", HEADINGS)
+def test_a_dh_table_may_have_headings_of_other_languages(language: str, tmp_path: Path) -> None:
+    rows = [line.replace(",", ";").replace(".", ",") for line in first_hour.DH.splitlines()[1:]]
+    text = "\n".join([HEADINGS[language], *rows]) + "\n"
+    (tmp_path / "dh.csv").write_bytes(text.encode(ENCODINGS.get(language, "utf-8")))
+    (tmp_path / "plain.csv").write_text(first_hour.DH)
+    made, plain = (tomllib.loads(robot_text(tmp_path / f, "arm", "modified")) for f in ("dh.csv", "plain.csv"))
+    assert made["joint"] == plain["joint"]
+
+
+@pytest.mark.parametrize(
+    ("headings", "message"),
+    [
+        ("a_mm,alpha_deg,d_mm,colour", "column 'colour' is not known; allowed: joint, a_mm"),
+        ("a_mm,Gliedlänge [mm],d_mm,alpha_deg", "column 'Gliedlänge [mm]' is a second column of a_mm"),
+        ("a_mm,twist [mm],d_mm,theta_deg", "column 'twist [mm]': unit 'mm' does not fit alpha"),
+    ],
+)
+def test_headings_of_a_dh_table_that_mean_nothing_are_refused(headings: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "dh.csv").write_text(f"{headings}\n1,2,3,4\n5,6,7,8\n")
+    with pytest.raises(InputError) as refused:
+        robot_text(tmp_path / "dh.csv", "arm", "modified")
+    assert message in str(refused.value)
 
 
 def test_measured_data_with_a_dh_table_calibrate_as_the_repositorys_problem_does(tmp_path: Path) -> None:
