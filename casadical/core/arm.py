@@ -16,6 +16,7 @@ from casadical.core.parts import (
     FourBar,
     Joint,
     Placement,
+    Target,
     Width,
     parallel,
     refuse_joint,
@@ -33,6 +34,7 @@ class Arm:
     base : T_M0, robot base in the measuring frame; tool : T_nE, measured point in the last link's frame
     gravity : shape (3,) [m/s^2], given in `gravity_frame`
     payload : declared mass and mass centre in the last link's frame; poses may carry another mass (column payload_kg)
+    tool_name : of the measured point, where there are several; targets : the others, named in the column `tool`
     widths : how far the parameters of each group may be off; body_width : masses and mass centres of the links
     Raises InputError for a structure that cannot be built.
     """
@@ -47,6 +49,8 @@ class Arm:
     payload: Body | None = None
     widths: Mapping[str, Width] = field(default_factory=lambda: dict(WIDTHS))
     body_width: BodyWidth = field(default_factory=BodyWidth)
+    tool_name: str = ""
+    targets: tuple[Target, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.joints:
@@ -56,6 +60,9 @@ class Arm:
         object.__setattr__(self, "joints", with_hayati(self.joints))
         for k, loop in enumerate(self.loops, 1):
             _refuse_unbuildable(self, k, loop)
+        names = [self.tool_name, *(t.name for t in self.targets)]
+        if self.targets and (len(set(names)) < len(names) or not all(names)):
+            raise InputError(f"tool: names {', '.join(map(repr, names))}; each tool needs a name of its own")
 
     @property
     def n(self) -> int:

@@ -85,6 +85,24 @@ class Placement:
     unknown: Literal["none", "position", "pose"] = "none"
 
 
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A further measured point on the flange: its name, and its position in the last link's frame, shape (3,) [m]."""
+
+    name: str
+    point: Array
+
+    @property
+    def column(self) -> str:
+        """The condition that is 1 where this point was measured, else 0."""
+        return f"tool_{self.name}"
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of its three coordinates."""
+        return tuple(f"{self.column}_{c}" for c in "xyz")
+
+
 @dataclass(frozen=True)
 class Width:
     """Half width of bounds and one sigma of the prior, for the lengths [m] and angles [rad] of one group."""

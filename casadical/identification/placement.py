@@ -23,13 +23,16 @@ def place_frames(robot: Robot, m: Measurements) -> Robot:
 
     For each pose y = R_B (p + R t) + p_B, with flange p, R in the base frame. Multiplied by M = R_B' it is linear in
     M (9 numbers), M p_B and t: solved by least squares, M made a rotation, then refined by Kabsch's method and t in
-    turns. Only positions and full poses carry this information; other kinds, and robots whose base is known or is
+    turns. Of several tools, base and tool are placed by the one that was measured most, the others then by the base.
+    Only positions and full poses carry this information; other kinds, and robots whose base is known or is
     row 1 of the table, are left as they are. Source: Kabsch (1976) for the rotation.
     """
     m = m[m.weight > 0]
     m = m[:: max(1, len(m) // START_POSES)]
     if robot.base.unknown != "pose" or m.position is None or len(m) < 6:
         return robot
+    if robot.targets:
+        return _with_targets(robot, m)
     known = None if robot.tool.unknown != "none" else robot.tool.T[:3, 3]
     compliant = robot.gravity_frame == "measuring" and any(j.compliance for j in robot.joints)
     T_M0, t = robot.base.T, robot.tool.T[:3, 3]
@@ -40,6 +43,33 @@ def place_frames(robot: Robot, m: Measurements) -> Robot:
     if robot.tool.unknown == "pose" and m.orientation is not None:
         turn = nearest_rotation(np.einsum("nji,kj,nkl->il", R, T_M0[:3, :3], m.orientation))
     return replace(robot, base=replace(robot.base, T=T_M0), tool=replace(robot.tool, T=frame(turn, t)))
+
+
+def _with_targets(robot: Robot, m: Measurements) -> Robot:
+    """Base and tools of a robot with several of them."""
+    logged = m.condition_matrix([t.column for t in robot.targets], np.zeros(len(robot.targets)))
+    at = np.where(logged.any(axis=1), 1 + np.argmax(logged, axis=1), 0)
+    points = [robot.tool.T[:3, 3], *(t.point for t in robot.targets)]
+    most = int(np.argmax(np.bincount(at, minlength=len(points))))
+    turn = robot.tool.T[:3, :3]
+    alone = replace(robot, tool=replace(robot.tool, T=frame(turn, points[most])), targets=(), tool_name="")
+    placed = place_frames(alone, m[np.flatnonzero(at == most)])
+    points[most] = placed.tool.T[:3, 3]
+    if robot.tool.unknown != "none":
+        for k in set(range(len(points))) - {most}:
+            if (rows := np.flatnonzero(at == k)).size:
+                points[k] = _point_at(placed, m[rows])
+    T = frame(placed.tool.T[:3, :3], points[0])
+    targets = tuple(replace(t, point=p) for t, p in zip(robot.targets, points[1:], strict=True))
+    return replace(robot, base=placed.base, tool=replace(robot.tool, T=T), targets=targets)
+
+
+def _point_at(placed: Robot, m: Measurements) -> Array:
+    """Where in the last link's frame these positions are, mean over the poses, shape (3,) [m]."""
+    assert m.position is not None
+    p, R = _flange(placed, m, placed.base.T)
+    y = (m.position - placed.base.T[:3, 3]) @ placed.base.T[:3, :3]
+    return np.asarray(np.einsum("nji,nj->ni", R, y - p).mean(axis=0))
 
 
 def _flange(robot: Robot, m: Measurements, T_M0: Array) -> tuple[Array, Array]:

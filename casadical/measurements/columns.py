@@ -28,7 +28,7 @@ POSSIBLE = {
 _NUMBERS = re.compile(r"warmth_\w+|approach\d+")
 _READING = re.compile(r"q(\d+)_(deg|rad|mm|m)")
 # Readings, weights and sets.
-_NO_CONDITIONS = r"q\d+_(deg|rad|mm|m)|weight|set"
+_NO_CONDITIONS = r"q\d+_(deg|rad|mm|m)|weight|set|tool"
 
 
 @dataclass(frozen=True)
@@ -230,11 +230,30 @@ class Columns:
                 found[name] = self.column(name)
         return found
 
+    def tools(self) -> dict[str, Array]:
+        """Of the column `tool`, for each name in it whether that point was measured, 1 or 0, shape (n,).
+
+        Raises InputError for an empty cell.
+        """
+        if "tool" not in self.table:
+            return {}
+        names = self.table["tool"].map(lambda cell: "" if cell is None or cell != cell else _name_of(cell))
+        if (names == "").any():
+            raise InputError(
+                f"{self.at(int(np.argmax(names == '')))}, column 'tool': is empty; name the measured point"
+            )
+        return {f"tool_{name}": (names == name).to_numpy(dtype=float) for name in dict.fromkeys(names)}
+
     def unused(self, conditions: Collection[str], observations: Iterable[str]) -> tuple[str, ...]:
         """Columns that are neither readings, observations nor conditions: those of words, and those without a cell."""
         used = re.compile("|".join([_NO_CONDITIONS, *observations]))
         left = (n for n in map(str, self.table) if n not in (*conditions, *self.taken) and not used.fullmatch(n))
         return (*left, *self.empty)
+
+
+def _name_of(cell: object) -> str:
+    """A name in a cell; 1.0 is 1, as a column of whole numbers with a gap is read."""
+    return str(cell).strip().removesuffix(".0")
 
 
 def _cell(text: object) -> str:

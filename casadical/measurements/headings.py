@@ -25,6 +25,8 @@ _UNIT_LINE = re.compile(r"(?:units?|einheit(?:en)?|unités?|单位|単位)\s*[:=
 # Positions of a robot spread over more than so many millimetres, and over less than so many metres.
 MILLIMETRES, METRES = 30.0, 10.0
 FEW = 10
+# So many poses at least of each target, on average.
+FEWEST_OF_EACH = 6
 _RANK = {"measured": 0, "": 1, "nominal": 2}
 _OTHERS = {"temperature": ("temperature_degC", "degC"), "time": ("time_s", "s"), "load": ("payload_kg", "kg")}
 
@@ -96,7 +98,7 @@ def understand(raw: RawTable, joints: Sequence[str], given: Collection[str] = ()
         if name and (found := _heading(name, raw.form.units[k] if k < len(raw.form.units) else "", frame.iloc[:, k]))
     ]
     if named:  # beside our own names only what is said with its unit
-        return Understanding(tuple(_conditions([h for h in headings if h.unit], ours)))
+        return Understanding((*_conditions([h for h in headings if h.unit], ours), *_tools(raw, frame, ours)))
     stated = _stated_units([*raw.comments, *(text for _, text in raw.form.skipped)])
     if not raw.form.header_line:
         headings = _by_order(raw, frame, len(joints))
@@ -116,7 +118,7 @@ def understand(raw: RawTable, joints: Sequence[str], given: Collection[str] = ()
         chosen = _positions(headings, questions)
         columns += _with_units(chosen, ["x", "y", "z"][: len(chosen)], "length", stated, questions)
         taken += chosen
-    columns += _conditions(headings, ours)
+    columns += [*_conditions(headings, ours), *_tools(raw, frame, ours)]
     if not raw.form.header_line:
         columns = [replace(c, why=f"order of the columns, {c.why}") for c in columns]
     left = [h.name for h in headings if h not in taken and h.quantity in ("joint", "x", "y", "z")]
@@ -130,6 +132,17 @@ def _conditions(headings: Sequence[_Heading], ours: Collection[str]) -> Iterator
         if len(named) == 1 and name not in ours and np.isfinite(named[0].values).all():
             factor = UNITS.get(named[0].unit, ("", 1.0))[1]
             yield Understood(name, Source(named[0].name, factor), named[0].unit or unit, "heading")
+
+
+def _tools(raw: RawTable, frame: pd.DataFrame, ours: Collection[str]) -> Iterator[Understood]:
+    """A column of names that say which target was measured: few names, each at several poses."""
+    for name in raw.header:
+        words = set(words_of(name)[0])
+        if "tool" not in ours and words & WORDS["target"] and words <= WORDS["target"] | WORDS["dh_joint"]:
+            cells = frame[name].dropna().astype(str)
+            if len(cells) == len(frame) and 1 < cells.nunique() <= len(cells) / FEWEST_OF_EACH:
+                yield Understood("tool", Source(name), "", "heading")
+                return
 
 
 def words_of(heading: str) -> tuple[list[str], str]:

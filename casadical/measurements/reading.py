@@ -91,7 +91,7 @@ def from_columns(
     q = columns.joints(each)
     arrays = observed.read(columns, q)
     patterns = [k.pattern for k in kinds().values()]
-    conditions = columns.conditions(patterns)
+    conditions = columns.conditions(patterns) | columns.tools()
     found = Measurements(
         q=q,
         kind=observed.name,

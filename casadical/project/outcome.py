@@ -70,9 +70,8 @@ def _no_better(problem: Problem, last: Identification, accuracies: Accuracies) -
         missing.append(f"more poses ({len(last.names)} parameters from {sum(len(m) for m in sets)}; casadical plan)")
     narrow = [c.joint for c in coverage(robot, sets[0]) if c.share < NARROW]
     if narrow:
-        missing.append(
-            f"wider ranges of joint {', '.join(map(str, narrow))} (they cover less than half of their limits)"
-        )
+        which = "all joints" if len(narrow) == robot.n else f"joint {', '.join(map(str, narrow))}"
+        missing.append(f"wider ranges of {which} (less than half of the limits is covered)")
     if not any(j.compliance is not None for j in robot.joints):
         missing.append(
             "masses (mass_kg, com_mm) and compliant = true in the robot file, which let SKCM find what gravity bends"

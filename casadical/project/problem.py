@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
@@ -342,7 +342,11 @@ def _read(folder: Path, data: _Data, robot: Robot, sets: _Sets) -> dict[str, Mea
 
 
 def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
-    """With the columns that a robot's effects follow. Raises InputError where it lacks what they are derived from."""
+    """With the columns that a robot's effects follow. Raises InputError where it lacks what they are derived from.
+
+    And where its column `tool` names a point that the robot file does not have.
+    """
+    m = _with_tools(m, robot)
     if not robot.effects:
         return m
     found, missing = derive(m, robot.conditions)
@@ -355,6 +359,22 @@ def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
                 "robot file"
             )
     return found
+
+
+def _with_tools(m: Measurements, robot: Robot) -> Measurements:
+    """Raises InputError where the column `tool` names a point that the robot file does not have."""
+    measured = [name.removeprefix("tool_") for name in m.conditions if name.startswith("tool_")]
+    known = [robot.tool_name, *(t.name for t in robot.targets)]
+    if len(measured) < 2 and not robot.targets:
+        return replace(m, conditions={k: v for k, v in m.conditions.items() if not k.startswith("tool_")})
+    missing = [name for name in measured if name not in known]
+    if missing:
+        there = f"the robot file has {', '.join(known)}" if robot.targets else "the robot file has one tool"
+        raise InputError(
+            f"{m.source}: column 'tool' names {', '.join(measured)}, and {there}: give a table [[tool]] with name, "
+            f"xyz_mm and unknown for each (docs/robot-file.md); missing: {', '.join(missing)}"
+        )
+    return m
 
 
 def _by_column(found: Measurements, columns: Columns, column: str) -> dict[str, Measurements]:

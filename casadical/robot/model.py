@@ -229,12 +229,15 @@ def _to_tool(arm: Arm, effects: tuple[Effect, ...], nominal: Symbolic, context: 
     factors = [effect.base(context) for effect in effects]
     for i, row in enumerate(chain_factors(arm, ca.vertsplit(moved), values), 1):
         factors += [*row, *(effect.link(i, context) for effect in effects)]
-    return [*factors, *(effect.tool(context) for effect in effects), *_tool(nominal, values)]
+    return [*factors, *(effect.tool(context) for effect in effects), *_tool(arm, nominal, values, context.conditions)]
 
 
-def _tool(nominal: Symbolic, values: Values) -> list[Symbolic]:
-    """Transforms whose product is the tool frame in the flange."""
-    x, y, z = (values.get(f"tool_{c}", nominal[k, 3]) for k, c in enumerate("xyz"))
+def _tool(arm: Arm, nominal: Symbolic, values: Values, conditions: Mapping[str, Symbolic]) -> list[Symbolic]:
+    """Transforms whose product is the tool frame in the flange, at the target that was measured."""
+    first = [values.get(f"tool_{c}", nominal[k, 3]) for k, c in enumerate("xyz")]
+    x, y, z = (
+        v + sum(conditions[t.column] * (values[t.parameters[k]] - v) for t in arm.targets) for k, v in enumerate(first)
+    )
     turn = ca.horzcat(nominal[:, :3], ca.DM([0, 0, 0, 1]))
     turns = [
         make(values[f"tool_{c}"]) for make, c in ((rot_x, "rx"), (rot_y, "ry"), (rot_z, "rz")) if f"tool_{c}" in values

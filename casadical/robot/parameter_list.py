@@ -27,6 +27,10 @@ def parameters_of(
     """All parameters, those first that identifiability prefers: placement, rows, loops, compliance, effects."""
     for which, placement in (("base", arm.base), ("tool", arm.tool)):
         yield from _placement(arm, which, placement)
+    for target in arm.targets:
+        held = "" if arm.tool.unknown != "none" else "given as known in the robot file"
+        for name, value in zip(target.parameters, target.point, strict=True):
+            yield _number(arm, name, "tool", "m", float(value), held)
     for i, joint in enumerate(arm.joints, 1):
         yield from _row(arm, i, joint)
     for k, loop in enumerate(arm.loops, 1):

@@ -69,14 +69,14 @@ class Robot(Arm):
     @cached_property
     def conditions(self) -> tuple[str, ...]:
         """Logged columns that the model uses, besides the joint readings."""
-        own = ("payload_kg",) if self.payload else ()
+        own = (*(("payload_kg",) if self.payload else ()), *(t.column for t in self.targets))
         return tuple(dict.fromkeys((*own, *(c for e in self.effects for c in e.conditions))))
 
     @cached_property
     def declared(self) -> Array:
         """Values of `conditions` where nothing was logged, shape (k,) [of the column].
 
-        The declared payload; progress 1, as the robot stands after its campaign; else zero.
+        The declared payload; progress 1, as the robot stands after its campaign; else zero: of several tools the first.
         """
         known = {"payload_kg": self.payload.mass if self.payload else 0.0, "progress": 1.0}
         return np.array([known.get(c, 0.0) for c in self.conditions])
@@ -175,6 +175,7 @@ class Robot(Arm):
             loops=tuple(_loop_with(loop, k, v) for k, loop in enumerate(self.loops, 1)),
             base=replace(self.base, T=self.base.T @ np.array(small_frame(*(v.get(n, 0.0) for n in SIX["base"])))),
             tool=replace(self.tool, T=_tool_with(self.tool.T, v)),
+            targets=tuple(replace(t, point=np.array([v[name] for name in t.parameters])) for t in self.targets),
             effect_values={n: v[n] for n in effect_names},
             knowledge=None,
         )

@@ -21,7 +21,7 @@ from casadical.core.arm import STANDARD_GRAVITY
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError, shown
 from casadical.core.files import write_whole
-from casadical.core.parts import WIDTHS, Body, BodyWidth, FourBar, Joint, Placement, Width
+from casadical.core.parts import WIDTHS, Body, BodyWidth, FourBar, Joint, Placement, Target, Width
 from casadical.core.schema import (
     ANGLE,
     LENGTH,
@@ -35,10 +35,11 @@ from casadical.core.schema import (
     check,
     load_toml,
 )
-from casadical.core.transforms import frame, from_rpy, to_rpy
+from casadical.core.transforms import frame, from_rpy
 from casadical.effects import Effect, find_effect
 from casadical.robot.effect_tables import CovarianceTable, EffectTable, LearntTable, knowledge_of, text_of
 from casadical.robot.robot import Robot
+from casadical.robot.robot_tables import body_table, frame_table, joint_table, loop_table, tool_tables, width_tables
 
 Bar = Annotated[float, LENGTH, Field(gt=0)]
 # Of the newest files that are read; from 2 on with effects and what is known of their values.
@@ -124,6 +125,12 @@ class _Frame(TomlTable):
         return Placement(frame(from_rpy(np.array(self.rpy)), np.array(self.xyz)), self.unknown)
 
 
+class _Tool(_Frame):
+    """Of several [[tool]] every one but the first."""
+
+    name: str = ""
+
+
 class _FourBar(TomlTable):
     driven: int
     carrier: int
@@ -171,6 +178,8 @@ class _RobotFile(TomlTable):
     notes: list[str] = Field(default=[])
     base: _Frame = _Frame()
     tool: _Frame = _Frame()
+    tool_name: str = ""
+    further_tool: list[_Tool] = Field(default=[])
     gravity: _Gravity = _Gravity()
     payload: _Body | None = None
     joint: list[_Joint] = Field(min_length=1)
@@ -197,10 +206,12 @@ class _RobotFile(TomlTable):
     def robot(self, own: Sequence[type[Effect]]) -> Robot:
         joints = [row.joint() for row in self.joint]
         tool = self.tool.placement()
+        points = [np.array(further.xyz) for further in self.further_tool]
         payload = self.payload.body() if self.payload else None
         if self.convention == "standard":
             joints, flange = _from_standard(joints)
             tool = replace(tool, T=flange @ tool.T)
+            points = [flange[:3, :3] @ point + flange[:3, 3] for point in points]
             payload = payload and _moved(payload, flange)
         effects, values, errors = self._effects(own)
         robot = Robot(
@@ -214,6 +225,8 @@ class _RobotFile(TomlTable):
             payload=payload,
             widths=self.width.widths(),
             body_width=BodyWidth(self.width.body.mass_share, self.width.body.com),
+            tool_name=self.tool_name,
+            targets=tuple(Target(f.name, point) for f, point in zip(self.further_tool, points, strict=True)),
             effects=effects,
             effect_values=values,
             notes=tuple(self.notes),
@@ -276,11 +289,20 @@ def robot_from(data: Mapping[str, Any], source: str, effects: Sequence[type[Effe
             f"{data.get('written_by', 'a newer casadical')}; this is casadical {__version__}, which reads files up to "
             f"version {VERSION}: install the newer one"
         )
-    file = check(_RobotFile, data, source)
+    file = check(_RobotFile, _with_tools_apart(data), source)
     try:
         return file.robot(effects)
     except InputError as error:
         raise InputError(f"{source}: {error}") from None
+
+
+def _with_tools_apart(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Of several [[tool]] the first under `tool`, the others under a key of their own."""
+    tools = data.get("tool")
+    if not isinstance(tools, list) or not tools or not all(isinstance(t, dict) for t in tools):
+        return data
+    first = {key: value for key, value in tools[0].items() if key != "name"}
+    return {**data, "tool": first, "tool_name": tools[0].get("name", ""), "further_tool": tools[1:]}
 
 
 def write_robot(robot: Robot, path: str | Path, comment: str = "", effects: Sequence[type[Effect]] = ()) -> None:
@@ -309,13 +331,13 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
         "written_by": f"casadical {__version__}" if more else None,
         "name": robot.name,
         "notes": list(robot.notes) or None,
-        "base": _frame_table(robot.base),
-        "tool": _frame_table(robot.tool),
+        "base": frame_table(robot.base),
+        "tool": tool_tables(robot) if robot.targets else frame_table(robot.tool),
         "gravity": {"frame": robot.gravity_frame, "vector_m_per_s2": [float(g) for g in robot.gravity]},
-        "payload": _body_table(robot.payload) if robot.payload else None,
-        "width": _width_tables(robot),
-        "joint": [_joint_table(joint) for joint in robot.joints],
-        "four_bar": [_loop_table(loop) for loop in robot.loops] or None,
+        "payload": body_table(robot.payload) if robot.payload else None,
+        "width": width_tables(robot),
+        "joint": [joint_table(joint) for joint in robot.joints],
+        "four_bar": [loop_table(loop) for loop in robot.loops] or None,
     }
     document.update({key: value for key, value in tables.items() if value is not None})
     text = tomlkit.dumps(document)
@@ -331,72 +353,5 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
 
 def _readable(text: str, robot: Robot) -> str:
     """The text, if its values are ones that a file may hold. Raises InputError."""
-    check(_RobotFile, tomllib.loads(text), f"robot {shown(robot.name)!r} cannot be written")
+    check(_RobotFile, _with_tools_apart(tomllib.loads(text)), f"robot {shown(robot.name)!r} cannot be written")
     return text
-
-
-def _mm(value: float) -> float:
-    return float(value * 1e3)
-
-
-def _deg(value: float) -> float:
-    return float(np.rad2deg(value))
-
-
-def _frame_table(placement: Placement) -> dict[str, Any]:
-    return {
-        "xyz_mm": [_mm(v) for v in placement.T[:3, 3]],
-        "rpy_deg": [_deg(v) for v in to_rpy(placement.T[:3, :3])],
-        "unknown": placement.unknown,
-    }
-
-
-def _body_table(body: Body) -> dict[str, Any]:
-    return {"mass_kg": float(body.mass), "com_mm": [_mm(v) for v in body.com]}
-
-
-def _joint_table(joint: Joint) -> dict[str, Any]:
-    table: dict[str, Any] = {"alpha_deg": _deg(joint.alpha), "a_mm": _mm(joint.a)}
-    if joint.beta is not None:
-        table["beta_deg"] = _deg(joint.beta)
-    if joint.b is not None:
-        table["b_mm"] = _mm(joint.b)
-    table |= {"theta_deg": _deg(joint.theta), "d_mm": _mm(joint.d)}
-    if joint.kind == "prismatic":
-        table |= {"type": "prismatic", "limits_mm": [_mm(joint.lower), _mm(joint.upper)]}
-    else:
-        table["limits_deg"] = [_deg(joint.lower), _deg(joint.upper)]
-    if joint.compliance is not None:
-        table["compliant"] = True
-        if joint.compliance > 0:
-            unit = "Nm_per_rad" if joint.kind == "revolute" else "N_per_m"
-            table[f"stiffness_{unit}"] = float(1 / joint.compliance)
-    if joint.body:
-        table["body"] = _body_table(joint.body)
-    return table
-
-
-def _loop_table(loop: FourBar) -> dict[str, Any]:
-    return {
-        "driven": loop.driven,
-        "carrier": loop.carrier,
-        "crank_mm": _mm(loop.crank),
-        "coupler_mm": _mm(loop.coupler),
-        "rocker_mm": _mm(loop.rocker),
-        "offset_deg": _deg(loop.offset),
-    }
-
-
-def _width_tables(robot: Robot) -> dict[str, Any]:
-    of_bodies = {"mass_share": robot.body_width.share, "com_mm": _mm(robot.body_width.centre)}
-    groups = {
-        group: {
-            "length_bound_mm": _mm(w.length_bound),
-            "angle_bound_deg": _deg(w.angle_bound),
-            "length_prior_mm": _mm(w.length_prior),
-            "angle_prior_deg": _deg(w.angle_prior),
-        }
-        for group, w in robot.widths.items()
-        if w != WIDTHS[group]
-    }
-    return groups | ({} if robot.body_width == BodyWidth() else {"body": of_bodies})

@@ -100,7 +100,7 @@ def test_two_groups_of_joints_are_a_question_and_deviations_none(tmp_path: Path)
 
 def test_our_own_names_are_never_understood_otherwise(tmp_path: Path) -> None:
     path = tmp_path / "ours.csv"
-    path.write_text("q1_deg,q2_deg,A1,A2,x_mm,y_mm,z_mm,Temperatur [°C]\n1,2,3,4,5,6,7,8\n")
+    path.write_text("q1_deg,q2_deg,A1,A2,x_mm,y_mm,z_mm,X [m],Temperatur\n1,2,3,4,5,6,7,8,9\n")
     assert understand(read_table(path), ["revolute"] * 2).columns == ()
 
 
@@ -108,7 +108,7 @@ def test_a_condition_with_its_unit_is_taken_beside_our_own_names(tmp_path: Path)
     """A word without a unit is not: what `temperature` holds there nobody said."""
     names = [*(f"q{k}_deg" for k in range(1, 7)), "x_mm", "y_mm", "z_mm", "Traglast [kg]", "temperature"]
     path = tmp_path / "t.csv"
-    path.write_text("\n".join([",".join(names), *(",".join(["1"] * 9 + [str(k), "20"]) for k in range(5))]))
+    path.write_text("\n".join([",".join(names), *(",".join([str(k)] * 10 + ["20"]) for k in range(5))]))
     m = read_measurements(path, 6)
     assert m.conditions["payload_kg"].tolist() == [0, 1, 2, 3, 4]
     assert "temperature_degC" not in m.conditions

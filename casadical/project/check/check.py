@@ -99,10 +99,10 @@ def precheck(
     found += _held_out_findings(problem)
     found += limits_findings(problem.robot)
     known, source = _noise(noise, sets)
-    start = place_frames(problem.robot, next((m for m in sets if m.position is not None), sets[0]))
     outlooks: list[Outlook] = []
     show("accuracy to expect")
     trusted = [m[np.flatnonzero(~far_off(problem.robot, m)[0])] for m in sets] if usable else []
+    start = place_frames(problem.robot, next((m for m in trusted if m.position is not None), sets[0]))
     for method in problem.methods if usable else ():
         try:
             taken, free = by_method(start, method)

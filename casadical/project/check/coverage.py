@@ -70,7 +70,8 @@ def limits_findings(robot: Robot) -> list[Finding]:
 
 def repeats(m: Measurements) -> tuple[int, float | None]:
     """How many distinct readings there are, and one sigma of a coordinate [m] that repeated ones show (or None)."""
-    reading = same_readings(m.q)
+    tools = [values for name, values in m.conditions.items() if name.startswith("tool_")]
+    reading = same_readings(np.column_stack([m.q, *tools]))
     distinct = int(reading.max()) + 1
     freedom = len(m) - distinct
     if m.position is None or freedom < FEWEST_REPEATS:

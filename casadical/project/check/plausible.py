@@ -120,6 +120,9 @@ def _median_error(robot: Robot, m: Measurements) -> float:
     with np.errstate(all="ignore"):
         try:
             e = errors(place_frames(robot, m), m)
+            near = np.flatnonzero(e <= FAR * np.median(e))
+            if FEWEST <= len(near) < len(e):  # gross errors draw base and tool towards themselves
+                e = errors(place_frames(robot, m[near]), m)
         except np.linalg.LinAlgError:
             return np.inf
     # The median: a few gross errors are outliers, not such a mistake.

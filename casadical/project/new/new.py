@@ -15,7 +15,7 @@ from casadical.measurements.headings import Question, Understanding, understand
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.project.new.dh_table import robot_text
 from casadical.project.new.synthetic import POSES, synthetic_poses
-from casadical.project.new.texts import EXAMPLE_ROBOT, column_lines, problem_text, readme_text
+from casadical.project.new.texts import EXAMPLE_ROBOT, column_lines, problem_text, readme_text, with_tools
 from casadical.project.problem import Problem, read_problem
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
@@ -57,6 +57,11 @@ def new_problem(
     if given and show and understood.columns:
         show(table_of(given, understood))
     columns = understood.sources
+    tools = tools_in(given, columns) if given else ()
+    if len(tools) > 1 and "robot.toml" in texts:
+        texts["robot.toml"] = with_tools(str(texts["robot.toml"]), tools)
+        if show:
+            show(Words(f"Column 'tool' names {len(tools)} measured points, {', '.join(tools)}: robot.toml has each."))
     for question in understood.questions:
         columns = _answered(columns, question, ask)
     left_out = rows_without_numbers(given, columns) if given else {}
@@ -94,6 +99,13 @@ def _answered(
         return {**columns, **{stems[name]: replace(columns[stems[name]], name=s.name) for name, s in answer.items()}}
     taken = {name.rpartition("_")[0] for name in answer}
     return {**{name: s for name, s in columns.items() if name.rpartition("_")[0] not in taken}, **answer}
+
+
+def tools_in(raw: RawTable, columns: Mapping[str, Source]) -> tuple[str, ...]:
+    """Names in the column that says which point on the flange was measured; the one measured most first."""
+    found = Columns.of_file(raw).mapped({n: s for n, s in columns.items() if n == "tool"}).tools()
+    order = sorted(found, key=lambda name: -found[name].sum())
+    return tuple(name.removeprefix("tool_") for name in order)
 
 
 def rows_without_numbers(raw: RawTable, columns: Mapping[str, Source]) -> dict[int, str]:

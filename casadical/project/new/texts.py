@@ -1,7 +1,7 @@
 """The texts of a new problem folder, with comments that say what may be changed."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from casadical.measurements.columns import Source
 
@@ -204,3 +204,14 @@ Next:
     casadical check {name}
     casadical calibrate {name} --out results
 """
+
+
+def with_tools(robot: str, names: Sequence[str]) -> str:
+    """The text of a robot file with a table [[tool]] for each measured point in place of its [tool]."""
+    start, rest = robot.split("[tool]", 1)
+    own, after = rest.split("\n\n", 1)
+    keys = own.split("\n", 1)[1]
+    tables = [
+        f"[[tool]]  # measured point {name}\nname = {json.dumps(name, ensure_ascii=False)}\n{keys}" for name in names
+    ]
+    return start + "\n\n".join(tables) + "\n\n" + after

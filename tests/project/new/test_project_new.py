@@ -189,7 +189,7 @@ WRONG = {
     "two robots": ({"urdf": "x.urdf", "dh": "x.csv"}, "both say which robot"),
     "no such table": ({"dh": "none.csv"}, "no such file"),
     "no such convention": ({"dh": "dh.csv", "convention": "craig"}, "allowed: modified, standard"),
-    "unknown column": ({"dh": "bad.csv"}, "column 'length' is not known"),
+    "unknown column": ({"dh": "bad.csv"}, "column 'colour' is not known"),
     "no number": ({"dh": "word.csv"}, "row 3, column 'a_mm': 'x' is not a number"),
     "half a range": ({"dh": "half.csv"}, "belong together"),
     "data that do not read": ({"dh": "dh.csv", "data": "nothing.csv"}, "q1_deg or q1_rad is missing"),
@@ -200,7 +200,7 @@ WRONG = {
 def test_bad_input_is_refused_and_nothing_is_written(name: str, tmp_path: Path) -> None:
     given, words = WRONG[name]
     (tmp_path / "dh.csv").write_text("a_mm,alpha_deg\n100,90\n200,0\n")
-    (tmp_path / "bad.csv").write_text("a_mm,length\n100,90\n")
+    (tmp_path / "bad.csv").write_text("a_mm,colour\n100,90\n")
     (tmp_path / "word.csv").write_text("a_mm,alpha_deg\n100,90\nx,0\n")
     (tmp_path / "half.csv").write_text("a_mm,lower_deg\n100,90\n")
     (tmp_path / "nothing.csv").write_text("angle,x_mm,y_mm,z_mm\n1,2,3,4\n")
