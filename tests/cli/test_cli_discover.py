@@ -40,7 +40,7 @@ def test_a_law_is_printed_written_and_taken_again(
     assert "The law over its driver" in page.read_text()
     assert read_robot(out / "discovered.robot.toml").effects[-1].label.startswith("law at joint 2 by q2")
     assert main(monkeypatch, "diagnose", PROBLEM, stepped, "--effects", out / "law.effect.toml") == 0
-    assert "VERDICT explained: law@2" in capsys.readouterr().out
+    assert "Explained: law@2" in capsys.readouterr().out
 
 
 def test_a_missing_effect_file_is_named(
