@@ -59,16 +59,8 @@ class _Sums:
     residuals: list[Array]
 
 
-class _Last:
-    """What came out at the last point: solver and statistics ask for one many times."""
-
-    def __init__(self) -> None:
-        self.sums: Callable[[Array, Callable[[Array], _Sums]], _Sums] = _remembered()
-        self.parts: Callable[[Array, Callable[[Array], tuple[_Part, ...]]], tuple[_Part, ...]] = _remembered()
-
-
-def _remembered() -> Any:
-    """A function of a point and what to compute there, that knows its last answer."""
+def _remembered() -> Callable[[Array, Callable[[Array], Any]], Any]:
+    """A function of a point and what to compute there that knows its last answer: a point is asked for many times."""
     last: list[Any] = [None, None]
 
     def asked(v: Array, compute: Callable[[Array], Any]) -> Any:
@@ -223,7 +215,8 @@ class LeastSquares:
         return self._sums(v).residuals
 
     def _sums(self, v: Array) -> _Sums:
-        return self._last.sums(v, self._summed)
+        found: _Sums = self._last_sums(v, self._summed)
+        return found
 
     def _summed(self, v: Array) -> _Sums:
         cost, gradient, information = 0.0, np.zeros(self.size), np.zeros((self.size, self.size))
@@ -249,12 +242,12 @@ class LeastSquares:
 
         Kept for the last v where they are few, so that statistics need no further evaluation.
         """
-        few = self.residual_count * self.size <= KEPT
-        return self._last.parts(v, lambda v: tuple(self._evaluated(v))) if few else self._evaluated(v)
+        if self.residual_count * self.size > KEPT:
+            return self._evaluated(v)
+        found: tuple[_Part, ...] = self._last_parts(v, lambda v: tuple(self._evaluated(v)))
+        return found
 
-    @cached_property
-    def _last(self) -> _Last:
-        return _Last()
+    _last_sums, _last_parts = cached_property(lambda _: _remembered()), cached_property(lambda _: _remembered())
 
     def _evaluated(self, v: Array) -> Iterator[_Part]:
         x, u = self.separate(v)
