@@ -5,13 +5,13 @@ from typing import Annotated
 
 import typer
 
-from casadical.cli.options import Json, Overwrite, Quiet
+from casadical.cli.options import NOMINAL, Json, Overwrite, Quiet
 from casadical.cli.terminal import plain, refuse_taken, with_json
 
 
 def export_driver(
     robot: Annotated[Path, typer.Argument(metavar="ROBOT.toml", help="A calibrated robot file.")],
-    nominal: Annotated[Path, typer.Option(metavar="NOMINAL.toml", help="The robot file from before the calibration.")],
+    nominal: Annotated[Path, NOMINAL],
     out: Annotated[Path, typer.Option(metavar="FILE", help="Where the kinematics go.")],
     form: Annotated[
         str,

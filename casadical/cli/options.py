@@ -12,12 +12,10 @@ if TYPE_CHECKING:
     from casadical.effects import Effect
     from casadical.project.problem import Carried
 
-Nominal = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="NOMINAL.toml", help="The controller's model of the robot: the robot file from before the calibration."
-    ),
-]
+NOMINAL = typer.Option(
+    metavar="NOMINAL.toml", help="The controller's model of the robot: the robot file from before the calibration."
+)
+Nominal = Annotated[Path | None, NOMINAL]
 Compensator = Annotated[
     Path | None,
     typer.Option(metavar="NET.json", help="A trained compensator, as `casadical calibrate --out` writes it."),
