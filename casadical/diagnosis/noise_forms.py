@@ -3,6 +3,7 @@
 Each form is judged as the base model is, by its marginal likelihood, with the poses weighed as it says. It competes
 with the causes. Beside causes, noise of the instrument is one of the ways in which there is no further one, while a
 joint that scatters is still something that nobody listed, unless it has a cause: what this leaves looks like scatter.
+Where an effect leads whose sizes are learnt once it is in the model, its joints' scatter is no rival before.
 """
 
 from __future__ import annotations
@@ -41,7 +42,10 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
     if ranking.none > (PLAIN if len(chosen) else detection(int(case.kept.sum()))):
         return ranking
     prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
-    forms = noise_forms(case, chosen)
+    unsized = {
+        scatter_of(part) for c in case.candidates if c.label == ranking.order[0] for part in c.variants[0][0].parts
+    }
+    forms = [f for f in noise_forms(case, chosen) if f.label not in unsized]
     mass = {f.label: float(np.log(prior["unknown"])) + f.log_factor for f in forms}
     plain = none = float(np.log(prior["none"]))
     noise_form = ""

@@ -88,7 +88,10 @@ class State:
         columns = [self.columns(beside), *(self.case.group(e) for e in also.values())]
         skip = frozenset((*(s.labels[0] for s in beside), *also))
         chosen = np.unique(np.concatenate(columns))
-        joints = tuple(self.by_label[s.labels[0]].joint for s in beside)
+        joints = (
+            *(self.by_label[s.labels[0]].joint for s in beside),
+            *(j for s in beside for e in s.effects for j in e.parts),
+        )
         # A search asks for the same ranking again when it looks at its causes once more.
         known: dict[object, Ranking] = self.case.evidence.__dict__.setdefault("rankings", {})
         key = (chosen.tobytes(), skip, covered, self.rivals, not also, joints)
