@@ -109,7 +109,7 @@ class _Solver:
     scale: float
     progress: Progress | None
 
-    def __init__(self, size: int) -> None:
+    def __init__(self, size: int, most: int) -> None:
         vector, upper, none = ca.Sparsity.dense(size, 1), ca.Sparsity.upper(size), ca.Sparsity(0, 0)
         number = ca.Sparsity.dense(1, 1)
         self._lower = np.tril_indices(size)
@@ -133,7 +133,7 @@ class _Solver:
             "iteration_callback": watch,
             "ipopt": {
                 "tol": TOLERANCE,
-                "max_iter": MAX_ITERATIONS,
+                "max_iter": most,
                 "print_level": 0,
                 "sb": "yes",
                 "nlp_scaling_method": "none",
@@ -167,7 +167,7 @@ class _Solver:
 
 
 class _Solvers(threading.local):
-    """Those of one thread, by size."""
+    """Those of one thread, by size and most iterations."""
 
     def __init__(self) -> None:
         self.of = lru_cache(maxsize=16)(_Solver)
@@ -192,7 +192,7 @@ def minimise(
 
     Raises ConvergenceError with a sentence and a remedy if Ipopt does not stop at an optimum.
     """
-    ipopt = _solvers.of(len(lower))
+    ipopt = _solvers.of(len(lower), MAX_ITERATIONS)
     ipopt.cost, ipopt.gradient, ipopt.scale, ipopt.progress, ipopt.history = cost, gradient, scale, progress, []
     found = ipopt.solve(x0=np.zeros(len(lower)), lbx=lower, ubx=upper)
     status = str(ipopt.solve.stats()["return_status"])

@@ -231,7 +231,7 @@ class Columns:
         return found
 
     def tools(self) -> dict[str, Array]:
-        """Of the column `tool`, for each name in it whether that point was measured, 1 or 0, shape (n,).
+        """Of the column `tool`, for each name in it whether that point was measured, [1 or 0], shape (n,).
 
         Raises InputError for an empty cell.
         """
