@@ -1,6 +1,6 @@
 """Answers for every sealed campaign of a round: python docs/studies/sealed_answers.py A (about five minutes), or B.
 
-Round B has 160 campaigns and takes half an hour. Writes data/campaigns/answers/CAMPAIGN.json (round B: answers_B), one
+Round B has 160 campaigns and takes ten minutes. Writes data/campaigns/answers/CAMPAIGN.json (round B: answers_B), one
 a campaign, as `casadical diagnose PROBLEM CAMPAIGN.csv --json` does. The keys to these campaigns are not in this
 repository; nothing here was tuned on them. A campaign that is refused has no answer; its reason is printed.
 `--jobs N` answers N campaigns at a time.
