@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+from sphinx.addnodes import toctree
 
 mpl.use("Agg")
 
@@ -118,8 +119,15 @@ def _all_pages(_app: Any, name: str, source: list[str]) -> None:
         source[0] += "\n".join(lines) if more else ""
 
 
+def _short_sidebar(_app: Any, env: Any) -> None:
+    """The sidebar of every page names the pages; the names of the reference stand on its page alone."""
+    for names in list(env.tocs["reference"].findall(toctree)):
+        names.parent.remove(names)
+
+
 def setup(app: Any) -> None:
     """Sphinx calls it."""
+    app.connect("env-updated", _short_sidebar)
     app.connect("source-read", _to_gallery)
     app.connect("source-read", _all_pages)
     app.connect("include-read", _to_gallery)

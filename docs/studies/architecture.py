@@ -72,6 +72,34 @@ class Source:
     def lines(self) -> int:
         return len(self.text.splitlines())
 
+    @cached_property
+    def nodes(self) -> tuple[ast.AST, ...]:
+        return tuple(ast.walk(self.tree))
+
+    @cached_property
+    def words(self) -> set[str]:
+        """Names and strings of its code, docstrings left out."""
+        docs = {
+            id(node.body[0].value)
+            for node in self.nodes
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+            and node.body
+            and isinstance(node.body[0], ast.Expr)
+        }
+        found = {self.name.rpartition(".")[2]}
+        for node in self.nodes:
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docs:
+                found |= {node.value, *node.value.split(":")[-1:]}
+            elif isinstance(node, ast.Name):
+                found.add(node.id)
+            elif isinstance(node, ast.ClassDef):
+                found.add(node.name)
+            elif isinstance(node, ast.Attribute):
+                found.add(node.attr)
+            elif isinstance(node, ast.alias):
+                found |= {node.name, node.asname or node.name}
+        return found
+
 
 @dataclass(frozen=True)
 class House:
@@ -103,7 +131,7 @@ class House:
         return {name: set(self._imported(module)) - {name, ""} for name, module in self.modules.items() if name}
 
     def _imported(self, module: Source) -> Iterator[str]:
-        for node in ast.walk(module.tree):
+        for node in module.nodes:
             if isinstance(node, ast.Import):
                 yield from (self._known(alias.name) for alias in node.names if self._is_ours(alias.name))
             elif isinstance(node, ast.ImportFrom):
@@ -204,30 +232,6 @@ def _public(tree: ast.Module) -> set[str]:
     return {name for name in strings(listed) if not name.startswith("__")} if listed else set()
 
 
-def words(module: Source) -> set[str]:
-    """Names and strings of a module's code, docstrings left out."""
-    docs = {
-        id(node.body[0].value)
-        for node in ast.walk(module.tree)
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
-        and node.body
-        and isinstance(node.body[0], ast.Expr)
-    }
-    found = {module.name.rpartition(".")[2]}
-    for node in ast.walk(module.tree):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docs:
-            found |= {node.value, *node.value.split(":")[-1:]}
-        elif isinstance(node, ast.Name):
-            found.add(node.id)
-        elif isinstance(node, ast.ClassDef):
-            found.add(node.name)
-        elif isinstance(node, ast.Attribute):
-            found.add(node.attr)
-        elif isinstance(node, ast.alias):
-            found |= {node.name, node.asname or node.name}
-    return found
-
-
 def classes(house: House, folder: str, base: str) -> dict[str, set[str]]:
     """Classes on this base in the files of a folder, each with its registered name."""
     found = {}
@@ -247,7 +251,7 @@ def _named(node: ast.ClassDef) -> Iterator[str]:
 
 def files_naming(house: House, members: dict[str, set[str]]) -> list[int]:
     """Of each member the number of files that name it, its own among them."""
-    spoken = [words(m) for m in house.modules.values() if m.name and m.room not in INDEPENDENT]
+    spoken = [m.words for m in house.modules.values() if m.name and m.room not in INDEPENDENT]
     return [sum(bool(names & said) for said in spoken) for names in members.values()]
 
 
@@ -257,7 +261,7 @@ def repeated_lines(house: House) -> int:
     for module in house.modules.values():
         left_out = {
             k
-            for n in ast.walk(module.tree)
+            for n in module.nodes
             if isinstance(n, ast.Import | ast.ImportFrom)
             or (isinstance(n, ast.Expr) and isinstance(n.value, ast.Constant) and isinstance(n.value.value, str))
             for k in range(n.lineno, (n.end_lineno or n.lineno) + 1)
@@ -287,7 +291,7 @@ def figures(house: House) -> dict[str, str]:
     functions = [
         (n.end_lineno or n.lineno) - n.lineno + 1
         for m in house.modules.values()
-        for n in ast.walk(m.tree)
+        for n in m.nodes
         if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)
     ]
     others = [

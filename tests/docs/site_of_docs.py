@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import dataclass, field
+from functools import cached_property
 from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree
@@ -23,6 +24,15 @@ class Site:
     returncode: int
     log: str
     tutorials: dict[str, tuple[float, str]]
+
+    @cached_property
+    def pages(self) -> dict[Path, Page]:
+        """Every page."""
+        found = {}
+        for path in sorted(self.folder.rglob("*.html")):
+            found[path] = Page()
+            found[path].feed(path.read_text(encoding="utf-8"))
+        return found
 
 
 def built(folder: Path) -> Site:
@@ -66,12 +76,3 @@ class Page(HTMLParser):
         for key in ("src", "href"):
             if tag in ("script", "img", "link", "iframe") and values.get(key) and values.get("rel") != "canonical":
                 self.loaded.append(values[key] or "")
-
-
-def pages(folder: Path) -> dict[Path, Page]:
-    """Every page of a built site."""
-    found = {}
-    for path in sorted(folder.rglob("*.html")):
-        found[path] = Page()
-        found[path].feed(path.read_text(encoding="utf-8"))
-    return found

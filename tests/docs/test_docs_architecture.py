@@ -34,6 +34,12 @@ def architecture():
     return module
 
 
+@pytest.fixture(scope="module")
+def house(architecture):
+    """The package, read once."""
+    return architecture.House(ROOT / "casadical")
+
+
 @pytest.fixture
 def toy(tmp_path: Path) -> Path:
     for name, text in FILES.items():
@@ -68,11 +74,10 @@ def test_repeated_blocks_are_counted(architecture, toy: Path) -> None:
     assert architecture.repeated_lines(architecture.House(toy)) == 14
 
 
-def test_imports_agree_with_import_linters_graph(architecture) -> None:
+def test_imports_agree_with_import_linters_graph(house) -> None:
     """An independent reader: grimp, on which import-linter stands. It does not follow names in strings."""
     grimp = pytest.importorskip("grimp")
     graph = grimp.build_graph("casadical", cache_dir=None)
-    house = architecture.House(ROOT / "casadical")
     assert len(graph.modules) > 0.9 * len(house.imports)
     for name in house.imports:
         if f"casadical.{name}" not in graph.modules:
@@ -81,21 +86,20 @@ def test_imports_agree_with_import_linters_graph(architecture) -> None:
         assert {t.partition(".")[2] for t in theirs} <= house.imports[name], name
 
 
-def test_the_committed_page_is_up_to_date(architecture) -> None:
+def test_the_committed_page_is_up_to_date(architecture, house) -> None:
     """If not: python docs/studies/architecture.py"""
-    assert architecture.out_of_date(architecture.House(ROOT / "casadical")) == []
+    assert architecture.out_of_date(house) == []
 
 
-def test_a_new_import_makes_the_page_out_of_date(architecture, monkeypatch) -> None:
-    house = architecture.House(ROOT / "casadical")
+def test_a_new_import_makes_the_page_out_of_date(architecture, house, monkeypatch) -> None:
     monkeypatch.setitem(house.arrows, ("core", "cli"), 1)
     assert {"the table of imports", "the picture"} <= set(architecture.out_of_date(house))
 
 
-def test_every_room_has_a_paragraph(architecture) -> None:
+def test_every_room_has_a_paragraph(architecture, house) -> None:
     page = architecture.PAGE.read_text(encoding="utf-8")
     rooms = [room for storey in architecture.floors() for room in storey]
-    assert sorted(rooms) == architecture.House(ROOT / "casadical").rooms
+    assert sorted(rooms) == house.rooms
     assert [room for room in rooms if f"\n**{room}** " not in page] == []
 
 

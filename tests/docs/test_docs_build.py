@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from urllib.parse import unquote
 
-from site_of_docs import ROOT, TUTORIALS, pages
+from site_of_docs import ROOT, TUTORIALS
 
 
 def external(link: str) -> bool:
@@ -24,7 +24,7 @@ def test_the_documented_command_builds_without_a_warning(site) -> None:
 
 
 def test_every_internal_link_and_anchor_leads_somewhere(site) -> None:
-    known = pages(site.folder)
+    known = site.pages
     broken, checked = [], 0
     for path, page in known.items():
         for link in page.links + page.loaded:
@@ -42,13 +42,11 @@ def test_every_internal_link_and_anchor_leads_somewhere(site) -> None:
 
 
 def test_no_page_loads_anything_from_a_network(site) -> None:
-    assert [
-        f"{path.name}: {link}" for path, page in pages(site.folder).items() for link in page.loaded if external(link)
-    ] == []
+    assert [f"{path.name}: {link}" for path, page in site.pages.items() for link in page.loaded if external(link)] == []
 
 
 def test_every_page_is_reached_from_the_index(site) -> None:
-    known = pages(site.folder)
+    known = site.pages
     seen, todo = set(), [site.folder / "index.html"]
     while todo:
         path = todo.pop()
@@ -62,7 +60,7 @@ def test_every_page_is_reached_from_the_index(site) -> None:
 
 def test_links_to_tutorials_lead_to_their_pages(site) -> None:
     """On a code host they lead to the file."""
-    links = pages(site.folder)[site.folder / "index.html"].links
+    links = site.pages[site.folder / "index.html"].links
     assert "gallery/tutorial_5_diagnose_a_gap.html" in links
     assert (site.folder / "gallery" / "images").is_dir() or list((site.folder / "_images").glob("sphx_glr_tutorial_*"))
 
