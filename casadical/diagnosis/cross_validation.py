@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.normal_matrices import root_of_inverse
 from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence
 from casadical.diagnosis.linearisation import EVERY
 from casadical.diagnosis.sums import taken
@@ -91,12 +92,6 @@ class Fit:
             g += A.T @ self.y[_rows(some)]
         return (self.H - H, self.g - g) if fewer is out else (H, g)
 
-    def _normal(self, H: Array) -> tuple[Array, Array]:
-        """Root of the inverse of the normal matrix, and the scale that was taken off first."""
-        normal = H + np.diag(self.prior**-2)
-        scale = np.sqrt(np.diag(normal))
-        return np.linalg.inv(np.linalg.cholesky(normal / np.outer(scale, scale))), scale
-
     def _solution(self, H: Array, g: Array) -> Array:
         normal = H + np.diag(self.prior**-2)
         scale = np.sqrt(np.diag(normal))
@@ -106,8 +101,7 @@ class Fit:
     @cached_property
     def _root(self) -> Array:
         """Root of the inverse of the normal matrix, shape (p, p)."""
-        root, scale = self._normal(self.H)
-        return np.asarray(root / scale)
+        return root_of_inverse(self.H + np.diag(self.prior**-2))
 
     @cached_property
     def _pulled(self) -> Array | None:
@@ -148,8 +142,7 @@ class Fit:
                 return _blocks(self._pulled.reshape(len(self.W), 3, -1))
             root = self._root
         else:
-            root, scale = self._normal(self._products(poses)[0])
-            root /= scale
+            root = root_of_inverse(self._products(poses)[0] + np.diag(self.prior**-2))
         return np.concatenate([_blocks((self._of(s) @ root.T).reshape(-1, 3, len(root))) for s in self._parts()])
 
     @cached_property

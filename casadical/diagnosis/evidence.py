@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.normal_matrices import inverse_of_triangle, reduced
 from casadical.diagnosis.gains import log_gain
 from casadical.diagnosis.linearisation import EVERY, Columns
 from casadical.diagnosis.sums import WIDE, Kept, Sums, taken
@@ -162,7 +163,7 @@ class Evidence:
 
 
 @dataclass(frozen=True, eq=False)
-class _Added:
+class Added:
     """Parameters that joined a model at one rho.
 
     L, scale : Cholesky factor of their scaled normal matrix beside those before, and what scales it
@@ -179,7 +180,7 @@ class _Added:
     @cached_property
     def root(self) -> Array:
         """Of the inverse of their normal matrix, shape (new, new)."""
-        return np.asarray(np.linalg.inv(self.L) * self.scale)
+        return np.asarray(inverse_of_triangle(self.L) * self.scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +198,7 @@ class Beside:
     chosen: Array
     new: Array
     before: Beside | None
-    at: dict[int, _Added]
+    at: dict[int, Added]
     V: dict[int, Kept]
     b: dict[int, Kept]
 
@@ -248,7 +249,7 @@ class Judge:
             normal = np.diag(weights**2) + sums.base[k, :P, :P]
             right = sums.base[k, :P, P] + weights**2 * e.delta0
             square = float(sums.base[k, P, P] + (weights * e.delta0) @ (weights * e.delta0))
-            found[k] = _added(normal, right, square, -0.5 * float(sums.log_det[k]))
+            found[k] = added(normal, right, square, -0.5 * float(sums.log_det[k]))
         none = np.zeros(0, dtype=np.int64)
         return self._made(found, none, None, none)
 
@@ -270,25 +271,17 @@ class Judge:
         for k in self.e.near:
             along = before.axes(k, new)
             normal = own[k] + np.diag(weights**2) - along @ along.T
-            found[k] = _added(normal, before.b[k][new][:, 0], before.at[k].square, before.at[k].log_norm)
+            found[k] = added(normal, before.b[k][new][:, 0], before.at[k].square, before.at[k].log_norm)
         return self._made(found, chosen, before, new)
 
-    def _made(self, found: dict[int, _Added], chosen: Array, before: Beside | None, new: Array) -> Beside:
-        """A model from what `_added` gave at each rho."""
+    def _made(self, found: dict[int, Added], chosen: Array, before: Beside | None, new: Array) -> Beside:
+        """A model from what `added` gave at each rho."""
         e = self.e
         log_base = np.full((len(RHOS), len(e.sigmas)), -np.inf)
         for k, at in found.items():
-            data = at.log_norm - e.r.size * np.log(e.sigmas) - 0.5 * at.square / e.sigmas**2
-            log_base[k] = data + self._log_repeats(k)
+            log_base[k] = log_over_sigmas(e, at.square, at.log_norm) + log_repeats(e, e.Jq, k)
         V, b = ({k: Kept(e.width, width) for k in found} for width in (len(found[e.near[0]].z), 1))
         return Beside(log_base, chosen, new, before, found, V, b)
-
-    def _log_repeats(self, k: int) -> Array:
-        """Log likelihood of the scatter of repeated poses at a rho, shape (sigmas,)."""
-        scatter, freedom = self.e.repeats
-        # Mean over coordinates of the noise's variance in units of sigma^2.
-        total = float(1 + RHOS[k] ** 2 * (self.e.Jq**2).sum(axis=2).mean()) * self.e.sigmas**2
-        return np.asarray(-0.5 * freedom * (np.log(total / self.e.sigmas[-1] ** 2) + scatter**2 / total))
 
     def _look_at(self, beside: Beside, groups: Sequence[Array]) -> None:
         """Make known what is needed to judge these groups."""
@@ -365,7 +358,7 @@ class Judge:
         return value, vector.T @ beside.b[k][group][:, 0]
 
 
-def _added(normal: Array, right: Array, square: float, log_norm: float) -> _Added:
+def added(normal: Array, right: Array, square: float, log_norm: float) -> Added:
     """How parameters join a model.
 
     normal : beside what is in the model, shape (new, new); right : products with what was left, shape (new,)
@@ -373,9 +366,21 @@ def _added(normal: Array, right: Array, square: float, log_norm: float) -> _Adde
     """
     # A parameter whose column is long is scaled first, so that rank is judged fairly.
     scale = 1 / np.sqrt(np.diag(normal))
-    L = np.linalg.cholesky(normal * np.outer(scale, scale))
-    z = np.linalg.solve(L, scale * right)
-    return _Added(L, scale, z, square - float(z @ z), log_norm - float((np.log(np.diag(L)) - np.log(scale)).sum()))
+    L, z = reduced(normal * np.outer(scale, scale), scale * right)
+    return Added(L, scale, z, square - float(z @ z), log_norm - float((np.log(np.diag(L)) - np.log(scale)).sum()))
+
+
+def log_over_sigmas(e: Evidence, square: float, log_norm: float) -> Array:
+    """Log likelihood of the residuals, shape (sigmas,), from the two numbers of `Added`."""
+    return np.asarray(log_norm - e.r.size * np.log(e.sigmas) - 0.5 * square / e.sigmas**2)
+
+
+def log_repeats(e: Evidence, Jq: Array, k: int) -> Array:
+    """Log likelihood of the scatter of repeated poses at a rho, shape (sigmas,), of joints that repeat as in Jq."""
+    scatter, freedom = e.repeats
+    # Mean over coordinates of the noise's variance in units of sigma^2.
+    total = float(1 + RHOS[k] ** 2 * (Jq**2).sum(axis=2).mean()) * e.sigmas**2
+    return np.asarray(-0.5 * freedom * (np.log(total / e.sigmas[-1] ** 2) + scatter**2 / total))
 
 
 def log_sum(a: Array, axis: int | tuple[int, ...] | None = None) -> Array:

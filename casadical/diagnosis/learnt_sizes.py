@@ -9,6 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.normal_matrices import root_of_inverse
 from casadical.diagnosis.cross_validation import Fit
 from casadical.diagnosis.evidence import Evidence
 from casadical.measurements.noise import Noise
@@ -35,10 +36,9 @@ def learnt_sizes(
     square = float(fit.y @ fit.y)
     for _ in range(ROUNDS):
         normal = fit.H / scale + np.diag(prior**-2)
-        root = np.sqrt(np.diag(normal))
-        inverse = np.linalg.inv(normal / np.outer(root, root)) / np.outer(root, root)
-        x = inverse @ (fit.g / scale + mean / prior**2)
-        determined = 1 - np.diag(inverse) / prior**2
+        root = root_of_inverse(normal)
+        x = root.T @ (root @ (fit.g / scale + mean / prior**2))
+        determined = 1 - (root**2).sum(axis=0) / prior**2
         left = square - 2 * fit.g @ x + x @ fit.H @ x
         before = (scale, *factors.values())
         scale = float(left / (rows - determined.sum()))

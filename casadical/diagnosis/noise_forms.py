@@ -8,15 +8,16 @@ Where an effect leads whose sizes are learnt once it is in the model, its joints
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.diagnosis.cross_validation import likely_noise
-from casadical.diagnosis.evidence import RHOS, Evidence, log_sum
+from casadical.diagnosis.evidence import REACH, RHOS, log_sum
 from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.noise_evidence import Form, Problem
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, Rival
 from casadical.diagnosis.thresholds import detection
 from casadical.measurements.derived_columns import derive
@@ -83,60 +84,47 @@ def _weighed(ranking: Ranking, none: float) -> Ranking:
 
 def noise_forms(case: Case, chosen: Array) -> Sequence[Rival]:
     """Each form with its log evidence over plain noise, averaged over its settings; the kinds share the prior."""
-    known = case.evidence
-    base = known.with_base(chosen)
-    base = replace(base, E=np.zeros((len(base.r), 3, 1)), held=None)
-    plain = float(log_sum(known.log_base(chosen)))
+    e = case.evidence
     progress = derive(case.m, ["progress"])[0].conditions["progress"][case.kept]
-    joints = range(base.Jq.shape[2])
-    # One problem at a time is made and judged, for each holds as much as the data.
-    kinds: list[tuple[str, Iterable[tuple[Evidence, float]], int]]
-    kinds = [
-        (FOLLOWING, _following(base, np.argsort(progress, kind="stable")), 1),
-        (TAILED, filter(None, map(_tails, [base])), 1),
-    ]
-    kinds += [(scatter_of(j + 1), ((_scattering(base, k), 0.0) for k in (j,)), len(joints)) for j in joints]
+    problem = Problem(e, chosen, np.argsort(progress, kind="stable"))
+    plain, joints = float(log_sum(e.log_base(chosen))), range(e.Jq.shape[2])
+    kinds: list[tuple[str, Sequence[Form], int]]
+    kinds = [(FOLLOWING, [following(stays, len(e.r)) for stays in FOLLOWS], 1)]
+    kinds += [(TAILED, [tails], 1) for tails in (tailed(problem),) if tails]
+    kinds += [(scatter_of(j + 1), [Form(joint=j, worse=SCATTERS)], len(joints)) for j in joints]
     found = []
-    for label, ways, alike in kinds:
-        grids = [e.log_base() + weight for e, weight in ways]
-        if not grids:
-            continue
-        logs = np.array([float(log_sum(g)) for g in grids])
-        factor = float(log_sum(logs)) - np.log(len(grids) * alike * 3) - plain
-        found.append(Rival(label, float(factor), likely_noise(grids[int(np.argmax(logs))], base.sigmas)))
+    for label, forms, alike in kinds:
+        grids: list[Array] = []
+        logs = np.zeros(0)
+        for form in forms:
+            grids.append(problem.log_likelihood(form))
+            logs = np.append(logs, float(log_sum(grids[-1])))
+            if logs[-1] < max(plain, logs.max()) - REACH:  # what follows itself still more is less likely yet
+                break
+        factor = float(log_sum(logs)) - np.log(len(forms) * alike * 3) - plain
+        found.append(Rival(label, float(factor), likely_noise(grids[int(np.argmax(logs))], e.sigmas)))
     return found
 
 
-def _following(e: Evidence, order: Array) -> Iterator[tuple[Evidence, float]]:
-    """The problem in differences of each pose to the share of the one before that stays, and the log of its weight.
-
-    order : of measuring
-    """
-    e = e.at(order)
-    for stays in FOLLOWS:
-        left = np.sqrt(1 - stays**2)
-        r, J = ((part[1:] - stays * part[:-1]) / left for part in (e.r, e.J))
-        Jq = e.Jq * np.append(1.0, np.full(len(order) - 1, np.sqrt(1 + stays**2) / left))[:, None, None]
-        parts = (np.concatenate([whole[:1], part]) for whole, part in ((e.r, r), (e.J, J)))
-        yield replace(e, r=next(parts), J=next(parts), Jq=Jq), float(-3 * (len(order) - 1) * np.log(left))
+def following(stays: float, poses: int) -> Form:
+    """Noise of which so much stays from each pose to the next."""
+    return Form(stays=stays, log_weight=-1.5 * (poses - 1) * float(np.log(1 - stays**2)))
 
 
-def _tails(e: Evidence) -> tuple[Evidence, float] | None:
-    """The problem with the poses that are far out weighed down, and the log of its weight; None without any."""
-    times, log_odds = np.ones(len(e.r)), np.log(SHARE / (1 - SHARE)) - 3 * np.log(TIMES)
-    weighed = e
+def tailed(problem: Problem) -> Form | None:
+    """The poses that are far out weighed down; None without any."""
+    n, log_odds = len(problem.e.r), np.log(SHARE / (1 - SHARE)) - 3 * np.log(TIMES)
+    times, form = np.ones(n), Form()
+    grid = problem.e.log_base(problem.chosen)
     for _ in range(FOUND_IN):
-        noise = likely_noise(weighed.log_base(), e.sigmas)
-        rho = float(RHOS[int(np.argmin(np.abs(RHOS - noise.repeatability / noise.sigma)))])
-        left = weighed.white(rho, e.r[:, :, None]).y[: e.r.size].reshape(-1, 3) * times[:, None]
-        square = (left**2).sum(axis=1) / noise.sigma**2
-        times = np.where(log_odds + 0.5 * square * (1 - TIMES**-2) > 0, TIMES, 1.0)
-        weighed = replace(e, r=e.r / times[:, None], J=e.J / times[:, None, None])
-    out = int((times > 1).sum())
-    weight = out * np.log(SHARE) + (len(times) - out) * np.log(1 - SHARE) - 3 * out * np.log(TIMES)
-    return (weighed, float(weight)) if out else None
-
-
-def _scattering(e: Evidence, joint: int) -> Evidence:
-    """The problem where one joint repeats worse than the others."""
-    return replace(e, Jq=e.Jq * np.where(np.arange(e.Jq.shape[2]) == joint, SCATTERS, 1.0))
+        noise = likely_noise(grid, problem.e.sigmas)
+        rho = int(np.argmin(np.abs(RHOS - noise.repeatability / noise.sigma)))
+        square = ((problem.left(form, rho) * times[:, None]) ** 2).sum(axis=1) / noise.sigma**2
+        before, times = times, np.where(log_odds + 0.5 * square * (1 - TIMES**-2) > 0, TIMES, 1.0)
+        if np.array_equal(before, times):
+            break
+        out = int((times > 1).sum())
+        weight = out * np.log(SHARE) + (n - out) * np.log(1 - SHARE) - 3 * out * np.log(TIMES)
+        form = Form(times=times, log_weight=float(weight))
+        grid = problem.log_likelihood(form)
+    return form if (times > 1).any() else None

@@ -92,6 +92,19 @@ class Sums:
         """Products of all columns with the base model's and the residual, shape (columns, rhos, P + 1)."""
         return self._by_base(self.E)
 
+    def together(self, columns: Array, ks: Sequence[int]) -> Array:
+        """Products of the base model, some columns and the residual, in this order, at some rhos, (rhos, p, p)."""
+        P, p = self.base.shape[1] - 1, self.base.shape[1] + len(columns)
+        outer, inner = np.append(np.arange(P), p - 1), np.arange(P, p - 1)
+        total, crossed = np.zeros((len(ks), p, p)), self.crossed(columns, ks, columns) if len(columns) else {}
+        for sums, k in zip(total, ks, strict=True):
+            sums[np.ix_(outer, outer)] = self.base[k]
+            if len(columns):
+                sums[np.ix_(inner, inner)] = crossed[k]
+                sums[np.ix_(inner, outer)] = self.columns[columns, k]
+                sums[np.ix_(outer, inner)] = self.columns[columns, k].T
+        return total
+
     def _by_base(self, E: Array | Columns) -> Array:
         rhos, numbers = self.base.shape[:2]
         total = np.zeros((E.shape[2], rhos * numbers))

@@ -15,16 +15,8 @@ from casadical.core.arrays import Array
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence
 from casadical.diagnosis.json_answer import as_json
-from casadical.diagnosis.noise_forms import (
-    FOLLOWS,
-    SCATTERS,
-    SHARE,
-    TIMES,
-    _following,
-    _scattering,
-    _tails,
-    noise_forms,
-)
+from casadical.diagnosis.noise_evidence import Form, Problem
+from casadical.diagnosis.noise_forms import FOLLOWS, SCATTERS, SHARE, TIMES, following, noise_forms, tailed
 from casadical.diagnosis.text import page_of
 
 NONE = np.zeros(0, dtype=np.int64)
@@ -50,37 +42,77 @@ def density(e: Evidence, rho: int, sigma: float, correlation: Array, joints: Seq
     return float(stats.multivariate_normal(cov=covariance).logpdf(r))
 
 
-def test_the_evidence_of_noise_that_follows_itself_is_that_of_its_covariance() -> None:
-    e, at, order = small(), 16, np.random.default_rng(0).permutation(14)
+def problem(e: Evidence, order: Array | None = None, columns: int = 0) -> Problem:
+    """A problem with some of its base parameters among the causes; with many, it is judged by its covariance."""
+    if not columns:
+        return Problem(e, NONE, np.arange(len(e.r)) if order is None else order)
+    rng = np.random.default_rng(3)
+    E = 2e-5 * rng.standard_normal((len(e.r), 3, columns))
+    own = replace(e, E=E, held=np.full(columns, 0.1))
+    return Problem(own, np.arange(columns), np.arange(len(e.r)) if order is None else order)
+
+
+@pytest.fixture(params=[0, 7, 40], ids=["base model alone", "and 7 columns", "more columns than numbers"])
+def columns(request: pytest.FixtureRequest) -> int:
+    return int(request.param)
+
+
+def with_causes(p: Problem) -> Evidence:
+    """The problem with its causes' columns in the base model."""
+    return replace(p.e.with_base(p.chosen), E=np.zeros((len(p.e.r), 3, 1)), held=None)
+
+
+def test_the_evidence_of_noise_that_follows_itself_is_that_of_its_covariance(columns: int) -> None:
+    at, order = 16, np.random.default_rng(0).permutation(14)
+    p = problem(small(), order, columns)
+    e = with_causes(p)
     steps = np.abs(np.subtract.outer(np.argsort(order), np.argsort(order)))
     plain = e.log_base()[0, at] - density(e, 0, SIGMAS[at], np.eye(14), np.ones(6))
-    for stays, (form, weight) in zip(FOLLOWS, _following(e, order), strict=True):
-        found = form.log_base()[0, at] + weight - density(e, 0, SIGMAS[at], stays**steps, np.ones(6))
-        assert found == pytest.approx(plain, abs=1e-5)
+    assert p.log_likelihood(Form())[0, at] == pytest.approx(e.log_base()[0, at], abs=1e-5)
+    for stays in FOLLOWS:
+        found = p.log_likelihood(following(stays, 14))[0, at]
+        assert found - density(e, 0, SIGMAS[at], stays**steps, np.ones(6)) == pytest.approx(plain, abs=1e-5)
 
 
-def test_the_evidence_of_a_scattering_joint_is_that_of_its_covariance() -> None:
-    e, at, rho = small(), 16, 3
+def test_the_evidence_of_a_scattering_joint_is_that_of_its_covariance(columns: int) -> None:
+    at, p = 16, problem(small(), columns=columns)
+    e = with_causes(p)
     plain = e.log_base()[0, at] - density(e, 0, SIGMAS[at], np.eye(14), np.ones(6))
     worse = np.where(np.arange(6) == 2, SCATTERS, 1.0)
-    found = _scattering(e, 2).log_base()[rho, at] - density(e, rho, SIGMAS[at], np.eye(14), worse)
-    assert found == pytest.approx(plain, abs=1e-5)
+    found = p.log_likelihood(Form(joint=2, worse=SCATTERS))
+    for rho in (0, 3):
+        assert found[rho, at] - density(e, rho, SIGMAS[at], np.eye(14), worse) == pytest.approx(plain, abs=1e-5)
 
 
-def test_poses_far_out_are_weighed_down_and_paid_for() -> None:
-    e, at = small(40), 12
+def test_poses_far_out_are_weighed_down_and_paid_for(columns: int) -> None:
+    at, e = 12, small(40)
     rng = np.random.default_rng(1)
     r = SIGMAS[at] * rng.standard_normal((40, 3))
-    assert _tails(replace(e, r=r)) is None
+    assert tailed(problem(replace(e, r=r))) is None
     r[[5, 20]] += 6 * SIGMAS[at]
-    far = replace(e, r=r)
-    found = _tails(far)
+    p = problem(replace(e, r=r), columns=3 * columns)
+    far = with_causes(p)
+    found = tailed(p)
     assert found is not None
     times = np.where(np.isin(np.arange(40), (5, 20)), TIMES, 1.0)
+    assert found.times == pytest.approx(times)
     shares = 2 * np.log(SHARE) + 38 * np.log(1 - SHARE)
     plain = far.log_base()[0, at] - density(far, 0, SIGMAS[at], np.eye(40), np.ones(6))
     exact = density(far, 0, SIGMAS[at], np.diag(times**2), np.ones(6)) + shares
-    assert found[0].log_base()[0, at] + found[1] - exact == pytest.approx(plain, abs=1e-5)
+    assert p.log_likelihood(found)[0, at] - exact == pytest.approx(plain, abs=1e-5)
+
+
+def test_sums_in_parts_are_those_of_all_poses(monkeypatch: pytest.MonkeyPatch) -> None:
+    e = replace(case("kr210-P02").evidence, near=(1, 2))
+    form = [following(0.6, len(e.r)), Form(joint=1, worse=SCATTERS), Form(times=1.0 + (np.arange(len(e.r)) % 9 == 0))]
+    order = np.random.default_rng(0).permutation(len(e.r))
+    whole = Problem(e, NONE, order)
+    monkeypatch.setattr("casadical.diagnosis.noise_evidence.PART_BYTES", 1)
+    monkeypatch.setattr("casadical.diagnosis.noise_evidence.MOST_BYTES", 1)
+    parts = Problem(e, NONE, order)
+    for f in form:
+        assert parts.log_likelihood(f)[1:3] == pytest.approx(whole.log_likelihood(f)[1:3], abs=1e-6)
+        assert parts.left(f, 1) == pytest.approx(whole.left(f, 1), abs=1e-12)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,188 @@
+"""Log likelihood of the base model with causes, without a further one, where the noise is not what the model assumes.
+
+A form of noise differs in how poses are weighed, in what follows from the pose before, or in how badly a joint repeats.
+Sums over the poses are those of plain noise less what some poses or directions have less weight, or are added up anew;
+where fewer numbers were measured than there are columns, their covariance is used instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.diagnosis.evidence import RHOS, Added, Evidence, added, log_over_sigmas, log_repeats
+
+# Columns that are kept, in bytes; else they are made again, so many at a time.
+MOST_BYTES, PART_BYTES = 64_000_000, 32_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """A form of noise; the plain one by default.
+
+    stays : correlation of a pose's noise with that of the pose before
+    joint, worse : that repeats so many times worse than the others, 0-based
+    times : how many times the usual each pose's noise is, in the order of measuring, shape (n,)
+    log_weight : of the form
+    """
+
+    stays: float = 0.0
+    joint: int | None = None
+    worse: float = 1.0
+    times: Array | None = None
+    log_weight: float = 0.0
+
+    def moved(self, X: Array, at: slice) -> Array:
+        """Numbers at some poses, of which noise makes independent ones of usual size, shape (k, 3, ...).
+
+        X : the numbers at these poses, after those at the pose before unless they begin with the first
+        """
+        if self.stays:
+            first, before = (X[:0], X[:-1]) if at.start else (X[:1], X[:-1])
+            return np.concatenate([first, (X[1:] - self.stays * before) / np.sqrt(1 - self.stays**2)])
+        X = X[min(at.start, 1) :]
+        return X if self.times is None else X / self.times[at].reshape(-1, *[1] * (X.ndim - 1))
+
+    def repeatability(self, Jq: Array) -> Array:
+        """Derivative by the joint variables as the joints repeat in the moved numbers, shape (n, 3, joints)."""
+        if self.stays:
+            both = np.sqrt((1 + self.stays**2) / (1 - self.stays**2))
+            return np.asarray(Jq * np.append(1.0, np.full(len(Jq) - 1, both))[:, None, None])
+        return Jq if self.joint is None else Jq * np.where(np.arange(Jq.shape[2]) == self.joint, self.worse, 1.0)
+
+
+class Problem:
+    """The problem with causes in its model, at the poses in the order of measuring.
+
+    e : the problem; chosen : columns of the causes, shape (k,); order : of measuring, shape (n,)
+    """
+
+    def __init__(self, e: Evidence, chosen: Array, order: Array) -> None:
+        self.e, self.chosen, self._order, self._Jq = e, chosen, order, e.Jq[order]
+        self._weights = e.reference / np.concatenate([e.prior, e.width_in_model(chosen)])
+        self._mean = np.concatenate([e.delta0, np.zeros(len(chosen))])
+        self._by_rows = e.r.size <= len(self._weights)
+        self._kept: dict[int, Array] = {}
+        self._known: dict[Form, Array] = {}
+
+    def log_likelihood(self, form: Form) -> Array:
+        """Of the problem with this form of noise, its weight included, shape (rhos, sigmas)."""
+        if form not in self._known:
+            self._known[form] = self._judged(form)
+        return self._known[form]
+
+    def _judged(self, form: Form) -> Array:
+        e, near = self.e, list(self.e.near)
+        out = np.full((len(RHOS), len(e.sigmas)), -np.inf)
+        Jq = form.repeatability(self._Jq)
+        for k, (fit, square) in zip(near, self._fits(form, near), strict=True):
+            out[k] = log_over_sigmas(e, square, fit.log_norm) + log_repeats(e, Jq, k)
+        return out + form.log_weight
+
+    def left(self, form: Form, k: int) -> Array:
+        """What the fit leaves at a rho, white, as the form moves it, shape (n, 3); the axes are not the frame's."""
+        ((fit, _),) = self._fits(form, [k])
+        x = fit.root.T @ fit.z
+        if self._by_rows:
+            return np.asarray(x.reshape(-1, 3))
+        turn, weights = self._axes(form, [k])
+        rest = ((form.moved(X[:, :, -1] - X[:, :, :-1] @ x, at), at) for X, at in self._parts())
+        return np.concatenate([weights[0, at] * (turn[at] @ r[:, :, None])[:, :, 0] for r, at in rest])
+
+    def _fits(self, form: Form, near: Sequence[int]) -> list[tuple[Added, float]]:
+        """At each rho how the parameters fit, and the square of what they leave."""
+        return self._by_covariance(form, near) if self._by_rows else self._by_sums(form, near)
+
+    def _by_sums(self, form: Form, near: Sequence[int]) -> list[tuple[Added, float]]:
+        p, total = len(self._weights), self._anew(form, near) if form.stays else self._less(form, near)
+        known = self._weights**2 * self._mean
+        total[:, range(p), range(p)] += self._weights**2
+        total[:, p, :p] += known
+        total[:, p, p] += known @ self._mean
+        logs = np.log(self._axes(form, near)[1]).sum(axis=(1, 2)).tolist()
+        fits = [added(s[:p, :p], s[p, :p], float(s[p, p]), log) for s, log in zip(total, logs, strict=True)]
+        return [(fit, fit.square) for fit in fits]
+
+    def _anew(self, form: Form, near: Sequence[int]) -> Array:
+        """Products of columns and what is left as the form moves them, shape (rhos, p + 1, p + 1)."""
+        width, (turn, weights) = len(self._weights) + 1, self._axes(form, near)
+        total = np.zeros((len(near), width, width))
+        for X, at in self._parts():
+            Y = turn[at] @ form.moved(X, at)
+            for sums, weight in zip(total, weights, strict=True):
+                white = (Y * weight[at, :, None]).reshape(-1, width)
+                sums += white.T @ white
+        return total
+
+    def _less(self, form: Form, near: Sequence[int]) -> Array:
+        """The same, from those with plain noise and what has less weight than there."""
+        total = self.e.judge.sums.together(self.chosen, near)
+        if form.joint is None and form.times is None:
+            return total
+        turn, weights = self._axes(Form(), near)
+        for X, at in self._parts():
+            X, columns = X[min(at.start, 1) :], X.shape[2]
+            for sums, k, weight in zip(total, near, weights[:, at], strict=True):
+                if form.joint is not None:
+                    arm = (turn[at] @ self._Jq[at, :, form.joint, None])[:, :, 0] * weight**2
+                    own = (self._Jq[at, :, form.joint] * (arm[:, None] @ turn[at])[:, 0]).sum(axis=1)
+                    # What a further variance takes from the weight along the joint's motion (Sherman and Morrison).
+                    more = RHOS[k] ** 2 * (form.worse**2 - 1)
+                    along = (arm[:, None] @ turn[at]) * np.sqrt(more / (1 + more * own))[:, None, None]
+                    lacking = (along @ X).reshape(-1, columns)
+                else:
+                    assert form.times is not None
+                    out = np.flatnonzero(form.times[at] > 1)
+                    share = np.sqrt(1 - form.times[at][out, None] ** -2) * weight[out]
+                    lacking = ((turn[at][out] @ X[out]) * share[:, :, None]).reshape(-1, columns)
+                sums -= lacking.T @ lacking
+        return total
+
+    def _by_covariance(self, form: Form, near: Sequence[int]) -> list[tuple[Added, float]]:
+        rows, (turn, weights) = self.e.r.size, self._axes(form, near)
+        X, every = next(self._parts())
+
+        def moved(numbers: Array) -> Array:
+            return np.asarray((turn @ form.moved(numbers.reshape(len(turn), 3, -1), every)).reshape(rows, -1))
+
+        y = moved(X[:, :, -1] - X[:, :, :-1] @ self._mean)
+        prior, log_width = moved(moved(self._prior_covariance).T), float(np.log(self._weights).sum())
+        found = []
+        for weight in weights.reshape(len(near), rows):
+            normal = np.eye(rows) + weight[:, None] * prior * weight
+            fit = added(normal, weight * y[:, 0], 0.0, float(np.log(weight).sum()) - log_width)
+            found.append((fit, -fit.square))
+        return found
+
+    @cached_property
+    def _prior_covariance(self) -> Array:
+        """What the priors of the parameters do, in units of the noise, shape (3 n, 3 n)."""
+        wide = next(self._parts())[0][:, :, :-1].reshape(self.e.r.size, -1) / self._weights
+        return np.asarray(wide @ wide.T)
+
+    def _axes(self, form: Form, near: Sequence[int]) -> tuple[Array, Array]:
+        """What turns a pose's numbers into axes of its repeatability, shape (n, 3, 3); weights that make them white.
+
+        Of each axis at each rho, shape (rhos, n, 3).
+        """
+        Jq = form.repeatability(self._Jq)
+        square, turn = np.linalg.eigh(Jq @ Jq.transpose(0, 2, 1))
+        rhos = RHOS[list(near), None, None]
+        return turn.transpose(0, 2, 1), 1 / np.sqrt(1 + rhos**2 * np.maximum(square, 0.0))
+
+    def _parts(self) -> Iterator[tuple[Array, slice]]:
+        """Columns, then what is left, at some poses and the one before them; and which these are."""
+        n, width = len(self._order), len(self._weights)
+        step = n if self._by_rows else max(64, PART_BYTES // (24 * width))
+        for start in range(0, n, step):
+            X = self._kept.get(start)
+            if X is None:
+                poses = self._order[max(start - 1, 0) : start + step]
+                X = np.concatenate([self.e.J[poses], self.e.take(self.chosen, poses), self.e.r[poses, :, None]], axis=2)
+                if 24 * n * width <= MOST_BYTES:
+                    self._kept[start] = X
+            yield X, slice(start, min(start + step, n))
