@@ -9,6 +9,9 @@ from casadical.cli.progress import CHECK, working
 from casadical.cli.terminal import BAD_INPUT, keep_json, wrapped
 from casadical.core.errors import shown
 
+# Slips hide targets, and targets slips: one is repaired after the other.
+REPAIRS = 3
+
 
 def check(
     problems: Problems,
@@ -41,8 +44,8 @@ def check(
     Exit codes: 0 ready, 2 something is wrong, 70 a bug in casadical.
     """
     from casadical.project.check import precheck
-    from casadical.project.check.repair import write_repair
     from casadical.project.check.report import as_json, brief, report
+    from casadical.project.check.target_repair import repaired
 
     console = wrapped(quiet)
     found = []
@@ -50,10 +53,11 @@ def check(
         noise = None if noise_mm is None else 1e-3 * noise_mm
         with working(quiet, "reading", folder.name, CHECK) as show:
             found.append(precheck(folder, noise, show=show))
-        slips, robot = found[-1].slips, found[-1].nominal
-        if repair and slips and robot and slips.explains:
-            console.print(write_repair(folder, slips.best, robot), markup=False, highlight=False, soft_wrap=True)
-            console.print(f"repaired: {1e3 * slips.before.error:.4g} mm before, {1e3 * slips.best.error:.3g} mm after")
+        for _ in range(REPAIRS if repair else 0):
+            text = repaired(found[-1])
+            if not text:
+                break
+            console.print(text, markup=False, highlight=False, soft_wrap=True)
             with working(quiet, "reading again", folder.name, CHECK) as show:
                 found[-1] = precheck(folder, noise, show=show)
         console.print(report(found[-1]) if details else brief(found[-1]))

@@ -121,6 +121,20 @@ class Columns:
         kept = ~np.isin(self.row, list(rows))
         return replace(self, table=self.table[kept].reset_index(drop=True), row=self.row[kept])
 
+    def with_tools(self, rows: Mapping[str, Sequence[int]]) -> Columns:
+        """With the column `tool` from the rows of the file at which each target was measured.
+
+        Raises InputError for a row that is listed twice.
+        """
+        names: dict[int, str] = {}
+        for name, listed in rows.items():
+            for row in listed:
+                if names.setdefault(row, name) != name:
+                    raise InputError(f"{self.source}: row {row} is in tools twice, of {names[row]} and of {name}")
+        return replace(
+            self, table=self.table.assign(tool=pd.Series([names.get(int(row)) for row in self.row], dtype=object))
+        )
+
     def without_numbers(self, needed: Iterable[str]) -> tuple[int, ...]:
         """Rows of the file in which one of these columns holds no number."""
         bad = np.zeros(len(self.row), dtype=bool)
@@ -240,7 +254,8 @@ class Columns:
         names = self.table["tool"].map(lambda cell: "" if cell is None or cell != cell else _name_of(cell))
         if (names == "").any():
             raise InputError(
-                f"{self.at(int(np.argmax(names == '')))}, column 'tool': is empty; name the measured point"
+                f"{self.at(int(np.argmax(names == '')))}, column 'tool': is empty; name the measured point, there or "
+                "in `tools` of problem.toml"
             )
         return {f"tool_{name}": (names == name).to_numpy(dtype=float) for name in dict.fromkeys(names)}
 

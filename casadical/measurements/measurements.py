@@ -179,12 +179,15 @@ def unmeasured(q: Array, conditions: Mapping[str, Array] | None = None, source: 
     return Measurements(q=q, kind="position", position=zero, conditions=dict(conditions or {}), source=source)
 
 
-def same_readings(q: Array) -> Array:
-    """A number for each distinct reading, shape (n,): joint by joint, a new cell begins behind each gap."""
+def same_readings(q: Array, within: float = SAME_READING) -> Array:
+    """A number for each distinct reading, shape (n,): joint by joint, a new cell begins behind each gap.
+
+    within : gaps below it [rad or m] are none
+    """
     cells = np.empty(q.shape, dtype=int)
     for j, column in enumerate(q.T):
         order = np.argsort(column)
-        cells[order, j] = np.cumsum(np.diff(column[order], prepend=column[order[0]]) > SAME_READING)
+        cells[order, j] = np.cumsum(np.diff(column[order], prepend=column[order[0]]) > within)
     return np.asarray(np.unique(cells, axis=0, return_inverse=True)[1].ravel())
 
 

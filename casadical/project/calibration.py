@@ -21,6 +21,7 @@ from casadical.identification.plausibility import check_against
 from casadical.identification.residuals import Loss
 from casadical.identification.tables import correlated, held_table, how_sure, parameter_tables
 from casadical.measurements.measurements import Measurements
+from casadical.project.check.targets import unnamed_targets
 from casadical.project.networks import NetworkResult, Networks, train_networks
 from casadical.project.outcome import chance_of, left_out_table, methods_worse, things_to_know, worse_than_before
 from casadical.project.problem import (
@@ -35,6 +36,7 @@ from casadical.project.problem import (
     read_problem,
 )
 from casadical.project.tables import Accuracies, error_tables, judged_on, network_tables, paper_tables, verdict
+from casadical.project.target_names import unfitted
 from casadical.robot.robot import Robot, modified_dh
 from casadical.robot.robot_file import to_toml
 
@@ -237,6 +239,9 @@ def calibrate(
     if method is not None:
         networks = () if method in BASE_METHODS else (method,)
         problem = replace(problem, methods=base_methods([method]), networks=networks)
+    for fault in (*unfitted(problem.sets), unnamed_targets(problem)):
+        if fault:
+            raise InputError(fault)
     for _, m in problem.parts():  # held-out poses count in the figures, so that they are checked like the others
         check_against(problem.robot, m)
     count = (problem.loss == "auto") + len(problem.methods) + len(problem.networks)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
@@ -21,8 +21,9 @@ from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.measurements import SETS, Measurements
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.reading import from_columns, named_columns, readings_alone
+from casadical.project.target_names import refuse_nameless, with_known_targets
 from casadical.robot.robot import Robot
-from casadical.robot.robot_file import read_robot
+from casadical.robot.robot_file import ToolTable, read_robot, with_tools
 
 BaseMethod = Literal["KM", "SKCM"]
 BASE_METHODS: tuple[BaseMethod, ...] = get_args(BaseMethod)
@@ -63,6 +64,7 @@ class _Data(_Strict):
     kind: str | None = None
     columns: dict[str, str | _Source] = {}
     leave_out: list[int] = []
+    tools: dict[str, list[int]] = {}
     point_from: list[str] = []
     separation: list[_Separation] = []
     sigma_mm: float | None = Field(default=None, gt=0)
@@ -88,7 +90,7 @@ class _Data(_Strict):
         needs = {o: {g} if isinstance(g, str) else {g.name, *g.add} for o, g in self.columns.items()}
         columns = {ours: given for ours, given in self.columns.items() if needs[ours] <= set(header)}
         point_from = self.point_from if set(self.point_from) <= set(header) else []
-        return self.model_copy(update={"columns": columns, "point_from": point_from, "leave_out": []})
+        return self.model_copy(update={"columns": columns, "point_from": point_from, "leave_out": [], "tools": {}})
 
 
 class _Sets(_Strict):
@@ -115,11 +117,15 @@ class _Sets(_Strict):
 
 
 class _Urdf(_Strict):
-    """Which part of a URDF is the robot; written again when it is calibrated."""
+    """Which part of a URDF is the robot; written again when it is calibrated.
+
+    tool : measured points in the frame of the tip link, where there are several
+    """
 
     base_link: str | None = None
     tip_link: str | None = None
     compliant: list[int] = []
+    tool: list[ToolTable] = []
 
 
 def as_it_is(robot: Robot) -> tuple[Robot, Prior | None]:
@@ -289,17 +295,21 @@ def _read_robot(path: Path, urdf: _Urdf) -> Robot:
     if path.suffix == ".urdf":
         from casadical.robot.urdf import read_urdf
 
-        return read_urdf(path, urdf.base_link, urdf.tip_link, compliant=urdf.compliant)
+        robot = read_urdf(path, urdf.base_link, urdf.tip_link, compliant=urdf.compliant)
+        return with_tools(robot, urdf.tool) if urdf.tool else robot
     return read_robot(path)
 
 
-def read_campaign(folder: str | Path, path: str | Path, robot: Robot, *, readings_only: bool = False) -> Measurements:
+def read_campaign(
+    folder: str | Path, path: str | Path, robot: Robot, *, readings_only: bool = False, nameless: bool = False
+) -> Measurements:
     """A table of measured poses beside a problem, its columns understood as the problem's own tables are.
 
     The `columns`, `point_from` and `kind` are those of the [[measurements]] with this file; of another file, those of
     the first [[measurements]] whose own names for columns it has, as far as it has them.
     folder : of the problem; where it has no problem.toml, or is a robot's file, the table's headers are taken as ours
-    readings_only : of poses that are planned but not measured: every position is zero
+    readings_only : of poses that are planned but not measured: every position is zero; nameless : the table need not
+    say which of several targets was measured
 
     Raises InputError.
     """
@@ -308,13 +318,16 @@ def read_campaign(folder: str | Path, path: str | Path, robot: Robot, *, reading
     data = _fitting(folder, raw, tables)
     columns, joints = _columns(raw, data, robot), [j.kind for j in robot.joints]
     found = readings_alone(columns, joints) if readings_only else from_columns(columns, joints, data.kind)
+    if not (readings_only or nameless):
+        refuse_nameless(found, robot)
     return _with_conditions(found, robot)
 
 
 def _fitting(folder: Path, raw: RawTable, tables: Sequence[_Data]) -> _Data:
-    """How a problem's tables say that this one is to be understood."""
+    """How a problem's tables say that this one is to be understood; a copy of one of them is that one."""
     for data in tables:
-        if (folder / data.file).resolve() == raw.path.resolve():
+        own = folder / data.file
+        if own.resolve() == raw.path.resolve() or (own.is_file() and own.read_bytes() == raw.path.read_bytes()):
             return data
     for data in tables:
         found = data.named_in(raw.header)
@@ -325,6 +338,7 @@ def _fitting(folder: Path, raw: RawTable, tables: Sequence[_Data]) -> _Data:
 
 def _columns(raw: RawTable, data: _Data, robot: Robot) -> Columns:
     found = named_columns(raw, [j.kind for j in robot.joints], data.sources, data.point_from)
+    found = found.with_tools(data.tools) if data.tools else found
     return found.without(data.leave_out, "leave_out")
 
 
@@ -335,6 +349,7 @@ def _read(folder: Path, data: _Data, robot: Robot, sets: _Sets) -> dict[str, Mea
     columns = _columns(read_table(path), data, robot)
     joints = [j.kind for j in robot.joints]
     found = from_columns(columns, joints, data.kind, sigma_mm=data.sigma_mm, sigma_deg=data.sigma_deg)
+    refuse_nameless(found, robot)
     # Before the split: progress and the direction of approach follow from the order of all poses.
     known = ((s.between[0], s.between[1], s.distance_mm * 1e-3) for s in data.separation)
     found = _with_conditions(found, robot).with_separations(known)
@@ -346,7 +361,7 @@ def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
 
     And where its column `tool` names a point that the robot file does not have.
     """
-    m = _with_tools(m, robot)
+    m = with_known_targets(m, robot)
     if not robot.effects:
         return m
     found, missing = derive(m, robot.conditions)
@@ -359,22 +374,6 @@ def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
                 "robot file"
             )
     return found
-
-
-def _with_tools(m: Measurements, robot: Robot) -> Measurements:
-    """Raises InputError where the column `tool` names a point that the robot file does not have."""
-    measured = [name.removeprefix("tool_") for name in m.conditions if name.startswith("tool_")]
-    known = [robot.tool_name, *(t.name for t in robot.targets)]
-    if len(measured) < 2 and not robot.targets:
-        return replace(m, conditions={k: v for k, v in m.conditions.items() if not k.startswith("tool_")})
-    missing = [name for name in measured if name not in known]
-    if missing:
-        there = f"the robot file has {', '.join(known)}" if robot.targets else "the robot file has one tool"
-        raise InputError(
-            f"{m.source}: column 'tool' names {', '.join(measured)}, and {there}: give a table [[tool]] with name, "
-            f"xyz_mm and unknown for each (docs/robot-file.md); missing: {', '.join(missing)}"
-        )
-    return m
 
 
 def _by_column(found: Measurements, columns: Columns, column: str) -> dict[str, Measurements]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from casadical.core.errors import InputError
 from casadical.identification.accuracy import errors
 from casadical.identification.identification import LeftOut, identify, rows_in_words
 from casadical.project.problem import read_campaign
+from casadical.project.target_names import names_in
 from casadical.robot.robot_file import read_robot
 
 # A robot that keeps its promise is said to break it once in a hundred checks.
@@ -90,7 +91,9 @@ def verify(robot: str | Path, table: str | Path, promised_mm: float | None = Non
     place = Path(robot)
     arm = read_robot(place)
     promised = 1e-3 * promised_mm if promised_mm is not None else promised_rms(place)
-    m = read_campaign(place, table, arm)
+    m = read_campaign(place, table, arm, nameless=True)
+    if arm.targets and not names_in(m):  # the tool is fitted again, whichever it was
+        arm = replace(arm, targets=(), tool_name="")
     if m.position is None:
         raise InputError(f"{table}: kind {m.kind}; a check needs measured positions")
     groups = [g for g in ("base", "tool") if g in arm.parameters.groups]

@@ -125,8 +125,8 @@ class _Frame(TomlTable):
         return Placement(frame(from_rpy(np.array(self.rpy)), np.array(self.xyz)), self.unknown)
 
 
-class _Tool(_Frame):
-    """Of several [[tool]] every one but the first."""
+class ToolTable(_Frame):
+    """One of several [[tool]]."""
 
     name: str = ""
 
@@ -179,7 +179,7 @@ class _RobotFile(TomlTable):
     base: _Frame = _Frame()
     tool: _Frame = _Frame()
     tool_name: str = ""
-    further_tool: list[_Tool] = Field(default=[])
+    further_tool: list[ToolTable] = Field(default=[])
     gravity: _Gravity = _Gravity()
     payload: _Body | None = None
     joint: list[_Joint] = Field(min_length=1)
@@ -303,6 +303,19 @@ def _with_tools_apart(data: Mapping[str, Any]) -> Mapping[str, Any]:
         return data
     first = {key: value for key, value in tools[0].items() if key != "name"}
     return {**data, "tool": first, "tool_name": tools[0].get("name", ""), "further_tool": tools[1:]}
+
+
+def with_tools(robot: Robot, tools: Sequence[ToolTable]) -> Robot:
+    """The robot with these measured points in place of its tool, given in the tool's frame. Raises InputError.
+
+    What is unknown of them is what was unknown of the tool, unless the first says so.
+    """
+    first, *further = tools
+    T = robot.tool.T
+    targets = tuple(Target(t.name, T[:3, :3] @ np.array(t.xyz) + T[:3, 3]) for t in further)
+    unknown = first.unknown if "unknown" in first.model_fields_set else robot.tool.unknown
+    tool = Placement(T @ first.placement().T, unknown)
+    return replace(robot, tool=tool, tool_name=first.name if further else "", targets=targets)
 
 
 def write_robot(robot: Robot, path: str | Path, comment: str = "", effects: Sequence[type[Effect]] = ()) -> None:

@@ -1,11 +1,12 @@
 """Slips of made-up tables, one to four at once: how often the right repair comes first; clean tables stay as they are.
 
-    python docs/studies/slips.py [--tables N] [--clean N] [--seed S]
+    python docs/studies/slips.py [--tables N] [--clean N] [--seed S] [--slips 4 --part 0:25]
 
 Six arms, their poses and their departures from the drawing are plain numpy (`tests/cli/first_hour.py`), noise 0.05 mm.
 A repair is right if it leaves, on 100 other poses with the same slips, no more than three times what the clean table
 leaves (or 3 mm), and has no more slips than were made. Slips that base and tool absorb (zeros of the first and the last
 joint) are not made. The searched rules were fixed on tables of seeds from 10000 to 30039.
+`--slips` and `--part` run a piece of it: tables of one number of slips (0: the clean ones), some of them.
 """
 
 import argparse
@@ -175,31 +176,29 @@ def main() -> None:
     parser.add_argument("--clean", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--show", action="store_true")
+    parser.add_argument("--slips", type=int, nargs="*", default=[1, 2, 3, 4, 0])
+    parser.add_argument("--part", default=":")
     given = parser.parse_args()
+    part = slice(*(int(k) if k else None for k in given.part.split(":")))
     print(f"{given.tables} made-up tables with one to four slips on {len(ARMS)} arms; seed {given.seed}")
     missed: Counter[str] = Counter()
     seconds = []
-    for count in (1, 2, 3, 4):
-        right = each = 0
-        for k in range(given.tables // 4):
-            arm = list(ARMS)[k % len(ARMS)]
-            ok, kinds, took, words = one(arm, given.seed + k, count)
-            right, each = right + ok, each + 1
+    for count in given.slips:
+        tables = range(given.tables // 4 if count else given.clean)[part]
+        right = 0
+        for k in tables:
+            arm, seed = list(ARMS)[k % len(ARMS)], given.seed + k + (0 if count else 5000)
+            ok, kinds, took, words = one(arm, seed, count)
+            right += ok
             seconds.append(took)
             missed.update(kinds if not ok else [])
             if given.show and not ok:
-                print(f"   {arm}, {given.seed + k}: {', '.join(kinds)}: {words}", flush=True)
-        print(
-            f"{count} slips: the right repair first in {right} of {each}, {100 * right / max(each, 1):.0f} %",
-            flush=True,
-        )
-    changed = 0
-    for k in range(given.clean):
-        ok, _, _, words = one(list(ARMS)[k % len(ARMS)], given.seed + 5000 + k, 0)
-        changed += not ok
-        if given.show and not ok:
-            print("   clean:", words)
-    print(f"clean tables that were repaired: {changed} of {given.clean}")
+                print(f"   {arm}, {seed}: {', '.join(kinds) or 'clean'}: {words}", flush=True)
+        if count:
+            share = 100 * right / max(len(tables), 1)
+            print(f"{count} slips: the right repair first in {right} of {len(tables)}, {share:.0f} %", flush=True)
+        else:
+            print(f"clean tables that were repaired: {len(tables) - right} of {len(tables)}", flush=True)
     print(f"slips of tables not repaired: {', '.join(f'{k} {n}' for k, n in missed.most_common()) or 'none'}")
     print(f"time of a search: median {np.median(seconds):.1f} s, longest {max(seconds):.1f} s")
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +28,9 @@ from casadical.project.check.plausible import far_off, far_rows, other_conventio
 from casadical.project.check.repair import in_words
 from casadical.project.check.slips import Slips, search_slips
 from casadical.project.check.table_faults import table_faults, unknown_columns
+from casadical.project.check.targets import Targets, middles, recognised, whole_table
 from casadical.project.problem import Problem, read_problem, read_problem_robot
+from casadical.project.target_names import unfitted, unmeasured
 from casadical.robot.robot import Robot
 
 # Observed numbers for each unknown from which on a fit also shows how good it is.
@@ -46,6 +48,7 @@ class Precheck:
     joints : covered ranges in the set that is fitted; margin : smallest one of the four-bars
     outlooks : for each method; none where the data are unusable
     nominal : the robot; slips : what explains data that contradict it, where several slips were searched for
+    targets : several on one flange, that the table does not name
     """
 
     folder: Path
@@ -60,6 +63,7 @@ class Precheck:
     outlooks: tuple[Outlook, ...] = ()
     nominal: Robot | None = None
     slips: Slips | None = None
+    targets: Targets | None = None
 
     def of(self, level: Level) -> tuple[Finding, ...]:
         """Findings of one level."""
@@ -92,8 +96,17 @@ def precheck(
     sets = problem.sets["identify"]
     others = other_conventions(folder)
     found, usable = _data_findings(problem.robot, sets, others)
-    slips = None if usable else _slips(problem, [*others.values()], show)
-    if slips and slips.explains and slips.best.slips > 1:
+    table = whole_table(problem)
+    targets = recognised(problem.robot, table) if table is not None else None
+    if table is not None and targets:  # what contradicts one target says nothing
+        if targets.turning:
+            found, usable = [f for f in found if f.topic not in ("units", "repeats", "rows")], False
+        text = targets.in_words(table.source) + _remedy(targets)
+        found.insert(0, Finding("error" if targets.turning else "warning", "targets", text))
+    slips = None
+    if table is not None and not usable and (targets is None or targets.which is None):
+        slips = _slips(problem.robot, table, targets, [*others.values()], show)
+    if slips and slips.explains and (targets or slips.best.slips > 1):
         found = [f for f in found if not (f.topic == "units" and f.level == "error")]
         found.insert(0, _slip_finding(slips, problem.robot, sets[0].source))
     found += _held_out_findings(problem)
@@ -116,25 +129,33 @@ def precheck(
         folder, tuple(found), problem.title, problem.robot.name,
         tuple((name, sum(len(m) for m in parts)) for name, parts in problem.sets.items()),
         known, source, coverage(problem.robot, first), margin(problem.robot, first), tuple(outlooks), problem.robot,
-        slips,
+        slips, targets,
     )  # fmt: skip
 
 
-def _slips(problem: Problem, others: list[Robot], show: Callable[[str], None]) -> Slips | None:
-    """Several slips at once, from all poses of a problem's only table, in the order of the file."""
-    parts = [part for _, part in problem.parts()]
-    first = parts[0]
-    if any(part.source != first.source or part.position is None for part in parts):
-        return None
-    row = np.concatenate([part.row for part in parts])
-    order = np.argsort(row)
-    whole = replace(
-        first.positions_alone()[np.zeros(len(row), dtype=np.int64)],
-        q=np.concatenate([part.q for part in parts])[order],
-        position=np.concatenate([part.position for part in parts if part.position is not None])[order],
-        row=row[order],
-    )
-    return search_slips(problem.robot, whole, others, show)
+def _remedy(targets: Targets) -> str:
+    if targets.which is not None:
+        return "; casadical check --repair writes them, as `tools` in problem.toml and [[tool]]"
+    if targets.turning:
+        return "; which row is which is not known before the nominal model fits the middle of the targets"
+    return ""
+
+
+def _slips(
+    robot: Robot, table: Measurements, targets: Targets | None, others: list[Robot], show: Callable[[str], None]
+) -> Slips | None:
+    """Several slips at once, from all poses of a table, in the order of the file; of several targets, from one point.
+
+    That is the target that was measured most, or the middle of those that the table does not name.
+    """
+    if targets and targets.turning:
+        middle = middles(table, targets.count)
+        return search_slips(robot, middle, others, show) if middle is not None else None
+    names = [name for name in table.conditions if name.startswith("tool_")]
+    if robot.targets and names:
+        most = max(names, key=lambda name: table.conditions[name].sum())
+        table = table[np.flatnonzero(table.conditions[most] > 0)]
+    return search_slips(robot, table, others, show)
 
 
 def _slip_finding(slips: Slips, robot: Robot, source: str) -> Finding:
@@ -185,7 +206,10 @@ def _data_findings(
 
 def _held_out_findings(problem: Problem) -> list[Finding]:
     """Of the poses that are not fitted, which count in the figures, and the columns that nobody uses."""
-    found = []
+    found = [Finding("error", "targets", text) for text in unfitted(problem.sets)]
+    if lost := unmeasured(problem.sets, problem.robot):
+        text = f"the robot file has {', '.join(lost)}, which no row names: it stays where the file says"
+        found.append(Finding("warning", "targets", text))
     for name, m in problem.parts():
         if not name.startswith("identify"):
             try:

@@ -37,13 +37,13 @@ def plausible(robot: Robot, m: Measurements, others: Mapping[str, Robot] | None 
     """
     if m.position is None:
         return []
-    free = _rigid(robot)
+    free = rigid(robot)
     some = m[:: -(-len(m) // POSES)]
     left = _median_error(free, some)
     tried = {
         words: _median_error(free, undone) for words, undone in _mistakes(robot, some) if _large_enough(free, undone)
     }
-    tried |= {words: _median_error(_rigid(other), some) for words, other in (others or {}).items()}
+    tried |= {words: _median_error(rigid(other), some) for words, other in (others or {}).items()}
     best = min(tried, key=lambda words: tried[words])
     explained = tried[best] < EXPLAINS * left
     if left <= GROSS * robot.reach and not explained:
@@ -69,7 +69,7 @@ def far_off(robot: Robot, m: Measurements) -> tuple[Array, Array]:
     e = np.zeros(len(m))
     if m.position is None or len(m) < FEWEST:
         return ~kept, e
-    free = _rigid(robot)
+    free = rigid(robot)
     for _ in range(4):  # far rows draw base and tool towards themselves
         e = errors(place_frames(free, m[kept]), m)
         near = e <= FAR * np.median(e)
@@ -108,7 +108,7 @@ def other_conventions(folder: Path) -> dict[str, Robot]:
     return found
 
 
-def _rigid(robot: Robot) -> Robot:
+def rigid(robot: Robot) -> Robot:
     """With rigid joints, for deflections are millimetres, and mistakes decimetres; base and tool unknown."""
     rigid = tuple(replace(j, compliance=None) for j in robot.joints)
     base, tool = replace(robot.base, unknown="pose"), replace(robot.tool, unknown="position")

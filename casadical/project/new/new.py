@@ -13,6 +13,7 @@ from casadical.core.files import claimed, write_together
 from casadical.measurements.columns import Columns, Source
 from casadical.measurements.headings import Question, Understanding, understand
 from casadical.measurements.raw_table import RawTable, read_table
+from casadical.project.check.targets import unnamed_targets
 from casadical.project.new.dh_table import robot_text
 from casadical.project.new.synthetic import POSES, synthetic_poses
 from casadical.project.new.texts import EXAMPLE_ROBOT, column_lines, problem_text, readme_text, with_tools
@@ -58,10 +59,12 @@ def new_problem(
         show(table_of(given, understood))
     columns = understood.sources
     tools = tools_in(given, columns) if given else ()
-    if len(tools) > 1 and "robot.toml" in texts:
-        texts["robot.toml"] = with_tools(str(texts["robot.toml"]), tools)
+    if len(tools) > 1:
+        if "robot.toml" in texts:
+            texts["robot.toml"] = with_tools(str(texts["robot.toml"]), tools)
         if show:
-            show(Words(f"Column 'tool' names {len(tools)} measured points, {', '.join(tools)}: robot.toml has each."))
+            place = "problem.toml" if urdf else "robot.toml"
+            show(Words(f"Column 'tool' names {len(tools)} measured points, {', '.join(tools)}: {place} has each."))
     for question in understood.questions:
         columns = _answered(columns, question, ask)
     left_out = rows_without_numbers(given, columns) if given else {}
@@ -74,7 +77,7 @@ def new_problem(
     lines = column_lines(columns, left_out)
     texts |= {
         file: data.read_bytes() if data else synthetic_poses(robot, seed),
-        "problem.toml": problem_text(robot.name, bool(data), links, compliant, sets, seed, POSES, file, lines),
+        "problem.toml": problem_text(robot.name, bool(data), links, compliant, sets, seed, POSES, file, lines, tools),
         "README.md": readme_text(name, robot.name, file, *(p.name if p else None for p in (data, urdf, dh))),
     }
     _refuse_taken(folder, texts)
@@ -86,7 +89,10 @@ def new_problem(
     further = also(problem, sorted(files))
     with claimed([folder]):
         write_together({**files, **further})
-    return read_problem(folder)
+    made = read_problem(folder)
+    if show and (words := unnamed_targets(made)):
+        show(Words(words, "warning"))
+    return made
 
 
 def _answered(

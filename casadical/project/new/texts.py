@@ -120,10 +120,11 @@ def problem_text(
     poses: int,
     file: str = "poses.csv",
     columns: str = "",
+    tools: Sequence[str] = (),
 ) -> str:
     """problem.toml; given : whether poses were given; links : base and tip link of a URDF, None for a robot file.
 
-    columns : lines that say what the table's columns are (see `column_lines`)
+    columns : lines that say what the table's columns are (see `column_lines`); tools : measured points on a URDF's tip
     """
     title = robot.replace('"', "'").replace("\\", "/")
     mark = f"                 # poses.csv is MADE UP: {poses} poses of the model itself (seed {seed}); put yours there"
@@ -139,7 +140,7 @@ def problem_text(
         why="             # geometry; geometry and joint compliance"
         if compliant
         else '                   # geometry; add "SKCM" once joints are compliant',
-        urdf=_urdf(links) if links else "",
+        urdf=_urdf(links, tools if len(tools) > 1 else ()) if links else "",
         file=file,
         columns=columns or '# columns = { x_mm = "X" }         # our name = the file\'s name, where headers differ\n',
         sets='column = "set"                     # of poses.csv: names every pose\'s set' if named_sets
@@ -174,11 +175,15 @@ def source_text(source: Source) -> str:
     return f"{{ {', '.join(parts)} }}"
 
 
-def _urdf(links: tuple[str | None, str | None]) -> str:
+def _urdf(links: tuple[str | None, str | None], tools: Sequence[str]) -> str:
     lines = ["", "[urdf]"]
     for key, link in zip(("base_link", "tip_link"), links, strict=True):
         lines.append(f'{key} = "{link}"' if link else f'# {key} = "..."             # default: the only one there is')
-    return "\n".join([*lines, "# compliant = [2, 3]               # joints whose compliance is identified too", ""])
+    lines.append("# compliant = [2, 3]               # joints whose compliance is identified too")
+    for name in tools:
+        lines += ["", "[[urdf.tool]]", f"name = {json.dumps(name, ensure_ascii=False)}"]
+        lines.append("xyz_mm = [0, 0, 0]                 # TO DO: roughly where it is in the frame of the tip link")
+    return "\n".join([*lines, ""])
 
 
 def readme_text(name: str, robot: str, file: str, data: str | None, urdf: str | None, dh: str | None) -> str:

@@ -1,5 +1,6 @@
 """A calibrated robot written back into its URDF: joint origins and tip carry the identified geometry."""
 
+import re
 from pathlib import Path
 from typing import Literal
 from xml.dom import minidom
@@ -9,7 +10,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.files import write_whole
-from casadical.core.transforms import from_rpy, to_rpy
+from casadical.core.transforms import frame, from_rpy, to_rpy
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
 from casadical.robot.urdf.reading import UrdfChain, read_chain
@@ -35,9 +36,9 @@ def calibrated_urdf(
     base : what the base link is in the new file. "robot": the foot it was, with frame 0 where it was in it; the
         identified base frame then only tells where the instrument stood. "measuring": the measuring frame itself, the
         first joint's origin takes the identified base frame (and the base link's z axis is no longer up)
-    measured_link : name of a new link, fixed to the tip link, for the measured point (a reflector, say); the tip link
-        then stays where it was on the last link. None: the tip link itself is the measured point and its fixed joint
-        takes the identified tool
+    measured_link : name of a new link, fixed to the tip link, for the measured point (a reflector, say), and of one
+        for each further target (NAME_target); the tip link then stays where it was on the last link. None: the tip
+        link itself is the measured point and its fixed joint takes the identified tool
 
     From base link to measured point the new file's kinematics are those of the calibrated robot without compliance and
     effects, for which a URDF has no place: a comment in the file says so. Who uses the file without adding the
@@ -68,7 +69,11 @@ def calibrated_urdf_text(
     for name, T in _joint_origins(chain, robot_calibrated, foot).items():
         _set_origin(document, name, T)
     if measured_link:
-        _add_link(document, chain.tip_link, measured_link, np.linalg.inv(chain.dh.tool) @ robot_calibrated.tool.T)
+        tip = np.linalg.inv(chain.dh.tool)
+        _add_link(document, chain.tip_link, measured_link, tip @ robot_calibrated.tool.T)
+        for target in robot_calibrated.targets:
+            name = f"{measured_link}_{re.sub(r'[^A-Za-z0-9_]', '_', target.name)}"
+            _add_link(document, chain.tip_link, name, tip @ frame(robot_calibrated.tool.T[:3, :3], target.point))
     else:
         _move_tip(document, chain, robot_calibrated.tool.T, str(path_in))
     _comment(document, robot_calibrated, chain, base)

@@ -1,0 +1,70 @@
+"""Repairs written into a problem: of slips, and of several targets that the table does not name."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from casadical.core.arrays import Array
+from casadical.core.files import write_together
+from casadical.core.schema import load_toml
+from casadical.project.check.check import Precheck
+from casadical.project.check.repair import difference, write_repair
+from casadical.project.problem import read_problem_robot
+from casadical.robot.robot_file import robot_from
+from casadical.robot.urdf import read_urdf
+
+
+def repaired(found: Precheck) -> str:
+    """Write the repair of what a check has found, targets before slips; the lines that change, or nothing.
+
+    Raises InputError.
+    """
+    robot, slips, targets = found.nominal, found.slips, found.targets
+    if targets and targets.which is not None and targets.points is not None and targets.rows is not None:
+        rows = [targets.rows[targets.which == k] for k in range(targets.count)]
+        texts = files_with_targets(found.folder, targets.names, targets.points, rows)
+        shown = difference(texts)
+        write_together(texts)
+        return f"{shown}\nrepaired: {targets.count} targets, named {', '.join(targets.names)}"
+    if robot and slips and slips.explains:
+        shown = write_repair(found.folder, slips.best, robot)
+        return f"{shown}\nrepaired: {1e3 * slips.before.error:.4g} mm before, {1e3 * slips.best.error:.3g} mm after"
+    return ""
+
+
+def files_with_targets(folder: Path, names: Sequence[str], points: Array, rows: Sequence[Array]) -> dict[Path, str]:
+    """problem.toml and, unless the robot is from a URDF, the robot file, with several targets in place of one.
+
+    points : in the last link's frame, shape (K, 3) [m]; rows : of the file, of each target
+    """
+    path = folder / "problem.toml"
+    problem = tomlkit.parse(path.read_text(encoding="utf-8"))
+    tables: Any = problem["measurements"]
+    listed = tomlkit.table()
+    for name, own in zip(names, rows, strict=True):
+        listed.add(name, [int(row) for row in own])
+    tables[0]["tools"] = listed
+    unknown = read_problem_robot(folder).tool.unknown
+    place = folder / str(problem.get("robot", "robot.toml"))
+    if place.suffix != ".toml":
+        urdf: Any = problem.setdefault("urdf", tomlkit.table())
+        tip = read_urdf(place, urdf.get("base_link"), urdf.get("tip_link")).tool.T
+        urdf["tool"] = _tools(names, points, tip, unknown)
+        return {path: tomlkit.dumps(problem)}
+    document = tomlkit.parse(place.read_text(encoding="utf-8"))
+    bare = {key: value for key, value in load_toml(place).items() if key != "tool"}
+    document["tool"] = _tools(names, points, robot_from(bare, place.name).tool.T, unknown)
+    return {path: tomlkit.dumps(problem), place: tomlkit.dumps(document)}
+
+
+def _tools(names: Sequence[str], points: Array, flange: Array, unknown: str) -> Any:
+    """Tables of these points, seen from the frame in which the file gives its tool, at `flange` in the last link."""
+    seen = (points - flange[:3, 3]) @ flange[:3, :3]
+    tools = tomlkit.aot()
+    for name, point in zip(names, seen, strict=True):
+        tool = tomlkit.table()
+        tool.update({"name": name, "xyz_mm": [round(1e3 * float(v), 1) for v in point], "unknown": unknown})
+        tools.append(tool)
+    return tools

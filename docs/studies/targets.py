@@ -1,0 +1,166 @@
+"""Several targets on one flange without a column that names them: recognised from repeats, with their distances.
+
+    python docs/studies/targets.py [--tables N] [--clean N] [--seed S]
+
+Arms, poses and departures from the drawing are plain numpy (see slips.py). Each pose has one row for each of three
+targets of a nest, in one order or in a random one, with readings that differ by up to 0.003 deg and noise of 0.05 to
+0.3 mm. In half of the tables some poses lack one or two targets, and some rows are bad. A nest is 20 to 250 mm wide;
+one in four has two sides of the same length.
+
+Recognised: three targets, every distance within 0.5 mm of the nest's, and no more than one row in a hundred (bad rows
+aside) of the wrong target. Clean tables have one target, measured up to four times at each pose: with bad rows, a
+station that moves by 5 to 200 mm or turns, drift, readings one row off, or backlash. None may be split into targets.
+That repeats disagree (a warning) may be said where the station moves or drifts.
+"""
+
+import argparse
+import sys
+from itertools import permutations
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "cli"))
+import first_hour
+from slips import ARMS, robots
+
+from casadical.measurements.reading import from_table
+from casadical.project.check.targets import recognised
+
+WITHIN = 0.5
+CLEAN = ("repeats", "bad rows", "station moved", "station turned", "drift", "shifted", "backlash", "one row a pose")
+
+
+def turn(rng: np.random.Generator) -> np.ndarray:
+    """A rotation of the measuring frame."""
+    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    return q * np.sign(np.linalg.det(q))
+
+
+def nest(rng: np.random.Generator) -> np.ndarray:
+    """Three points on the flange, shape (3, 3) [mm]."""
+    while True:
+        points = [40, -20, 120] + rng.uniform(-1, 1, (3, 3)) * rng.uniform(20, 120)
+        if rng.random() < 0.25:  # two sides of the same length
+            middle, way = (points[0] + points[1]) / 2, points[1] - points[0]
+            across = np.cross(way, rng.normal(size=3))
+            points[2] = middle + across / np.linalg.norm(across) * rng.uniform(20, 120)
+        sides = [np.linalg.norm(points[a] - points[b]) for a, b in ((0, 1), (0, 2), (1, 2))]
+        if min(sides) > 20:
+            return points
+
+
+def arm_of(rng: np.random.Generator, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rows as drawn and as built."""
+    rows = np.array(list(ARMS.values())[k % len(ARMS)], dtype=float)
+    return rows, rows + rng.normal(0, 1, rows.shape) * [0.03, 0.4, 0.4, 0.04]
+
+
+def measured(rng: np.random.Generator, built: np.ndarray, q: np.ndarray, tool: np.ndarray, noise: float) -> np.ndarray:
+    """Positions [mm] in the station's frame."""
+    p = first_hour.positions(q, built, tool)
+    return p @ turn(np.random.default_rng(5)).T + [1800, -700, 400] + rng.normal(0, noise, p.shape)
+
+
+def answer(rows: np.ndarray, q: np.ndarray, p: np.ndarray):
+    """What the package says of a table; q [deg], p [mm]."""
+    names = [*(f"q{k}_deg" for k in range(1, len(rows) + 1)), "x_mm", "y_mm", "z_mm"]
+    table = pd.DataFrame(np.column_stack([q, p]), columns=names)
+    return recognised(robots([], rows)[0], from_table(table, len(rows), "position"))
+
+
+def nested(k: int, seed: int) -> tuple[bool, str]:
+    """One table of a nest: whether it is recognised, and what was found."""
+    rng = np.random.default_rng([seed, k])
+    rows, built = arm_of(rng, k)
+    points, noise = nest(rng), rng.uniform(0.05, 0.3)
+    poses, ordered, messy = int(rng.integers(15, 50)), rng.random() < 0.5, rng.random() < 0.5
+    base = np.round(rng.uniform(-100, 100, (poses, len(rows))), 3)
+    listed = []
+    for i in range(poses):
+        order = [0, 1, 2] if ordered else list(rng.permutation(3))
+        gone = rng.integers(1, 3) if messy and rng.random() < 0.25 else 0
+        listed += [(i, j) for j in order[: 3 - gone]]
+    at, which = np.array(listed).T
+    if not ordered and rng.random() < 0.5:
+        mixed = rng.permutation(len(at))
+        at, which = at[mixed], which[mixed]
+    q = base[at] + np.round(rng.uniform(-0.003, 0.003, (len(at), len(rows))), 4)
+    p = measured(rng, built, q, points[which], noise)
+    bad = np.zeros(len(p), dtype=bool)
+    if messy:
+        bad[rng.choice(len(p), max(1, len(p) // 30), replace=False)] = True
+        p[bad] += rng.normal(0, 60, (bad.sum(), 3))
+    found = answer(rows, q, p)
+    if found is None:
+        return False, f"{poses} poses: nothing"
+    sides = np.sort([np.linalg.norm(points[a] - points[b]) for a, b in ((0, 1), (0, 2), (1, 2))])
+    if found.count != 3:
+        return False, f"{poses} poses: {found.count} targets"
+    off = float(np.abs(1e3 * found.distances - sides).max())
+    if found.which is None:
+        return False, f"{poses} poses: distances {off:.2f} mm off, not told apart"
+    wrong = min(float(np.mean((np.array(o)[found.which] != which)[~bad])) for o in permutations(range(3)))
+    text = f"{poses} poses, sides {sides.round(1)} mm, noise {noise:.2f}: {off:.2f} mm off, "
+    text += f"{100 * wrong:.0f} % of rows wrong"
+    return off < WITHIN and wrong <= 0.01, text
+
+
+def clean(k: int, seed: int) -> tuple[str, bool, bool]:
+    """One table of one target: what was done to it, whether it was split, whether repeats were said to disagree."""
+    rng = np.random.default_rng([seed, k, 1])
+    kind = CLEAN[k % len(CLEAN)]
+    rows, built = arm_of(rng, k // len(CLEAN))
+    poses, times, noise = int(rng.integers(15, 50)), int(rng.integers(2, 5)), rng.uniform(0.05, 0.3)
+    base = np.round(rng.uniform(-100, 100, (poses, len(rows))), 3)
+    at = np.repeat(np.arange(poses), times) if rng.random() < 0.5 else np.tile(np.arange(poses), times)
+    at = np.arange(poses) if kind == "one row a pose" else at
+    q = base[at] + np.round(rng.uniform(-0.003, 0.003, (len(at), len(rows))), 4)
+    p = measured(rng, built, q, nest(rng)[0], noise)
+    n, half = len(p), np.arange(len(p)) >= rng.uniform(0.3, 0.7) * len(p)
+    if kind == "bad rows":
+        p[rng.choice(n, n // 10, replace=False)] += rng.normal(0, 50, (n // 10, 3))
+    elif kind == "station moved":
+        p[half] += rng.normal(size=3) / np.sqrt(3) * rng.uniform(5, 200)
+    elif kind == "station turned":
+        angle = np.deg2rad(rng.uniform(0.3, 10))
+        c, s = np.cos(angle), np.sin(angle)
+        p[half] = p[half] @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T
+    elif kind == "drift":
+        p += np.linspace(0, 1, n)[:, None] * rng.normal(size=3) * 10
+    elif kind == "shifted":
+        q, p = q[1:], p[:-1]
+    elif kind == "backlash":
+        p += first_hour.positions(q + rng.choice([-1, 1], q.shape) * 0.02, built, np.zeros(3)) - first_hour.positions(
+            q, built, np.zeros(3)
+        )
+    found = answer(rows, q, p)
+    return kind, found is not None and found.which is not None, found is not None
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--tables", type=int, default=50)
+    parser.add_argument("--clean", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    print(f"{given.tables} made-up tables of three targets without a column that names them; seed {given.seed}")
+    good = 0
+    for k in range(given.tables):
+        ok, text = nested(k, given.seed)
+        good += ok
+        if not ok:
+            print(f"   {list(ARMS)[k % len(ARMS)]}, table {k}: {text}", flush=True)
+    print(f"recognised with right distances: {good} of {given.tables}")
+    kinds = {kind: [0, 0, 0] for kind in CLEAN}
+    for k in range(given.clean):
+        kind, split, said = clean(k, given.seed)
+        kinds[kind] = [a + b for a, b in zip(kinds[kind], (1, split, said), strict=True)]
+    for kind, (n, split, said) in kinds.items():
+        print(f"one target, {kind}: {split} of {n} split, repeats disagree in {said}")
+    print(f"clean tables that were split: {sum(v[1] for v in kinds.values())} of {given.clean}")
+
+
+if __name__ == "__main__":
+    main()
