@@ -27,6 +27,24 @@ DH = "joint,alpha_deg,a_mm,d_mm,theta_deg,lower_deg,upper_deg\n" + "".join(
 TOOL = np.array([62.0, -35.0, 148.0])
 
 
+def urdf() -> str:
+    """The arm as a URDF without masses, its flange as the tip: Rx(alpha) Tx(a) Tz(d) Rz(theta) before each joint."""
+    parts, parent = [], "base"
+    for k, ((alpha, a, d, theta), (low, high)) in enumerate(zip(ROWS, LIMITS, strict=True), 1):
+        ca, sa, ct, st = (f(np.deg2rad(v)) for v in (alpha, theta) for f in (np.cos, np.sin))
+        R = np.array([[ct, -st, 0], [st * ca, ct * ca, -sa], [st * sa, ct * sa, ca]])
+        rpy = np.arctan2(R[2, 1], R[2, 2]), -np.arcsin(R[2, 0]), np.arctan2(R[1, 0], R[0, 0])
+        xyz = np.array([a, -sa * d, ca * d]) / 1e3
+        parts.append(
+            f'<link name="link{k}"/><joint name="joint{k}" type="revolute"><parent link="{parent}"/>'
+            f'<child link="link{k}"/><origin xyz="{" ".join(map(repr, map(float, xyz)))}" '
+            f'rpy="{" ".join(map(repr, map(float, rpy)))}"/><axis xyz="0 0 1"/>'
+            f'<limit lower="{np.deg2rad(low)}" upper="{np.deg2rad(high)}" effort="1" velocity="1"/></joint>'
+        )
+        parent = f"link{k}"
+    return f'<robot name="first_hour"><link name="base"/>{"".join(parts)}</robot>\n'
+
+
 def positions(q: np.ndarray, rows: np.ndarray, tool: np.ndarray) -> np.ndarray:
     """Positions, shape (n, 3) [mm], for readings q, shape (n, 6) [deg], by modified DH rows.
 
@@ -48,11 +66,29 @@ def positions(q: np.ndarray, rows: np.ndarray, tool: np.ndarray) -> np.ndarray:
 def measured(n: int = 90, seed: int = 0, tool: np.ndarray = TOOL, noise: float = 0.03) -> tuple[np.ndarray, np.ndarray]:
     """Readings [deg] and tracker positions [mm] of an arm that departs from its drawing by some tenths."""
     rng = np.random.default_rng(seed)
-    rows = ROWS + rng.normal(0, 1, ROWS.shape) * [0.03, 0.4, 0.4, 0.04]
+    rng.normal(size=ROWS.shape)  # drawn by `_seen`
     q = np.round(rng.uniform(0.8 * LIMITS[:, 0], 0.8 * LIMITS[:, 1], (n, 6)), 4)
+    return q, _seen(q, tool, seed) + rng.normal(0, noise, (n, 3))
+
+
+def _seen(q: np.ndarray, tool: np.ndarray, seed: int) -> np.ndarray:
+    """Positions in the tracker's frame, without noise."""
+    rows = ROWS + np.random.default_rng(seed).normal(0, 1, ROWS.shape) * [0.03, 0.4, 0.4, 0.04]
     c, s = np.cos(0.7), np.sin(0.7)
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
-    return q, positions(q, rows, tool) @ turn.T + [2400.0, -900.0, 310.0] + rng.normal(0, noise, (n, 3))
+    return positions(q, rows, tool) @ turn.T + [2400.0, -900.0, 310.0]
+
+
+NEST = np.array([[62.0, -35.0, 148.0], [-60.0, 20.0, 150.0], [10.0, 90.0, 120.0]])
+
+
+def nested(poses: int = 25, seed: int = 0, noise: float = 0.05) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Three reflectors at every pose, readings that differ by 0.002 deg: readings, positions, and which reflector."""
+    rng = np.random.default_rng(seed)
+    base, _ = measured(poses, seed)
+    which = np.concatenate([rng.permutation(3) for _ in range(poses)])
+    q = np.round(np.repeat(base, 3, axis=0) + rng.uniform(-0.002, 0.002, (3 * poses, 6)), 4)
+    return q, _seen(q, NEST[which], seed) + rng.normal(0, noise, q[:, :3].shape), which
 
 
 def table(

@@ -18,11 +18,12 @@ from casadical import InputError, calibrate, read_robot
 from casadical.identification import errors
 from casadical.project.check import precheck
 from casadical.project.new import new_problem
-from casadical.project.problem import read_campaign
+from casadical.project.problem import read_campaign, read_problem
 from casadical.robot.robot_file import to_toml
 
 POINTS = np.array([[62.0, -35.0, 148.0], [-60.0, 20.0, 150.0], [10.0, 90.0, 120.0]])
 NAMES = ["SMR1", "SMR2", "SMR3"]
+FOURTH = '[[tool]]\nname = "SMR4"\nunknown = "position"\n\n[gravity]'
 
 
 def table(folder: Path, n: int, seed: int = 0, skip: int = 0) -> Path:
@@ -93,3 +94,137 @@ def test_the_three_commands_of_the_readme(
     assert "Column 'tool' names 3 measured points" in " ".join(capfd.readouterr().out.split())
     assert main(monkeypatch, "check", folder, "--repair") == 0
     assert "+++" not in capfd.readouterr().out
+
+
+def nest_table(folder: Path, *, sign: int = 1, named: bool = False, poses: int = 25) -> Path:
+    """Three reflectors at every pose, as a German table; in which no column names them, unless `named`."""
+    q, p, which = first_hour.nested(poses)
+    q[:, 2] *= sign
+    names = [f"Achse {k} [°]" for k in range(1, 7)] + [f"Messwert {c} [mm]" for c in "XYZ"]
+    lines = first_hour.table(names, q, p, ";", ",").splitlines()
+    if named:
+        lines = [f"{lines[0]};Reflektor", *(f"{line};{NAMES[k]}" for line, k in zip(lines[1:], which, strict=True))]
+    path = folder / "messung.csv"
+    path.write_bytes(("\r\n".join(lines) + "\r\n").encode("cp1252"))
+    (folder / "dh.csv").write_text(first_hour.DH.replace("-150,60", "-150,150"))
+    (folder / "arm.urdf").write_text(first_hour.urdf())
+    return path
+
+
+def distances(points: list[np.ndarray]) -> np.ndarray:
+    return np.sort([1e3 * np.linalg.norm(a - b) for k, a in enumerate(points) for b in points[:k]])
+
+
+NEST = np.sort([np.linalg.norm(a - b) for k, a in enumerate(first_hour.NEST) for b in first_hour.NEST[:k]])
+
+
+@pytest.mark.parametrize("sign", [1, -1], ids=["clean", "a sign turned"])
+def test_reflectors_that_nobody_named_are_recognised_from_repeats(
+    sign: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    arm, data = tmp_path / "arm", nest_table(tmp_path, sign=sign)
+    said = f"repeats disagree: 3 targets on one flange, distances {', '.join(f'{d:.1f}' for d in NEST)} mm between them"
+    assert main(monkeypatch, "new", arm, "--dh", tmp_path / "dh.csv", "--data", data, "--yes") == 0
+    assert said[:43] in " ".join(capfd.readouterr().out.split())
+    assert main(monkeypatch, "calibrate", arm) == 2
+    assert said[:43] in capfd.readouterr().err
+    assert main(monkeypatch, "check", arm) == 2
+    printed = " ".join(capfd.readouterr().out.split())
+    assert said[:43] in printed
+    assert "check the robot file" not in printed
+    assert main(monkeypatch, "check", arm, "--repair") == 0
+    assert "repaired: 3 targets, named target1, target2, target3" in capfd.readouterr().out
+    assert main(monkeypatch, "calibrate", arm, "--out", tmp_path / "results") == 0
+    robot = read_robot(tmp_path / "results" / "KM.robot.toml")
+    np.testing.assert_allclose(distances([robot.tool.T[:3, 3], *(t.point for t in robot.targets)]), NEST, atol=0.15)
+
+
+def test_a_station_that_moved_is_no_second_target(tmp_path: Path) -> None:
+    q, p = first_hour.measured(40)
+    q, p = np.vstack([q, q]), np.vstack([p, p + np.array([0, 25.0, 0])])
+    names = [f"A{k} [°]" for k in range(1, 7)] + [f"{c} [mm]" for c in "XYZ"]
+    (tmp_path / "moved.csv").write_text(first_hour.table(names, q, p))
+    (tmp_path / "dh.csv").write_text(first_hour.DH)
+    new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "moved.csv")
+    found = precheck(tmp_path / "arm")
+    assert found.targets
+    assert not found.targets.turning
+    assert found.targets.which is None
+    assert any("the station was moved between them" in f.text for f in found.of("warning"))
+
+
+def test_several_targets_on_the_tip_of_a_urdf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Named by a column, and recognised from repeats; the calibrated URDF has a link for each."""
+    pytest.importorskip("yourdfpy", reason="the extra urdf is not installed")
+    for named in (True, False):
+        folder = tmp_path / str(named)
+        folder.mkdir()
+        arm, data = folder / "arm", nest_table(folder, named=named)
+        assert main(monkeypatch, "new", arm, "--urdf", folder / "arm.urdf", "--data", data, "--yes", "-q") == 0
+        assert (arm / "problem.toml").read_text().count("[[urdf.tool]]") == 3 * named
+        assert main(monkeypatch, "check", arm, "--repair", "-q") == 0
+        assert (arm / "problem.toml").read_text().count("[[urdf.tool]]") == 3
+        assert main(monkeypatch, "calibrate", arm, "--method", "KM", "--out", folder / "results", "-q") == 0
+        robot = read_robot(folder / "results" / "KM.robot.toml")
+        found = distances([robot.tool.T[:3, 3], *(t.point for t in robot.targets)])
+        np.testing.assert_allclose(found, NEST, atol=0.15)
+        text = (folder / "results" / "KM.robot.urdf").read_text()
+        assert text.count('<link name="casadical_measured_point') == 3
+
+
+def test_names_swapped_halfway_are_found_and_repaired(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = table(tmp_path, 80)
+    lines = path.read_text().splitlines()
+    swapped = {"SMR1": "SMR2", "SMR2": "SMR1", "SMR3": "SMR3"}
+    for k in range(46, len(lines)):
+        start, _, name = lines[k].rpartition(";")
+        lines[k] = f"{start};{swapped[name]}"
+    path.write_text("\n".join(lines) + "\n")
+    arm = tmp_path / "arm"
+    assert main(monkeypatch, "new", arm, "--dh", tmp_path / "dh.csv", "--data", path, "--yes", "-q") == 0
+    assert main(monkeypatch, "check", arm) == 2
+    printed = " ".join(capfd.readouterr().out.split())
+    assert "column 'tool' names the wrong target from row 4" in printed
+    assert "SMR1, not SMR2, was measured in" in printed
+    assert "check the robot file" not in printed
+    assert main(monkeypatch, "check", arm, "--repair", "-q") == 0
+    found = tomllib.loads((arm / "problem.toml").read_text())["measurements"][0]["tools"]
+    right = np.random.default_rng(0).integers(0, 3, 80)
+    assert found == {name: [2 + int(i) for i in np.flatnonzero(right == k)] for k, name in enumerate(NAMES)}
+
+
+def test_targets_that_the_table_or_the_robot_file_lacks(tmp_path: Path) -> None:
+    path = table(tmp_path, 60)
+    new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=path)
+    robot = tmp_path / "arm" / "robot.toml"
+    robot.write_text(robot.read_text().replace("[gravity]", FOURTH))
+    found = precheck(tmp_path / "arm")
+    assert found.ok
+    assert any("the robot file has SMR4, which no row names" in f.text for f in found.of("warning"))
+    data = tmp_path / "arm" / "poses.csv"
+    data.write_text("\n".join(line.rpartition(";")[0] for line in data.read_text().splitlines()))
+    problem = tmp_path / "arm" / "problem.toml"
+    problem.write_text(problem.read_text().replace('tool = "Reflektor"\n', ""))
+    with pytest.raises(InputError, match="does not say which one was measured: add a column 'tool'"):
+        calibrate(tmp_path / "arm")
+
+
+def test_a_target_that_is_only_held_out_is_refused_with_its_rows(tmp_path: Path) -> None:
+    new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=table(tmp_path, 60))
+    report = read_problem(tmp_path / "arm").sets["report"][0]
+    row = int(report.row[0])
+    problem = tmp_path / "arm" / "problem.toml"
+    which = np.random.default_rng(0).integers(0, 3, 60)
+    rows = {name: [k + 2 for k in np.flatnonzero(which == i) if k + 2 != row] for i, name in enumerate(NAMES)}
+    rows["SMR4"] = [row]
+    text = problem.read_text()
+    listed = "".join(f"{name} = {[int(k) for k in rows[name]]}\n" for name in rows)
+    columns = "[measurements.columns]"
+    problem.write_text(text.replace(columns, f"[measurements.tools]\n{listed}\n{columns}"))
+    robot = tmp_path / "arm" / "robot.toml"
+    robot.write_text(robot.read_text().replace("[gravity]", FOURTH))
+    with pytest.raises(InputError, match=rf"target 'SMR4' was measured in row {row} only, of the set 'report'"):
+        calibrate(tmp_path / "arm")
+    assert any("no pose that is fitted tells where it is" in f.text for f in precheck(tmp_path / "arm").of("error"))

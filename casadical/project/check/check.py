@@ -24,6 +24,7 @@ from casadical.project.check.coverage import (
 )
 from casadical.project.check.findings import Finding, Level
 from casadical.project.check.information import Outlook, outlook
+from casadical.project.check.misnamed import Misnamed, misnamed
 from casadical.project.check.plausible import far_off, far_rows, other_conventions, plausible
 from casadical.project.check.repair import in_words
 from casadical.project.check.slips import Slips, search_slips
@@ -48,7 +49,7 @@ class Precheck:
     joints : covered ranges in the set that is fitted; margin : smallest one of the four-bars
     outlooks : for each method; none where the data are unusable
     nominal : the robot; slips : what explains data that contradict it, where several slips were searched for
-    targets : several on one flange, that the table does not name
+    targets : several on one flange, that the table does not name; misnamed : rows that name another one
     """
 
     folder: Path
@@ -64,6 +65,7 @@ class Precheck:
     nominal: Robot | None = None
     slips: Slips | None = None
     targets: Targets | None = None
+    misnamed: Misnamed | None = None
 
     def of(self, level: Level) -> tuple[Finding, ...]:
         """Findings of one level."""
@@ -98,13 +100,12 @@ def precheck(
     found, usable = _data_findings(problem.robot, sets, others)
     table = whole_table(problem)
     targets = recognised(problem.robot, table) if table is not None else None
-    if table is not None and targets:  # what contradicts one target says nothing
-        if targets.turning:
-            found, usable = [f for f in found if f.topic not in ("units", "repeats", "rows")], False
-        text = targets.in_words(table.source) + _remedy(targets)
-        found.insert(0, Finding("error" if targets.turning else "warning", "targets", text))
+    wrong = misnamed(problem.robot, table) if table is not None else None
+    if wrong or (targets and targets.turning):  # what contradicts one target, or wrong names, says nothing
+        found, usable = [f for f in found if f.topic not in ("units", "repeats", "rows")], False
+    found = [*_target_findings(targets, wrong, sets[0].source), *found]
     slips = None
-    if table is not None and not usable and (targets is None or targets.which is None):
+    if table is not None and not usable and wrong is None and (targets is None or targets.which is None):
         slips = _slips(problem.robot, table, targets, [*others.values()], show)
     if slips and slips.explains and (targets or slips.best.slips > 1):
         found = [f for f in found if not (f.topic == "units" and f.level == "error")]
@@ -129,16 +130,24 @@ def precheck(
         folder, tuple(found), problem.title, problem.robot.name,
         tuple((name, sum(len(m) for m in parts)) for name, parts in problem.sets.items()),
         known, source, coverage(problem.robot, first), margin(problem.robot, first), tuple(outlooks), problem.robot,
-        slips, targets,
+        slips, targets, wrong,
     )  # fmt: skip
 
 
-def _remedy(targets: Targets) -> str:
-    if targets.which is not None:
-        return "; casadical check --repair writes them, as `tools` in problem.toml and [[tool]]"
-    if targets.turning:
-        return "; which row is which is not known before the nominal model fits the middle of the targets"
-    return ""
+def _target_findings(targets: Targets | None, wrong: Misnamed | None, source: str) -> list[Finding]:
+    """Of several targets that nobody named, or of rows that name another one."""
+    if wrong:
+        return [Finding("error", "targets", wrong.in_words(source))]
+    if not targets:
+        return []
+    text = targets.in_words(source)
+    if not targets.turning:
+        return [Finding("warning", "targets", text)]
+    if targets.which is None:
+        more = "which row is which is not known before the nominal model fits the middle of the targets"
+    else:
+        more = "casadical check --repair writes them, as `tools` in problem.toml and [[tool]]"
+    return [Finding("error", "targets", f"{text}; {more}")]
 
 
 def _slips(

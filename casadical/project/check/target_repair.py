@@ -28,6 +28,12 @@ def repaired(found: Precheck) -> str:
         shown = difference(texts)
         write_together(texts)
         return f"{shown}\nrepaired: {targets.count} targets, named {', '.join(targets.names)}"
+    if wrong := found.misnamed:
+        rows = [wrong.row[wrong.meant == k] for k in range(len(wrong.names))]
+        texts = file_with_names(found.folder, wrong.names, rows)
+        shown = difference(texts)
+        write_together(texts)
+        return f"{shown}\nrepaired: {int((wrong.given != wrong.meant).sum())} rows name another target"
     if robot and slips and slips.explains:
         shown = write_repair(found.folder, slips.best, robot)
         return f"{shown}\nrepaired: {1e3 * slips.before.error:.4g} mm before, {1e3 * slips.best.error:.3g} mm after"
@@ -40,12 +46,7 @@ def files_with_targets(folder: Path, names: Sequence[str], points: Array, rows: 
     points : in the last link's frame, shape (K, 3) [m]; rows : of the file, of each target
     """
     path = folder / "problem.toml"
-    problem = tomlkit.parse(path.read_text(encoding="utf-8"))
-    tables: Any = problem["measurements"]
-    listed = tomlkit.table()
-    for name, own in zip(names, rows, strict=True):
-        listed.add(name, [int(row) for row in own])
-    tables[0]["tools"] = listed
+    problem = tomlkit.parse(file_with_names(folder, names, rows)[path])
     unknown = read_problem_robot(folder).tool.unknown
     place = folder / str(problem.get("robot", "robot.toml"))
     if place.suffix != ".toml":
@@ -57,6 +58,18 @@ def files_with_targets(folder: Path, names: Sequence[str], points: Array, rows: 
     bare = {key: value for key, value in load_toml(place).items() if key != "tool"}
     document["tool"] = _tools(names, points, robot_from(bare, place.name).tool.T, unknown)
     return {path: tomlkit.dumps(problem), place: tomlkit.dumps(document)}
+
+
+def file_with_names(folder: Path, names: Sequence[str], rows: Sequence[Array]) -> dict[Path, str]:
+    """problem.toml with the rows of the file at which each target was measured."""
+    path = folder / "problem.toml"
+    problem = tomlkit.parse(path.read_text(encoding="utf-8"))
+    tables: Any = problem["measurements"]
+    listed = tomlkit.table()
+    for name, own in zip(names, rows, strict=True):
+        listed.add(name, [int(row) for row in own])
+    tables[0]["tools"] = listed
+    return {path: tomlkit.dumps(problem)}
 
 
 def _tools(names: Sequence[str], points: Array, flange: Array, unknown: str) -> Any:
