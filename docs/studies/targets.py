@@ -100,7 +100,7 @@ def nested(k: int, seed: int) -> tuple[bool, str]:
         return False, f"{poses} poses: {found.count} targets"
     off = float(np.abs(1e3 * found.distances - sides).max())
     if found.which is None:
-        return False, f"{poses} poses: distances {off:.2f} mm off, not told apart"
+        return False, f"{poses} poses: distances {off:.2f} mm off, not distinguished"
     wrong = min(float(np.mean((np.array(o)[found.which] != which)[~bad])) for o in permutations(range(3)))
     text = f"{poses} poses, sides {sides.round(1)} mm, noise {noise:.2f}: {off:.2f} mm off, "
     text += f"{100 * wrong:.0f} % of rows wrong"

@@ -40,7 +40,7 @@ class Targets:
     distances : between the targets, shape (K (K - 1) / 2,) [m], from the least; poses : at which they were seen
     turning : whether their directions turn with the flange; if not, the station may have been moved
     points : in the last link's frame, shape (K, 3) [m], which : target of each row of the file, both of shape (n,), and
-    rows : those; None where the nominal model contradicts the data, so that it does not tell them apart
+    rows : those; None where the nominal model contradicts the data, so that it does not distinguish them
     """
 
     count: int
@@ -100,7 +100,7 @@ def recognised(robot: Robot, m: Measurements) -> Targets | None:
     if not turning:
         return found
     whole = [(r, p) for r, p in apart if p.max() + 1 == count]
-    return _told_apart(robot, m, poses, [pose for pose, ok in zip(whole, alike, strict=True) if ok], found)
+    return _distinguished(robot, m, poses, [pose for pose, ok in zip(whole, alike, strict=True) if ok], found)
 
 
 def _poses(m: Measurements) -> list[tuple[Array, Array]]:
@@ -142,7 +142,7 @@ def _turning(points: list[Array]) -> bool:
     return bool(values[-1] < ONE_DIRECTION * values.sum())
 
 
-def _told_apart(
+def _distinguished(
     robot: Robot, m: Measurements, poses: list[tuple[Array, Array]], whole: list[tuple[Array, Array]], found: Targets
 ) -> Targets:
     """Which row is which target, by the nominal model with base and tool at the middle of the targets.
