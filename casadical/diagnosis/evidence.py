@@ -298,7 +298,8 @@ class Judge:
             if before is None:
                 products, left = self.sums.columns[more, k, :P], self.sums.columns[more, k, P]
             else:
-                products = cross[k] - before.axes(k, more) @ before.axes(k, beside.new).T
+                products = cross[k]
+                products -= before.axes(k, more) @ before.axes(k, beside.new).T
                 left = before.b[k][more][:, 0]
             V = products @ beside.at[k].root.T
             beside.V[k].add(more, V)

@@ -171,11 +171,13 @@ class Case:
         columns = {**self.columns, **column_numbers(effects, self.whole.width)}
         assert isinstance(self.whole.E, Columns)
         E = self.whole.E.plus(effects, m.conditions)
-        more = replace(self, m=m, candidates=candidates, columns=columns, whole=replace(self.whole, E=E, held=E.held))
+        # Sizes that were learnt stay.
+        held = E.held if self.whole.held is None else np.append(self.whole.held, E.held[self.whole.width :])
+        more = replace(self, m=m, candidates=candidates, columns=columns, whole=replace(self.whole, E=E, held=held))
         known = self.evidence
         assert isinstance(known.E, Columns)
         own = known.E.plus(effects, {name: values[self.kept] for name, values in m.conditions.items()})
-        more.__dict__["evidence"] = replace(known, E=own, held=E.held).extending(known)
+        more.__dict__["evidence"] = replace(known, E=own, held=held).extending(known)
         return more
 
 

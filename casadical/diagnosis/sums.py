@@ -250,11 +250,11 @@ class Sums:
 class Kept:
     """Rows of some of the columns, as far as they are known.
 
-    place : of each column among the rows, or -1, shape (columns,); rows : shape (known, numbers)
+    place : of each column among the rows, or -1, shape (columns,); count : of known rows
     """
 
     def __init__(self, columns: int, numbers: int) -> None:
-        self.place, self.rows = np.full(columns, -1), np.zeros((0, numbers))
+        self.place, self.count, self._rows = np.full(columns, -1), 0, np.empty((0, numbers))
 
     @property
     def known(self) -> Array:
@@ -263,15 +263,26 @@ class Kept:
 
     def __getitem__(self, columns: Array) -> Array:
         """Rows of columns, shape (*columns.shape, numbers)."""
-        return np.asarray(self.rows[self.place[columns]])
+        return np.asarray(self._rows[self.place[columns]])
 
     def add(self, columns: Array, rows: Array) -> None:
         """Keep the rows of further columns."""
-        self.place[columns] = len(self.rows) + np.arange(len(columns))
-        self.rows = np.concatenate([self.rows, rows])
+        more = self.count + len(rows)
+        if not self.count:
+            self._rows = rows
+        elif more > len(self._rows):
+            # Room for twice as much: rows are added many times.
+            grown = np.empty((max(more, min(2 * len(self._rows), len(self.place))), rows.shape[1]))
+            grown[: self.count] = self._rows[: self.count]
+            self._rows = grown
+        if self.count:
+            self._rows[self.count : more] = rows
+        self.place[columns] = np.arange(self.count, more)
+        self.count = more
 
     def of(self, columns: int) -> Kept:
         """The same of at least as many columns."""
-        more = Kept(columns, 0)
-        more.place[: len(self.place)], more.rows = self.place, self.rows
+        more = Kept(columns, self._rows.shape[1])
+        more.place[: len(self.place)] = self.place
+        more._rows, more.count = self._rows[: self.count], self.count
         return more

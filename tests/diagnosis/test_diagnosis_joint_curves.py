@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cases import robot, simulated, small_problem
+from cases import case, robot, simulated, small_problem
 from scipy.stats import multivariate_normal
 
 from casadical import InputError
@@ -15,7 +15,7 @@ from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.evidence import KAPPAS, RHOS, SIGMAS, Evidence
 from casadical.diagnosis.learnt_sizes import learnt_sizes
-from casadical.effects import JointErrorCurve
+from casadical.effects import JointErrorCurve, TransmissionRipple
 from casadical.effects.joint_error_curve import DENSE, ORDERS, USUAL
 from casadical.identification.accuracy import errors
 from casadical.measurements.measurements import Measurements
@@ -131,6 +131,20 @@ def test_sizes_are_learnt_by_part() -> None:
     assert [factors[k] for k in (1, 2, 3)] == pytest.approx([0.5, 1.0, 4.0], rel=0.25)
     assert factors[4] == 1.0
     assert noise.sigma == pytest.approx(2e-5, rel=0.1)
+
+
+def test_learnt_sizes_stay_where_other_causes_get_further_settings() -> None:
+    known = case("ur10e-P03", "joint_error_curve", "transmission_ripple")
+    curve = next(c for c in known.candidates if c.label == "joint_error_curve").variants[0][0]
+    sized, effect = known.with_sizes(curve, dict.fromkeys(curve.parts, 0.5), Noise(2e-5, 0.0))
+    own = sized.columns[effect]
+    before = sized.whole.width_in_model(own)
+    assert before == pytest.approx(0.5 * known.whole.width_in_model(own))
+    more = sized.with_variants("transmission_ripple@2", [(TransmissionRipple(2, cycles=9.3),)])
+    assert more.whole.width > sized.whole.width
+    for problem in (more.whole, more.evidence):
+        assert problem.width_in_model(own) == pytest.approx(before)
+        assert len(problem.width_in_model(np.arange(problem.width))) == problem.width
 
 
 def test_many_poses_have_more_harmonics() -> None:
