@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from command_line import main
+from command_line import main, run
 
 from casadical.identification.accuracy import errors, summarise
 from casadical.project.problem import read_problem
@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 PLANAR = ROOT / "problems" / "planar"
 
 
-def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+def alone(*arguments: object) -> subprocess.CompletedProcess[str]:
     """The installed command in a process of its own, from the repository's root."""
     command = [Path(sys.executable).parent / "casadical", *map(str, arguments)]
     environment = {**os.environ, "COLUMNS": "80", "TERM": "dumb", "NO_COLOR": "1"}
@@ -42,7 +42,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_report_is_the_golden_text() -> None:
-    done = run("calibrate", "problems/planar", "--details")
+    done = alone("calibrate", "problems/planar", "--details")
     assert (done.returncode, done.stderr) == (0, "")
     printed = "".join(line.rstrip() + "\n" for line in done.stdout.splitlines())
     assert printed == (Path(__file__).parent / "planar.txt").read_text()
@@ -223,4 +223,4 @@ def test_ipopt_and_casadi_say_nothing_of_their_own(kept: Path) -> None:
 
 def test_figures_do_not_hang_on_the_machine_they_are_printed_at() -> None:
     """Two runs give the same bytes."""
-    assert run("calibrate", "problems/planar").stdout == run("calibrate", "problems/planar").stdout
+    assert alone("calibrate", "problems/planar").stdout == alone("calibrate", "problems/planar").stdout

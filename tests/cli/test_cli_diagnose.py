@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pandas as pd
 import pytest
+from command_line import run
 
 from casadical import read_robot
 
@@ -20,21 +19,15 @@ P03, P06 = PRACTICE / "ur10e-P03.csv", PRACTICE / "ur10e-P06.csv"
 FEW = "gear_eccentricity,friction_windup,joint_scale@5,hose_drag"
 
 
-def run(*arguments: object, width: int = 120) -> subprocess.CompletedProcess[str]:
-    return casadical("diagnose", *arguments, width=width)
-
-
-def casadical(*arguments: object, width: int = 120) -> subprocess.CompletedProcess[str]:
-    command = [Path(sys.executable).parent / "casadical", *map(str, arguments)]
-    environment = {**os.environ, "COLUMNS": str(width), "TERM": "dumb", "NO_COLOR": "1"}
-    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+def diagnosed(*arguments: object, width: int = 120) -> subprocess.CompletedProcess[str]:
+    return run("diagnose", *arguments, width=width)
 
 
 @pytest.fixture(scope="module")
 def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, list[dict]]:
     """Two campaigns, few effects: what was printed, and the JSON."""
     kept = tmp_path_factory.mktemp("diagnose") / "both.json"
-    done = run(PROBLEM, P03, P06, "--effects", FEW, "--json", kept)
+    done = diagnosed(PROBLEM, P03, P06, "--effects", FEW, "--json", kept)
     assert done.returncode == 0, done.stderr
     return done.stdout, json.loads(kept.read_text())
 
@@ -54,7 +47,7 @@ def test_several_campaigns_are_answered_in_order(both: tuple[str, list[dict]]) -
 
 
 def test_one_campaign_is_one_answer(tmp_path: Path, both: tuple[str, list[dict]]) -> None:
-    done = run(PROBLEM, P06, "--effects", FEW, "--json", tmp_path / "one.json", "--quiet")
+    done = diagnosed(PROBLEM, P06, "--effects", FEW, "--json", tmp_path / "one.json", "--quiet")
     assert (done.returncode, done.stdout) == (0, "")
     assert json.loads((tmp_path / "one.json").read_text()) == both[1][1]
 
@@ -62,7 +55,7 @@ def test_one_campaign_is_one_answer(tmp_path: Path, both: tuple[str, list[dict]]
 def test_isolability_needs_no_positions(tmp_path: Path) -> None:
     planned = tmp_path / "planned.csv"
     pd.read_csv(P03).drop(columns=["x_mm", "y_mm", "z_mm"]).to_csv(planned, index=False)
-    done = run(PROBLEM, planned, "--isolability", "--effects", FEW, "--json", tmp_path / "design.json")
+    done = diagnosed(PROBLEM, planned, "--isolability", "--effects", FEW, "--json", tmp_path / "design.json")
     assert done.returncode == 0, done.stderr
     for part in ("absorbed", "looks like", "joint_scale@5", "hose_drag", "60 poses"):
         assert part in done.stdout
@@ -83,7 +76,7 @@ def test_isolability_needs_no_positions(tmp_path: Path) -> None:
     ids=["campaign", "problem", "effect", "no table", "design"],
 )
 def test_a_users_mistake_ends_in_a_message_and_2(tmp_path: Path, arguments: tuple, message: str) -> None:
-    done = run(*arguments, "--json", tmp_path / "answer.json", width=400)
+    done = diagnosed(*arguments, "--json", tmp_path / "answer.json", width=400)
     assert done.returncode == 2
     assert done.stderr.startswith("casadical: ")
     assert message in done.stderr
@@ -93,7 +86,9 @@ def test_a_users_mistake_ends_in_a_message_and_2(tmp_path: Path, arguments: tupl
 
 def test_the_robot_with_its_causes_goes_on_to_every_command(tmp_path: Path) -> None:
     problem, campaign, few = ROOT / "problems" / "kr210", PRACTICE / "kr210-P05.csv", ("--effects", "payload_error")
-    done = run(problem, campaign, *few, "--out", tmp_path / "found", "--json", tmp_path / "answer.json", "--details")
+    done = diagnosed(
+        problem, campaign, *few, "--out", tmp_path / "found", "--json", tmp_path / "answer.json", "--details"
+    )
     assert done.returncode == 0, done.stderr
     robot = tmp_path / "found" / "diagnosed.robot.toml"
     assert sorted(p.name for p in robot.parent.iterdir()) == ["diagnosed.robot.toml", "diagnosis.json", "diagnosis.txt"]
@@ -109,9 +104,9 @@ def test_the_robot_with_its_causes_goes_on_to_every_command(tmp_path: Path) -> N
         ("export", "c", robot, "--nominal", problem / "robot.toml", "--out", tmp_path / "c"),
         ("plan", robot, "-n", 14, "--no-order", "--out", tmp_path / "plan.csv"),
     ):
-        assert casadical(*command).returncode == 0
+        assert run(*command).returncode == 0
     assert (tmp_path / "c" / "manifest.json").exists()
-    again = run(robot, campaign, "--effects", "backlash", "--json", tmp_path / "again.json")
+    again = diagnosed(robot, campaign, "--effects", "backlash", "--json", tmp_path / "again.json")
     assert again.returncode == 0, again.stderr
     left = json.loads((tmp_path / "again.json").read_text())
     assert (left["verdict"], left["causes"]) == ("none", [])
@@ -121,14 +116,16 @@ def test_the_robot_with_its_causes_goes_on_to_every_command(tmp_path: Path) -> N
 
 def test_out_is_whole_or_not_there_and_a_folder_each_for_several(tmp_path: Path) -> None:
     (tmp_path / "taken" / "diagnosis.txt").mkdir(parents=True)
-    done = run(PROBLEM, P06, "--effects", "backlash@3", "--out", tmp_path / "taken", "--json", tmp_path / "a.json")
+    done = diagnosed(
+        PROBLEM, P06, "--effects", "backlash@3", "--out", tmp_path / "taken", "--json", tmp_path / "a.json"
+    )
     assert done.returncode == 2
     assert "is a folder" in done.stderr
     assert [p.name for p in (tmp_path / "taken").iterdir()] == ["diagnosis.txt"]
     assert not (tmp_path / "a.json").exists()
-    done = run(PROBLEM, P06, P03, "--effects", "backlash@3", "--out", tmp_path / "two", "-q")
+    done = diagnosed(PROBLEM, P06, P03, "--effects", "backlash@3", "--out", tmp_path / "two", "-q")
     assert done.returncode == 0, done.stderr
     assert sorted(p.parent.name for p in (tmp_path / "two").rglob("*.toml")) == ["ur10e-P03", "ur10e-P06"]
-    done = run(PROBLEM, P06, "--unlisted")
+    done = diagnosed(PROBLEM, P06, "--unlisted")
     assert done.returncode == 2
     assert "give --out DIR" in done.stderr

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import run
 
 from casadical import InputError, read_measurements, read_problem
 from casadical.measurements.raw_table import read_table
@@ -115,10 +114,7 @@ def test_diagnose_takes_the_headers_of_the_problem(tmp_path: Path) -> None:
     for name, path in (("a", campaign), ("b", CAMPAIGN)):
         if name == "b":
             (folder / "problem.toml").write_text(HEAD)
-        command = [Path(sys.executable).parent / "casadical", "diagnose", "--isolability", "-q", folder, path]
-        done = subprocess.run(
-            [*command, "--json", tmp_path / f"{name}.json"], capture_output=True, text=True, check=False
-        )
+        done = run("diagnose", "--isolability", "-q", folder, path, "--json", tmp_path / f"{name}.json")
         assert (done.returncode, done.stderr) == (0, "")
     first, second = (json.loads((tmp_path / f"{name}.json").read_text()) for name in "ab")
     assert first | {"campaign": ""} == second | {"campaign": ""}

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import run
 
 from casadical.identification.identification import identify
 from casadical.project.check import Precheck, precheck
@@ -220,15 +219,8 @@ def test_an_open_four_bar_is_an_error_and_one_nearly_folded_a_warning(tmp_path: 
 
 def test_the_command_prints_keeps_and_exits(tmp_path: Path) -> None:
     bad = problem_with(tmp_path, _turned("q3_deg"))
-    command = [str(Path(sys.executable).parent / "casadical"), "check"]
     file = tmp_path / "kept.json"
-    done = subprocess.run(
-        [*command, "problems/planar", str(bad), "--json", str(file)],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = run("check", "problems/planar", bad, "--json", file)
     assert (done.returncode, done.stderr) == (2, "")
     assert "planar: ready" in done.stdout
     assert "arm: NOT READY, 1 error" in done.stdout
@@ -237,7 +229,7 @@ def test_the_command_prints_keeps_and_exits(tmp_path: Path) -> None:
     assert 0.005 < good["methods"]["KM"]["expected_accuracy_mm"] < 0.05
     assert good["methods"]["KM"]["held"].keys() == {"d1", "d2", "theta2"}
     assert wrong["findings"][0]["topic"] == "units"
-    done = subprocess.run([*command, "problems/planar", "-q"], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = run("check", "problems/planar", "-q")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
