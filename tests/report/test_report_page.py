@@ -11,7 +11,6 @@ from datetime import UTC, datetime
 from html.parser import HTMLParser
 from pathlib import Path
 
-import pytest
 from command_line import run
 
 from casadical.core.blocks import Words
