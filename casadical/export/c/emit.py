@@ -7,7 +7,7 @@ list: the NumPy evaluation that the compiled C is compared with.
 
 import re
 import zlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from importlib.resources import files
 
 from casadical.export.c.coefficients import COEFFICIENTS, EXP_LIMIT, SQRT_GUESS, TAN_PI_8, Real, literal, turn_parts
@@ -37,7 +37,7 @@ def functions_used(tapes: list[Tape]) -> list[str]:
 def elementary_functions(tapes: list[Tape], name: str, real: Real) -> str:
     """C text of the static functions that the tapes call."""
     used = functions_used(tapes)
-    values = _constants(real) | {"name": name, "real": f"{name}_real"}
+    values = constants(real) | {"name": name, "real": f"{name}_real"}
     texts = [filled(template(f"{snippet}.c"), values) for snippet in used]
     return "\n".join(texts + [_periodic(table, values, real) for table in tables_used(tapes)])
 
@@ -125,15 +125,15 @@ def _expression(node: Node, a: list[str], prefix: str, real: Real) -> str:
     }[node.op]()
 
 
-def _polynomial(terms: tuple[float, ...], real: Real) -> str:
-    text = literal(terms[-1], real)
+def _polynomial(terms: tuple[float, ...], real: Real, write: Callable[[float, Real], str]) -> str:
+    text = write(terms[-1], real)
     for term in reversed(terms[:-1]):
-        text = f"({literal(term, real)} + (z * {text}))"
+        text = f"({write(term, real)} + (z * {text}))"
     return text
 
 
-def _constants(real: Real) -> dict[str, str]:
-    """Every number that the templates of elementary functions name."""
+def constants(real: Real, write: Callable[[float, Real], str] = literal) -> dict[str, str]:
+    """Every number that the templates of elementary functions name, as a language writes it."""
     c = COEFFICIENTS[real]
     numbers = {
         "half_pi_high": c.half_pi[0],
@@ -147,11 +147,11 @@ def _constants(real: Real) -> dict[str, str]:
     numbers |= {k: getattr(c, k) for k in ("tansig_limit", "smallest", "largest")}
     numbers |= {f"guess_{i}": g for i, g in enumerate(SQRT_GUESS)}
     numbers |= {text: float(text) for text in ("0", "1", "2", "4", "0.5", "1024", "1024.5")}
-    values = {key: literal(value, real) for key, value in numbers.items()}
-    values |= {f"poly:{key}": _polynomial(getattr(c, key), real) for key in ("sin", "cos", "coth", "atan")}
-    values |= {f"powers:{s}": ", ".join(literal(2.0 ** (s * i), real) for i in range(8)) for s in (1, 8)}
+    values = {key: write(value, real) for key, value in numbers.items()}
+    values |= {f"poly:{key}": _polynomial(getattr(c, key), real, write) for key in ("sin", "cos", "coth", "atan")}
+    values |= {f"powers:{s}": ", ".join(write(2.0 ** (s * i), real) for i in range(8)) for s in (1, 8)}
     steps = c.sqrt_steps
-    values |= {"sqrt_count": str(len(steps)), "heron": str(c.heron_steps)}
+    values |= {"sqrt_count": str(len(steps)), "sqrt_last": str(len(steps) - 1), "heron": str(c.heron_steps)}
     lists = {"power": 1.0, "root": 0.5, "inverse": -1.0, "inverse_root": -0.5}
-    values |= {f"sqrt_{k}": ", ".join(literal(2.0 ** (e * s), real) for s in steps) for k, e in lists.items()}
+    values |= {f"sqrt_{k}": ", ".join(write(2.0 ** (e * s), real) for s in steps) for k, e in lists.items()}
     return values

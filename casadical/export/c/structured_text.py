@@ -1,19 +1,45 @@
 """IEC 61131-3 structured text of a program, for controllers that take no C.
 
-It uses the PLC's own SIN, COS, SQRT, EXP and ATAN, so its results agree with the C to rounding, not to the bit.
+The model is a list of operations in arrays, which one loop with a CASE goes through run by run (see `runs`); each
+operation is that of the C, so that the results are the same bits.
 """
 
-from casadical.core.arrays import Array
-from casadical.export.c.c_source import boxes, command_numbers
+import textwrap
+from collections.abc import Iterable
+
+from casadical.export.c.c_source import box_share, boxes, command_numbers
 from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, Real, turn_parts
-from casadical.export.c.emit import filled, table_name, tables_used, template
+from casadical.export.c.emit import constants, filled, template
 from casadical.export.c.language import Label, Language
 from casadical.export.c.periodic_table import TURNS
 from casadical.export.c.products import Command
-from casadical.export.c.tape import Node, Tape
-from casadical.export.c.tape_program import TapeProgram, prepared_size
+from casadical.export.c.reference import correct, network
+from casadical.export.c.runs import WIDTH, Plan, plan_of
+from casadical.export.c.self_test import self_test_inputs
+from casadical.export.c.tape_program import TapeProgram, operations, prepared_size
 
-_INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
+_ROWS = (0, 9, 10, 25)  # of the C's self-test: the middle, two random points, one outside the box
+_PAIR = "x := v[first[k]];\nv[k] := SEL({}, {}, {});"
+_SIMPLE = {
+    "add": "v[k] := v[first[k]] + v[second[k]];",
+    "sub": "v[k] := v[first[k]] - v[second[k]];",
+    "mul": "v[k] := v[first[k]] * v[second[k]];",
+    "div": "v[k] := v[first[k]] / v[second[k]];",
+    "neg": "v[k] := -v[first[k]];",
+    "copy": "v[k] := v[first[k]];",
+    "fabs": _PAIR.format("x < 0.0", "x", "-x"),
+    "fmin": _PAIR.format("x < v[second[k]]", "v[second[k]]", "x"),
+    "fmax": _PAIR.format("x > v[second[k]]", "v[second[k]]", "x"),
+    "lt": _PAIR.format("x < v[second[k]]", "0.0", "1.0"),
+    "le": _PAIR.format("x <= v[second[k]]", "0.0", "1.0"),
+    "select": _PAIR.format("x > 0.0", "0.0", "v[second[k]]"),
+    "not": _PAIR.format("x > 0.0", "1.0", "0.0"),
+    "sign": _PAIR.format("x < 0.0", "SEL(x > 0.0, 0.0, 1.0)", "-1.0"),
+    "guard_min": "v[k] := v[first[k]];\nIF NOT (v[k] >= v[second[k]]) THEN\n"
+    "    fine := FALSE;\n    v[k] := v[second[k]];\nEND_IF;",
+    "guard_max": "v[k] := v[first[k]];\nIF NOT (v[k] <= v[second[k]]) THEN\n"
+    "    fine := FALSE;\n    v[k] := v[second[k]];\nEND_IF;",
+}
 
 
 class StructuredText(Language):
@@ -27,38 +53,19 @@ class StructuredText(Language):
 
 
 def structured_text(program: TapeProgram, label: Label) -> str:
-    """Text of NAME.st: function blocks for the network, and for the correction with ramp and rate limit."""
-    kind = "REAL" if program.real == "float" else "LREAL"
-    values = {
-        "name": label.name,
-        "kind": kind,
-        "model_sha256": label.model_sha256,
-        "data_sha256": label.data_sha256,
-        "last": str(program.n - 1),
-    }
-    parts = [filled(template("head.st"), values)]
-    if any(node.op == "atan2" for tape in program.tapes.values() for node in tape.nodes):
-        parts.append(filled(template("atan2.st"), values))
-    parts += [_periodic(table, values, program.real) for table in tables_used(program.tapes.values())]
-    parts += [
-        _block(tape, f"{label.name}_{key}_values", kind, program.real) for key, tape in sorted(program.tapes.items())
-    ]
+    """Text of NAME.st: function blocks for the network, for the correction with ramp and rate limit, and a test."""
+    plan, real = plan_of(program), program.real
+    values = _common(program, plan, label)
+    parts = [filled(template("head.st"), values), _values_block(plan, values, real)]
+    parts.append(filled(template("boxed.st"), values))
     if program.network is not None:
-        size = {"function": program.network.key, "out": program.network.out}
-        size["last_out"] = str(len(program.network_bounds) - 1)
-        parts.append(filled(template("network.st"), values | size | _box(program, "network")))
+        key = program.network.key
+        mine = {"function": key, "out": program.network.out, "last_out": str(len(program.network_bounds) - 1)}
+        mine |= {"network_out": str(plan.places[f"{key}_out"])} | _span(plan, key, "network")
+        parts.append(filled(template("network.st"), values | mine | _box(program, "network")))
     if program.command is not None:
-        parts.append(filled(template("command.st"), values | _command(program, program.command)))
-    return "\n".join(parts).replace("@name@", label.name)
-
-
-def _periodic(table: tuple[float, ...], values: dict[str, str], real: Real) -> str:
-    points = len(table) - 3
-    mine = {"table": table_name(table), "points": str(points), "last_entry": str(len(table) - 1)}
-    mine["numbers"] = ", ".join(number(v, real) for v in table)
-    numbers = dict(zip(("per_radian", "step_high", "step_low"), turn_parts(COEFFICIENTS[real], points), strict=True))
-    numbers["offset"] = float(TURNS * points)
-    return filled(template("periodic.st"), values | mine | {key: number(v, real) for key, v in numbers.items()})
+        parts.append(filled(template("command.st"), values | _command(program, program.command, plan)))
+    return _wrapped("\n".join([*parts, _self_test(program, values)]))
 
 
 def number(value: float, real: Real) -> str:
@@ -69,96 +76,132 @@ def number(value: float, real: Real) -> str:
     return mantissa + (f"E{int(exponent)}" if exponent else "")
 
 
-def _block(tape: Tape, name: str, kind: str, real: Real) -> str:
-    names = [_name(k, node, real) for k, node in enumerate(tape.nodes)]
-    statements = [
-        s for k, node in enumerate(tape.nodes) for s in _statements(k, node, [names[a] for a in node.args], real)
-    ]
-    own = [s.split(" := ")[0] for s in statements if s.startswith("v")]
-    declared = "".join(f"    {v} : {kind};\n" for v in own)
-    blocks = {k: table_name(node.table) for k, node in enumerate(tape.nodes) if node.table}
-    declared += "".join(f"    p{k} : @name@_{table};\n" for k, table in blocks.items())
-    body = "".join(f"{s};\n" if not s.endswith("END_IF;") else f"{s}\n" for s in statements)
-    results = "".join(f"y[{i}] := {names[k]};\n" for i, k in enumerate(tape.outputs))
-    return (
-        f"FUNCTION_BLOCK {name}\n"
-        f"VAR_INPUT\n    x : ARRAY[0..{tape.n_in - 1}] OF {kind};\nEND_VAR\n"
-        f"VAR_OUTPUT\n    y : ARRAY[0..{len(tape.outputs) - 1}] OF {kind};\n    fine : BOOL;\nEND_VAR\n"
-        f"VAR\n{declared}END_VAR\nfine := TRUE;\n{body}{results}END_FUNCTION_BLOCK\n"
-    )
+def _common(program: TapeProgram, plan: Plan, label: Label) -> dict[str, str]:
+    kind = "REAL" if program.real == "float" else "LREAL"
+    values = constants(program.real, number) | {
+        "name": label.name,
+        "kind": kind,
+        "index": "INT" if plan.size < 2**15 else "DINT",
+        "model_sha256": label.model_sha256,
+        "data_sha256": label.data_sha256,
+        "cost": textwrap.fill(operations(program).text(), 116, initial_indent="   ", subsequent_indent="   "),
+        "n": str(program.n),
+        "last": str(program.n - 1),
+        "last_value": str(plan.size - 1),
+        "joints": str(plan.places["joints"]),
+        "share": number(box_share(program.n), program.real),
+    }
+    first = [*(number(v, program.real) for v in plan.constants), *["0.0"] * (plan.size - len(plan.constants))]
+    return values | {"value_array": _array("v", kind, first)}
 
 
-def _name(k: int, node: Node, real: Real) -> str:
-    if node.op == "const":
-        text = number(node.value, real)
-        return f"({text})" if text.startswith("-") else text
-    return f"v{k}"
+def _array(name: str, kind: str, entries: Iterable[str]) -> str:
+    """A declaration with initial values; what occurs four times or more in a row is counted."""
+    counted: list[list[str]] = []
+    for entry in entries:
+        if counted and counted[-1][0] == entry:
+            counted[-1].append(entry)
+        else:
+            counted.append([entry])
+    size = sum(map(len, counted))
+    words = [w for same in counted for w in ([f"{len(same)}({same[0]})"] if len(same) > 3 else same)]
+    return f"    {name} : ARRAY[0..{size - 1}] OF {kind} := [{', '.join(words)}];\n"
 
 
-def _statements(k: int, node: Node, a: list[str], real: Real) -> list[str]:
-    if node.op in ("const", "sin", "cos"):
-        which = {"sin": "SIN", "cos": "COS"}.get(node.op)
-        return [f"v{k} := {which}({a[0]})"] if which else []
-    if node.op == "periodic":
-        return [f"p{k}(x := {a[0]})", f"v{k} := p{k}.y"]
-    if node.op.startswith("guard"):
-        limit = number(node.value, real)
-        inside = f"{a[0]} >= {limit}" if node.op == "guard_min" else f"{a[0]} <= {limit}"
-        choose = "MAX" if node.op == "guard_min" else "MIN"
-        return [f"IF NOT ({inside}) THEN fine := FALSE; END_IF;", f"v{k} := {choose}({a[0]}, {limit})"]
-    return [f"v{k} := {_expression(node, a, real)}"]
+def _wrapped(text: str) -> str:
+    """The text with its long lines divided at spaces."""
+    lines: list[str] = []
+    for line in text.split("\n"):
+        indent = " " * (len(line) - len(line.lstrip()) + 8)
+        lines += (
+            textwrap.wrap(line, 118, subsequent_indent=indent, break_on_hyphens=False) if len(line) > 118 else [line]
+        )
+    return "\n".join(lines)
 
 
-def _expression(node: Node, a: list[str], real: Real) -> str:
-    if node.op in _INFIX:
-        return f"{a[0]} {_INFIX[node.op]} {a[1]}"
-    if node.op == "input":
-        return f"x[{int(node.value)}]"
-    limit = "9.25" if real == "float" else "19.5"
-    first, second = a[0], a[-1]
-    return {
-        "sincos": first,
-        "neg": f"-{first}",
-        "fabs": f"ABS({first})",
-        "sqrt": f"SQRT({first})",
-        "exp": f"EXP({first})",
-        "tansig": f"1.0 - 2.0 / (EXP(2.0 * LIMIT(-{limit}, {first}, {limit})) + 1.0)",
-        "atan2": f"@name@_atan2({first}, {second})",
-        "fmin": f"MIN({first}, {second})",
-        "fmax": f"MAX({first}, {second})",
-        "lt": f"SEL({first} < {second}, 0.0, 1.0)",
-        "le": f"SEL({first} <= {second}, 0.0, 1.0)",
-        "select": f"SEL({first} > 0.0, 0.0, {second})",
-        "not": f"SEL({first} > 0.0, 1.0, 0.0)",
-        "sign": f"SEL({first} < 0.0, SEL({first} > 0.0, 0.0, 1.0), -1.0)",
-    }[node.op]
-
-
-def _box(program: TapeProgram, key: str) -> dict[str, str]:
-    lower, upper = boxes(program)[key]
-    return {"lower": _list(lower, program.real), "upper": _list(upper, program.real)}
-
-
-def _list(values: Array, real: Real) -> str:
+def _list(values: Iterable[float], real: Real) -> str:
     return ", ".join(number(float(v), real) for v in values)
 
 
-def _command(program: TapeProgram, command: Command) -> dict[str, str]:
-    numbers, real, n_p = command_numbers(command), program.real, len(program.tapes["forward"].outputs)
-    prepared = prepared_size(command)
-    integers = {
-        "steps": command.steps,
-        "last_p": n_p - 1,
-        "prepared": prepared,
-        "last_work": prepared + n_p - 1,
-        "i_weakness": prepared - 1,
-        "i_error": program.n,
-        "i_rest": program.n + 1,
+def _values_block(plan: Plan, values: dict[str, str], real: Real) -> str:
+    """The block that goes through the list, with a case for each operation that occurs."""
+    known = list(dict.fromkeys(plan.operations))
+    variables: dict[str, None] = {}
+    cases = ""
+    for code, op in enumerate(known):
+        if op in _SIMPLE:
+            body = _SIMPLE[op]
+        else:
+            more = _tables(plan, real) if op == "periodic" else {}
+            declared, body = filled(template(f"{op}.st"), values | more).split("BODY\n")
+            variables |= dict.fromkeys(declared.splitlines(keepends=True))
+        mine = {"code": str(code), "op": op, "by": f" BY {WIDTH[op]}" if op in WIDTH else ""}
+        cases += filled(template("case.st"), mine | {"body": textwrap.indent(body.rstrip(), " " * 12) + "\n"})
+    tables = _array("operation", "INT", (str(known.index(op)) for op in plan.operations))
+    for name, entries in (("start", plan.starts), ("first", plan.first), ("second", plan.second)):
+        tables += _array(name, values["index"], map(str, entries))
+    return filled(template("values.st"), values | {"tables": tables, "variables": "".join(variables), "cases": cases})
+
+
+def _tables(plan: Plan, real: Real) -> dict[str, str]:
+    """The numbers of all periodic tables, one after another."""
+    points = [len(table) - 3 for table in plan.tables]
+    begins = [sum(map(len, plan.tables[:i])) for i in range(len(plan.tables))]
+    parts = [turn_parts(COEFFICIENTS[real], count) for count in points]
+    names = ("per_radian", "step_high", "step_low")
+    texts = {name: _list(values, real) for name, values in zip(names, zip(*parts, strict=True), strict=True)}
+    return texts | {
+        "last_table": str(len(points) - 1),
+        "last_entry": str(sum(map(len, plan.tables)) - 1),
+        "entries": _list((v for table in plan.tables for v in table), real),
+        "begins": ", ".join(map(str, begins)),
+        "points": ", ".join(map(str, points)),
+        "offset": _list((TURNS * count for count in points), real),
     }
-    limits = {key: getattr(numbers, key) for key in ("delta", "step", "change", "ramp", "tolerance2", "weakness")}
+
+
+def _box(program: TapeProgram, key: str) -> dict[str, str]:
+    kind = "REAL" if program.real == "float" else "LREAL"
+    sides = zip(("lower", "upper"), boxes(program)[key], strict=True)
+    return {"box": "".join(_array(name, kind, (number(float(v), program.real) for v in side)) for name, side in sides)}
+
+
+def _span(plan: Plan, key: str, name: str) -> dict[str, str]:
+    return {f"{name}_from": str(plan.spans[key][0]), f"{name}_to": str(plan.spans[key][1])}
+
+
+def _command(program: TapeProgram, command: Command, plan: Plan) -> dict[str, str]:
+    numbers, n_p, prepared = command_numbers(command), len(program.tapes["forward"].outputs), prepared_size(command)
+    limits = ("delta", "step", "change", "ramp", "tolerance2", "weakness")
+    places = {
+        "at": plan.places["at"],
+        "forward_out": plan.places["forward_out"],
+        "advance_out": plan.places["advance_out"],
+        "now": plan.places["prepare_out"] + prepared,
+        "weakness_at": plan.places["prepare_out"] + prepared - 1,
+        "error_at": plan.places["advance_out"] + program.n,
+        "rest_at": plan.places["advance_out"] + program.n + 1,
+    }
     return (
-        {key: str(value) for key, value in integers.items()}
-        | {f"limit_{key}": number(value, real) for key, value in limits.items()}
-        | {"largest": number(3e38 if real == "float" else 1e300, real)}
+        {key: str(value) for key, value in places.items()}
+        | {f"limit_{key}": number(getattr(numbers, key), program.real) for key in limits}
+        | {key: f"{getattr(command.limits, key):.6g}" for key in ("cycle_s", "ramp_s", "rate_rad_s")}
+        | {"steps": str(command.steps), "last_p": str(n_p - 1)}
+        | _span(plan, "prepare", "prepare") | _span(plan, "forward", "forward") | _span(plan, "advance", "advance")
         | _box(program, "command")
-    )
+    )  # fmt: skip
+
+
+def _self_test(program: TapeProgram, values: dict[str, str]) -> str:
+    """A block with known answers: of the correction, or of the network alone."""
+    q = self_test_inputs(program)[list(_ROWS)]
+    out, status = (correct if program.command else network)(program, q)
+    tables = _array("statuses", "INT", (str(int(s)) for s in status))
+    for name, table in (("inputs", q), ("expected", out)):
+        tables += _array(name, values["kind"], (number(float(v), program.real) for v in table.ravel()))
+    name, result = ("correct", "dq") if program.network is None or program.command else (
+        program.network.key, program.network.out
+    )  # fmt: skip
+    mine = {"tested": name, "result": result, "tables": tables, "n_tested": str(out.shape[1])}
+    mine |= {"last_tested": str(out.shape[1] - 1), "last_row": str(len(q) - 1)}
+    return filled(template("self_test.st"), values | mine)

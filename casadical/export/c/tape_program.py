@@ -42,6 +42,42 @@ class TapeProgram:
         return self.product.network if isinstance(self.product, Command) else self.product
 
 
+@dataclass(frozen=True)
+class Operations:
+    """How often each kind of operation occurs in a call: the same ones in every call."""
+
+    of: str  # what is called
+    count: dict[str, int]
+
+    def text(self) -> str:
+        """One sentence."""
+        words = [f"{self.count[kind]} {kind}" for kind in sorted(self.count, key=lambda k: -self.count[k])]
+        return f"Operations of {self.of}, the same in every call: {', '.join(words)}."
+
+
+_KINDS = {"add": "additions", "sub": "additions", "mul": "multiplications", "div": "divisions"}
+_KINDS |= {op: op for op in ("sincos", "sqrt", "exp", "tansig", "atan2", "periodic")}
+_FREE = ("input", "const", "sin", "cos")
+
+
+def operations(program: TapeProgram) -> Operations:
+    """Operations of one correction, or of the network or the curves alone."""
+    key = program.network.key if program.network is not None else ""
+    calls = {key: 1}
+    if program.command is not None:
+        key, steps = "correct", program.command.steps
+        calls = {"prepare": 1, "forward": steps - 1, "advance": steps}
+    count: dict[str, int] = {}
+    for tape, times in calls.items():
+        for node in program.tapes[tape].nodes:
+            if times and node.op not in _FREE:
+                kind = _KINDS.get(
+                    node.op, node.op if node.op in ("sqrt", "exp", "tansig", "atan2", "periodic") else "choices"
+                )
+                count[kind] = count.get(kind, 0) + times
+    return Operations(key, count)
+
+
 def tape_program(product: Product, real: Real) -> TapeProgram:
     """Tapes of a product.
 

@@ -16,7 +16,7 @@ from casadical.export.c.kernel import remember
 from casadical.export.c.language import NAME, Label
 from casadical.export.c.products import Product
 from casadical.export.c.registry import written_in
-from casadical.export.c.tape_program import TapeProgram, tape_program
+from casadical.export.c.tape_program import Operations, TapeProgram, operations, tape_program
 from casadical.export.c.toolchain import compilers
 from casadical.export.c.verification import Comparison, accuracy, compared, shape_of
 
@@ -26,12 +26,13 @@ LEAST_CONVERGED = 0.9
 
 @dataclass(frozen=True)
 class Export:
-    """A written export: its files, the comparisons of the compiled C, and figures of this model."""
+    """A written export: its files, the comparisons of the compiled C, figures of this model, operations of a call."""
 
     folder: Path
     files: tuple[str, ...]
     comparisons: tuple[Comparison, ...]
     figures: dict[str, float]
+    operations: Operations
 
     @property
     def verified(self) -> bool:
@@ -44,7 +45,7 @@ class Export:
         return self.figures.get("share_converged", 1.0) >= LEAST_CONVERGED
 
     def report(self) -> str:
-        """Whether it is verified, every comparison, and the figures of this model."""
+        """Whether it is verified, every comparison, the figures of this model, and the operations of a call."""
         head = "verified: compiled, and the same bits as the reference"
         if not self.converges:
             share = 100 * self.figures["share_converged"]
@@ -56,12 +57,14 @@ class Export:
             head = "UNVERIFIED: no C compiler found (gcc, clang, cc); install one and export again"
         lines = [head, *map(str, self.comparisons)]
         lines += [f"{key}: {value:g}" for key, value in self.figures.items()]
+        lines.append(self.operations.text())
         return "\n".join([*lines, f"{len(self.files)} files in {self.folder}"])
 
     def to_json(self) -> dict[str, Any]:
         """The same as plain data."""
         return {
-            "folder": str(self.folder), "files": list(self.files), "verified": self.verified, "figures": self.figures
+            "folder": str(self.folder), "files": list(self.files), "verified": self.verified, "figures": self.figures,
+            "operations": self.operations.count,
         }  # fmt: skip
 
 
@@ -102,7 +105,7 @@ def write_c(
     if wrong:
         raise CasadicalError("the compiled C differs from its reference; nothing was written:\n" + "\n".join(wrong))
     figures = accuracy(program)
-    made = Export(folder, tuple(sorted([*blobs, "manifest.json"])), tuple(comparisons), figures)
+    made = Export(folder, tuple(sorted([*blobs, "manifest.json"])), tuple(comparisons), figures, operations(program))
     blobs["manifest.json"] = _manifest(program, label, blobs, made)
     with claimed([folder]):
         write_together({**{folder / key: blob for key, blob in blobs.items()}, **also(made)})
@@ -170,5 +173,6 @@ def _manifest(
         "verified": made.verified,
         "comparisons": [vars(c) for c in made.comparisons],
         "figures": made.figures,
+        "operations": made.operations.count,
     }
     return (json.dumps(content, indent=2) + "\n").encode()

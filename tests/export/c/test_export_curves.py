@@ -7,8 +7,8 @@ import export_models as models
 import export_targets as targets
 import numpy as np
 import pytest
+from structured_text_in_c import Compiled
 from test_export_targets import need
-from test_export_text import called, interpreted
 
 from casadical.core.errors import InputError
 from casadical.export import CurveFunction, load, write_c
@@ -17,6 +17,7 @@ from casadical.export.c.language import Label
 from casadical.export.c.numpy_evaluation import run
 from casadical.export.c.periodic_table import LARGEST_ERROR
 from casadical.export.c.reference import network as reference
+from casadical.export.c.self_test import inside
 from casadical.export.c.structured_text import structured_text
 from casadical.export.c.tape import tape_of
 from casadical.export.c.tape_program import tape_program
@@ -137,13 +138,16 @@ def test_clang_tidy_finds_nothing(folders):
 
 
 @pytest.mark.parametrize("real", ["float", "double"])
-def test_structured_text_gives_the_curves(curves, real):
-    block = interpreted(structured_text(tape_program(curves, real), Label("arm")))["arm_curves_block"]()
-    q = np.random.default_rng(2).uniform(models.LOWER, models.UPPER, (30, 6))
-    for row, wanted in zip(q, summed(q, coefficients()), strict=True):
-        assert called(block, row) == 0
-        assert block.dq == pytest.approx(wanted, abs=LARGEST_ERROR)
-    assert called(block, [np.nan, 0, 0, 0, 0, 0]) == 6
+def test_structured_text_gives_the_curves(curves, compiler, tmp_path, real):
+    program = tape_program(curves, real)
+    compiled = Compiled(structured_text(program, Label("arm")), tmp_path, compiler, "arm", "curves", "dq")
+    q = inside(program, 300)
+    dq, status = compiled.rows(q)
+    expected = reference(program, q)
+    assert (dq == expected[0]).all()
+    assert (status == expected[1]).all()
+    assert dq == pytest.approx(summed(q.astype(float), coefficients()), abs=LARGEST_ERROR)
+    assert compiled.rows(np.full((1, 6), np.nan))[1] == 6
 
 
 def test_the_fmu_says_radians(folders):

@@ -1,148 +1,122 @@
 """The structured text and the FMU: run by other means than the exporter's own."""
 
-import math
-import re
 import zipfile
+from pathlib import Path
 
+import casadi as ca
 import export_models as models
 import numpy as np
 import pytest
+from structured_text_in_c import Compiled, parsed
 
-from casadical.export import Command, Status
+from casadical import read_robot
+from casadical.export import Command, NetworkFunction, Sources, Status, command_of
 from casadical.export.c.language import Label
+from casadical.export.c.reference import correct, network
+from casadical.export.c.self_test import comparison_inputs
 from casadical.export.c.structured_text import structured_text
-from casadical.export.c.tape_program import tape_program
+from casadical.export.c.tape_program import operations, tape_program
 
-# A few lines of an IEC 61131-3 interpreter: structured text turned into Python source, block by block.
-_WORDS = {"MOD": "%", "NOT": "not", "AND": "and", "OR": "or", "TRUE": "True", "FALSE": "False"}
-_LIBRARY = {
-    "SIN": math.sin, "COS": math.cos, "SQRT": math.sqrt, "EXP": math.exp, "ATAN": math.atan, "ABS": abs, "MAX": max,
-    "MIN": min, "TRUNC": int, "DINT_TO_REAL": float, "DINT_TO_LREAL": float,
-    "LIMIT": lambda low, x, high: min(max(low, x), high), "SEL": lambda g, a, b: b if g else a,
-}  # fmt: skip
+REALS = ("float", "double")
 
 
-def _expression(text, names):
-    text = re.sub(r"\b(MOD|NOT|AND|OR|TRUE|FALSE)\b", lambda m: _WORDS[m.group(1)], text)
-    text = re.sub(r"(?<![<>:])=", "==", text)
-    return re.sub(r"(?<![\w.])([a-z]\w*)", lambda m: f"self.{m.group(1)}" if m.group(1) in names else m.group(1), text)
+def bits(values):
+    return np.ascontiguousarray(values).view(np.uint32 if values.dtype == np.float32 else np.uint64)
 
 
-def _lines(body, names, result):
-    depth = 2
-    body = re.sub(r"\(\*.*?\*\)", "", body, flags=re.S)
-    for raw in body.replace("; END_IF", ";\nEND_IF").replace("THEN ", "THEN\n").split("\n"):
-        line = raw.strip()
-        pad = "    " * depth
-        if not line:
-            continue
-        if m := re.fullmatch(r"IF (.*) THEN", line):
-            yield f"{pad}if {_expression(m[1], names)}:"
-            depth += 1
-        elif m := re.fullmatch(r"ELSIF (.*) THEN", line):
-            yield f"{'    ' * (depth - 1)}elif {_expression(m[1], names)}:"
-        elif line == "ELSE":
-            yield f"{'    ' * (depth - 1)}else:"
-        elif line in ("END_IF;", "END_FOR;"):
-            depth -= 1
-        elif m := re.fullmatch(r"FOR (\w+) := (.*) TO (.*) DO", line):
-            yield f"{pad}for self.{m[1]} in range({m[2]}, {m[3]} + 1):"
-            depth += 1
-        elif m := re.fullmatch(r"(\w+)\((.*)\);", line):
-            for pair in m[2].split(","):
-                name, value = pair.split(":=")
-                yield f"{pad}self.{m[1]}.{name.strip()} = _copy({_expression(value.strip(), names)})"
-            yield f"{pad}self.{m[1]}()"
-        else:
-            m = re.fullmatch(r"(.*?) := (.*);", line)
-            target = "self._result" if m[1] == result else _expression(m[1], names)
-            yield f"{pad}{target} = {_expression(m[2], names)}"
+@pytest.mark.parametrize("real", REALS)
+def test_structured_text_gives_the_bits_of_the_c(command, kernels, compiler, tmp_path, real):
+    program = tape_program(command, real)
+    text, q = structured_text(program, Label("arm")), comparison_inputs(program, 2000)
+    for block, out, outputs, expected in (
+        ("correct", "dq", 6, kernels["command", real].correct(q)),
+        ("network", "dp_mm", 3, kernels["command", real].network(q)),
+    ):
+        compiled = Compiled(text, tmp_path, compiler, "arm", block, out, outputs=outputs)
+        found = compiled.rows(q)
+        assert (bits(found[0]) == bits(expected[0])).all()
+        assert found[1].tolist() == expected[1].tolist()
+        assert compiled.self_test()
+    assert {Status.OK, Status.CLAMPED, Status.NOT_FINITE} <= set(found[1].tolist())
 
 
-def interpreted(text):
-    """Python classes of the function blocks in a structured text."""
-    space = dict(_LIBRARY) | {"_copy": lambda v: list(v) if isinstance(v, list) else v}
-    block_text = r"^(FUNCTION_BLOCK|FUNCTION) (\w+)( : \w+)?\n(.*?)^END_\1$"
-    for kind, name, _, body in re.findall(block_text, text, flags=re.S | re.M):
-        declared = re.findall(r"^    (\w+) : ([^;:]+?)(?: := ([^;]+))?;", body, flags=re.M)
-        code = re.sub(r"^VAR.*?^END_VAR\n", "", body, flags=re.S | re.M)
-        names = {d[0] for d in declared}
-        source = [f"class {name}_block:", "    def __init__(self):"]
-        for variable, type_, start in declared:
-            if array := re.match(r"ARRAY\[0\.\.(\d+)\]", type_):
-                value = start or f"[0.0] * {int(array[1]) + 1}"
-            elif type_ in ("REAL", "LREAL", "INT", "DINT", "BOOL"):
-                value = {"TRUE": "True", "FALSE": "False"}.get(start, start) or "0"
-            else:
-                value = f"{type_}_block()"
-            source.append(f"        self.{variable} = {value}")
-        source += ["    def __call__(self):", *_lines(code, names, name)]
-        exec("\n".join(source), space)
-        if kind == "FUNCTION":
-            arguments = re.search(r"VAR_INPUT\n(.*?)END_VAR", body, flags=re.S)[1]
-            order = re.findall(r"(\w+) :", arguments)
-            block = space[f"{name}_block"]
-
-            def function(*values, block=block, order=order):
-                it = block()
-                for key, value in zip(order, values, strict=True):
-                    setattr(it, key, value)
-                it()
-                return it._result
-
-            space[name] = function
-    return space
-
-
-def called(block, q):
-    block.q = list(map(float, q))
-    block()
-    return block.status
-
-
-def test_structured_text_computes_what_the_c_computes(command, kernels):
-    space = interpreted(structured_text(tape_program(command, "double"), Label("arm")))
-    rng = np.random.default_rng(8)
-    q = rng.uniform(models.LOWER, models.UPPER, (40, 6))
-    q[5] *= 4
-    q[6, 2] = np.nan
-    q[7, 1] = np.inf
-    network, correct = space["arm_network_block"](), space["arm_correct_block"]()
-    expected, statuses = kernels["command", "double"].network(q)
-    moved, moved_statuses = kernels["command", "double"].correct(q)
-    for k in range(len(q)):
-        assert called(network, q[k]) == statuses[k]
-        np.testing.assert_allclose(network.dp_mm, expected[k], rtol=0, atol=1e-12)
-        assert called(correct, q[k]) == moved_statuses[k]
-        np.testing.assert_allclose(correct.dq, moved[k], rtol=0, atol=1e-11)
-    assert {Status.OK, Status.CLAMPED, Status.NOT_FINITE} <= set(moved_statuses.tolist())
-
-
-def test_structured_text_ramps_like_the_c(command, kernels):
-    space = interpreted(structured_text(tape_program(command, "double"), Label("arm")))
-    n = 60
+@pytest.mark.parametrize("real", REALS)
+def test_structured_text_ramps_like_the_c(command, kernels, compiler, tmp_path, real):
+    n = 600
     q = np.linspace(models.LOWER * 0.5, models.UPPER * 0.5, n)
     q[20] = np.nan
-    enable = np.arange(n) < 45
-    expected, statuses = kernels["command", "double"].steps(q, enable)
-    step = space["arm_step_block"]()
-    for k in range(n):
-        step.enable = bool(enable[k])
-        assert called(step, q[k]) == statuses[k]
-        np.testing.assert_allclose(step.dq, expected[k], rtol=0, atol=1e-11)
+    enable = np.arange(n) < 450
+    text = structured_text(tape_program(command, real), Label("arm"))
+    found = Compiled(text, tmp_path, compiler, "arm", "step", "dq").rows(q, enable)
+    expected = kernels["command", real].steps(q, enable)
+    assert (bits(found[0]) == bits(expected[0])).all()
+    assert found[1].tolist() == expected[1].tolist()
+    assert abs(found[0]).max() > 1e-3
 
 
-def test_structured_text_of_a_loop_has_its_own_atan2():
-    product = Command(models.nominal(), models.with_loop(), models.LOWER, models.UPPER)
-    space = interpreted(structured_text(tape_program(product, "double"), Label("arm")))
-    for angle in np.linspace(-3.1, 3.1, 25):
-        assert math.isclose(space["arm_atan2"](math.sin(angle), math.cos(angle)), angle, abs_tol=1e-14)
-    assert space["arm_atan2"](0.0, 0.0) == 0.0
-    forward = space["arm_forward_values_block"]()
-    q = np.random.default_rng(9).uniform(models.LOWER, models.UPPER, 6)
-    forward.x = q.tolist()
-    forward()
-    np.testing.assert_allclose(forward.y, np.array(models.with_loop()(q)).ravel(), atol=1e-12)
+@pytest.mark.parametrize("real", REALS)
+def test_structured_text_of_a_loop_gives_the_bits_of_the_reference(compiler, tmp_path, real):
+    program = tape_program(Command(models.nominal(), models.with_loop(), models.LOWER, models.UPPER, steps=3), real)
+    assert {"atan2", "sqrt", "guard_min"} <= {node.op for node in program.tapes["forward"].nodes}
+    q = comparison_inputs(program, 2000)
+    found = Compiled(structured_text(program, Label("arm")), tmp_path, compiler, "arm", "correct", "dq").rows(q)
+    expected = correct(program, q)
+    assert (bits(found[0]) == bits(expected[0])).all()
+    assert found[1].tolist() == expected[1].tolist()
+
+
+@pytest.mark.parametrize("real", REALS)
+def test_structured_text_of_every_other_operation_gives_the_bits_of_the_reference(compiler, tmp_path, real):
+    q = ca.SX.sym("q", 6)
+    choice = ca.if_else(q[0] < q[1], ca.fmin(q[0], q[2]), ca.fmax(q[1], q[2])) + ca.if_else(q[3] <= 0, 1, -q[3])
+    other = ca.sign(q[4]) * ca.fabs(q[5]) + ca.exp(q[0] / 3) / (1 + ca.exp(-q[1])) + ca.sqrt(q[2])
+    function = ca.Function("odd", [q], [ca.vertcat(choice, other, ca.atan2(q[4], q[5]))], ["q"], ["dp_mm"])
+    program = tape_program(NetworkFunction(function, models.LOWER, models.UPPER), real)
+    used = {node.op for node in program.tapes["network"].nodes}
+    assert {"fmin", "fmax", "fabs", "lt", "le", "not", "select", "sign", "exp", "neg", "guard_min"} <= used
+    q = comparison_inputs(program, 2000)
+    q[:100] = np.repeat(np.array([-0.0, 0.0, 1.0, -1.0]), 25)[:, None]
+    text = structured_text(program, Label("arm"))
+    found = Compiled(text, tmp_path, compiler, "arm", "network", "dp_mm", outputs=3).rows(q)
+    expected = network(program, q)
+    assert (bits(found[0]) == bits(expected[0])).all()
+    assert found[1].tolist() == expected[1].tolist()
+
+
+def test_the_test_of_the_controller_notices_another_bit(network, compiler, tmp_path):
+    text = structured_text(tape_program(network, "double"), Label("arm"))
+    before, numbers = text.split("expected : ARRAY[0..11] OF LREAL := [")
+    first = numbers.split(",")[0]
+    changed = f"{before}expected : ARRAY[0..11] OF LREAL := [{float(first) * (1 + 1e-15)!r}{numbers[len(first) :]}"
+    for name, variant, passes in (("good", text, True), ("bad", changed, False)):
+        (tmp_path / name).mkdir()
+        compiled = Compiled(variant, tmp_path / name, compiler, "arm", "network", "dp_mm", outputs=3)
+        assert compiled.self_test() is passes
+
+
+def test_the_parser_refuses_what_is_no_structured_text(network):
+    text = structured_text(tape_program(network, "float"), Label("arm"))
+    assert len(parsed(text).children) > 3
+    with pytest.raises(AssertionError):
+        parsed(text.replace("END_FOR", "END", 1))
+
+
+def test_a_pose_of_an_arm_with_a_four_bar_takes_less_than_800_lines():
+    nominal = Path(__file__).parents[3] / "problems" / "hh800" / "robot.toml"
+    robot = read_robot(nominal).with_values({"a2": 1.6012, "theta3": 0.002, "L5": 0.7995, "c2": 6e-8})
+    program = tape_program(command_of(Sources(robot, nominal), orientation=True), "double")
+    lines = structured_text(program, Label("hh800")).splitlines()
+    assert len(lines) < 800
+    assert max(map(len, lines)) <= 120
+
+
+def test_the_operations_of_a_network_are_counted(network):
+    found = operations(tape_program(network, "float"))
+    # Six inputs, five units, three outputs, and two inputs whose ranges have another middle than zero.
+    assert found.count == {"multiplications": 6 * 5 + 5 * 3, "additions": 2 + 6 * 5 + 5 * 3, "tansig": 5}
+    assert found.text() == (
+        "Operations of network, the same in every call: 47 additions, 45 multiplications, 5 tansig."
+    )
 
 
 def test_the_fmu_is_an_archive_with_sources_and_no_dates(exported):
