@@ -1,7 +1,7 @@
 """What tests of several areas share: each problem folder calibrated once a run, and how processes share the tests.
 
 With `pytest -n 2` a file's tests stay in one process, so that its fixtures are made once; so do all files whose tests
-use one of the costly fixtures of a whole run. Folders that take the longest begin.
+use one of the costly fixtures of a whole run. Files that take the longest begin.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+
+from casadical.core.threads import one_thread
 
 if TYPE_CHECKING:
     from casadical import Calibration
@@ -23,15 +25,23 @@ TOGETHER = {
     "small": tuple(f"blind_check/test_{name}.py" for name in ("generation", "packed_files", "prediction", "scoring")),
     "exported": tuple(f"export/c/test_export_{name}.py" for name in ("c", "targets", "text", "write")),
 }
-LONGEST_FIRST = ("docs", "diagnosis", "cli", "report", "project", "blind_check", "export", "identification")
+# Files of more than 10 s, the longest first: one that begins last would leave the other processes without work.
+LONGEST = (
+    *("docs/test_docs_build.py", "docs/test_docs_newcomer.py", "report/test_report_browser.py", "fuzz/test_fuzz.py"),
+    *("export/c/test_export_c.py", "project/test_problems.py", "house/test_house_style.py"),
+    *("diagnosis/test_diagnosis_campaigns.py", "cli/test_cli_docs.py", "diagnosis/test_diagnosis_search.py"),
+    *("diagnosis/test_diagnosis_refit.py", "blind_check/test_prediction.py", "project/check/test_slips.py"),
+    *("export/controller/test_controller_commands.py", "report/test_report_page.py"),
+    *("effects/test_effects_against_physics.py", "diagnosis/test_diagnosis_laws.py", "cli/test_cli_degraded.py"),
+    *("effects/test_effects_plugin.py", "docs/test_docs_architecture.py", "cli/test_cli_effects.py"),
+    *("cli/test_cli_diagnose.py", "effects/test_effects_signatures.py", "project/check/test_project_check.py"),
+)
+one_thread()  # processes that share the processors gain nothing by more
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    items.sort(key=lambda item: _rank(item.path.relative_to(ROOT / "tests").parts[0]))
-
-
-def _rank(folder: str) -> int:
-    return LONGEST_FIRST.index(folder) if folder in LONGEST_FIRST else len(LONGEST_FIRST)
+    rank = {ROOT / "tests" / file: k for k, file in enumerate(LONGEST)}
+    items.sort(key=lambda item: rank.get(item.path, len(LONGEST)))
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -20,8 +20,8 @@ def test_the_tests_of_a_file_stay_in_one_process() -> None:
     assert len(set(ran_by)) == 1
 
 
-def test_files_that_stay_together_are_there(pytestconfig: pytest.Config) -> None:
+def test_files_that_are_named_are_there(pytestconfig: pytest.Config) -> None:
     shared = pytestconfig.pluginmanager.get_plugin(str(ROOT / "tests" / "conftest.py"))
     assert shared
-    named = [ROOT / "tests" / file for files in shared.TOGETHER.values() for file in files]
+    named = [ROOT / "tests" / file for files in (*shared.TOGETHER.values(), shared.LONGEST) for file in files]
     assert [file for file in named if not file.exists()] == []
