@@ -18,11 +18,14 @@ if TYPE_CHECKING:
     from casadical import Calibration
 
 ROOT = Path(__file__).parents[1]
-# Files that stay together, because a costly fixture of theirs is made once a process; mypy keeps what it found.
+# Files that stay together, because a costly fixture of theirs is made once a process.
 TOGETHER = {
     "mypy": ("house/test_house_names.py", "house/test_house_style.py"),
     "site": ("docs/test_docs_build.py", "docs/test_docs_tutorials.py"),
     "small": tuple(f"blind_check/test_{name}.py" for name in ("generation", "packed_files", "prediction", "scoring")),
+    "diagnosed": tuple(
+        f"diagnosis/test_diagnosis_{name}.py" for name in ("campaigns", "localisation", "refit", "spectrum")
+    ),
     "exported": tuple(f"export/c/test_export_{name}.py" for name in ("c", "targets", "text", "write")),
 }
 # Files of more than 10 s, the longest first: one that begins last would leave the other processes without work.

@@ -60,42 +60,36 @@ def test_answers_that_are_there_are_kept(small, tmp_path) -> None:
     assert sorted(path.read_bytes().splitlines()) == sorted(small.answers.read_bytes().splitlines())
 
 
-# Goes on in a child process, and kills it at the k-th line of Python that deals with the answers, for every k.
+# At every line of Python that deals with the answers a copy of the process is killed there; then the file is read.
 KILLED = """
-import os, shutil, signal, sys
+import os, signal, sys
 from pathlib import Path
 from checks import Here
 from casadical.blind_check.prediction import predict
 
 FILES = ("blind_check/prediction.py", "blind_check/answers.py")
 folder, whole, path = map(Path, sys.argv[1:])
+answers, kills = whole.read_bytes(), 0
 
-def go_on(kill_at):
-    count = 0
-    def trace(frame, _event, _value):
-        nonlocal count
-        file = frame.f_code.co_filename
-        if not file.endswith(FILES) and not ("pathlib" in file and frame.f_locals.get("self") == path):
-            return None
-        count += 1
-        if count == kill_at:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return trace
-    sys.settrace(trace)
-    predict(folder, path, by="bic", executor=Here())
-    os._exit(0)
-
-answers, kill_at, killed = whole.read_bytes(), 0, True
-while killed:
-    kill_at += 1
-    path.write_bytes(answers + b'{"campaign": "cut sh')
+def trace(frame, _event, _value):
+    global kills
+    file = frame.f_code.co_filename
+    if not file.endswith(FILES) and not ("pathlib" in file and frame.f_locals.get("self") == path):
+        return None
+    kills += 1
     child = os.fork()
     if child == 0:
-        go_on(kill_at)
-    killed = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) != 0
-    assert path.read_bytes()[: len(answers)] == answers, kill_at
+        os.kill(os.getpid(), signal.SIGKILL)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
+    assert path.read_bytes()[: len(answers)] == answers, kills
+    return trace
+
+path.write_bytes(answers + b'{"campaign": "cut sh')
+sys.settrace(trace)
+predict(folder, path, by="bic", executor=Here())
+sys.settrace(None)
 assert path.read_bytes() == answers
-print(kill_at)
+print(kills)
 """
 
 

@@ -17,10 +17,21 @@ from casadical.export import Command, NetworkFunction, load, write_c
 AT_LOAD = "__attribute__((constructor)) static void at_load(void)"
 
 
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory, network, compiler) -> Path:
+    """An export, `c`, and the cache that knows it, `cache`."""
+    place = tmp_path_factory.mktemp("exported")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CASADICAL_CACHE", str(place / "cache"))
+        write_c(network, place / "c", name="arm", vectors=100)
+    return place
+
+
 @pytest.fixture
-def folder(tmp_path: Path, network, compiler, monkeypatch) -> Path:
+def folder(place: Path, tmp_path: Path, monkeypatch) -> Path:
+    """A copy of it, with a cache of its own."""
+    shutil.copytree(place, tmp_path, dirs_exist_ok=True)
     monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path / "cache"))
-    write_c(network, tmp_path / "c", name="arm", vectors=100)
     return tmp_path / "c"
 
 
@@ -56,7 +67,7 @@ def test_an_export_from_elsewhere_needs_consent(folder: Path, tmp_path: Path, mo
 
 
 @pytest.mark.parametrize(
-    ("place", "value"),
+    ("key", "value"),
     [
         (("kernel", "name"), "../arm"),
         (("kernel", "name"), "arm; rm x"),
@@ -69,11 +80,11 @@ def test_an_export_from_elsewhere_needs_consent(folder: Path, tmp_path: Path, mo
         (("files",), []),
     ],
 )
-def test_a_manifest_of_another_form_is_refused(folder: Path, place: tuple[str, ...], value: object) -> None:
+def test_a_manifest_of_another_form_is_refused(folder: Path, key: tuple[str, ...], value: object) -> None:
     path = folder / "manifest.json"
     manifest = json.loads(path.read_text())
-    table = manifest if len(place) == 1 else manifest[place[0]]
-    table[place[-1]] = value
+    table = manifest if len(key) == 1 else manifest[key[0]]
+    table[key[-1]] = value
     path.write_text(json.dumps(manifest))
     with pytest.raises(InputError, match=r"manifest\.json is damaged"):
         load(folder, trust=True)
