@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,6 +19,7 @@ from casadical.cli.terminal import plain, print_written, with_json
 from casadical.core.errors import InputError
 
 if TYPE_CHECKING:
+    from casadical.export import Command
     from casadical.export.controller.commands import Sources
 
 export_app = typer.Typer(
@@ -51,6 +53,17 @@ def export_c(
     real: Annotated[str, typer.Option(metavar="float|double", help="Number type of the C.")] = "double",
     steps: _Steps = 2,
     correct: What = "position",
+    cycle: Annotated[
+        float | None, typer.Option(metavar="MS", help="Time between two calls of NAME_step [ms]; default: 4.")
+    ] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(metavar="RAD_PER_S", help="Rate at which a joint's correction may change; default: 0.5 rad/s."),
+    ] = None,
+    ramp: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Time in which the correction is switched on and off [s]; default: 1."),
+    ] = None,
     payload: Payload = None,
     tool: Tool = "shared",
     leave_out: LeaveOut = False,
@@ -80,7 +93,7 @@ def export_c(
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
-    from casadical.export import write_c
+    from casadical.export import Command, write_c
     from casadical.export.controller.commands import Sources, command_of, curves_of, network_of
     from casadical.robot.robot_file import read_robot
 
@@ -95,12 +108,18 @@ def export_c(
     oriented = wants_pose(correct)
     if oriented and what != "command":
         raise InputError(f"--correct {correct}: is for --what command; {what} corrects nothing")
+    timing = {"cycle_s": None if cycle is None else 1e-3 * cycle, "rate_rad_s": rate, "ramp_s": ramp}
+    given = {key: value for key, value in timing.items() if value is not None}
+    if given and what != "command":
+        raise InputError(f"--cycle, --rate and --ramp have no part in {what} alone; remove them")
     sources = Sources(robot, nominal, compensator, payload, tool, leave_out)  # type: ignore[arg-type]
     product = (
         command_of(sources, steps, orientation=oriented)
         if what == "command"
         else (curves_of if what == "curves" else network_of)(sources)
     )
+    if isinstance(product, Command):
+        product = replace(product, limits=replace(product.limits, **given))
     try:
         written = write_c(
             product,
@@ -121,9 +140,19 @@ def export_c(
         console.print(poses_of(read_robot(robot).n))
     for line in _about(sources, what, getattr(product, "network", product) is not None):
         console.print(line)
+    if isinstance(product, Command):
+        console.print(_timing(product))
     console.print(written.report())
     console.print("precondition: the controller's own absolute-accuracy option is off")
     print_written(json_file, console)
+
+
+def _timing(command: Command) -> str:
+    limits = command.limits
+    return (
+        f"cycle {1e3 * limits.cycle_s:g} ms, rate {limits.rate_rad_s:g} rad/s, ramp {limits.ramp_s:g} s: switched on "
+        f"in {limits.ramp_s / limits.cycle_s:.0f} calls of the step function"
+    )
 
 
 def prefix_of(name: str) -> str:

@@ -49,6 +49,10 @@ _COMMAND_DEFINES = """
 /* Largest correction of a joint [rad], and its largest change in one call of @name@_step [rad] */
 #define @NAME@_DELTA_LIMIT @delta_decimal@
 #define @NAME@_CHANGE_LIMIT @change_decimal@
+/* @name@_step is for one call in a cycle [s]: it ramps in and out in this time [s], at most at this rate [rad/s] */
+#define @NAME@_CYCLE_S @cycle_s@
+#define @NAME@_RAMP_S @ramp_s@
+#define @NAME@_RATE_RAD_S @rate_rad_s@
 """
 _COMMAND_STATUSES = """\
  *   RATE_LIMITED   the correction is on its way, as fast as it may change
@@ -135,8 +139,9 @@ def _command_values(command: Command, program: TapeProgram, real: Real) -> dict[
     return {key: str(value) for key, value in integers.items()} | {
         "pose_text": pose,
         "damping2": f"{command.limits.damping**2:.6g}",
-        "cycle_s": f"{command.limits.cycle_s:.6g}",
-        "ramp_s": f"{command.limits.ramp_s:.6g}",
+        "cycle_s": repr(command.limits.cycle_s),
+        "ramp_s": repr(command.limits.ramp_s),
+        "rate_rad_s": repr(command.limits.rate_rad_s),
         "step_limit": literal(numbers.step, real),
         "tolerance2": literal(numbers.tolerance2, real),
         "ramp": literal(numbers.ramp, real),

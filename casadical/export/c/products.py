@@ -20,7 +20,9 @@ class Limits:
     singular_m_per_rad : a pose whose weakest direction moves the tool by less than about this is reported [m/rad]
     tolerance_mm : a larger remaining error is reported [mm]
 
-    Raises InputError for a limit that is not positive.
+    Raises InputError for a limit that is not positive, a cycle outside of 0.01 ms to 1 s, a ramp of less than one cycle
+    or more than 100,000 (in float a gain of smaller steps goes wrong), or a rate that in a cycle changes a joint by
+    less than 1e-6 rad or by more than the largest correction.
     """
 
     delta_rad: float = 0.15
@@ -36,6 +38,19 @@ class Limits:
         for name, value in vars(self).items():
             if not (np.isfinite(value) and value > 0):
                 raise InputError(f"limit {name} is {value}; it must be a positive number")
+        if not 1e-5 <= self.cycle_s <= 1:
+            raise InputError(f"a cycle of {1e3 * self.cycle_s:g} ms; allowed: 0.01 to 1000 ms")
+        if not 1 <= self.ramp_s / self.cycle_s * (1 + 1e-9) <= 100_001:
+            raise InputError(
+                f"a ramp of {self.ramp_s:g} s; with a cycle of {1e3 * self.cycle_s:g} ms allowed: {self.cycle_s:g} to "
+                f"{1e5 * self.cycle_s:g} s"
+            )
+        if not 1e-6 <= self.rate_rad_s * self.cycle_s <= self.delta_rad:
+            raise InputError(
+                f"a rate of {self.rate_rad_s:g} rad/s; with a cycle of {1e3 * self.cycle_s:g} ms allowed: "
+                f"{1e-6 / self.cycle_s:g} to {self.delta_rad / self.cycle_s:g} rad/s (a correction is at most "
+                f"{self.delta_rad:g} rad)"
+            )
 
 
 @dataclass(frozen=True)

@@ -174,5 +174,6 @@ def _manifest(
         "comparisons": [vars(c) for c in made.comparisons],
         "figures": made.figures,
         "operations": made.operations.count,
+        "limits": vars(program.command.limits) if program.command else {},
     }
     return (json.dumps(content, indent=2) + "\n").encode()

@@ -1,6 +1,8 @@
 """The structured text and the FMU: run by other means than the exporter's own."""
 
+import json
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -10,7 +12,7 @@ import pytest
 from structured_text_in_c import Compiled, parsed
 
 from casadical import read_robot
-from casadical.export import Command, NetworkFunction, Sources, Status, command_of
+from casadical.export import Command, NetworkFunction, Sources, Status, command_of, load, write_c
 from casadical.export.c.language import Label
 from casadical.export.c.reference import correct, network
 from casadical.export.c.self_test import comparison_inputs
@@ -52,6 +54,35 @@ def test_structured_text_ramps_like_the_c(command, kernels, compiler, tmp_path, 
     assert (bits(found[0]) == bits(expected[0])).all()
     assert found[1].tolist() == expected[1].tolist()
     assert abs(found[0]).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("cycle_s", "ramp_s", "rate_rad_s", "limited"), [(0.001, 0.5, 0.5, False), (0.02, 1.0, 0.005, True)]
+)
+def test_ramp_and_rate_hold_in_seconds_at_other_cycles(
+    command, compiler, tmp_path, cycle_s, ramp_s, rate_rad_s, limited
+):
+    limits = replace(command.limits, cycle_s=cycle_s, ramp_s=ramp_s, rate_rad_s=rate_rad_s)
+    product = replace(command, limits=limits, network=None)
+    folder = tmp_path / "c"
+    write_c(product, folder, name="arm", vectors=500, languages=["structured_text"])
+    (tmp_path / "st").mkdir()
+    text = Compiled((folder / "arm.st").read_text(), tmp_path / "st", compiler, "arm", "step", "dq")
+    q = np.tile((models.LOWER + models.UPPER) / 3, (int(4 / cycle_s), 1))
+    kernel = load(folder)
+    full = kernel.correct(q[:1])[0][0]
+    for dq, status in (kernel.steps(q, np.ones(len(q))), text.rows(q)):
+        t = cycle_s * np.arange(1, len(q) + 1)
+        rate = abs(np.diff(np.vstack([np.zeros(6), dq]), axis=0)).max() / cycle_s
+        arrived = t[(abs(dq - full) < 1e-9).all(1)][0]
+        wanted = abs(full).max() / rate_rad_s if limited else ramp_s
+        assert arrived == pytest.approx(wanted, abs=1.01 * cycle_s)
+        assert rate == pytest.approx(rate_rad_s if limited else abs(full).max() / ramp_s, rel=1e-6)
+        assert (Status.RATE_LIMITED in status) is limited
+    header = (folder / "arm.h").read_text()
+    assert f"#define ARM_CYCLE_S {cycle_s}\n" in header
+    assert f"once in {cycle_s} s: ramps in over {ramp_s} s" in header
+    assert json.loads((folder / "manifest.json").read_text())["limits"] == vars(limits)
 
 
 @pytest.mark.parametrize("real", REALS)

@@ -99,6 +99,14 @@ def test_wrong_arguments_are_refused_with_what_is_allowed(tmp_path, network):
         NetworkFunction(models.network(), models.LOWER[:5], models.UPPER[:5])
     with pytest.raises(InputError, match="rate_rad_s is -1"):
         Limits(rate_rad_s=-1)
+    with pytest.raises(InputError, match=r"a cycle of 4000 ms; allowed: 0.01 to 1000 ms"):
+        Limits(cycle_s=4)
+    with pytest.raises(InputError, match=r"a ramp of 0.001 s; with a cycle of 4 ms allowed: 0.004 to 400 s"):
+        Limits(ramp_s=0.001)
+    with pytest.raises(InputError, match=r"a rate of 100 rad/s; with a cycle of 4 ms allowed: 0.00025 to 37.5 rad/s"):
+        Limits(rate_rad_s=100)
+    with pytest.raises(InputError, match=r"allowed: 0\.1 to"):
+        Limits(rate_rad_s=0.01, cycle_s=1e-5, ramp_s=0.1)
     q = ca.SX.sym("q", 6)
     plane = ca.Function("plane", [q], [q[:2]])
     with pytest.raises(InputError, match="3 or 12"):

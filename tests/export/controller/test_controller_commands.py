@@ -79,6 +79,17 @@ def test_what_is_printed(files, tmp_path, monkeypatch, capfd):
         "absolute-accuracy",
     ):
         assert part in printed
+    assert "cycle 4 ms, rate 0.5 rad/s, ramp 1 s: switched on in 250 calls of the step function" in printed
+    assert "Operations of correct, the same in every call: " in printed
+    for option, words in (
+        (("--cycle", 0), "limit cycle_s is 0.0; it must be a positive number"),
+        (("--cycle", 2000), "a cycle of 2000 ms; allowed: 0.01 to 1000 ms"),
+        (("--ramp", 0.5, "--cycle", 800), "a ramp of 0.5 s; with a cycle of 800 ms allowed: 0.8 to 80000 s"),
+        (("--rate", 100), "a rate of 100 rad/s; with a cycle of 4 ms allowed: 0.00025 to 37.5 rad/s"),
+        (("--what", "curves", "--cycle", 2), "have no part in curves"),
+    ):
+        assert run(monkeypatch, *(arguments if "curves" not in option else arguments[:3] + arguments[5:]), *option) == 2
+        assert words in " ".join(capfd.readouterr().err.split())
     (out / "arm.c").write_text("mine")
     assert run(monkeypatch, *arguments) == 2
     assert "--overwrite" in capfd.readouterr().err
