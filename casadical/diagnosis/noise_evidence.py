@@ -1,7 +1,7 @@
 """Log likelihood of the base model with causes, without a further one, where the noise is not what the model assumes.
 
 A form of noise differs in how poses are weighed, in what follows from the pose before, or in how badly a joint repeats.
-Sums over the poses are those of plain noise less what some poses or directions have less weight, or are added up anew;
+Sums over the poses are those of plain noise less what some poses or directions have less weight, or are added up again;
 where fewer numbers were measured than there are columns, their covariance is used instead.
 """
 
