@@ -10,6 +10,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.normal_matrices import root_of_inverse
+from casadical.diagnosis.combinations import Combined
 from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence
 from casadical.diagnosis.linearisation import EVERY
 from casadical.diagnosis.sums import taken
@@ -37,17 +38,21 @@ def likely_noise(log_grid: Array, sigmas: Array = SIGMAS) -> Noise:
 class Fit:
     """Base model and causes fitted together to the poses, and to all but some of them.
 
-    y : residual made white, shape (3 n,); prior, mean : of every parameter, shape (p,)
+    e : the problem; columns : of the causes, in rising order; combined : with combinations for those of parts of
+        effects (see `combinations`)
+    y : residual made white, shape (3 n,); prior, mean : of every parameter or combination, shape (p,)
     W : what makes each pose's columns white, shape (n, 3, 3)
     H, g : products of the white columns among themselves and with y, shapes (p, p) and (p,)
     """
 
-    def __init__(self, e: Evidence, columns: Array, noise: Noise) -> None:
+    def __init__(self, e: Evidence, columns: Array, noise: Noise, *, combined: bool = True) -> None:
         self._J, self._E, self._columns = e.J, e.E, columns
+        self.combined = e.combined(columns) if combined else Combined(((0, len(columns), None),))
         self.W = np.linalg.inv(np.linalg.cholesky(covariance(e, noise)))
         self.y = (self.W @ e.r[:, :, None]).ravel()
-        self.prior = np.concatenate([e.prior, e.width_in_model(columns)])
-        self.mean = np.concatenate([e.delta0, np.zeros(len(columns))])
+        self._widths = e.width_in_model(columns)
+        self.prior = np.concatenate([e.prior, self.combined.one_of_each(self._widths)])
+        self.mean = np.concatenate([e.delta0, np.zeros(self.combined.width)])
         p = len(self.prior)
         self._kept = np.empty((len(self.y), p)) if 8 * len(self.y) * p <= MOST_BYTES else None
         self.H, self.g = np.zeros((p, p)), np.zeros(p)
@@ -65,7 +70,8 @@ class Fit:
 
     def _white(self, poses: Array | slice) -> Array:
         """Columns of some poses made white, shape (3 poses, p)."""
-        A = np.concatenate([self._J[poses], taken(self._E, self._columns, poses)], axis=2)
+        causes = taken(self._E, self._columns, poses, self.combined)
+        A = np.concatenate([self._J[poses], causes], axis=2)
         return np.asarray((self.W[poses] @ A).reshape(-1, A.shape[2]))
 
     def _of(self, poses: Array | slice) -> Array:
@@ -117,6 +123,14 @@ class Fit:
     def covariance(self) -> Array:
         """Of the fit to all poses, shape (p, p)."""
         return np.asarray(self._root.T @ self._root)
+
+    @property
+    def causes(self) -> tuple[Array, Array]:
+        """Values and standard errors of the causes' parameters, in sizes, shapes (columns,)."""
+        first = len(self.prior) - self.combined.width
+        known = self.combined.values(np.eye(self.combined.width))
+        variance = ((known @ self._root.T[first:]) ** 2).sum(axis=1) + self._widths**2 * (1 - (known**2).sum(axis=1))
+        return self.combined.values(self.x[first:]), np.sqrt(variance)
 
     def to(self, poses: Array) -> Array:
         """Fit to some poses alone, given by their numbers, shape (p,)."""
@@ -266,9 +280,7 @@ def remainders(e: Evidence, columns: Array, noise: Noise, kept: Array) -> tuple[
 
 def estimates(e: Evidence, columns: Array, noise: Noise) -> tuple[Array, Array]:
     """Values and standard errors of the causes' parameters, in sizes, shapes (len(columns),)."""
-    fit = fit_of(e, columns, noise)
-    first = e.J.shape[2]
-    return fit.x[first:], np.sqrt(np.diag(fit.covariance))[first:]
+    return fit_of(e, columns, noise).causes
 
 
 def random_folds(n: int, seed: int, count: int = FOLDS) -> Array:

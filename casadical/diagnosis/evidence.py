@@ -19,9 +19,10 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.normal_matrices import inverse_of_triangle, reduced
+from casadical.diagnosis.combinations import Combined
 from casadical.diagnosis.gains import log_gain
 from casadical.diagnosis.linearisation import EVERY, Columns
-from casadical.diagnosis.sums import WIDE, Kept, Sums, taken
+from casadical.diagnosis.sums import WIDE, Kept, Sums, combined_of, taken
 from casadical.effects.base import CHOSEN
 
 SIGMAS = np.geomspace(3e-6, 300e-6, 33)
@@ -86,6 +87,10 @@ class Evidence:
     def width(self) -> int:
         """Number of columns of all candidates."""
         return int(self.E.shape[2])
+
+    def combined(self, columns: Array) -> Combined:
+        """Some of the candidates' columns, in rising order, those of parts of effects as combinations."""
+        return combined_of(self.E, columns)
 
     def take(self, columns: Array, poses: Array | slice = EVERY) -> Array:
         """Some of the candidates' columns at some poses, shape (poses, 3, len(columns)) [m per unit of size]."""
@@ -189,7 +194,7 @@ class Beside:
 
     It is made from one with fewer causes; what this one knows is not kept again.
     log_base : log likelihood without a further cause, shape (rhos, sigmas)
-    chosen : columns of the causes in it; new : of those that the one before has not, shape (new,)
+    chosen : columns of the causes in it; new : of those that the one before has not, shape (new,); combined : these
     at : how they join what was there before, at each rho
     V : columns in these axes, at each rho, (columns, new); b : their products with what is left, (columns, 1)
     """
@@ -197,6 +202,7 @@ class Beside:
     log_base: Array
     chosen: Array
     new: Array
+    combined: Combined
     before: Beside | None
     at: dict[int, Added]
     V: dict[int, Kept]
@@ -251,7 +257,7 @@ class Judge:
             square = float(sums.base[k, P, P] + (weights * e.delta0) @ (weights * e.delta0))
             found[k] = added(normal, right, square, -0.5 * float(sums.log_det[k]))
         none = np.zeros(0, dtype=np.int64)
-        return self._made(found, none, None, none)
+        return self._made(found, none, None, none, Combined(()))
 
     def _with(self, chosen: Array) -> Beside:
         """A model with these causes, from the one with most of them."""
@@ -266,22 +272,24 @@ class Judge:
             before = self.beside(np.union1d(before.chosen, wide))
             new = np.setdiff1d(chosen, before.chosen)
         self._look_at(before, [new])
-        weights = self.e.reference / self.e.width_in_model(new)
+        weights, every = self.e.reference / self.e.width_in_model(new), self.e.combined(new)
         own, found = self.sums.crossed(new, self.e.near, new), {}
+        precision, lost = np.diag(every.one_of_each(weights**2)), every.left_out(np.log(weights))
         for k in self.e.near:
-            along = before.axes(k, new)
-            normal = own[k] + np.diag(weights**2) - along @ along.T
-            found[k] = added(normal, before.b[k][new][:, 0], before.at[k].square, before.at[k].log_norm)
-        return self._made(found, chosen, before, new)
+            along = every.of(before.axes(k, new).T)
+            normal = every.of(own[k].T) + precision - along.T @ along
+            right = every.of(before.b[k][new][:, 0])
+            found[k] = added(normal, right, before.at[k].square, before.at[k].log_norm - lost)
+        return self._made(found, chosen, before, new, every)
 
-    def _made(self, found: dict[int, Added], chosen: Array, before: Beside | None, new: Array) -> Beside:
+    def _made(self, found: dict[int, Added], chosen: Array, before: Beside | None, new: Array, of: Combined) -> Beside:
         """A model from what `added` gave at each rho."""
         e = self.e
         log_base = np.full((len(RHOS), len(e.sigmas)), -np.inf)
         for k, at in found.items():
             log_base[k] = log_over_sigmas(e, at.square, at.log_norm) + log_repeats(e, e.Jq, k)
         V, b = ({k: Kept(e.width, width) for k in found} for width in (len(found[e.near[0]].z), 1))
-        return Beside(log_base, chosen, new, before, found, V, b)
+        return Beside(log_base, chosen, new, of, before, found, V, b)
 
     def _look_at(self, beside: Beside, groups: Sequence[Array]) -> None:
         """Make known what is needed to judge these groups."""
@@ -299,7 +307,7 @@ class Judge:
                 products, left = self.sums.columns[more, k, :P], self.sums.columns[more, k, P]
             else:
                 products = cross[k]
-                products -= before.axes(k, more) @ before.axes(k, beside.new).T
+                products -= before.axes(k, more) @ beside.combined.of(before.axes(k, beside.new).T)
                 left = before.b[k][more][:, 0]
             V = products @ beside.at[k].root.T
             beside.V[k].add(more, V)
@@ -349,14 +357,15 @@ class Judge:
 
     def _spectrum(self, group: Array, beside: Beside, also: Array | None, k: int) -> tuple[Array, Array]:
         """Eigenvalues of a group's visible products and the products with what is left, in their directions."""
-        if self.sums.rows < len(group):  # fewer rows than columns: on the rows
+        every = self.e.combined(group)
+        if self.sums.rows < every.width:  # fewer rows than columns: on the rows
             chosen = np.zeros(0, dtype=np.int64) if also is None else also
             w = self.e.with_base(chosen).white(float(RHOS[k]), self.e.take(group))
             value, vector = np.linalg.eigh(w.E @ w.E.T)
             return value, np.sqrt(np.maximum(value, 0.0)) * (vector.T @ w.y)
-        V = beside.axes(k, group)
-        value, vector = np.linalg.eigh(self.sums.wide(group, k) - V @ V.T)
-        return value, vector.T @ beside.b[k][group][:, 0]
+        V = every.of(beside.axes(k, group).T)
+        value, vector = np.linalg.eigh(self.sums.wide(group, k) - V.T @ V)
+        return value, vector.T @ every.of(beside.b[k][group][:, 0])
 
 
 def added(normal: Array, right: Array, square: float, log_norm: float) -> Added:

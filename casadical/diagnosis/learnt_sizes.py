@@ -28,9 +28,10 @@ def learnt_sizes(
     e : the problem; group : columns of the effect, shape (k,); parts : places in the group, by part
     beside : columns of other causes in the model; noise : as far as known
     """
-    columns = np.concatenate([beside, group])
+    columns = np.union1d(beside, group)
     fit = Fit(e, columns, noise)
-    first = len(fit.prior) - len(group)
+    first, own = len(fit.prior) - fit.combined.width, np.searchsorted(columns, group)
+    places_of = {part: first + fit.combined.places(own[places]) for part, places in parts.items()}
     prior, mean = fit.prior.copy(), fit.mean
     factors, scale, rows = dict.fromkeys(parts, 1.0), 1.0, len(fit.y)
     square = float(fit.y @ fit.y)
@@ -42,8 +43,7 @@ def learnt_sizes(
         left = square - 2 * fit.g @ x + x @ fit.H @ x
         before = (scale, *factors.values())
         scale = float(left / (rows - determined.sum()))
-        for part, places in parts.items():
-            at = first + places
+        for part, at in places_of.items():
             count = float(determined[at].sum())
             if count > LEAST:
                 unit = prior[at] / factors[part]

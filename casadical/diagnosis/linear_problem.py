@@ -206,7 +206,7 @@ def make_case(identification: Identification, candidates: Sequence[Candidate], f
     r = m.position - p
     # Gross only: an effect that leaves the points in two clouds must not lose one of them as outliers.
     kept = np.linalg.norm(r, axis=1) / np.sqrt(3) <= GROSS * robust_std(r)
-    E = Columns(linear, effects)
+    E = Columns(linear, effects).with_directions()
     again = replicates(m, r, kept)
     repeats = (again.sigma, min(again.freedom, MOST_FREEDOM)) if again.enough else (0.0, 0)
     whole = Evidence(r, linear.J, linear.Jq, delta0, base_prior(robot, free), E, held=E.held, repeats=repeats)

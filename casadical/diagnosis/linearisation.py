@@ -16,6 +16,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.casadi_buffers import call
+from casadical.diagnosis.combinations import Combined, Directions, directions_of
 from casadical.diagnosis.formulas import Part, plan
 from casadical.diagnosis.seams import Seams, seams_of
 from casadical.effects import Effect
@@ -65,6 +66,26 @@ class Factors:
             if len(kept):
                 found.append((seam, place[own[kept]], values[kept] if len(kept) < len(own) else values))
         return Factors(tuple(found), len(columns))
+
+    def combined(self, every: Combined) -> Factors:
+        """Of combinations of the columns, of which those of a part act at the same seams."""
+        if every.plain:
+            return self
+        starts, found = np.array([a for a, _, _ in every.blocks]), []
+        for seam, own, values in self.blocks:
+            which = np.searchsorted(starts, own, side="right") - 1
+            parts = [(k, own[which == k], values[which == k]) for k in np.unique(which).tolist()]
+            more = [every.factors(k, columns, part) for k, columns, part in parts]
+            found.append((seam, np.concatenate([c for c, _ in more]), np.concatenate([v for _, v in more])))
+        return Factors(tuple(found), every.width)
+
+    def products(self, S: Array) -> Array:
+        """Products of the columns, added up over the poses, shape (columns, columns)."""
+        total = np.zeros((self.width, self.width))
+        for s, own, values in self.blocks:
+            for t, others, more in self.blocks:
+                total[np.ix_(own, others)] += (values * (S[:, :, s] * S[:, :, t]).sum(axis=1)) @ more.T
+        return total
 
     def before(self, others: Factors) -> Factors:
         """With the columns of others behind."""
@@ -181,12 +202,14 @@ class Columns:
     linear : the poses; effects : one after the other; sizes : of every parameter, shape (columns,)
     growth : of the sizes, for a robot that leaves more than others do
     first : the columns of the first of the effects, which were made before
+    directions : of the parts of effects that have parts (see `combinations`); none until they are asked for
     """
 
     linear: Linearisation
     effects: tuple[Effect, ...]
     growth: float = 1.0
     first: Columns | None = None
+    directions: Directions = ()
 
     @cached_property
     def sizes(self) -> Array:
@@ -235,13 +258,16 @@ class Columns:
         """All columns at some poses as factors of the seams (see `Linearisation.S`)."""
         return self._all.at(poses) if self._few else self._made(self.linear.at(poses))
 
-    def take(self, columns: Array, poses: Array | slice = EVERY) -> Array:
-        """Some of the columns at some poses, shape (poses, 3, len(columns)) [m per unit of size]."""
-        S = self.linear.S[poses]
+    def take(self, columns: Array, poses: Array | slice = EVERY, every: Combined | None = None) -> Array:
+        """Some of the columns at some poses, shape (poses, 3, len(columns)) [m per unit of size], or combinations."""
+        factors = self._factors_of(columns, poses)
+        return (factors.combined(every) if every else factors).columns_at(self.linear.S[poses])
+
+    def _factors_of(self, columns: Array, poses: Array | slice) -> Factors:
         if self._few:
-            return self._all.only(columns).at(poses).columns_at(S)
+            return self._all.only(columns).at(poses)
         some, places = self._owning(columns)
-        return np.asarray(some.factors(poses).columns_at(S)[:, :, places])
+        return some.factors(poses).only(places)
 
     def _owning(self, columns: Array) -> tuple[Columns, Array]:
         """The columns of those effects that have some columns, and the places of these among them."""
@@ -262,10 +288,25 @@ class Columns:
 
     def at(self, poses: Array) -> Columns:
         """The same columns at some of the poses."""
-        some = Columns(self.linear.at(poses), self.effects, self.growth)
+        some = Columns(self.linear.at(poses), self.effects, self.growth, directions=self.directions)
         if self._few:
             some.__dict__["_all"] = self._all.at(poses)
         return some
+
+    def with_directions(self) -> Columns:
+        """The same with the directions of all parts; they serve for some of these poses, too."""
+        found = []
+        for effect, first in zip(self.effects, self._edges.tolist(), strict=False):
+            for part in effect.parts.values():
+                normal = np.zeros((len(part), len(part)))
+                for start in range(0, self.shape[0], BLOCK):
+                    poses = slice(start, start + BLOCK)
+                    normal += self._factors_of(first + part, poses).products(self.linear.S[poses])
+                found.append((first + part, directions_of(normal)))
+        more = replace(self, directions=tuple(found))
+        if self._few:
+            more.__dict__["_all"] = self._all
+        return more
 
     def after(self, column: int) -> Columns:
         """The columns from this one on, with which an effect's columns begin."""
@@ -274,4 +315,4 @@ class Columns:
     def plus(self, effects: tuple[Effect, ...], conditions: Mapping[str, Array]) -> Columns:
         """With further effects behind the others; conditions : all logged and derived columns of these poses."""
         linear = replace(self.linear, conditions=dict(conditions))
-        return Columns(linear, (*self.effects, *effects), self.growth, self)
+        return Columns(linear, (*self.effects, *effects), self.growth, self, self.directions)

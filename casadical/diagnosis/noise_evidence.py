@@ -15,6 +15,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.diagnosis.evidence import RHOS, Added, Evidence, added, log_over_sigmas, log_repeats
+from casadical.diagnosis.sums import taken
 
 # Columns that are kept, in bytes; else they are made again, so many at a time.
 MOST_BYTES, PART_BYTES = 64_000_000, 32_000_000
@@ -63,8 +64,10 @@ class Problem:
 
     def __init__(self, e: Evidence, chosen: Array, order: Array) -> None:
         self.e, self.chosen, self._order, self._Jq = e, chosen, order, e.Jq[order]
-        self._weights = e.reference / np.concatenate([e.prior, e.width_in_model(chosen)])
-        self._mean = np.concatenate([e.delta0, np.zeros(len(chosen))])
+        self._combined, widths = e.combined(chosen), e.width_in_model(chosen)
+        self._weights = e.reference / np.concatenate([e.prior, self._combined.one_of_each(widths)])
+        self._lost = self._combined.left_out(np.log(e.reference / widths))
+        self._mean = np.concatenate([e.delta0, np.zeros(self._combined.width)])
         self._by_rows = e.r.size <= len(self._weights)
         self._kept: dict[int, Array] = {}
         self._known: dict[Form, Array] = {}
@@ -80,7 +83,7 @@ class Problem:
         out = np.full((len(RHOS), len(e.sigmas)), -np.inf)
         Jq = form.repeatability(self._Jq)
         for k, (fit, square) in zip(near, self._fits(form, near), strict=True):
-            out[k] = log_over_sigmas(e, square, fit.log_norm) + log_repeats(e, Jq, k)
+            out[k] = log_over_sigmas(e, square, fit.log_norm - self._lost) + log_repeats(e, Jq, k)
         return out + form.log_weight
 
     def left(self, form: Form, k: int) -> Array:
@@ -98,7 +101,7 @@ class Problem:
         return self._by_covariance(form, near) if self._by_rows else self._by_sums(form, near)
 
     def _by_sums(self, form: Form, near: Sequence[int]) -> list[tuple[Added, float]]:
-        p, total = len(self._weights), self._anew(form, near) if form.stays else self._less(form, near)
+        p, total = len(self._weights), self._again(form, near) if form.stays else self._less(form, near)
         known = self._weights**2 * self._mean
         total[:, range(p), range(p)] += self._weights**2
         total[:, p, :p] += known
@@ -107,7 +110,7 @@ class Problem:
         fits = [added(s[:p, :p], s[p, :p], float(s[p, p]), log) for s, log in zip(total, logs, strict=True)]
         return [(fit, fit.square) for fit in fits]
 
-    def _anew(self, form: Form, near: Sequence[int]) -> Array:
+    def _again(self, form: Form, near: Sequence[int]) -> Array:
         """Products of columns and what is left as the form moves them, shape (rhos, p + 1, p + 1)."""
         width, (turn, weights) = len(self._weights) + 1, self._axes(form, near)
         total = np.zeros((len(near), width, width))
@@ -182,7 +185,8 @@ class Problem:
             X = self._kept.get(start)
             if X is None:
                 poses = self._order[max(start - 1, 0) : start + step]
-                X = np.concatenate([self.e.J[poses], self.e.take(self.chosen, poses), self.e.r[poses, :, None]], axis=2)
+                columns = taken(self.e.E, self.chosen, poses, self._combined)
+                X = np.concatenate([self.e.J[poses], columns, self.e.r[poses, :, None]], axis=2)
                 if 24 * n * width <= MOST_BYTES:
                     self._kept[start] = X
             yield X, slice(start, min(start + step, n))

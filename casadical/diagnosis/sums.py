@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.diagnosis.combinations import Combined, combined
 from casadical.diagnosis.linearisation import EVERY, Columns, Factors, as_slice
 
 # Columns that are in memory at a time, in bytes; at least so many poses.
@@ -22,9 +23,14 @@ BYTES, LEAST_POSES = 32_000_000, 64
 WIDE = 64
 
 
-def taken(E: Array | Columns, columns: Array, poses: Array | slice = EVERY) -> Array:
-    """Some columns at some poses, shape (poses, 3, len(columns))."""
-    return E[poses][:, :, columns] if isinstance(E, np.ndarray) else E.take(columns, poses)
+def combined_of(E: Array | Columns, columns: Array) -> Combined:
+    """Some columns, in rising order, with combinations for those of parts of effects."""
+    return combined(columns, () if isinstance(E, np.ndarray) else E.directions)
+
+
+def taken(E: Array | Columns, columns: Array, poses: Array | slice = EVERY, every: Combined | None = None) -> Array:
+    """Some columns at some poses, or combinations of them, shape (poses, 3, columns or combinations)."""
+    return E[poses][:, :, columns] if isinstance(E, np.ndarray) else E.take(columns, poses, every)
 
 
 def _only(E: Array | Columns, columns: Array) -> Array | Columns:
@@ -93,16 +99,17 @@ class Sums:
         return self._by_base(self.E)
 
     def together(self, columns: Array, ks: Sequence[int]) -> Array:
-        """Products of the base model, some columns and the residual, in this order, at some rhos, (rhos, p, p)."""
-        P, p = self.base.shape[1] - 1, self.base.shape[1] + len(columns)
+        """Products of the base model, some columns combined, and the residual, at some rhos, shape (rhos, p, p)."""
+        every = combined_of(self.E, columns)
+        P, p = self.base.shape[1] - 1, self.base.shape[1] + every.width
         outer, inner = np.append(np.arange(P), p - 1), np.arange(P, p - 1)
         total, crossed = np.zeros((len(ks), p, p)), self.crossed(columns, ks, columns) if len(columns) else {}
         for sums, k in zip(total, ks, strict=True):
             sums[np.ix_(outer, outer)] = self.base[k]
             if len(columns):
-                sums[np.ix_(inner, inner)] = crossed[k]
-                sums[np.ix_(inner, outer)] = self.columns[columns, k]
-                sums[np.ix_(outer, inner)] = self.columns[columns, k].T
+                sums[np.ix_(inner, inner)] = every.of(crossed[k].T)
+                sums[np.ix_(outer, inner)] = across = every.of(self.columns[columns, k].T)
+                sums[np.ix_(inner, outer)] = across.T
         return total
 
     def _by_base(self, E: Array | Columns) -> Array:
@@ -156,7 +163,7 @@ class Sums:
             self._wide[key, k] = own + sum(sign * part.wide(group, k) for sign, part in parts)
         for (first, last, k), cross in known._cross.items():
             run, at = np.arange(first, last + 1), cross.known
-            self._cross[first, last, k] = more = Kept(len(cross.place), len(run))
+            self._cross[first, last, k] = more = Kept(len(cross.place), cross.numbers)
             more.add(at, cross[at] + sum(sign * part.crossed(run, [k], at)[k] for sign, part in parts))
 
     def _turned(self, part: Array, poses: slice) -> Array:
@@ -197,12 +204,14 @@ class Sums:
         return np.stack([self._own[g.tobytes()] for g in groups])
 
     def wide(self, group: Array, k: int) -> Array:
-        """Products of a wide group's columns among themselves at one rho, shape (width, width)."""
+        """Products of a wide group's columns, combined, among themselves at one rho, shape (width, width)."""
         key = group.tobytes(), k
         if key not in self._wide:
-            total, E = np.zeros((len(group), 1, len(group))), _only(self.E, group)
+            every, E = combined_of(self.E, group), _only(self.E, group)
+            total = np.zeros((every.width, 1, every.width))
             for poses in self._parts(E):
                 F, U = self._at_seams(E, poses)
+                F = F.combined(every)
                 _add_products(total, F, F, U, self._axes[[k], poses])
             self._wide[key] = total[:, 0]
         return self._wide[key]
@@ -213,7 +222,7 @@ class Sums:
         return max((g for g in groups if np.isin(g, columns).all()), key=len, default=columns[:0])
 
     def crossed(self, columns: Array, ks: Sequence[int], wanted: Array) -> dict[int, Array]:
-        """Products of wanted columns with some others at some rhos, shape (wanted, columns) each; kept by runs.
+        """Products of wanted columns with some others, combined, at some rhos, shape (wanted, width); kept by runs.
 
         wanted : in rising order, all columns of an effect or none
         """
@@ -225,9 +234,10 @@ class Sums:
             keys = {k: (int(run[0]), int(run[-1]), k) for k in ks}
             for key in keys.values():
                 if key not in self._cross:
-                    self._cross[key] = Kept(self.E.shape[2], len(run))
+                    every = combined_of(self.E, run)
+                    self._cross[key] = Kept(self.E.shape[2], every.width)
                     if len(run) > WIDE:
-                        self._cross[key].add(run, self.wide(run, key[2]))
+                        self._cross[key].add(run, every.values(self.wide(run, key[2])))
             unknown = np.max([self._cross[key].place[wanted] < 0 for key in keys.values()], axis=0)
             if unknown.any():
                 self._add_crossed(run, wanted[unknown], {k: self._cross[key] for k, key in keys.items()})
@@ -237,12 +247,12 @@ class Sums:
 
     def _add_crossed(self, run: Array, new: Array, to: dict[int, Kept]) -> None:
         """Add up products of new columns with a run, at some rhos, in one go."""
-        E, R = _only(self.E, new), _only(self.E, run)
-        total = np.zeros((E.shape[2], len(to), len(run)))
+        E, R, every = _only(self.E, new), _only(self.E, run), combined_of(self.E, run)
+        total = np.zeros((E.shape[2], len(to), every.width))
         for poses in self._parts(E):
             F, U = self._at_seams(E, poses)
             G, _ = _factors(R, poses)
-            _add_products(total, F, G, U, self._axes[[*to], poses])
+            _add_products(total, F, G.combined(every), U, self._axes[[*to], poses])
         for i, kept in enumerate(to.values()):
             kept.add(new, total[:, i])
 
@@ -250,11 +260,12 @@ class Sums:
 class Kept:
     """Rows of some of the columns, as far as they are known.
 
-    place : of each column among the rows, or -1, shape (columns,); count : of known rows
+    place : of each column among the rows, or -1, shape (columns,); count : of known rows; numbers : in each
     """
 
     def __init__(self, columns: int, numbers: int) -> None:
-        self.place, self.count, self._rows = np.full(columns, -1), 0, np.empty((0, numbers))
+        self.place, self.count, self.numbers = np.full(columns, -1), 0, numbers
+        self._rows = np.empty((0, numbers))
 
     @property
     def known(self) -> Array:
@@ -282,7 +293,7 @@ class Kept:
 
     def of(self, columns: int) -> Kept:
         """The same of at least as many columns."""
-        more = Kept(columns, self._rows.shape[1])
+        more = Kept(columns, self.numbers)
         more.place[: len(self.place)] = self.place
         more._rows, more.count = self._rows[: self.count], self.count
         return more
