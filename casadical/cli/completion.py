@@ -13,14 +13,14 @@ def _listed(words: tuple[str, ...], incomplete: str) -> list[str]:
 
 def methods(incomplete: str) -> list[str]:
     """Words for `--method`."""
-    from casadical.project.problem import all_methods
+    from casadical.project.problem_file import all_methods
 
     return _begun(all_methods(), incomplete)
 
 
 def losses(incomplete: str) -> list[str]:
     """Words for `--loss`."""
-    from casadical.project.problem import PROBLEM_LOSSES
+    from casadical.project.problem_file import PROBLEM_LOSSES
 
     return _begun(PROBLEM_LOSSES, incomplete)
 

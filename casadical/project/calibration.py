@@ -24,17 +24,8 @@ from casadical.measurements.measurements import Measurements
 from casadical.project.check.targets import unnamed_targets
 from casadical.project.networks import NetworkResult, Networks, train_networks
 from casadical.project.outcome import chance_of, left_out_table, methods_worse, things_to_know, worse_than_before
-from casadical.project.problem import (
-    BASE_METHODS,
-    PROBLEM_LOSSES,
-    BaseMethod,
-    Carried,
-    Problem,
-    all_methods,
-    as_it_is,
-    base_methods,
-    read_problem,
-)
+from casadical.project.problem import Carried, Problem, as_it_is, read_problem
+from casadical.project.problem_file import BASE_METHODS, PROBLEM_LOSSES, BaseMethod, all_methods, base_methods
 from casadical.project.tables import Accuracies, error_tables, judged_on, network_tables, paper_tables, verdict
 from casadical.project.target_names import unfitted
 from casadical.robot.robot import Robot, modified_dh
@@ -143,6 +134,7 @@ class Calibration:
             "title": problem.title,
             "data": problem.data,
             "robot": problem.robot.name,
+            "tables": [dict(table) for table in problem.tables],
             "methods": {
                 method: {
                     "verdict": result.verdict,

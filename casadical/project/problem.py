@@ -2,176 +2,44 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from casadical.compensator import network_methods
 from casadical.core.errors import InputError
-from casadical.core.schema import FaultError, check, load_toml
+from casadical.core.schema import check
 from casadical.identification.prior import Prior
-from casadical.identification.residuals import LOSSES, Loss
-from casadical.measurements.columns import Columns, Source
+from casadical.measurements.columns import Columns
 from casadical.measurements.derived_columns import derive
-from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.measurements import SETS, Measurements
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.reading import from_columns, named_columns, readings_alone
+from casadical.project.problem_file import (
+    BaseMethod,
+    DataTable,
+    Paper,
+    ProblemLoss,
+    SetsTable,
+    UrdfTable,
+    base_methods,
+    problem_file,
+)
 from casadical.project.target_names import refuse_nameless, with_known_targets
 from casadical.robot.robot import Robot
-from casadical.robot.robot_file import ToolTable, read_robot, with_tools
-
-BaseMethod = Literal["KM", "SKCM"]
-BASE_METHODS: tuple[BaseMethod, ...] = get_args(BaseMethod)
-
-# auto: huber where it finds outliers, else linear.
-ProblemLoss = Literal["auto", Loss]
-PROBLEM_LOSSES: tuple[ProblemLoss, ...] = ("auto", *LOSSES)
+from casadical.robot.robot_file import read_robot, with_tools
 
 # Puts into a robot what another campaign found, and says how well that is known.
 Carried = Callable[[Robot], tuple[Robot, Prior | None]]
-
-Three = Annotated[list[float], Field(min_length=3, max_length=3)]
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
-
-
-class _Separation(_Strict):
-    between: list[str] = Field(min_length=2, max_length=2)
-    distance_mm: float = Field(gt=0)
-
-
-class _Source(_Strict):
-    """How a column is made (see `casadical.measurements.columns.Source`)."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True, populate_by_name=True)
-
-    name: str = Field(alias="from")
-    times: float = 1.0
-    plus: float = 0.0
-    add: dict[str, float] = {}
-    rows: int = 0
-
-
-class _Data(_Strict):
-    file: str
-    kind: str | None = None
-    columns: dict[str, str | _Source] = {}
-    leave_out: list[int] = []
-    tools: dict[str, list[int]] = {}
-    point_from: list[str] = []
-    separation: list[_Separation] = []
-    sigma_mm: float | None = Field(default=None, gt=0)
-    sigma_deg: float | None = Field(default=None, gt=0)
-
-    @field_validator("kind")
-    @classmethod
-    def _known(cls, kind: str | None) -> str | None:
-        if kind is not None and kind not in kinds():
-            raise ValueError(f"must be {', '.join(map(repr, kinds()))}")
-        return kind
-
-    @property
-    def sources(self) -> dict[str, str | Source]:
-        """Where each named column comes from."""
-        return {
-            ours: given if isinstance(given, str) else Source(**given.model_dump())
-            for ours, given in self.columns.items()
-        }
-
-    def named_in(self, header: Sequence[str]) -> _Data:
-        """With only those of its own names for columns that a header has, without rows of its file."""
-        needs = {o: {g} if isinstance(g, str) else {g.name, *g.add} for o, g in self.columns.items()}
-        columns = {ours: given for ours, given in self.columns.items() if needs[ours] <= set(header)}
-        point_from = self.point_from if set(self.point_from) <= set(header) else []
-        return self.model_copy(update={"columns": columns, "point_from": point_from, "leave_out": [], "tools": {}})
-
-
-class _Sets(_Strict):
-    seed: int = Field(default=0, ge=0, lt=2**63)
-    column: str | None = None
-    identify: float | None = Field(default=None, gt=0)
-    train: float | None = Field(default=None, gt=0)
-    choose: float | None = Field(default=None, gt=0)
-    report: float | None = Field(default=None, gt=0)
-
-    @model_validator(mode="after")
-    def _clear(self) -> _Sets:
-        given = self.model_dump(include={*SETS}, exclude_none=True)
-        if self.column is not None and given:
-            raise FaultError("column", f"it names every pose's set; leave out {', '.join(given)}")
-        for name, size in given.items():
-            if size > 1 and size != int(size):
-                raise FaultError(name, "allowed: a share below 1, or a whole number of poses")
-        return self
-
-    def sizes(self) -> dict[str, float]:
-        given = self.model_dump(include={*SETS}, exclude_none=True)
-        return given or {"identify": 0.7, "report": 0.3}
-
-
-class _Urdf(_Strict):
-    """Which part of a URDF is the robot; written again when it is calibrated.
-
-    tool : measured points in the frame of the tip link, where there are several
-    """
-
-    base_link: str | None = None
-    tip_link: str | None = None
-    compliant: list[int] = []
-    tool: list[ToolTable] = []
 
 
 def as_it_is(robot: Robot) -> tuple[Robot, Prior | None]:
     """The robot without anything from another campaign."""
     return robot, None
-
-
-def all_methods() -> tuple[str, ...]:
-    """Every method of a calibration: identifications, then the networks of all trainers."""
-    return (*BASE_METHODS, *network_methods())
-
-
-def _known_method(name: str) -> str:
-    if name not in all_methods():
-        raise ValueError(f"allowed: {', '.join(all_methods())}")
-    return name
-
-
-class Paper(_Strict):
-    """Published figures: (mean, max, std) [mm] by method, "before" among them, of both of the paper's tables."""
-
-    source: str
-    calibration: dict[str, Three] = {}
-    validation: dict[str, Three] = {}
-
-    @model_validator(mode="after")
-    def _known(self) -> Paper:
-        for table in ("calibration", "validation"):
-            for name in getattr(self, table):
-                if name not in ("before", *all_methods()):
-                    raise FaultError((table, name), f"allowed: before, {', '.join(all_methods())}")
-        return self
-
-
-class _ProblemFile(_Strict):
-    casadical: Literal[1]
-    title: str
-    data: Literal["real", "synthetic"] | None = None
-    robot: str = "robot.toml"
-    campaign_robot: str | None = None
-    urdf: _Urdf | None = None
-    methods: list[Annotated[str, AfterValidator(_known_method)]] = Field(default=["KM", "SKCM"], min_length=1)
-    loss: ProblemLoss = "auto"
-    paper: Paper | None = None
-    measurements: list[_Data] = []
-    sets: _Sets = _Sets()
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,6 +53,7 @@ class Problem:
     paper : published figures, and their source; prior : what another campaign told, where it is used
     urdf : file, base link and tip link where the robot came from a URDF
     set_column : of the tables, that names each pose's set; None where the split is drawn
+    tables : how the tables are to be understood, as problem.toml says it
     """
 
     folder: Path
@@ -200,6 +69,7 @@ class Problem:
     paper: Paper | None = None
     prior: Prior | None = None
     set_column: str | None = None
+    tables: tuple[Mapping[str, Any], ...] = ()
 
     @property
     def origin(self) -> str:
@@ -230,10 +100,10 @@ def read_problem(folder: str | Path, seed: int | None = None, carried: Carried =
     Raises InputError that names the file and what is wrong in it.
     """
     folder = Path(folder)
-    file, path = _problem_file(folder), folder / "problem.toml"
+    file, path = problem_file(folder), folder / "problem.toml"
     if not file.measurements:
         raise InputError(f"{path}: measurements: is missing; a calibration needs at least one table [[measurements]]")
-    place, urdf = folder / file.robot, file.urdf or _Urdf()
+    place, urdf = folder / file.robot, file.urdf or UrdfTable()
     robot, prior = carried(_read_robot(place, urdf))
     sets = file.sets if seed is None else file.sets.model_copy(update={"seed": seed})
     split: dict[str, list[Measurements]] = {}
@@ -256,13 +126,8 @@ def read_problem(folder: str | Path, seed: int | None = None, carried: Carried =
         paper=file.paper,
         prior=prior,
         set_column=sets.column,
+        tables=tuple(data.understood for data in file.measurements),
     )
-
-
-def base_methods(methods: Sequence[str]) -> tuple[BaseMethod, ...]:
-    """The identifications that these methods need: networks learn what SKCM leaves."""
-    needed = {*methods, "SKCM"} if set(methods) - {*BASE_METHODS} else {*methods}
-    return tuple(m for m in BASE_METHODS if m in needed)
 
 
 def read_problem_robot(folder: str | Path) -> Robot:
@@ -279,19 +144,12 @@ def read_campaign_robot(folder: str | Path) -> Robot:
 
 
 def _robot_of(folder: Path, campaign: bool) -> Robot:
-    file = _problem_file(folder)
+    file = problem_file(folder)
     name = file.campaign_robot if campaign and file.campaign_robot else file.robot
-    return _read_robot(folder / name, file.urdf or _Urdf())
+    return _read_robot(folder / name, file.urdf or UrdfTable())
 
 
-def _problem_file(folder: Path) -> _ProblemFile:
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such problem folder; it must hold problem.toml and a robot file")
-    path = folder / "problem.toml"
-    return check(_ProblemFile, load_toml(path), str(path))
-
-
-def _read_robot(path: Path, urdf: _Urdf) -> Robot:
+def _read_robot(path: Path, urdf: UrdfTable) -> Robot:
     if path.suffix == ".urdf":
         from casadical.robot.urdf import read_urdf
 
@@ -307,15 +165,15 @@ def read_campaign(
 
     The `columns`, `point_from` and `kind` are those of the [[measurements]] with this file; of another file, those of
     the first [[measurements]] whose own names for columns it has, as far as it has them.
-    folder : of the problem; where it has no problem.toml, or is a robot's file, the table's headers are taken as ours
+    folder : of the problem, or a robot's file, with the tables of its calibration in the result.json beside it; where
+    there is neither, the table's headers are taken as ours
     readings_only : of poses that are planned but not measured: every position is zero; nameless : the table need not
     say which of several targets was measured
 
     Raises InputError.
     """
     folder, raw = Path(folder), read_table(path)
-    tables = _problem_file(folder).measurements if (folder / "problem.toml").exists() else []
-    data = _fitting(folder, raw, tables)
+    data = _fitting(folder, raw, _tables_of(folder))
     columns, joints = _columns(raw, data, robot), [j.kind for j in robot.joints]
     found = readings_alone(columns, joints) if readings_only else from_columns(columns, joints, data.kind)
     if not (readings_only or nameless):
@@ -323,7 +181,18 @@ def read_campaign(
     return _with_conditions(found, robot)
 
 
-def _fitting(folder: Path, raw: RawTable, tables: Sequence[_Data]) -> _Data:
+def _tables_of(folder: Path) -> Sequence[DataTable]:
+    """How the tables of a problem are to be understood, or those that a robot file was calibrated from."""
+    if (folder / "problem.toml").exists():
+        return problem_file(folder).measurements
+    try:
+        listed = json.loads((folder.parent / "result.json").read_text(encoding="utf-8"))["tables"]
+        return [check(DataTable, table, "result.json") for table in listed]
+    except (OSError, ValueError, KeyError, TypeError, InputError):
+        return []
+
+
+def _fitting(folder: Path, raw: RawTable, tables: Sequence[DataTable]) -> DataTable:
     """How a problem's tables say that this one is to be understood; a copy of one of them is that one."""
     for data in tables:
         own = folder / data.file
@@ -333,16 +202,16 @@ def _fitting(folder: Path, raw: RawTable, tables: Sequence[_Data]) -> _Data:
         found = data.named_in(raw.header)
         if found.columns or found.point_from:
             return found
-    return _Data(file=raw.path.name)
+    return DataTable(file=raw.path.name)
 
 
-def _columns(raw: RawTable, data: _Data, robot: Robot) -> Columns:
+def _columns(raw: RawTable, data: DataTable, robot: Robot) -> Columns:
     found = named_columns(raw, [j.kind for j in robot.joints], data.sources, data.point_from)
     found = found.with_tools(data.tools) if data.tools else found
     return found.without(data.leave_out, "leave_out")
 
 
-def _read(folder: Path, data: _Data, robot: Robot, sets: _Sets) -> dict[str, Measurements]:
+def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> dict[str, Measurements]:
     path = folder / data.file
     if not path.exists():
         raise InputError(f"{path}: no such file; it is named in {folder / 'problem.toml'}")

@@ -5,7 +5,8 @@ from collections.abc import Iterator, Mapping
 from casadical.core.blocks import Table, Words, mm
 from casadical.identification.accuracy import Accuracy
 from casadical.project.networks import Networks
-from casadical.project.problem import Paper, Problem
+from casadical.project.problem import Problem
+from casadical.project.problem_file import Paper
 
 # By method, set, and state (nominal, placed, calibrated).
 Accuracies = Mapping[str, Mapping[str, Mapping[str, Accuracy]]]

@@ -84,12 +84,12 @@ def test_a_problems_readme_names_its_own_command(folder: Path) -> None:
 
 
 def test_the_problem_file_shown_is_one() -> None:
-    from casadical.project.problem import _ProblemFile
+    from casadical.project.problem_file import ProblemFile
 
     (text,) = [
         b.text for b in blocks(ROOT / "docs" / "measurements.md") if b.language == "toml" and "casadical = 1" in b.text
     ]
-    assert _ProblemFile.model_validate(tomllib.loads(text)).measurements[0].separation
+    assert ProblemFile.model_validate(tomllib.loads(text)).measurements[0].separation
 
 
 def test_the_figures_on_networks_are_those_of_the_studies() -> None:

@@ -90,3 +90,21 @@ def test_what_cannot_be_checked_is_refused(calibrated_arm: Path, tmp_path: Path)
     with pytest.raises(InputError, match="no figures of a calibration; give the promised rms error with --promised-mm"):
         verify(alone, later(tmp_path))
     assert verify(alone, later(tmp_path), promised_mm=1.0).valid
+
+
+def test_a_later_table_is_understood_as_the_tables_of_the_calibration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A sign was repaired in problem.toml; the table of the later check has the same slip, and no folder beside it."""
+    q, p = first_hour.measured(100)
+    q[:, 2] *= -1
+    data = first_hour.write(tmp_path, "messung.csv", q[:88], p[:88])
+    (tmp_path / "dh.csv").write_text(first_hour.DH.replace("-150,60", "-150,150"))
+    arm, out = tmp_path / "arm", tmp_path / "results"
+    assert main(monkeypatch, "new", arm, "--dh", tmp_path / "dh.csv", "--data", data, "--yes", "-q") == 0
+    assert main(monkeypatch, "check", arm, "--repair", "-q") == 0
+    assert main(monkeypatch, "calibrate", arm, "--out", out, "-q") == 0
+    ten = first_hour.write(tmp_path, "messung.csv", q[88:], p[88:])
+    assert main(monkeypatch, "verify", out / "KM.robot.toml", ten, "-q") == 0
+    (out / "result.json").write_text(json.dumps({**json.loads((out / "result.json").read_text()), "tables": []}))
+    assert main(monkeypatch, "verify", out / "KM.robot.toml", ten, "-q") == 2

@@ -25,8 +25,15 @@ from casadical.project.check.coverage import (
 from casadical.project.check.findings import Finding, Level
 from casadical.project.check.information import Outlook, outlook
 from casadical.project.check.misnamed import Misnamed, misnamed
-from casadical.project.check.plausible import far_off, far_rows, other_conventions, plausible
-from casadical.project.check.repair import in_words
+from casadical.project.check.plausible import (
+    UNEXPLAINED,
+    convention_of,
+    far_off,
+    far_rows,
+    other_conventions,
+    plausible,
+)
+from casadical.project.check.repair import in_words, left_mm, other_lengths
 from casadical.project.check.slips import Slips, search_slips
 from casadical.project.check.table_faults import table_faults, unknown_columns
 from casadical.project.check.targets import Targets, middles, recognised, whole_table
@@ -107,9 +114,9 @@ def precheck(
     slips = None
     if table is not None and not usable and wrong is None and (targets is None or targets.which is None):
         slips = _slips(problem.robot, table, targets, [*others.values()], show)
-    if slips and slips.explains and (targets or slips.best.slips > 1):
+    if slips and slips.explains and _says_more(slips, problem.robot, targets, found):
         found = [f for f in found if not (f.topic == "units" and f.level == "error")]
-        found.insert(0, _slip_finding(slips, problem.robot, sets[0].source))
+        found.insert(0, _slip_finding(slips, problem.robot, convention_of(folder) == "standard", sets[0].source))
     found += _held_out_findings(problem)
     found += limits_findings(problem.robot)
     known, source = _noise(noise, sets)
@@ -167,14 +174,20 @@ def _slips(
     return search_slips(robot, table, others, show)
 
 
-def _slip_finding(slips: Slips, robot: Robot, source: str) -> Finding:
+def _says_more(slips: Slips, robot: Robot, targets: Targets | None, found: list[Finding]) -> bool:
+    """Whether the search finds what the single mistakes of `plausible` are not."""
+    unexplained = any(f.text.endswith(UNEXPLAINED) for f in found)
+    return bool(targets or slips.best.slips > 1 or unexplained or other_lengths(slips.best, robot))
+
+
+def _slip_finding(slips: Slips, robot: Robot, standard: bool, source: str) -> Finding:
     before, best = slips.before, slips.best
     text = (
         f"{source}: with base and tool fitted the nominal model still is {1e3 * before.error:.4g} mm (median) from the "
-        f"data; {1e3 * best.error:.3g} mm would be left if {'; '.join(in_words(best, robot))}"
+        f"data; {left_mm(best, robot)} would be left if {'; '.join(in_words(best, robot, standard))}"
     )
     for rival in slips.rivals:
-        text += f". Rival, {1e3 * rival.error:.3g} mm: {'; '.join(in_words(rival, robot))}"
+        text += f". Rival, {left_mm(rival, robot)}: {'; '.join(in_words(rival, robot, standard))}"
     return Finding("error", "units", f"{text}. casadical check --repair writes the first")
 
 

@@ -28,6 +28,7 @@ LEAST_SPREAD = 0.1
 # A row with more than so many times the median error is doubtful; of so few poses nothing is said.
 FAR, FEWEST = 5.0, 12
 POSES = 150
+UNEXPLAINED = "no single mistake of unit, sign or zero explains it: check the robot file"
 
 
 def plausible(robot: Robot, m: Measurements, others: Mapping[str, Robot] | None = None) -> list[Finding]:
@@ -55,9 +56,7 @@ def plausible(robot: Robot, m: Measurements, others: Mapping[str, Robot] | None 
     )
     if explained:
         return [Finding("error", "units", f"{text}; {1e3 * tried[best]:.3g} mm would be left if {best}")]
-    return [
-        Finding("error", "units", f"{text}; no single mistake of unit, sign or zero explains it: check the robot file")
-    ]
+    return [Finding("error", "units", f"{text}; {UNEXPLAINED}")]
 
 
 def far_off(robot: Robot, m: Measurements) -> tuple[Array, Array]:
@@ -98,14 +97,24 @@ def other_conventions(folder: Path) -> dict[str, Robot]:
     found: dict[str, Robot] = {}
     # The reader of the problem reports faults of its files.
     with suppress(InputError):
-        path = folder / str(load_toml(folder / "problem.toml").get("robot", "robot.toml"))
+        path = _robot_file(folder)
         if path.suffix == ".toml":
             data = dict(load_toml(path))
-            said = str(data.get("convention", "modified"))
+            said = convention_of(folder)
             other = {"modified": "standard", "standard": "modified"}[said]
             words = f"the DH rows are of the {other} convention, not {said} (convention in {path.name})"
             found[words] = robot_from({**data, "convention": other}, path.name)
     return found
+
+
+def convention_of(folder: Path) -> str:
+    """Of the DH rows in the robot file of a problem folder; modified for a URDF. Raises InputError."""
+    path = _robot_file(folder)
+    return str(load_toml(path).get("convention", "modified")) if path.suffix == ".toml" else "modified"
+
+
+def _robot_file(folder: Path) -> Path:
+    return folder / str(load_toml(folder / "problem.toml").get("robot", "robot.toml"))
 
 
 def rigid(robot: Robot) -> Robot:

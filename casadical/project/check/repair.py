@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -20,15 +21,19 @@ from casadical.measurements.raw_table import read_table
 from casadical.project.check.slip_fit import Fit
 from casadical.robot.robot import Robot
 
+# Robots reach so far [m].
+REACHES = (0.1, 20.0)
+# A length that is wrong by a thousand, within this share, is in another unit.
+THOUSAND = 0.05
 _UNITS = {1e3: "metres", 25.4: "inches", 10.0: "centimetres", 1e-3: "thousandths"}
 
 
-def in_words(fit: Fit, robot: Robot) -> list[str]:
-    """Every slip of an explanation, as what is wrong and what to do."""
-    return [*_of_readings(fit), *_of_positions(fit), *_of_rows(fit, robot)]
+def in_words(fit: Fit, robot: Robot, standard: bool = False) -> list[str]:
+    """Every slip of an explanation, as what is wrong and what to do; standard : the rows of the robot file are."""
+    return [*_of_readings(fit, robot), *_of_positions(fit, robot), *_of_rows(fit, robot, standard)]
 
 
-def _of_readings(fit: Fit) -> Iterator[str]:
+def _of_readings(fit: Fit, robot: Robot) -> Iterator[str]:
     h = fit.hypothesis
     for i, k in enumerate(h.source):
         if k > i:
@@ -38,7 +43,10 @@ def _of_readings(fit: Fit) -> Iterator[str]:
     for i, f in enumerate(h.factor):
         names = ("radians", "degrees") if f > 1 else ("degrees", "radians")
         if whole and f != 1.0:
-            yield f"the joint readings are {names[0]} under names of {names[1]}"
+            meant = [k for k, factor in enumerate(h.factor, 1) if factor != 1.0]
+            all_of_them = meant == [*robot.revolute]
+            which = "the joint readings are" if all_of_them else f"{', '.join(f'q{k}' for k in meant)} are"
+            yield f"{which} {names[0]} under names of {names[1]}"
             break
         if f != 1.0:
             yield f"q{i + 1} alone holds {names[0]} under a name of {names[1]}"
@@ -57,9 +65,24 @@ def _of_readings(fit: Fit) -> Iterator[str]:
         yield f"the readings stand {abs(h.shift)} row {after} their positions"
 
 
-def _of_positions(fit: Fit) -> Iterator[str]:
+def other_lengths(fit: Fit, robot: Robot) -> float:
+    """The factor that gives a robot of usual size, where its lengths are in another unit, not the positions; else 0."""
+    s = fit.scale[0]
+    if set(fit.scale) != {s} or s == 1.0 or REACHES[0] < robot.reach < REACHES[1]:
+        return 0.0
+    return 1 / s if REACHES[0] < robot.reach / s < REACHES[1] else 0.0
+
+
+def left_mm(fit: Fit, robot: Robot) -> str:
+    """What an explanation leaves [mm], in millimetres of the robot as it is meant."""
+    return f"{1e3 * fit.error * (other_lengths(fit, robot) or 1.0):.3g} mm"
+
+
+def _of_positions(fit: Fit, robot: Robot) -> Iterator[str]:
     scaled = [(c, s) for c, s in zip("xyz", fit.scale, strict=True) if s != 1.0]
-    if len(scaled) == 3 and len({s for _, s in scaled}) == 1:
+    if other := other_lengths(fit, robot):
+        yield f"the lengths in the robot file are in another unit (times {other:.6g})"
+    elif len(scaled) == 3 and len({s for _, s in scaled}) == 1:
         s = scaled[0][1]
         yield f"the positions are in another unit: {_UNITS.get(s, '')} (times {s:.6g})".replace(":  (", " (")
     else:
@@ -68,12 +91,14 @@ def _of_positions(fit: Fit) -> Iterator[str]:
         yield "the measuring frame is left-handed (turn the sign of y)"
 
 
-def _of_rows(fit: Fit, robot: Robot) -> Iterator[str]:
+def _of_rows(fit: Fit, robot: Robot, standard: bool) -> Iterator[str]:
     if fit.hypothesis.rows:
         yield "the DH rows are of the other convention (convention in the robot file)"
     for name, i, departure in fit.hypothesis.lengths:
         value = getattr(robot.joints[i], name)
-        yield f"{name} of row {i + 1} is {1e3 * (value + departure):.1f} mm, not {1e3 * value:.4g} mm"
+        meant = _meant(value, departure) / (other_lengths(fit, robot) or 1.0)
+        row = i if (standard != bool(fit.hypothesis.rows)) and name == "a" else i + 1  # the file's row
+        yield f"{name} of row {row} is {1e3 * meant:.1f} mm, not {1e3 * value:.4g} mm"
 
 
 def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
@@ -96,9 +121,10 @@ def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
             made[ours] = _as_toml(source)
         table["columns"] = made
         texts[path] = tomlkit.dumps(problem)
-    if fit.hypothesis.rows or fit.hypothesis.lengths:
+    other = other_lengths(fit, robot)
+    if fit.hypothesis.rows or fit.hypothesis.lengths or other:
         place = folder / str(problem.get("robot", "robot.toml"))
-        texts[place] = _repaired_robot(place, fit)
+        texts[place] = _repaired_robot(place, fit, other or 1.0)
     return texts
 
 
@@ -129,7 +155,8 @@ def repaired_columns(fit: Fit, robot: Robot, known: Mapping[str, Source]) -> dic
         made = Source(made.name, _round(made.times), _round(made.plus), add, made.rows + h.shift)
         if made != known[name]:
             found[name] = made
-    for c, scale in zip("xyz", fit.scale, strict=True):
+    scales = (1.0, 1.0, 1.0) if other_lengths(fit, robot) else fit.scale
+    for c, scale in zip("xyz", scales, strict=True):
         name = _present(known, c, ("_mm", "_m"))
         source, sign = _simple(known[name]), -1.0 if c == "y" and fit.mirrored else 1.0
         made = Source(source.name, _round(sign * scale * source.times), sign * scale * source.plus, {}, source.rows)
@@ -175,21 +202,35 @@ def _as_toml(source: Source) -> Any:
     return made
 
 
-def _repaired_robot(path: Path, fit: Fit) -> str:
+def _meant(value: float, departure: float) -> float:
+    """A length as it is meant: a thousand times what it was, where it departs from that by little."""
+    for unit in (1e3, 1e-3):
+        if value and abs((value + departure) / (unit * value) - 1) < THOUSAND:
+            return unit * value
+    return value + departure
+
+
+def _repaired_robot(path: Path, fit: Fit, times: float) -> str:
+    """times : of all lengths, where they are in another unit."""
     if path.suffix != ".toml":
         raise InputError(f"{path}: the repair changes rows of the robot, which is not a robot file; change it by hand")
-    robot = tomlkit.parse(path.read_text(encoding="utf-8"))
-    convention = str(robot.get("convention", "modified"))
+    document = tomlkit.parse(path.read_text(encoding="utf-8"))
+    convention = str(document.get("convention", "modified"))
     if fit.hypothesis.rows:
         convention = {"modified": "standard", "standard": "modified"}[convention]
-        robot["convention"] = convention
-    rows: Any = robot["joint"]
+        document["convention"] = convention
+    rows: Any = document["joint"]
     for name, i, departure in fit.hypothesis.lengths:
         # Standard rows have the a of the next modified row.
         row = rows[i - 1 if convention == "standard" and name == "a" else i]
         key, factor = (f"{name}_m", 1.0) if f"{name}_m" in row else (f"{name}_mm", 1e3)
-        row[key] = round(float(row.get(key, 0.0)) + factor * departure, 4 if factor == 1.0 else 1)
-    return tomlkit.dumps(robot)
+        value = factor * _meant(float(row.get(key, 0.0)) / factor, departure)
+        row[key] = round(value, 4 if factor == 1.0 or times != 1.0 else 1)
+    for table in (*rows, document.get("tool", {})) if times != 1.0 else ():
+        for key in [k for k in table if re.fullmatch(r"(a|d|b|xyz)_mm?", k)]:
+            value = table[key]
+            table[key] = [times * float(v) for v in value] if isinstance(value, list) else times * float(value)
+    return tomlkit.dumps(document)
 
 
 def difference(texts: Mapping[Path, str]) -> str:

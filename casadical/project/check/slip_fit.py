@@ -195,21 +195,25 @@ class SlipFit:
         counted = np.sort(square, axis=1)[:, : max(1, int(COUNTED * square.shape[1]))]
         return np.asarray(np.sqrt(counted.mean(axis=1)))
 
-    def placed(self, h: Hypothesis) -> Fit:
-        """The hypothesis with base and tool as frames: its error, and what is wrong with the positions."""
+    def placed(self, h: Hypothesis, as_given: bool = False) -> Fit:
+        """The hypothesis with base and tool as frames: its error, and what is wrong with the positions.
+
+        as_given : nothing is wrong with these
+        """
         q, y = self._aligned(h.shift)
         p, R, _, _ = self._flange(_readings([h], q), self.rows[h.rows], *self._lengths([h], h.rows))
         kept = np.ones(len(y), dtype=bool)
         scale, mirrored, error = (1.0, 1.0, 1.0), False, np.inf
         for _ in range(3):  # far rows draw the fit towards themselves
-            scale, mirrored = _shape(_linear(p[0][kept], R[0][kept], y[kept]))
+            if not as_given:
+                scale, mirrored = _shape(_linear(p[0][kept], R[0][kept], y[kept]))
             meant = y * np.array(scale) * [1, -1 if mirrored else 1, 1]
             T, t = solve_placement(p[0][kept], R[0][kept], meant[kept], None, np.eye(4), np.zeros(3))
             e = np.linalg.norm((p[0] + R[0] @ t) @ T[:3, :3].T + T[:3, 3] - meant, axis=1)
             error = float(np.median(e))
             kept = e <= 5 * error
-        # Positions that are made small fit everything.
-        error *= max(1.0, _spread(p[0]) / max(_spread(meant), 1e-12))
+        if not as_given:  # positions that are made small fit everything
+            error *= max(1.0, _spread(p[0]) / max(_spread(meant), 1e-12))
         return Fit(h, error, scale, mirrored)
 
 

@@ -73,7 +73,7 @@ def search_slips(
     # Shifts need rows that follow each other in the file.
     shifts = (0, 1, -1) if np.all(np.diff(m.row[order]) >= 1) else (0,)
     found = _search(fit, robot, shifts, show)
-    before = fit.placed(Hypothesis.none(robot.n))
+    before = fit.placed(Hypothesis.none(robot.n), as_given=True)
     ranked = sorted(found, key=lambda f: _cost(f, robot) + OUTSIDE * _outside(f.hypothesis, robot, fit.q))
     best = ranked[0]
     rivals = [f for f in ranked[1:] if f.error < 0.5 * before.error and f.slips <= MOST_SLIPS + 1]

@@ -10,7 +10,7 @@ from casadical.core.arrays import Array
 from casadical.core.files import write_together
 from casadical.core.schema import load_toml
 from casadical.project.check.check import Precheck
-from casadical.project.check.repair import difference, write_repair
+from casadical.project.check.repair import difference, left_mm, write_repair
 from casadical.project.problem import read_problem_robot
 from casadical.robot.robot_file import robot_from
 from casadical.robot.urdf import read_urdf
@@ -36,7 +36,7 @@ def repaired(found: Precheck) -> str:
         return f"{shown}\nrepaired: {int((wrong.given != wrong.meant).sum())} rows name another target"
     if robot and slips and slips.explains:
         shown = write_repair(found.folder, slips.best, robot)
-        return f"{shown}\nrepaired: {1e3 * slips.before.error:.4g} mm before, {1e3 * slips.best.error:.3g} mm after"
+        return f"{shown}\nrepaired: {1e3 * slips.before.error:.4g} mm before, {left_mm(slips.best, robot)} after"
     return ""
 
 

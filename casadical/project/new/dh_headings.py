@@ -66,6 +66,9 @@ def _usual(frame: pd.DataFrame, stems: dict[str, str], units: dict[str, str], st
             names = [name for name, other in stems.items() if other in like]
             if stated := [units[name] for name in names if units[name]]:
                 return stated[0]
-            numbers = frame[names].apply(pd.to_numeric, errors="coerce").abs().max().max()
-            return ours[0] if numbers > least else ours[1]
+            numbers = frame[names].apply(pd.to_numeric, errors="coerce").abs().to_numpy(dtype=float)
+            sizes = numbers[numbers > 0]
+            # One length in another unit must not decide for all; of angles the greatest does.
+            size = 0.0 if not len(sizes) else np.median(sizes) if ours[0] == "mm" else np.nanmax(sizes)
+            return ours[0] if size > least else ours[1]
     return ""

@@ -149,7 +149,7 @@ def test_limits_that_nobody_gave_are_said_to_be_assumed() -> None:
     assert "limits" not in said(precheck(ROOT / "problems" / "kr210"), "note")
 
 
-def test_a_fault_that_no_single_slip_explains_is_an_error_all_the_same(tmp_path: Path) -> None:
+def test_joints_in_another_unit_than_the_first_are_an_error_that_is_named(tmp_path: Path) -> None:
     """One joint in degrees among five in radians: no unit of the whole table."""
 
     def change(t: pd.DataFrame) -> pd.DataFrame:
@@ -157,7 +157,7 @@ def test_a_fault_that_no_single_slip_explains_is_an_error_all_the_same(tmp_path:
 
     found = precheck(problem_with(tmp_path, change))
     assert not found.ok
-    assert "no single mistake of unit, sign or zero explains it" in said(found, "error")
+    assert "q2, q3, q4, q5, q6 are radians under names of degrees" in said(found, "error")
 
 
 def test_every_fault_of_a_table_is_listed_at_once(tmp_path: Path) -> None:

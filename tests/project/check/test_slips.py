@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -81,18 +82,63 @@ def test_slips_are_found_together_and_repaired(
     assert calibrate(folder).accuracies["KM"]["report"]["calibrated"].mean < 1e-4
 
 
-def test_a_wrong_length_is_repaired_in_the_robot_file(tmp_path: Path) -> None:
+def mirrored(q: np.ndarray, p: np.ndarray) -> Table:
+    return q, p * [1, -1, 1]
+
+
+def in_metres(q: np.ndarray, p: np.ndarray) -> Table:
+    return q, p / 1e3
+
+
+@pytest.mark.parametrize("slip", [mirrored, in_metres], ids=lambda s: s.__name__)
+def test_a_slip_of_the_positions_alone_is_repaired(
+    slip: Callable[..., Table], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = folder_of(tmp_path, slip)
+    assert main(monkeypatch, "check", folder, "-q") == 2
+    assert main(monkeypatch, "check", folder, "--repair", "-q") == 0
+    assert calibrate(folder).accuracies["KM"]["report"]["calibrated"].mean < 1e-4
+
+
+def test_one_link_in_metres_is_named_and_repaired(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, None)
     robot = folder / "robot.toml"
     robot.write_text(robot.read_text().replace("a_mm = 700.0", "a_mm = 0.7"))
     found = precheck(folder)
+    (error,) = found.of("error")
+    assert "a of row 3 is 700.0 mm, not 0.7 mm" in error.text
     assert found.slips is not None
     assert found.nominal is not None
-    shown = write_repair(folder, found.slips.best, found.nominal)
-    assert "-a_mm = 0.7" in shown
-    # What calibration finds is not expected of a repair: a millimetre.
-    values = [float(line.split("=")[1]) for line in robot.read_text().splitlines() if line.startswith(("a_mm", "d_mm"))]
-    assert min(abs(v - 700.0) for v in values) < 2
+    assert "-a_mm = 0.7\n+a_mm = 700.0" in write_repair(folder, found.slips.best, found.nominal)
+    assert precheck(folder).ok
+
+
+def test_the_row_of_a_wrong_length_is_that_of_the_file(tmp_path: Path) -> None:
+    """Standard rows have the a of the next modified row."""
+    folder = folder_of(tmp_path, None)
+    standard = first_hour.ROWS.copy()
+    standard[:, :2] = np.vstack([first_hour.ROWS[1:, :2], [0, 0]])
+    rows = "\n".join(
+        f"[[joint]]\nalpha_deg = {alpha}\na_mm = {0.7 if a == 700 else a}\nd_mm = {d}\ntheta_deg = {theta}\n"
+        for alpha, a, d, theta in standard
+    )
+    head = 'casadical = 1\nname = "arm"\nconvention = "standard"\n[base]\nunknown = "pose"\n'
+    (folder / "robot.toml").write_text(f'{head}[tool]\nunknown = "position"\n{rows}')
+    assert "a of row 2 is 700.0 mm, not 0.7 mm" in precheck(folder).of("error")[0].text
+
+
+def test_lengths_of_the_whole_robot_in_another_unit_are_repaired_there(tmp_path: Path) -> None:
+    """Not in the positions: the accuracy would be a thousand times too good."""
+    folder = folder_of(tmp_path, None)
+    robot = folder / "robot.toml"
+    lengths = re.compile(r"^(a_mm|d_mm) = (.*)$", re.MULTILINE)
+    robot.write_text(lengths.sub(lambda m: f"{m[1]} = {float(m[2]) / 1e3!r}", robot.read_text()))
+    found = precheck(folder)
+    assert "the lengths in the robot file are in another unit (times 1000)" in " ".join(f.text for f in found.findings)
+    assert found.slips is not None
+    assert found.nominal is not None
+    write_repair(folder, found.slips.best, found.nominal)
+    assert "a_mm = 700.0" in robot.read_text()
     assert precheck(folder).ok
 
 

@@ -128,6 +128,14 @@ def test_headings_of_a_dh_table_that_mean_nothing_are_refused(headings: str, mes
     assert message in str(refused.value)
 
 
+def test_one_length_in_another_unit_does_not_decide_for_all(tmp_path: Path) -> None:
+    rows = ["a,alpha,d,theta", "0.35,-1.57,0.675,0", "1.15,0,0,0", "0.041,-1.57,1200,0", "0,1.57,0.215,0"]
+    (tmp_path / "dh.csv").write_text("\n".join(rows) + "\n")
+    text = robot_text(tmp_path / "dh.csv", "arm", "standard")
+    assert "a_m = 1.15" in text
+    assert "d_m = 1200.0" in text
+
+
 def test_measured_data_with_a_dh_table_calibrate_as_the_repositorys_problem_does(tmp_path: Path) -> None:
     """Real UR10 readings, a few hundred of them."""
     table = pd.read_csv(ROOT / "data" / "ur10_laser_tracker" / "series_C_random_poses.csv").head(300)
