@@ -211,7 +211,7 @@ def _meant(value: float, departure: float) -> float:
 
 
 def _repaired_robot(path: Path, fit: Fit, times: float) -> str:
-    """times : of all lengths, where they are in another unit."""
+    """The robot file with the repair of its rows; times : of all lengths, where they are in another unit."""
     if path.suffix != ".toml":
         raise InputError(f"{path}: the repair changes rows of the robot, which is not a robot file; change it by hand")
     document = tomlkit.parse(path.read_text(encoding="utf-8"))
