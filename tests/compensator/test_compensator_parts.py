@@ -1,0 +1,109 @@
+"""Parts of the compensator that whole trainings do not show."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from casadical.compensator import Compensator, JointBox, Layout, load_compensator, save_compensator
+from casadical.compensator.checksummed_json import checksummed
+from casadical.compensator.forward import forward
+from casadical.compensator.iwo import IwoSettings
+from casadical.compensator.packing import pack, unpack
+from casadical.compensator.task import Task, random_weights
+from casadical.compensator.trainers.backprop import Backprop
+from casadical.compensator.trainers.damped_least_squares import advance, begin_batch
+from casadical.compensator.trainers.iwo import Iwo
+from casadical.compensator.trainers.iwo_lm import IwoThenLm
+from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt
+from casadical.compensator.training import train
+from problems import small_task, smooth
+
+
+def test_a_box_holds_its_ends_and_nothing_beyond() -> None:
+    box = JointBox((-1.0, 0.0), (2.0, 1.0))
+    q = np.array([[-1, 0], [2, 1], [0.5, 0.5], [-1.1, 0.5], [2.1, 0.5], [0, 1.2], [0, -0.1]])
+    assert box.contains(q).tolist() == [True, True, True, False, False, False, False]
+
+
+def test_starting_weights_keep_the_spread_of_what_comes_in() -> None:
+    layout = Layout(joints=6, hidden=(40,), outputs=3)
+    drawn = random_weights(layout, np.random.default_rng(0), 4000)
+    spread = np.sort(drawn.std(axis=0))
+    # 40 neurons of 6 joints and a bias, 3 outputs of 40 neurons and a bias: of variance one over these numbers.
+    expected = np.sort([7**-0.5] * 40 * 7 + [41**-0.5] * 3 * 41)
+    np.testing.assert_allclose(spread, expected, rtol=0.08)
+
+
+def test_packed_arrays_come_back_and_damaged_ones_do_not() -> None:
+    array = np.array([[1.5, -np.pi], [1e-300, 0.0]])
+    packed = json.loads(json.dumps(pack(array)))
+    np.testing.assert_array_equal(unpack(packed), array)
+    packed["base64"] = packed["base64"][:5] + "!" + packed["base64"][5:]
+    with pytest.raises(ValueError, match="base64"):
+        unpack(packed)
+
+
+def test_a_problem_without_an_error_is_left_at_once() -> None:
+    task = small_task()
+    weights = random_weights(task.layout, np.random.default_rng(0), 1)
+    exact = Task(task.layout, task.inputs, forward(task.layout, weights, task.inputs)[0], task.scale_mm, task.loss)
+    samples, none = np.full((1, task.targets.shape[1]), 1 / task.targets.shape[1]), np.zeros(1)
+    batch = advance(exact, begin_batch(exact, weights, samples, none), samples, none)
+    assert batch.cost[0] == 0
+    assert not batch.active[0]
+    np.testing.assert_array_equal(batch.weights, weights)
+
+
+def test_steps_of_a_search_are_generations_and_its_repr_is_short() -> None:
+    run = Iwo(IwoSettings(iterations=5)).begin(small_task(), 0)
+    counted = []
+    while not run.reasons():
+        run.step()
+        counted.append(run.steps)
+    assert counted == list(range(1, len(counted) + 1))
+    done = train(small_task(), LevenbergMarquardt(restarts=1, iterations=2, ridges=(0.0,)))
+    assert done.history
+    assert "history" not in repr(done)
+    assert "weights" not in repr(done)
+
+
+def test_the_second_trainer_waits_for_the_first() -> None:
+    run = IwoThenLm(Iwo(IwoSettings(iterations=3)), LevenbergMarquardt(iterations=2, ridges=(0.0,))).begin(
+        small_task(), 0
+    )
+    parts = []
+    while not run.reasons():
+        run.step()
+        parts.append(run.state()["part"])
+    first = parts.index("lm")
+    assert first >= 2  # generations: the last one starts the second
+    assert set(parts[first:]) == {"lm"}
+
+
+def test_settings_of_trainers_are_those_of_the_page() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "compensator.md").read_text(encoding="utf-8")
+    default = next(line for line in page.splitlines() if line.startswith("| `lm` (default)"))
+    of_method = next(line for line in page.splitlines() if line.startswith("| `LM-NN-SKCM`"))
+    assert "ten restarts" in default
+    assert LevenbergMarquardt().restarts == 10
+    assert "20 restarts" in of_method
+    assert LevenbergMarquardt.for_method().restarts == 20
+    # The paper's own trainers learn millimetres, not shares of the residual.
+    assert (Backprop.output_scale_mm, Iwo.output_scale_mm, LevenbergMarquardt.output_scale_mm) == (1.0, 1.0, None)
+
+
+def test_a_network_that_corrects_nothing_of_no_error_is_read(tmp_path: Path) -> None:
+    made = Compensator.fit(*smooth(60, 0), trainer=LevenbergMarquardt(restarts=1, iterations=30, ridges=(1e-3,)))
+    assert made.network is not None
+    save_compensator(made, tmp_path / "net.json")
+    body = json.loads((tmp_path / "net.json").read_text())
+    for key in ("format", "version", "sha256"):
+        body.pop(key)
+    body["network"]["weights"] = [0.0] * len(body["network"]["weights"])
+    body["training"]["before"]["max_mm"] = 0.0
+    (tmp_path / "none.json").write_text(checksummed("casadical-compensator", 1, body))
+    assert not load_compensator(tmp_path / "none.json").correction_mm(np.zeros((1, 6))).any()

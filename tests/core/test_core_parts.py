@@ -1,0 +1,128 @@
+"""Small parts of the ground floor, each against another way to say the same."""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from scipy import stats
+
+from casadical.core import lazy, private_folder, threads
+from casadical.core.arm import Arm
+from casadical.core.casadi_arrays import ArrayFunction
+from casadical.core.casadi_buffers import call
+from casadical.core.file_locks import exchange
+from casadical.core.parameters import Parameter
+from casadical.core.parts import Joint
+from casadical.core.schema import TomlTable
+from casadical.core.statistics import student_t
+
+
+@pytest.mark.parametrize(("freedom", "within"), [(3, 5e-3), (5, 1e-3), (15, 1e-5), (100, 1e-7)])
+def test_students_quantile_is_scipys_within_what_it_says(freedom: int, within: float) -> None:
+    for probability in (0.6, 0.9, 0.975):
+        exact = stats.t.ppf(probability, freedom)
+        assert student_t(probability, freedom) == pytest.approx(exact, rel=within)
+
+
+def test_the_third_term_of_students_series() -> None:
+    # What the first two terms leave falls with the third power of the degrees of freedom.
+    n, z = 400, stats.norm.ppf(0.9999)
+    two = z + (z**3 + z) / 4 / n + (5 * z**5 + 16 * z**3 + 3 * z) / 96 / n**2
+    exact = stats.t.ppf(0.9999, n)
+    assert student_t(0.9999, n) - two == pytest.approx(exact - two, rel=0.02)
+
+
+def test_arrays_through_a_casadi_function_are_casadis_numbers() -> None:
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    operations = [1 / x, 2 * x, -x, ca.sqrt(x), ca.log1p(x), ca.atan2(x, y), ca.fmax(x, y), x**y, ca.fmod(y, x)]
+    f = ca.Function("f", [x, y], [ca.vertcat(*operations, ca.if_else(x < y, x, 0), ca.logic_not(x))])
+    points = np.random.default_rng(0).uniform(0.2, 3, (2, 7))
+    (found,) = ArrayFunction.of(f)([points[0]], [points[1]])
+    expected = f.map(7)(points[:1], points[1:]).full()
+    np.testing.assert_allclose(np.array([np.broadcast_to(v, 7) for v in found]), expected, rtol=1e-14, atol=1e-15)
+
+
+def test_a_function_takes_no_argument_of_another_shape() -> None:
+    x, none = ca.SX.sym("x", 2, 4), ca.SX.sym("none", 0, 4)
+    f = ca.Function("f", [x, none], [2 * x])
+    (found,) = call(f, np.array([[1.0], [3.0]]), np.zeros((0, 4)))
+    np.testing.assert_array_equal(found, np.tile([[2.0], [6.0]], 4))
+    with pytest.raises(ValueError, match=r"input 0 has shape \(3, 4\), expected \(2, 4\)"):
+        call(f, np.zeros((3, 4)), np.zeros((0, 4)))
+
+
+def test_turning_joints_are_counted_from_one() -> None:
+    joints = tuple(Joint(kind=kind, d=0.1) for kind in ("revolute", "prismatic", "revolute"))
+    assert Arm("arm", joints).revolute == (1, 3)
+    assert [*Arm("arm", joints).reading_units] == ["q1_deg", "q2_mm", "q3_deg"]
+
+
+@pytest.mark.parametrize(("unit", "shown", "factor"), [("m", "mm", 1e3), ("rad", "deg", 180 / np.pi), ("kg", "kg", 1)])
+def test_units_of_reports(unit: str, shown: str, factor: float) -> None:
+    p = Parameter("p", "group", unit, 0.0, 1.0, -1.0, 1.0, 1.0)
+    assert p.readable_unit == shown
+    assert p.readable(2.0) == pytest.approx(2 * factor)
+
+
+def test_a_toml_table_is_a_table() -> None:
+    class Given(TomlTable):
+        name: str
+
+    assert Given.model_validate({"name": "x"}).name == "x"
+    with pytest.raises(ValidationError, match="valid dictionary"):
+        Given.model_validate(["name"])
+
+
+def test_a_link_is_no_private_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "of others").mkdir()
+    (tmp_path / "cache").symlink_to(tmp_path / "of others")
+    monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path / "cache"))
+    assert private_folder.private_folder() is None
+    monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path / "new"))
+    assert private_folder.private_folder("kernels") == tmp_path / "new" / "kernels"
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no owners of files here")
+def test_a_folder_of_another_user_is_no_private_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path / "cache"))
+    assert private_folder.private_folder() == tmp_path / "cache"
+    another = os.geteuid() + 1
+    monkeypatch.setattr(os, "geteuid", lambda: another)
+    assert private_folder.private_folder() is None
+
+
+def test_folders_that_cannot_change_places_say_why(tmp_path: Path) -> None:
+    (tmp_path / "one").mkdir()
+    with pytest.raises(OSError) as told:  # noqa: PT011 (its number is what matters)
+        exchange(tmp_path / "one", tmp_path / "other")
+    known = hasattr(ctypes.CDLL(None), "renameat2")
+    assert told.value.errno in ((errno.ENOENT, errno.EINVAL, errno.ENOSYS) if known else (0,))
+
+
+def test_a_number_of_threads_that_was_given_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    for name in names:
+        monkeypatch.setenv(name, "9")  # so that all are as before afterwards
+        monkeypatch.delenv(name)
+    monkeypatch.setenv(names[1], "3")
+    threads.one_thread()
+    assert [os.environ.get(name) for name in names] == [None, "3", None]
+    monkeypatch.delenv(names[1])
+    threads.one_thread()
+    assert [os.environ.get(name) for name in names] == ["1", "1", "1"]
+
+
+def test_names_are_attached_without_loading_typing() -> None:
+    code = f"import sys; sys.path.insert(0, {str(Path(lazy.__file__).parent)!r}); import lazy; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-S", "-E", "-c", code], capture_output=True, text=True, check=True)
+    assert "lazy" in done.stdout.split()
+    assert "typing" not in done.stdout.split()

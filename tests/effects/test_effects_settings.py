@@ -1,0 +1,101 @@
+"""What an effect is where a file says nothing: its settings; and how the springs of simulators are put together."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from bench import campaign, robot
+
+from casadical.effects import FrictionWindup, MissingCompliance, NonlinearStiffness
+from casadical.effects.counterparts import RIGID, Counterparts, Drive
+from casadical.effects.plugins import known_effects
+from casadical.effects.registry import FrameSettling
+from casadical.effects.smooth import AnyOfOtherAngle
+from casadical.export.mjcf.drives import counterparts
+from casadical.identification.accuracy import predicted
+
+# Files that give no settings are read with these: no version may change them.
+SETTINGS = {
+    "axis_wobble": {"cycles": 1, "still": False},
+    "cross_coupling": {"source": 1},
+    "frame_settling": {"shape": 1.0, "settles": 0.1},
+    "frame_step": {"at": 0.5},
+    "friction_windup": {},
+    "joint_coupling": {"source": 1},
+    "joint_zero_step": {"at": 0.5},
+    "load_hysteresis": {"power": 1},
+    "nonlinear_stiffness": {"knee": 0.3},
+    "transmission_ripple": {"cycles": 2.0},
+}
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_settings_that_a_file_does_not_give(name: str) -> None:
+    kind = known_effects()[name]
+    joint = 2 if name not in ("frame_settling", "frame_step") else None
+    effect = kind.from_dict({"name": name, **({"joint": joint} if joint else {})})
+    assert {f.name: getattr(effect, f.name) for f in fields(effect) if f.name != "joint"} == SETTINGS[name]
+
+
+def test_a_frame_settles_within_a_fiftieth_to_a_third_of_the_campaign() -> None:
+    assert [e.settles for e in FrameSettling.candidates(robot("ur10e"))] == [0.02, 0.05, 0.12, 0.3]
+
+
+def plain(joints: int = 3) -> Counterparts:
+    return Counterparts((Drive(),) * joints, np.array([100.0, 50.0, 20.0])[:joints], np.full(joints, 0.5), 100.0)
+
+
+def test_an_axis_without_a_spring_stays_rigid_beside_those_that_have_one() -> None:
+    found = plain().with_springs("link_flexure", {"rx": 1e-4, "ry": 0.0, "rz": -2e-4}, 2)
+    assert found.flexures[2] == pytest.approx((1e6, np.inf, np.inf))
+    assert [(o.label, o.parts) for o in found.left_out] == [("link_flexure", ("rz",))]
+    foot = plain().with_springs("base_compliance", {"rx": 2e-4, "ry": 1e-4}, 0)
+    assert foot.base == pytest.approx((5e5, 1e6))
+    assert not plain().with_springs("base_compliance", {"rx": 0.0, "ry": 0.0}, 0).written
+
+
+def test_dry_friction_of_a_rigid_joint_winds_nothing_up() -> None:
+    found = FrictionWindup(2).counterpart(plain(), {"constant": 4e-5, "load": 0.0})
+    assert found.drive(2).friction == 0
+    assert [o.label for o in found.left_out] == ["friction_windup@2"]
+
+
+def test_friction_finds_the_spring_that_another_effect_brings() -> None:
+    soft, joint = robot("kr210"), 3
+    stiff = replace(soft, joints=tuple(replace(j, compliance=None) for j in soft.joints))
+    windup, spring = FrictionWindup(joint), MissingCompliance(joint)
+    values = {f"{spring.label}.deflection": 2e-4, f"{windup.label}.constant": 4e-5}
+    found = counterparts(stiff.with_effect(windup, spring).with_values(values))
+    great = stiff.torque_scale[joint - 1]
+    assert found.drive(joint).stiffness == pytest.approx(great / 2e-4)
+    # The spring gives way by the windup under the friction.
+    assert found.drive(joint).friction == pytest.approx(4e-5 * great / 2e-4)
+    assert found.left_out == ()
+
+
+def test_a_bedded_gear_gives_way_softly_between_stops() -> None:
+    found = NonlinearStiffness(2, 0.4).counterpart(plain(), {"bend": 1e-4})
+    drive = found.drive(2)
+    # A line through zero and the stop is within 8.3 % of the bend of tanh, everywhere.
+    torque = np.linspace(0, 50, 501)
+    line = np.minimum(torque / drive.give_stiffness, drive.give)
+    assert np.abs(line - 1e-4 * np.tanh(torque / 50 / 0.4)).max() < 0.085 * 1e-4
+    assert Drive().stiffness == RIGID
+
+
+def test_an_effect_without_values_has_no_counterpart() -> None:
+    arm = robot("kr210")
+    assert counterparts(arm.with_effect(NonlinearStiffness(2))).drives == counterparts(arm).drives
+
+
+def test_any_function_of_another_angle_is_that_angles() -> None:
+    arm, poses = robot("ur10e"), campaign("ur10e")[::20]
+    effect = AnyOfOtherAngle(3, 2)
+    values = {f"{effect.label}.s1": 3e-5, f"{effect.label}.c2": -4e-5}
+    found = predicted(arm.with_effect(effect).with_values(values), poses)[0]
+    q = poses.q.copy()
+    q[:, 2] += 3e-5 * np.sin(q[:, 1]) - 4e-5 * np.cos(2 * q[:, 1])
+    # The reading moves the torques with it, the effect does not: to a hundredth of what it does.
+    expected = predicted(arm, replace(poses, q=q))[0]
+    whole = np.abs(expected - predicted(arm, poses)[0]).max()
+    np.testing.assert_allclose(found, expected, rtol=0, atol=0.01 * whole)

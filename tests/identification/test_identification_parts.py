@@ -1,0 +1,156 @@
+"""Limits, thresholds and words of an identification, on arms small enough to see what must come out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import arms
+import numpy as np
+import pytest
+from scipy import stats
+
+from casadical import FourBar, Joint, Placement, Robot, identify
+from casadical.core.errors import InputError
+from casadical.core.transforms import frame, from_rpy
+from casadical.identification.accuracy import summarise
+from casadical.identification.identifiability import _correlated, analyse
+from casadical.identification.placement import place_frames
+from casadical.identification.plausibility import check_against, least_margins
+from casadical.identification.prior import Prior
+from casadical.identification.screening import OUTLIER_CHI2
+from casadical.identification.tables import parameter_tables
+from casadical.robot.knowledge import Knowledge
+
+PLANAR = arms.planar()
+
+
+@pytest.fixture(scope="module")
+def result():
+    """Of an arm whose base and tool are found with its lengths."""
+    arm = arms.six_axis()
+    q = arms.readings(arm, 40, 1)
+    return identify(arm, arms.positions(arms.planted_in(arm, ["a2", "theta2"], 2), q, 3), ["placement", "a2", "theta2"])
+
+
+@pytest.mark.parametrize(("beyond", "refused"), [(-1e-3, False), (5e-7, False), (2e-6, True), (0.3, True)])
+@pytest.mark.parametrize("end", [-2.0, 2.0])
+def test_readings_end_a_millionth_beyond_the_limits(end: float, beyond: float, refused: bool) -> None:
+    q = np.tile([0.1, 0.2], (5, 1))
+    q[3, 1] = end + np.sign(end) * beyond
+    if not refused:
+        check_against(PLANAR, arms.positions(PLANAR, q, 0))
+        return
+    with pytest.raises(InputError, match=rf"q2 = {np.rad2deg(q[3, 1]):.6g} deg is outside .*\[-114.592, 114.592\] deg"):
+        check_against(PLANAR, arms.positions(PLANAR, q, 0))
+
+
+def test_the_unit_of_three_points_is_not_doubted_that_of_four_is() -> None:
+    q = np.random.default_rng(0).uniform(-1.5, 1.5, (4, 2))
+    m = arms.positions(PLANAR, q, 0)
+    wrong = replace(m, position=1e3 * m.position)
+    check_against(PLANAR, wrong[:3])
+    with pytest.raises(InputError, match="are they millimetres"):
+        check_against(PLANAR, wrong)
+
+
+def test_a_loop_whose_crank_ends_on_the_driven_joint_is_open() -> None:
+    joints = (Joint(lower=-1, upper=1), Joint(a=0.5, lower=0.2, upper=2.5))
+    loop = FourBar(driven=2, carrier=1, crank=0.5, coupler=0.5, rocker=0.5)
+    robot = Robot("folded", joints, loops=(loop,), tool=Placement(np.eye(4)))
+    margins = least_margins(robot, arms.bare(np.array([[0.0, 1.0], [0.0, 0.0]])))
+    assert margins[0] > 0.5
+    assert margins[1] == 0.0
+
+
+def test_the_figures_of_one_error() -> None:
+    one = summarise(np.array([2e-3]))
+    assert (one.n, one.mean, one.max, one.std, one.rms, one.p95) == (1, 2e-3, 2e-3, 0.0, 2e-3, 2e-3)
+    assert summarise(np.array([1.0, 2.0, 4.0])).std == pytest.approx(np.sqrt(7 / 3))
+
+
+def test_an_outlier_is_what_noise_exceeds_once_in_a_hundred_thousand() -> None:
+    assert pytest.approx({k: stats.chi2.isf(1e-5, k) for k in range(1, 7)}, abs=0.006) == OUTLIER_CHI2
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-3, 1e4])
+def test_what_is_independent_does_not_depend_on_the_unit(unit: float) -> None:
+    rng = np.random.default_rng(0)
+    J = rng.normal(size=(30, 4)) * [1.0, 0.05, 3.0, 0.2]
+    J[:, 3] = J[:, 0] - 2 * J[:, 1]
+    found = analyse(unit * J, "abcd", 0, {})
+    assert found.independent == ("a", "b", "c")
+    assert found.held[0].confounded_with == ("a", "b")
+    columns = J[:, :3] / np.linalg.norm(J[:, :3], axis=0)
+    assert found.condition == pytest.approx(np.linalg.cond(columns))
+
+
+def test_estimates_are_correlated_whatever_the_sign() -> None:
+    C = np.array([[4.0, -3.9, 1.0], [-3.9, 4.0, 0.0], [1.0, 0.0, 9.0]])
+    assert _correlated(C, 0, ["a", "b", "c"]) == ("b",)
+    assert _correlated(C, 1, ["a", "b", "c"]) == ("a",)
+    assert _correlated(C, 2, ["a", "b", "c"]) == ()
+
+
+def test_a_base_that_leans_is_placed_where_one_joint_is_compliant() -> None:
+    """Gravity bends the arm by its direction as the base sees it, which the placement itself must find."""
+    arm = arms.hh800()
+    soft = tuple(replace(j, compliance=2e-6 if k == 2 else None) for k, j in enumerate(arm.joints))
+    arm = replace(arm, joints=soft, base=Placement(np.eye(4), "pose"))
+    leaning = frame(from_rpy(np.array([0.6, -0.4, 0.3])), np.array([1.0, -2.0, 0.5]))
+    built = replace(arm, base=replace(arm.base, T=leaning))
+    found = place_frames(arm, arms.positions(built, arms.readings(arm, 60, 5), 0, sigma=0.0))
+    assert np.abs(found.base.T - leaning).max() < 2e-5
+
+
+def test_an_optimum_is_what_a_step_improves_by_less_than_a_ten_thousandth(result) -> None:
+    """Chi-squared grows with the square of the way from the optimum."""
+    problem, v = result.problem, result.solution.v
+    assert result.is_optimal()
+    way = np.random.default_rng(0).normal(size=v.size)
+    gain = np.sqrt(problem.decrement(v + 1e-4 * way) / 1e-8)
+    for tolerance, optimal in ((0.9e-4, True), (1.15e-4, False)):
+        moved = v + way / gain * np.sqrt(tolerance * result.variance)
+        assert problem.decrement(moved) == pytest.approx(tolerance * result.variance, rel=0.05)
+        assert replace(result, solution=replace(result.solution, v=moved)).is_optimal() is optimal
+
+
+def test_progress_counts_the_iterations_from_zero() -> None:
+    told = []
+    arm = arms.six_axis()
+    m = arms.positions(arms.planted_in(arm, ["a2"], 2), arms.readings(arm, 20, 1), 3)
+    found = identify(arm, m, ["a2"], progress=lambda k, cost: told.append((k, cost)))
+    assert [k for k, _ in told] == list(range(len(told)))
+    assert told[-1][1] == pytest.approx(found.solution.history[-1])
+
+
+def test_shown_parameters_are_a_table_like_that_of_all(result) -> None:
+    assert list(result.shown.columns) == list(result.parameters.columns)
+    assert list(result.shown.index) == list(range(len(result.shown)))
+
+
+def test_stiffness_is_told_of_the_compliances_that_were_identified() -> None:
+    arm = arms.hh800()
+    built = arms.planted_in(arm, ["c2", "c3"], 4)
+    found = identify(arm, arms.positions(built, arms.readings(arm, 60, 5), 6), ["c2", "c3"])
+    (told,) = [w.text for w in parameter_tables(found)[1:] if "Joint stiffness" in getattr(w, "text", "")]
+    values = dict(zip(found.names, found.estimate, strict=True))
+    assert told == f"Joint stiffness [N m/rad]: joint 2 {1 / values['c2']:.3g}, joint 3 {1 / values['c3']:.3g}"
+
+
+def test_a_prior_knows_the_measurements_that_it_was_learnt_from() -> None:
+    q = np.array([[0.1, -0.7], [0.5, 0.2], [0.3, 1.1]])
+    m = replace(arms.positions(PLANAR, q, 0), source="a.csv")
+    prior = Prior(knowledge=Knowledge(campaign="a.csv", readings=np.array([[0.1, 0.5], [-0.7, 1.1]])))
+    assert prior.learnt_from([m])
+    assert not prior.learnt_from([replace(m, q=q + 0.01)])
+    assert not prior.learnt_from([replace(m, source="b.csv")])
+
+
+def test_a_model_that_does_not_fit_is_told_by_a_two_hundredth_of_the_reach() -> None:
+    """Three poses with 8 mm of scatter do not determine a length; whether the model is to blame tells the reach."""
+    for length, word in ((0.2, "does not fit: [0-9.]+ mm"), (2.0, "determine none")):
+        joints = (Joint(), replace(PLANAR.joints[1], a=length))
+        arm = replace(PLANAR, joints=joints, tool=Placement(frame(np.eye(3), np.array([length, 0, 0]))))
+        m = arms.positions(arm, np.array([[0.3, 0.8], [-0.5, 0.1], [1.0, -1.0]]), 3, sigma=8e-3)
+        with pytest.raises(InputError, match=word):
+            identify(arm, m, ["a1"])

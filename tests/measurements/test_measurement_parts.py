@@ -1,0 +1,53 @@
+"""How a table is told to be written, what noise may be, and which unit a distance is taken for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from casadical import Measurements
+from casadical.core.errors import InputError
+from casadical.measurements.kinds.distance import distance_fault
+from casadical.measurements.noise import Noise
+from casadical.measurements.table_form import Form, decoded
+
+
+def test_a_separation_is_kept_only_with_both_its_points() -> None:
+    m = Measurements(q=np.zeros((4, 2)), kind="contact", label=np.array(list("ABBC"), dtype=object))
+    m = m.with_separations([("A", "B", 0.1), ("C", "B", 0.2)])
+    assert m[1:].separations == (("C", "B", 0.2),)
+    assert m[:3].separations == (("A", "B", 0.1),)
+    assert m[[0, 3]].separations == ()
+
+
+@pytest.mark.parametrize(("sigma", "repeatability"), [(0.0, 0.0), (-1e-5, 0.0), (1e-5, -1e-6), (0.0, 1e-5)])
+def test_noise_that_cannot_be_is_refused(sigma: float, repeatability: float) -> None:
+    with pytest.raises(InputError, match="allowed: above zero, and zero or more"):
+        Noise(sigma, repeatability)
+    assert Noise(1e-5, 0.0).sigma == 1e-5
+
+
+@pytest.mark.parametrize(("times", "word"), [(100.0, ""), (101.0, "distance_mm"), (0.0101, ""), (0.0099, "distance_m")])
+def test_a_distance_of_another_unit_is_told_by_a_factor_beyond_a_hundred(times: float, word: str) -> None:
+    p = np.zeros((5, 3))
+    far = np.tile([0.0, 0.0, 1.0], (5, 1))
+    told = distance_fault({"distance": np.full(5, times)}, p, far, 1.5)
+    assert told.endswith(f"should the column be named {word}?") if word else told == ""
+
+
+def test_the_form_of_a_table_in_words() -> None:
+    text = Form("cp1252", ";", ",", 3, ("deg", "mm"), ((1, "title"), (2, "")))
+    assert text.words == (
+        "cp1252, semicolons, decimal commas, headings in line 3, a row of units, 2 other lines skipped"
+    )
+    assert Form(header_line=0).words == "utf-8, commas, decimal points, no headings"
+    assert (
+        Form(sheet="Messung", skipped=((1, "x"),)).words == "sheet 'Messung', headings in line 1, 1 other line skipped"
+    )
+
+
+@pytest.mark.parametrize("order", ["le", "be"])
+@pytest.mark.parametrize("text", ["q1_deg,x_mm\n1,2\n", "\u4e00" * 40 + "a" * 80, "x" * 400 + "\u4e00" * 300])
+def test_utf_16_without_its_mark_is_told_by_where_the_zeros_are(order: str, text: str) -> None:
+    # Letters have a zero as their high byte; a few signs, as the Chinese one, have one as their low byte.
+    assert decoded(text.encode(f"utf-16-{order}")) == (text, f"utf-16-{order}")

@@ -1,0 +1,116 @@
+"""Parts of a problem folder's checks, plans and words that whole commands show only now and then."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+import pytest
+
+from casadical.diagnosis.localisation import Localisation
+from casadical.measurements.columns import Source
+from casadical.measurements.headings import Question
+from casadical.project.check.check import LACKS, Precheck, _outlook_findings
+from casadical.project.check.information import outlook
+from casadical.project.check.report import as_json
+from casadical.project.check.slip_fit import Hypothesis
+from casadical.project.check.slips import _outside
+from casadical.project.new.new import _answered
+from casadical.project.new.texts import with_tools
+from casadical.project.outcome import _no_better
+from casadical.project.planning import plan
+from casadical.project.problem import read_problem
+from casadical.project.remaining_errors import where_left
+
+if TYPE_CHECKING:
+    from casadical.project.check.information import Outlook
+    from casadical.project.problem import Problem
+
+PLANAR = Path(__file__).parents[2] / "problems" / "planar"
+
+
+@pytest.fixture(scope="module")
+def planar() -> Problem:
+    return read_problem(PLANAR)
+
+
+@pytest.fixture(scope="module")
+def seen(planar: Problem) -> Outlook:
+    return outlook(planar.robot, planar.sets["identify"], ["kinematic"], "KM", noise=2e-5)
+
+
+def test_a_forecast_is_the_same_every_time_and_that_of_seed_zero(planar: Problem, seen: Outlook) -> None:
+    again = outlook(planar.robot, planar.sets["identify"], ["kinematic"], "KM", noise=2e-5, seed=0)
+    assert seen.accuracy == again.accuracy
+    other = outlook(planar.robot, planar.sets["identify"], ["kinematic"], "KM", noise=2e-5, seed=1)
+    assert seen.accuracy != other.accuracy  # other poses of the task
+    assert seen.accuracy == pytest.approx(other.accuracy, rel=0.1)
+
+
+def test_a_misfit_is_more_than_four_times_the_noise(planar: Problem, seen: Outlook) -> None:
+    def misfits(scatter: float) -> list[str]:
+        found = _outlook_findings(replace(seen, scatter=scatter), planar.robot, 1e-4)
+        return [f.topic for f in found if f.topic == "misfit"]
+
+    assert LACKS == 4
+    assert misfits(4e-4) == []
+    assert misfits(4.01e-4) == ["misfit"]
+
+
+def test_no_accuracy_is_promised_from_too_few_numbers(seen: Outlook) -> None:
+    few = replace(seen, numbers=seen.unknowns)
+    none = replace(seen, names=(), errors=np.zeros(0))
+    told = as_json(Precheck(PLANAR, (), outlooks=(replace(seen, method="A"), replace(few, method="B"), none)))[
+        "methods"
+    ]
+    assert told["A"]["expected_accuracy_mm"] == pytest.approx(1e3 * seen.accuracy)
+    assert told["B"]["expected_accuracy_mm"] is None
+    assert told["KM"]["expected_accuracy_mm"] is None
+
+
+def test_readings_a_hundredth_beyond_the_limits_are_within(planar: Problem) -> None:
+    robot = planar.robot
+    lower, upper = np.array([(j.lower, j.upper) for j in robot.joints]).T
+    nothing = Hypothesis.none(robot.n)
+    for q, outside in ((upper + 0.005, False), (upper + 0.02, True), (lower - 0.005, False), (lower - 0.02, True)):
+        assert _outside(nothing, robot, np.tile(q, (20, 1))) is outside
+
+
+def test_an_answer_about_units_renames_its_columns() -> None:
+    columns = {"x_mm": Source("X"), "y_mm": Source("Y"), "q1_deg": Source("J1")}
+    inches = {"x": Source("x_m"), "y": Source("y_m")}
+    metres = _answered(columns, Question("?", {"m": {"x_m": Source("X"), "y_m": Source("Y")}}), None)
+    assert metres == {"q1_deg": Source("J1"), "x_m": Source("X"), "y_m": Source("Y")}
+    kept = _answered(columns, Question("?", {"those": {"x": Source("V"), "y": Source("W")}}), lambda _: "those")
+    assert kept == {"x_mm": Source("V"), "y_mm": Source("W"), "q1_deg": Source("J1")}
+    assert set(inches) == {"x", "y"}
+
+
+def test_each_measured_point_has_a_table_of_its_own() -> None:
+    text = 'name = "r"\n\n[tool]\nxyz_mm = [1, 2, 3]\nunknown = "position"\n\n[base]\nrx = 1\n\n[[joint]]\na_mm = 4\n'
+    tables = "".join(
+        f'[[tool]]  # measured point {n}\nname = "{n}"\nxyz_mm = [1, 2, 3]\nunknown = "position"\n\n'
+        for n in ("A", "B")
+    )
+    assert with_tools(text, ["A", "B"]) == f'name = "r"\n\n{tables}[base]\nrx = 1\n\n[[joint]]\na_mm = 4\n'
+
+
+def test_the_forecast_of_a_plan_goes_twenty_poses_beyond_it(planar: Problem) -> None:
+    found = plan(planar.robot, 6, order=False)
+    assert found.forecast.poses[-1] == 26
+
+
+def test_an_error_is_localised_in_positions_of_one_set_only(calibrated: Any) -> None:
+    planar = calibrated("planar")
+    assert isinstance(where_left(planar), Localisation)
+    result = planar.identification
+    (m,) = result.measurements
+    distances = replace(m, kind="distance", position=None, distance=np.ones(len(m)), target=np.zeros((len(m), 3)))
+    for sets in ((m, m), (distances,)):
+        other = SimpleNamespace(identification=SimpleNamespace(measurements=sets))
+        assert where_left(cast("Any", other)) is None
+    # It was made ten times better, so no data are asked for.
+    assert list(_no_better(planar.problem, result, planar.accuracies)) == []
