@@ -2,36 +2,36 @@
 
 from __future__ import annotations
 
-from functools import cache
-from pathlib import Path
-
 import pytest
 from browser import Opened, chromium
 
-KINDS = ["calibration", "diagnosis"]
-
-
 WIDE, PHONE = 1280, 390
+CALIBRATION, DIAGNOSIS = ("calibration", WIDE), ("diagnosis", WIDE)
+PHONES = (("calibration", PHONE), ("diagnosis", PHONE))
 FIGURE = "figure[data-name='{}']"
 
 
 @pytest.fixture(scope="module")
-def opened(request):
-    """A function: kind of report and width -> its page, each opened once for all tests."""
-    with chromium() as browser:
-
-        @cache
-        def page(kind: str, width: int = WIDE) -> Opened:
-            path: Path = request.getfixturevalue(f"{kind}_file")
-            return Opened(browser, path, width)
-
-        yield page
+def browser():
+    with chromium() as found:
+        yield found
 
 
-@pytest.mark.parametrize("width", [WIDE, PHONE])
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_figure_is_drawn_and_nothing_overflows_or_leaves_the_file(opened, kind, width) -> None:
-    page = opened(kind, width)
+@pytest.fixture(scope="module")
+def page(request, browser):
+    """A kind of report at a width: opened once for all its tests, which pytest runs one after the other."""
+    kind, width = request.param
+    opened = Opened(browser, request.getfixturevalue(f"{kind}_file"), width)
+    yield opened
+    opened.close()
+
+
+def on(*pages: tuple[str, int]) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("page", pages, indirect=True, ids="{0[0]}-{0[1]}".format)
+
+
+@on(CALIBRATION, DIAGNOSIS, *PHONES)
+def test_every_figure_is_drawn_and_nothing_overflows_or_leaves_the_file(page) -> None:
     figures = page.js("document.querySelectorAll('figure[data-name]').length")
     drawn = page.js(
         """[...document.querySelectorAll('figure[data-name]')].filter(f => {
@@ -42,14 +42,13 @@ def test_every_figure_is_drawn_and_nothing_overflows_or_leaves_the_file(opened, 
     )
     assert figures >= 12
     assert drawn == figures
-    assert page.js("document.documentElement.scrollWidth") == width
+    assert page.js("document.documentElement.scrollWidth") == page.width
     assert page.faults == []
     assert page.network == []
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_on_a_phone_no_words_of_a_figure_are_cut_or_lie_on_others(opened, kind) -> None:
-    page = opened(kind, PHONE)
+@on(*PHONES)
+def test_on_a_phone_no_words_of_a_figure_are_cut_or_lie_on_others(page) -> None:
     outside = page.js(
         """[...document.querySelectorAll('.plot')].flatMap(plot => {
             const box = plot.getBoundingClientRect();
@@ -74,8 +73,9 @@ def test_on_a_phone_no_words_of_a_figure_are_cut_or_lie_on_others(opened, kind) 
     assert overlapping == []
 
 
-def test_on_a_phone_the_tables_of_errors_show_all_their_columns(opened) -> None:
-    cut = opened("calibration", PHONE).js(
+@on(PHONES[0])
+def test_on_a_phone_the_tables_of_errors_show_all_their_columns(page) -> None:
+    cut = page.js(
         """[...document.querySelectorAll('#p1s2 .table')].filter(t => t.textContent.includes('95 %'))
             .map(t => t.querySelector('.scroll')).map(s => [s.scrollWidth, s.clientWidth])"""
     )
@@ -96,18 +96,23 @@ def hover(page: Opened, name: str) -> str:
     return str(figure.locator(".hoverlayer").text_content())
 
 
-def test_tooltips_tell_the_pose_its_error_and_the_interval(opened) -> None:
-    errors = hover(opened("calibration"), "errors/report")
+@on(CALIBRATION)
+def test_tooltips_tell_the_pose_its_error_and_the_interval(page) -> None:
+    errors = hover(page, "errors/report")
     assert "row " in errors
     assert "before" in errors
     assert "mm" in errors
-    assert "95 %" in hover(opened("calibration"), "parameters/lengths")
-    assert "95 %" in hover(opened("calibration"), "where/regions")
-    assert "friction_windup@5" in hover(opened("diagnosis"), "causes/1")
+    assert "95 %" in hover(page, "parameters/lengths")
+    assert "95 %" in hover(page, "where/regions")
 
 
-def test_the_workspace_turns_and_its_vectors_answer_the_mouse(opened) -> None:
-    page = opened("calibration")
+@on(DIAGNOSIS)
+def test_tooltips_tell_the_cause(page) -> None:
+    assert "friction_windup@5" in hover(page, "causes/1")
+
+
+@on(CALIBRATION)
+def test_the_workspace_turns_and_its_vectors_answer_the_mouse(page) -> None:
     scene = page.page.locator(f"{FIGURE.format('workspace')} .gl-container canvas").first
     scene.scroll_into_view_if_needed()
     box = scene.bounding_box()
@@ -138,9 +143,8 @@ GROUNDS = """[getComputedStyle(document.body).backgroundColor,
     .map(c => Number(c.match(/\\d+/)[0]))"""
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_in_the_dark_the_page_and_its_figures_turn_dark(opened, kind) -> None:
-    page = opened(kind)
+@on(CALIBRATION, DIAGNOSIS)
+def test_in_the_dark_the_page_and_its_figures_turn_dark(page) -> None:
     assert min(page.js(GROUNDS)) > 200
     page.page.emulate_media(color_scheme="dark")
     page.until(f"() => Math.max(...{GROUNDS}) < 60")
@@ -149,9 +153,8 @@ def test_in_the_dark_the_page_and_its_figures_turn_dark(opened, kind) -> None:
     page.until(f"() => Math.min(...{GROUNDS}) > 200")
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_it_prints_with_a_white_picture_of_every_figure(opened, kind, tmp_path) -> None:
-    page = opened(kind)
+@on(CALIBRATION, DIAGNOSIS)
+def test_it_prints_with_a_white_picture_of_every_figure(page, tmp_path) -> None:
     page.until("() => document.documentElement.dataset.ready === 'yes'")
     page.page.emulate_media(media="print", color_scheme="dark")
     pictures = page.js(
