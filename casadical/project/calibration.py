@@ -23,7 +23,14 @@ from casadical.identification.tables import correlated, held_table, how_sure, pa
 from casadical.measurements.measurements import Measurements
 from casadical.project.check.targets import unnamed_targets
 from casadical.project.networks import NetworkResult, Networks, train_networks
-from casadical.project.outcome import chance_of, left_out_table, methods_worse, things_to_know, worse_than_before
+from casadical.project.outcome import (
+    chance_of,
+    left_out_table,
+    methods_worse,
+    things_to_know,
+    usual_held_out,
+    worse_than_before,
+)
 from casadical.project.problem import Carried, Problem, as_it_is, read_problem
 from casadical.project.problem_file import BASE_METHODS, PROBLEM_LOSSES, BaseMethod, all_methods, base_methods
 from casadical.project.tables import Accuracies, error_tables, judged_on, network_tables, paper_tables, verdict
@@ -129,6 +136,7 @@ class Calibration:
     def to_json(self) -> dict[str, Any]:
         """The same as plain data: per method and set the error figures, per parameter value, error, unit, status."""
         problem = self.problem
+        usual = {method: usual_held_out(problem, r.robot) for method, r in self.identifications.items()}
         found: dict[str, Any] = {
             "problem": problem.folder.name,
             "title": problem.title,
@@ -151,6 +159,7 @@ class Calibration:
                             **_as_mm(states["calibrated"]),
                             "before_nominal": _as_mm(states["nominal"]),
                             "before_placed": _as_mm(states["placed"]),
+                            **({"without_far_off": _as_mm(usual[method][name])} if name in usual[method] else {}),
                         }
                         for name, states in self.accuracies[method].items()
                     },

@@ -6,8 +6,9 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.blocks import Table, Words, mm
-from casadical.identification.accuracy import Accuracy, errors
+from casadical.identification.accuracy import Accuracy, errors, summarise
 from casadical.identification.identification import Identification, LeftOut, rows_in_words
 from casadical.project.check.coverage import coverage
 from casadical.project.networks import Networks
@@ -18,6 +19,8 @@ from casadical.robot.robot import Robot
 # A held-out pose with more than so many times the median error is far off.
 FAR = 10.0
 THINGS = 3
+# So many rows are named in the short answer.
+NAMED = 12
 # A mean error that falls by less, as a share, is hardly better; a joint that covers less of its range moves little.
 LITTLE, NARROW = 0.1, 0.5
 
@@ -48,11 +51,13 @@ def _doubts(problem: Problem, last: Identification) -> Iterator[Words]:
     if "DOES NOT FIT" in last.verdict:
         yield Words("The model does not fit: run casadical check, it searches for slips of the table.", "warning")
     if last.left_out:
-        yield Words(f"Left out as outliers: {rows_in_words(last.left_out, 5)}.", "warning")
+        yield Words(f"Left out as outliers: {rows_in_words(last.left_out, NAMED)}.", "warning")
     far = far_held_out(problem, last.robot)
     if far:
         worst = rows_in_words(far, 3)
-        yield Words(f"Held-out poses far off, in the figures above: {worst}.", "warning")
+        without = mm(float(np.mean(np.concatenate([e for e, _ in _held_out(problem, last.robot).values()]))))
+        text = f"Held-out poses far off, in the figures above: {worst}; without them the mean is {without} mm."
+        yield Words(text, "warning")
     if last.at_bounds:
         yield Words(f"At bounds: {', '.join(last.at_bounds)}: widen the bounds or doubt the model.", "warning")
     if not any(name.startswith("report") for name in problem.sets):
@@ -78,7 +83,11 @@ def _no_better(problem: Problem, last: Identification, accuracies: Accuracies) -
         )
     if not missing:
         missing.append("what the model lacks: casadical diagnose names it")
-    yield Words(f"The calibration hardly helps. It would need {'; '.join(missing)}.", "warning")
+    if after.mean > before.mean:
+        text = f"Held-out poses are worse than before, which may be chance of {after.n} poses: keep the nominal robot."
+    else:
+        text = "The calibration hardly helps."
+    yield Words(f"{text} It would need {'; '.join(missing)}.", "warning")
 
 
 def _notes(problem: Problem, last: Identification, networks: Networks | None) -> Iterator[Words]:
@@ -96,13 +105,24 @@ def _notes(problem: Problem, last: Identification, networks: Networks | None) ->
 
 def far_held_out(problem: Problem, robot: Robot) -> list[LeftOut]:
     """Held-out poses whose error is many times the median of their set, the farthest first."""
-    found = []
+    return sorted((out for _, far in _held_out(problem, robot).values() for out in far), key=lambda out: -out.error)
+
+
+def usual_held_out(problem: Problem, robot: Robot) -> dict[str, Accuracy]:
+    """Of each held-out set with poses that are far off, the figures without them."""
+    return {name: summarise(e) for name, (e, far) in _held_out(problem, robot).items() if far}
+
+
+def _held_out(problem: Problem, robot: Robot) -> dict[str, tuple[Array, list[LeftOut]]]:
+    """Of each held-out set, errors of the usual poses [m], and the poses that are far off."""
+    found = {}
     for name, m in problem.parts():
         if name.startswith("report"):
             e = errors(robot, m)
-            far = np.flatnonzero(e > FAR * np.median(e))
-            found += [LeftOut(m.source, int(m.row[k]), float(e[k])) for k in far]
-    return sorted(found, key=lambda out: -out.error)
+            far = e > FAR * np.median(e)
+            rows = [LeftOut(m.source, int(m.row[k]), float(e[k])) for k in np.flatnonzero(far)]
+            found[name] = (e[~far], rows)
+    return found
 
 
 def chance_of(before: Accuracy, after: Accuracy) -> float:

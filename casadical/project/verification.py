@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.blocks import Table, Words, mm
 from casadical.core.errors import InputError
 from casadical.identification.accuracy import errors
@@ -32,6 +33,7 @@ class Verification:
 
     promised : rms position error on held-out poses of the calibration [m]; found : now, base and tool fitted again, the
     fit's own share made up for [m]; limit : what `found` may be by chance [m]; n : poses; far : those far off
+    without : `found` without those, where it is no longer valid with them
     """
 
     robot: str
@@ -40,6 +42,7 @@ class Verification:
     limit: float
     n: int
     far: tuple[LeftOut, ...]
+    without: float | None = None
 
     @property
     def valid(self) -> bool:
@@ -61,8 +64,11 @@ class Verification:
             ),
         ]
         if self.far:
-            found.append(Words(f"Far off: {rows_in_words(self.far)}. Measure these poses again first.", "warning"))
-        if not self.valid:
+            text = f"Far off: {rows_in_words(self.far)}"
+            if self.without is not None:
+                text += f"; without them it is {mm(self.without)} mm{', as promised' * (self.without <= self.limit)}"
+            found.append(Words(f"{text}. Measure these poses again first.", "warning"))
+        if not self.valid and (self.without is None or self.without > self.limit):
             found.append(Words("Calibrate again, or ask casadical diagnose what changed.", "warning"))
         return list(found)
 
@@ -75,6 +81,7 @@ class Verification:
             "found_rms_mm": 1e3 * self.found,
             "limit_mm": 1e3 * self.limit,
             "poses": self.n,
+            "without_far_mm": None if self.without is None else 1e3 * self.without,
             "far": [{"row": out.row, "error_mm": 1e3 * out.error} for out in self.far],
         }
 
@@ -103,17 +110,35 @@ def verify(robot: str | Path, table: str | Path, promised_mm: float | None = Non
         raise InputError(f"{table}: {len(m)} poses; base and tool have {k} numbers: measure {-(-(k + 6) // 3)} or more")
     placed = identify(arm, m, groups).robot if groups else arm
     e = errors(placed, m)
-    found = float(np.sqrt(3 * np.sum(e**2) / freedom))
+    found, limit = _scatter(e, k), _limit(promised, 3 * len(m) - k)
+    far = [LeftOut(m.source, int(m.row[i]), float(e[i])) for i in np.argsort(-e) if e[i] > FAR * promised][
+        : len(m) // 3
+    ]
+    without = None
+    if found > limit and groups:  # a few gross errors draw base and tool, and so all others, towards themselves
+        robust = identify(arm, m, groups, loss="huber")
+        if 0 < len(robust.outliers) <= len(m) // 3:
+            kept = robust.used[0]
+            far, without = list(robust.left_out), _scatter(errors(robust.robot, kept), k)
+    return Verification(arm.name, promised, found, limit, len(m), tuple(far), without)
+
+
+def _scatter(e: Array, k: int) -> float:
+    """Rms of errors of which k numbers were fitted, the fit's own share made up for [m]."""
+    return float(np.sqrt(3 * np.sum(e**2) / (3 * len(e) - k)))
+
+
+def _limit(promised: float, freedom: int) -> float:
+    """What `found` may be by chance [m]."""
     share = 1 - 2 / (9 * freedom) + QUANTILE * np.sqrt(2 / (9 * freedom))
-    far = [LeftOut(m.source, int(m.row[i]), float(e[i])) for i in np.argsort(-e) if e[i] > FAR * promised]
-    return Verification(arm.name, promised, found, float(promised * share**1.5), len(m), tuple(far[: len(m) // 3]))
+    return float(promised * share**1.5)
 
 
 def promised_rms(robot: Path) -> float:
     """Rms error of held-out poses [m] that the file beside METHOD.robot.toml or diagnosed.robot.toml states.
 
-    Of result.json it is that of the report set; diagnosis.json and discovery.json state a mean, which is taken for that
-    of normally distributed errors. Raises InputError.
+    Of result.json it is that of the report set, without poses that were far off; diagnosis.json and discovery.json
+    state a mean, which is taken for that of normally distributed errors. Raises InputError.
     """
     for name, stated in (("diagnosed", "diagnosis"), ("discovered", "discovery")):
         if robot.name == f"{name}.robot.toml" and (mean := _mean_of(robot.parent / f"{stated}.json")) is not None:
@@ -128,7 +153,7 @@ def promised_rms(robot: Path) -> float:
     held = [figures for name, figures in sets.items() if name.split("/")[0] == "report"]
     if not held:
         raise InputError(f"{path}: no held-out poses of {robot.name}; {remedy}")
-    return 1e-3 * float(held[0]["rms_mm"])
+    return 1e-3 * float(held[0].get("without_far_off", held[0])["rms_mm"])
 
 
 def _mean_of(path: Path) -> float | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import first_hour
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 from command_line import main
 
-from casadical import read_robot
+from casadical import calibrate, read_robot
 from casadical.identification import errors
 from casadical.measurements.reading import read_measurements
 
@@ -29,6 +30,74 @@ def walk(monkeypatch: pytest.MonkeyPatch, folder: Path, table: Path) -> dict[str
 def test_any_table_reaches_a_calibrated_robot(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = walk(monkeypatch, tmp_path, first_hour.write(tmp_path, name, *first_hour.measured(80)))
     assert found["sets"]["report"]["mean_mm"] < 0.12
+
+
+NAMES = [f"J{k} (deg)" for k in range(1, 7)] + ["Measured X", "Measured Y", "Measured Z"]
+
+
+def worst_day(folder: Path) -> list[object]:
+    """German, cp1252, decimal commas, a row of units; three reflectors unnamed, two slips, bad rows, no masses."""
+    q, p, _ = first_hour.nested(30)
+    p[[7, 40, 71]] += [[0, 35, 0], [120, 0, 0], [0, 0, -60]]
+    p[20, 1] = np.nan
+    names = [f"Achse {k}" for k in range(1, 7)] + [f"Messwert {c}" for c in "XYZ"]
+    slipped = q * [1, -1, 1, 1, 1, 1] + [0, 0, 90, 0, 0, 0]
+    head, *lines = first_hour.table(names, slipped, p, ";", ",", "Punkt Nr.").splitlines()
+    text = ["Messprotokoll Prüfstand", "", head, ";".join(["-", *["°"] * 6, *["mm"] * 3]), *lines]
+    (folder / "messung.csv").write_bytes("\r\n".join(text).encode("cp1252"))
+    (folder / "dh.csv").write_text(first_hour.DH.replace("-90,130", "-130,130").replace("-150,60", "-150,150"))
+    q, p = first_hour.measured(112)
+    later = q[100:] * [1, -1, 1, 1, 1, 1] + [0, 0, 90, 0, 0, 0]
+    (folder / "ten.csv").write_bytes(first_hour.table(names, later, p[100:], ";", ",").encode("cp1252"))
+    return ["--dh", folder / "dh.csv", "--data", folder / "messung.csv"]
+
+
+def three_slips_and_a_link_in_metres(folder: Path) -> list[object]:
+    """Columns swapped, a sign, a left-handed frame; one link of 0.7 among hundreds of millimetres."""
+    q, p = first_hour.measured(112)
+    q, p = (q * [1, 1, -1, 1, 1, 1])[:, [0, 1, 2, 4, 3, 5]], p * [1, -1, 1]
+    (folder / "measured.csv").write_text(first_hour.table(NAMES, q[:90], p[:90]))
+    (folder / "ten.csv").write_text(first_hour.table(NAMES, q[100:], p[100:]))
+    wide = first_hour.DH.replace("700", "0.7").splitlines()
+    (folder / "dh.csv").write_text("\n".join(line.rsplit(",", 2)[0] for line in wide) + "\n")
+    return ["--dh", folder / "dh.csv", "--data", folder / "measured.csv"]
+
+
+def a_urdf(folder: Path) -> list[object]:
+    """A researcher's URDF without masses, and what numpy.savetxt writes."""
+    pytest.importorskip("yourdfpy", reason="the extra urdf is not installed")
+    q, p = first_hour.measured(112)
+    (folder / "arm.urdf").write_text(first_hour.urdf())
+    first_hour.write(folder, "researcher.txt", q[100:], p[100:]).rename(folder / "ten.csv")
+    return ["--urdf", folder / "arm.urdf", "--data", first_hour.write(folder, "researcher.txt", q[:90], p[:90])]
+
+
+@pytest.mark.parametrize("given", [worst_day, three_slips_and_a_link_in_metres, a_urdf], ids=lambda g: g.__name__)
+def test_the_hard_cases_are_calibrated_by_the_readmes_commands(
+    given: Callable[[Path], list[object]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Four commands, nothing edited; the accuracy is judged on poses that the calibration never saw."""
+    arm, out = tmp_path / "arm", tmp_path / "results"
+    options = given(tmp_path)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    assert main(monkeypatch, "new", arm, *options, "--yes", "-q") == 0
+    assert main(monkeypatch, "check", arm, "--repair", "-q") == 0
+    assert main(monkeypatch, "calibrate", arm, "--method", "KM", "--out", out, "-q") == 0
+    figures = tmp_path / "verified.json"
+    later = ("verify", out / "KM.robot.toml", tmp_path / "ten.csv", "--json", figures, "-q")
+    assert main(monkeypatch, *later, "--promised-mm", "0.15") == 0
+    assert json.loads(figures.read_text())["found_rms_mm"] < 0.12
+    assert {path: path.read_bytes() for path in before} == before
+
+
+def test_the_calibrated_robot_in_a_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a researcher looks at after `new`: short texts, tables and units."""
+    assert main(monkeypatch, "new", tmp_path / "arm", *a_urdf(tmp_path), "--yes", "-q") == 0
+    found = calibrate(tmp_path / "arm", method="KM")
+    for shown in (found, found.robot, found.identification, found.problem.sets["report"][0]):
+        assert len(repr(shown)) < 200
+        assert len(shown._repr_html_()) < 20000
+        assert "mm" in shown._repr_html_()
 
 
 def test_the_integrators_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -108,3 +108,30 @@ def test_a_later_table_is_understood_as_the_tables_of_the_calibration(
     assert main(monkeypatch, "verify", out / "KM.robot.toml", ten, "-q") == 0
     (out / "result.json").write_text(json.dumps({**json.loads((out / "result.json").read_text()), "tables": []}))
     assert main(monkeypatch, "verify", out / "KM.robot.toml", ten, "-q") == 2
+
+
+def test_bad_rows_neither_loosen_the_promise_nor_hide(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Two held-out rows are 50 mm off: the promise is that of the others. One of twelve later: it is named."""
+    q, p = first_hour.measured(112)
+    data = first_hour.write(tmp_path, "messung.csv", q[:90], p[:90])
+    arm, out = tmp_path / "arm", tmp_path / "results"
+    held = new_problem(arm, dh=tmp_path / "dh.csv", data=data).sets["report"][0].row[:2]
+    p[held - 5] += [30.0, 40.0, 0.0]  # the first row stands in line 5 of the file
+    (arm / "poses.csv").write_bytes(first_hour.write(tmp_path, "messung.csv", q[:90], p[:90]).read_bytes())
+    assert main(monkeypatch, "calibrate", arm, "--out", out) == 0
+    printed = " ".join(capfd.readouterr().out.split())
+    assert "Held-out poses far off, in the figures above: row " in printed
+    assert f"row {held[0]} (" in printed
+    assert f"row {held[1]} (" in printed
+    assert "without them the mean is 0.0" in printed
+    figures = json.loads((out / "result.json").read_text())["methods"]["KM"]["sets"]["report"]
+    assert figures["rms_mm"] > 5 > 0.1 > figures["without_far_off"]["rms_mm"]
+    p[103] += [20.0, 0.0, 0.0]
+    ten = first_hour.write(tmp_path, "messung.csv", q[100:], p[100:])
+    assert main(monkeypatch, "verify", out / "KM.robot.toml", ten, "--promised-mm", "0.06") == 5
+    printed = " ".join(capfd.readouterr().out.split())
+    assert "NO LONGER VALID" in printed
+    assert "Far off: row 8 (" in printed
+    assert "as promised. Measure these poses again first." in printed

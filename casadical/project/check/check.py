@@ -104,8 +104,8 @@ def precheck(
     show("comparing with the nominal robot")
     sets = problem.sets["identify"]
     others = other_conventions(folder)
-    found, usable = _data_findings(problem.robot, sets, others)
     table = whole_table(problem)
+    found, usable = _data_findings(problem.robot, sets, others, table)
     targets = recognised(problem.robot, table) if table is not None else None
     wrong = misnamed(problem.robot, table) if table is not None else None
     if wrong or (targets and targets.turning):  # what contradicts one target, or wrong names, says nothing
@@ -203,9 +203,12 @@ def _more_faults(folder: Path) -> list[Finding]:
 
 
 def _data_findings(
-    robot: Robot, sets: tuple[Measurements, ...], others: Mapping[str, Robot]
+    robot: Robot, sets: tuple[Measurements, ...], others: Mapping[str, Robot], table: Measurements | None
 ) -> tuple[list[Finding], bool]:
-    """Findings of the data that are fitted, and whether they are good enough for a forecast."""
+    """Findings of the data that are fitted, and whether they are good enough for a forecast.
+
+    table : all poses, those that are held out too, where there is one table
+    """
     found: list[Finding] = []
     for m in sets:
         try:
@@ -215,7 +218,7 @@ def _data_findings(
         slips = plausible(robot, m, others)
         found += slips
         if not any(f.level == "error" for f in slips):
-            found += far_rows(robot, m)
+            found += far_rows(robot, table or m)
         found += [*coverage_findings(robot, m), *margin_findings(robot, m), *unknown_columns([*m.conditions], m.source)]
         distinct, _ = repeats(m)
         if distinct < len(m):

@@ -87,7 +87,8 @@ def far_rows(robot: Robot, m: Measurements) -> list[Finding]:
     rows = ", ".join(f"{m.row[k]} ({1e3 * e[k]:.3g} mm)" for k in order[:8]) + (" ..." if len(order) > 8 else "")
     text = (
         f"{m.source}: rows {rows} are far off, where the median is {1e3 * float(np.median(e)):.3g} mm; calibrate "
-        "leaves out those that its fit does not explain, and names them; the accuracy to expect is without them"
+        "leaves out those that its fit does not explain, and names them and those that are held out; the accuracy to "
+        "expect is without them"
     )
     return [Finding("warning", "rows", text)]
 
