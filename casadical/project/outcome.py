@@ -83,11 +83,13 @@ def _no_better(problem: Problem, last: Identification, accuracies: Accuracies) -
         )
     if not missing:
         missing.append("what the model lacks: casadical diagnose names it")
+    text = "The calibration hardly helps. It would need"
     if after.mean > before.mean:
-        text = f"Held-out poses are worse than before, which may be chance of {after.n} poses: keep the nominal robot."
-    else:
-        text = "The calibration hardly helps."
-    yield Words(f"{text} It would need {'; '.join(missing)}.", "warning")
+        text = (
+            f"Held-out poses are worse than before, perhaps by chance of {after.n} poses: keep the nominal robot. The "
+        )
+        text += "calibration would need"
+    yield Words(f"{text} {'; '.join(missing)}.", "warning")
 
 
 def _notes(problem: Problem, last: Identification, networks: Networks | None) -> Iterator[Words]:
