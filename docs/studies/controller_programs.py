@@ -1,10 +1,13 @@
-"""Run `python docs/studies/controller_programs.py [PROGRAMS]`: random programs of each language, corrected.
+"""Run `python docs/studies/controller_programs.py [PROGRAMS [FORM [LANGUAGE]]]`: random programs, corrected.
 
 KR 210 (KRL, RAPID, FANUC) and UR10 (URScript) with planted errors in every length, angle and spring (synthetic), two
 tools and two bases. Per language and form: programs, targets, targets with each status, bytes changed outside of the
 numbers of targets, and how far the real tool is off the nominal one before and after, by scipy: the pose that is
 written is solved with the nominal robot near to the joints that the target was drawn with, and the real robot's tool
-is at those joints. Programs have 24 targets, 40 % of them joints. Default: 5 programs.
+is at those joints. Programs have 6 to 18 targets, 40 % of them joints, in a random layout: order of data, spaces,
+indents, comments, keywords, external axes that stand off zero (`--external-still`). Into each program a line is put
+that must be refused by its number: a tool or base that is changed on the way, other units, bytes that are no text.
+Default: 25 programs, `position` and `pose`, all languages.
 """
 
 import re
@@ -26,6 +29,7 @@ sys.path[:0] = [
 import program_texts as texts  # noqa: E402
 from controller_arms import nominal_path, planted, poses  # noqa: E402
 
+from casadical.core.errors import InputError  # noqa: E402
 from casadical.export import Sources  # noqa: E402
 from casadical.export.controller.commands import in_own_frame  # noqa: E402
 from casadical.export.controller.programs.correction import Cell  # noqa: E402
@@ -35,7 +39,6 @@ from casadical.robot.robot_file import read_robot  # noqa: E402
 
 SUFFIX = {"krl": ".dat", "rapid": ".mod", "urscript": ".script", "fanuc": ".ls"}
 NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|'B[01]+'"
-TARGETS = 24
 
 
 def robots(name):
@@ -48,7 +51,7 @@ def robots(name):
 def drawn(language, robot, seed):
     rng = np.random.default_rng(seed)
     points = []
-    for q in poses(robot, TARGETS, seed):
+    for q in poses(robot, int(rng.integers(6, 19)), seed):
         tool, base = (0, 1) if language == "urscript" else rng.integers(2, size=2)
         points.append(texts.Point(q, bool(rng.random() < 0.4), int(tool), int(base)))
     held = [texts.held(robot, p.q, texts.matrix(texts.TOOLS[p.tool])) for p in points]
@@ -88,13 +91,24 @@ def _turn(A, B):
     return 1e3 * np.rad2deg(2 * np.arcsin(min(1, np.linalg.norm(A[:3, :3] - B[:3, :3]) / np.sqrt(8))))
 
 
+def is_refused(path, given, line):
+    """Whether a program is refused with this line in the message."""
+    try:
+        read_target_program(path, given, 6)
+    except InputError as error:
+        return f"line {line}:" in str(error)
+    return False
+
+
 def study(language, pose, count):
     real, nominal, *files = robots("ur10" if language == "urscript" else "kr210")
-    cell = Cell(Sources(*files), steps=3, orientation=pose)
-    status, rows, changed, took = Counter(), [], 0, 0.0
+    cell = Cell(Sources(*files), steps=3, orientation=pose, external_still=True)
+    status, rows, changed, took, refused, tried = Counter(), [], 0, 0.0, 0, 0
     for seed in range(count):
         points, in_base = drawn(language, nominal, 100 + seed)
-        content = texts.write(language, points, in_base, np.random.default_rng(seed), "\r\n")
+        rng = np.random.default_rng(seed)
+        content = texts.write(language, points, in_base, rng, "\r\n" if seed % 2 else "\n")
+        content = texts.loosened(language, content, rng)
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / f"p{SUFFIX[language]}"
             path.write_bytes(content)
@@ -103,19 +117,26 @@ def study(language, pose, count):
             program = read_target_program(path, Given(*frames) if language == "fanuc" else Given(), 6)
             result = corrected_program(program, cell)
             took += time.process_time() - begin
+            for extra in (*texts.REDEFINED[language], *texts.OTHER_UNITS.get(language, ()), "\0\1\2"):
+                spoilt, line = texts.with_line(language, content, extra, rng)
+                path.write_bytes(spoilt)
+                tried += 1
+                refused += is_refused(path, Given(*frames) if language == "fanuc" else Given(), line)
         status.update(r.status for r in result.results)
         changed += outside(content, result.content())
         rows += judged(language, points, in_base, content, result, real, nominal)
-    t = np.array(rows)
-    print(f"{language}, {'pose' if pose else 'position'}: {count} programs, {count * TARGETS} targets, "
+    t, targets = np.array(rows), status.total()
+    print(f"{language}, {'pose' if pose else 'position'}: {count} programs, {targets} targets, "
           f"{', '.join(f'{k} {v}' for k, v in status.most_common())}; changed outside of targets: {changed}; "
-          f"{1e3 * took / count / TARGETS:.0f} ms CPU a target")  # fmt: skip
+          f"{1e3 * took / targets:.0f} ms CPU a target; refused by the line: {refused} of {tried}",
+          flush=True)  # fmt: skip
     for word, k, unit in (("position", 0, "mm"), ("orientation", 2, "mdeg")):
         print(f"    {word} off the nominal tool's, {unit}: before {t[:, k].mean():.4f} mean, {t[:, k].max():.4f} max; "
               f"after {t[:, k + 1].mean():.4f} mean, {t[:, k + 1].max():.4f} max")  # fmt: skip
 
 
 if __name__ == "__main__":
-    for form in (False, True):
-        for each in SUFFIX:
-            study(each, form, int(sys.argv[1]) if len(sys.argv) > 1 else 5)
+    forms = sys.argv[2:3] or ["position", "pose"]
+    for form in forms:
+        for each in sys.argv[3:4] or SUFFIX:
+            study(each, form == "pose", int(sys.argv[1]) if len(sys.argv) > 1 else 25)

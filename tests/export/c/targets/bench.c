@@ -83,6 +83,24 @@ static void hash_results(uint32_t count)
     }
 }
 
+#ifdef CORTEX
+/* Bytes of stack below the caller: painted before the call, read after it. */
+static __attribute__((noinline)) uint32_t stack_of_a_call(const real q[6], real out[N_OUT])
+{
+    volatile uint8_t here = 0U;
+    volatile uint8_t *const top = &here - 256;
+    uint32_t depth = 32768U;
+    for (uint32_t i = 0U; i < depth; i++) {
+        *(top - i) = 0xA5U;
+    }
+    (void)call(q, out);
+    while ((depth > 0U) && (*(top - (depth - 1U)) == 0xA5U)) {
+        depth--;
+    }
+    return depth + 256U;
+}
+#endif
+
 int main(void)
 {
 #ifdef CORTEX
@@ -103,6 +121,12 @@ int main(void)
     print_hex(least);
     print_hex(most);
     print_hex(sum);
+    {
+        real q[6];
+        real out[N_OUT];
+        input(0U, q);
+        print_hex(stack_of_a_call(q, out));
+    }
     seed = 12345U;
     hash_results(COUNT);
     print_hex(hash);

@@ -38,6 +38,20 @@ JUNK = {
 }
 
 
+# What must be refused by its line, wherever it stands among the motions.
+REDEFINED = {
+    "krl": ["TOOL_DATA[1]={X 1,Y 2,Z 3,A 0,B 0,C 0}", "BASE_DATA[2]={X 1,Y 2,Z 3,A 0,B 0,C 0}"],
+    "rapid": ["t0.tframe.trans.z:=5;", "w1.uframe.trans.x:=5;"],
+    "urscript": ["set_tcp(p[0, 0, 0.2, 0, 0, 0])"],
+    "fanuc": ["  UTOOL[1]=PR[3] ;", "  UFRAME[2]=PR[4] ;"],
+}
+OTHER_UNITS = {
+    "urscript": ["movej([0, -90, 90, 0, 0, 0])", "movel(p[350, 0, 200, 0, 3.14, 0])"],
+    "fanuc": ["P[99]{\n   GP1:\n\tUF : 1, UT : 1,\t\tCONFIG : 'N U T, 0, 0, 0',\n\tX = 50.000 inch,\tY = 1.000 mm,"
+              "\tZ = 1200.000 mm,\n\tW = 180.000 deg,\tP = 0.000 deg,\tR = 0.000 deg\n};"],
+}  # fmt: skip
+
+
 @dataclass(frozen=True, eq=False)
 class Point:
     """A target as it was drawn: joints, whether it is written as joints, numbers of tool and base."""
@@ -100,6 +114,49 @@ def write(language: str, points: list[Point], poses: list[np.ndarray], rng: np.r
         data += one[1]
     lines = LAYOUT[language](moves, data)
     return (end.join(lines) + end).encode("utf-8")
+
+
+def loosened(language: str, content: bytes, rng: np.random.Generator) -> bytes:
+    """The same program otherwise laid out: order of data, spaces, indents, comments, keywords, external axes."""
+    text = content.decode("utf-8")
+    end = "\r\n" if "\r\n" in text else "\n"
+    lines = text.split(end)
+    if language == "fanuc":
+        head, _, tail = text.partition(f"/POS{end}")
+        points = re.findall(r"P\[.*?};\r?\n", tail, flags=re.S)
+        tail = "".join(rng.permutation(points)) + f"/END{end}"
+        tail = re.sub(
+            r"(GP2:\s+UF : 0, UT : 1,\s+J1=)   100.000", lambda m: f"{m[1]}{rng.uniform(-500, 500):10.3f}", tail
+        )
+        return f"{head}/POS{end}{re.sub(r' deg', lambda _: ' ' * rng.integers(1, 4) + 'deg', tail)}".encode()
+    data = [k for k, line in enumerate(lines) if re.match(r"DECL|CONST", line)]
+    for k, line in zip(data, [lines[i] for i in rng.permutation(data)], strict=True):
+        lines[k] = line
+    comment, known = {"krl": "; c,1", "rapid": "! c,1", "urscript": "# c,1"}[language], set(JUNK[language])
+    for k, line in enumerate(lines):
+        if not line or line.strip() in {w.strip() for w in known} or line[0] in "%&":
+            continue
+        line = re.sub(r",(?! )", lambda _: "," + " " * rng.integers(3), line)
+        if language == "krl":
+            line = re.sub(r"^(DECL E6\w+|PTP|LIN)\b", lambda m: m[0].lower() if rng.random() < 0.5 else m[0], line)
+            line = re.sub(r"E1 0.0(?=, *E2)", f"E1 {rng.uniform(-500, 500):.3f}", line)
+        if language == "rapid":
+            line = re.sub(r"\[9E\+09", f"[{rng.uniform(-500, 500):.2f}", line)
+        lines[k] = " " * rng.integers(5) + line + (f" {comment}" if rng.random() < 0.3 else "")
+    return end.join(lines).encode("utf-8")
+
+
+def with_line(language: str, content: bytes, extra: str, rng: np.random.Generator) -> tuple[bytes, int]:
+    """The program with one more line somewhere among its motions (or FANUC positions), and the number of that line."""
+    lines = content.decode("utf-8").splitlines()
+    if extra.startswith("P["):
+        at = next(k for k, line in enumerate(lines) if line.startswith("/POS")) + 1
+    else:
+        motion = re.compile(r"\s*(PTP XP|LIN XP|Move|movej|movel| *\d+:[JL])", re.IGNORECASE)
+        moves = [k for k, line in enumerate(lines) if motion.match(line)]
+        at = int(rng.choice(moves[1:]))
+    number = "" if language != "fanuc" or extra.startswith("P[") else "   0:"
+    return ("\n".join([*lines[:at], number + extra, *lines[at:]]) + "\n").encode(), at + 1
 
 
 def _degrees(q) -> list[str]:

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from command_line import main as run
 from controller_arms import nominal_path, planted
-from program_texts import Point, matrix, write
+from program_texts import OTHER_UNITS, REDEFINED, Point, loosened, matrix, with_line, write
 
 from casadical.core.errors import InputError
 from casadical.export.controller.commands import Sources
 from casadical.export.controller.programs.correction import Cell
 from casadical.export.controller.programs.language import ProgramLanguage, text_of
-from casadical.export.controller.programs.program import corrected_program, read_target_program
+from casadical.export.controller.programs.program import assumptions, corrected_program, read_target_program, report_of
 from casadical.export.controller.programs.registry import known_program_languages, language_of
 from casadical.export.controller.programs.target import Given
 from casadical.robot.robot_file import read_robot, write_robot
@@ -84,6 +84,73 @@ def statuses(tmp_path, cell, name, text, given=None):
 def test_a_program_that_cannot_be_corrected_is_refused_by_its_line(name, text, where, tmp_path):
     with pytest.raises(InputError, match=rf"(?s){where}"):
         program(tmp_path, name, text)
+
+
+SUFFIXES = {"krl": "p.dat", "rapid": "p.mod", "urscript": "p.script", "fanuc": "p.ls"}
+SPOILT = [
+    (language, extra)
+    for language in SUFFIXES
+    for extra in (*REDEFINED[language], *OTHER_UNITS.get(language, ()), "\x00\x01\x02")
+]
+
+
+def random_program(language, rng, targets=6):
+    q = np.array([0, -1.2, 1.3, 0, 0.8, 0]) + rng.uniform(-0.5, 0.5, (targets, 6))
+    points = [Point(row, bool(k % 2), 0 if language == "urscript" else k % 2, 1) for k, row in enumerate(q)]
+    return loosened(language, write(language, points, [np.eye(4)] * targets, rng, "\n"), rng)
+
+
+@pytest.mark.parametrize(("language", "extra"), SPOILT)
+def test_a_random_program_with_one_bad_line_is_refused_by_that_line(language, extra, tmp_path):
+    """A tool or base that is changed on the way, other units, bytes of an encrypted or compiled program."""
+    given = Given({str(k): np.eye(4) for k in (1, 2)}, {str(k): np.eye(4) for k in (1, 2)})
+    given = given if language == "fanuc" else Given()
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        whole = random_program(language, rng)
+        assert len(program(tmp_path, SUFFIXES[language], whole, given).targets) == 6
+        spoilt, line = with_line(language, whole, extra, rng)
+        with pytest.raises(InputError, match=rf"line {line}:"):
+            program(tmp_path, SUFFIXES[language], spoilt, given)
+
+
+@pytest.mark.parametrize("language", SUFFIXES)
+def test_a_target_that_would_leave_the_limits_keeps_its_numbers(language, cell, tmp_path):
+    lower, upper = np.array([(j.lower, j.upper) for j in read_robot(nominal_path("kr210")).joints]).T
+    rows = [np.where(np.arange(6) == i, side, (lower + upper) / 2) for side in (lower, upper) for i in range(6)]
+    points = [Point(row, True, 0, 1) for row in rows]
+    content = write(language, points, [np.eye(4)] * len(rows), np.random.default_rng(0), "\n")
+    given = Given({str(k): np.eye(4) for k in (1, 2)}, {str(k): np.eye(4) for k in (1, 2)})
+    read = program(tmp_path, SUFFIXES[language], content, given if language == "fanuc" else Given())
+    result = corrected_program(read, cell)
+    left = [r for r in result.results if not r.fine]
+    assert [r.status for r in left].count("LEAVES_BOX") >= 2
+    assert {r.status for r in left} <= {
+        "LEAVES_BOX",
+        "CLAMPED",
+    }  # the last by rounding
+    assert any(r.fine for r in result.results)
+    new = result.content()
+    lines, new_lines = content.splitlines(), new.splitlines()
+    for r in left:
+        assert lines[r.target.line - 1] == new_lines[r.target.line - 1]
+    assert new != content
+
+
+@pytest.mark.parametrize("language", SUFFIXES)
+def test_a_corrected_program_is_not_corrected_twice(language, cell, tmp_path):
+    points = [Point(np.deg2rad([10, -80, 90, 20, 40, -30.0]), True, 0, 0)] * 2
+    content = write(language, points, [np.eye(4)] * 2, np.random.default_rng(0), "\n")
+    given = Given({"1": np.eye(4)}, {"1": np.eye(4)}) if language == "fanuc" else Given()
+    result = corrected_program(program(tmp_path, SUFFIXES[language], content, given), cell)
+    assert [r.status for r in result.results] == ["OK", "OK"]
+    assert assumptions(result, cell)[0].startswith("the controller's own absolute-accuracy option is off")
+    out = tmp_path / f"new_{SUFFIXES[language]}"
+    report_of(out).write_text(result.to_csv())
+    with pytest.raises(InputError, match=r"line \d+: .* was corrected before"):
+        program(tmp_path, out.name, result.content(), given)
+    report_of(out).unlink()
+    assert len(program(tmp_path, out.name, result.content(), given).targets) == 2
 
 
 def test_what_a_krl_program_does_not_say_is_left(tmp_path, cell):
