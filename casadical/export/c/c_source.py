@@ -49,10 +49,6 @@ _COMMAND_DEFINES = """
 /* Largest correction of a joint [rad], and its largest change in one call of @name@_step [rad] */
 #define @NAME@_DELTA_LIMIT @delta_decimal@
 #define @NAME@_CHANGE_LIMIT @change_decimal@
-/* @name@_step is for one call in a cycle [s]: it ramps in and out in this time [s], at most at this rate [rad/s] */
-#define @NAME@_CYCLE_S @cycle_s@
-#define @NAME@_RAMP_S @ramp_s@
-#define @NAME@_RATE_RAD_S @rate_rad_s@
 """
 _COMMAND_STATUSES = """\
  *   RATE_LIMITED   the correction is on its way, as fast as it may change

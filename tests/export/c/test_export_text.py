@@ -80,7 +80,7 @@ def test_ramp_and_rate_hold_in_seconds_at_other_cycles(
         assert rate == pytest.approx(rate_rad_s if limited else abs(full).max() / ramp_s, rel=1e-6)
         assert (Status.RATE_LIMITED in status) is limited
     header = (folder / "arm.h").read_text()
-    assert f"#define ARM_CYCLE_S {cycle_s}\n" in header
+    assert f"ARM_CHANGE_LIMIT a call, {rate_rad_s} rad/s" in header
     assert f"once in {cycle_s} s: ramps in over {ramp_s} s" in header
     assert json.loads((folder / "manifest.json").read_text())["limits"] == vars(limits)
 

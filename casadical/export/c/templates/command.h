@@ -21,8 +21,8 @@ typedef struct
 
 /*
  * The same for a controller that calls once in @cycle_s@ s: ramps in over @ramp_s@ s while enable is not 0 and out while
- * it is 0, and changes no joint's correction by more than @NAME@_CHANGE_LIMIT a call. An input that is not finite takes the
- * correction towards zero at that rate; a state that is not finite or beyond the limits is set to zero (NOT_FINITE).
+ * it is 0, and changes no joint's correction by more than @NAME@_CHANGE_LIMIT a call, @rate_rad_s@ rad/s. An input that is not
+ * finite takes the correction towards zero at that rate; a state that is not finite or beyond the limits is set to zero (NOT_FINITE).
  */
 @name@_status @name@_step(@name@_state *state, const @name@_real q[@NAME@_JOINTS], uint32_t enable, @name@_real dq[@NAME@_JOINTS]);
 
