@@ -1,11 +1,13 @@
 """Effects that an export cannot carry: refused with what would be lost in millimetres, or left out on request."""
 
 from collections.abc import Collection, Iterable
+from dataclasses import replace
 
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.effects import Effect
 from casadical.effects.counterparts import Omission
 from casadical.robot.kinematics import LEAST_MARGIN
 from casadical.robot.robot import Robot
@@ -35,13 +37,55 @@ def left_out(robot: Robot, omissions: Iterable[Omission], target: str, leave_out
     return tuple(lines)
 
 
-def _loss(robot: Robot, omission: Omission) -> str:
-    """What is lost, in words."""
-    effects = [e for e in robot.effects if e.label == omission.label]
+def rest_of_rigid(robot: Robot) -> tuple[str, ...]:
+    """What a file that holds the geometry alone leaves out of a robot, in words and millimetres; empty for a rigid one.
+
+    The lines name the springs and effects, how far the point is off without all of them, and those whose loss is not
+    known. Effects of the measurement are named, but are no loss to the robot.
+    """
+    soft = ", ".join(str(i) for i, j in enumerate(robot.joints, 1) if j.compliance)
+    names = [*([f"compliance of joints {soft}"] if soft else []), *(e.label for e in robot.effects)]
+    if not names:
+        return ()
+    unknown = {e.label: name for e in robot.effects if not e.of_measurement and (name := _without_range(robot, [e]))}
+    mean, most = rigid_rest(robot.with_only(e for e in robot.effects if e.label not in unknown))
+    off = f"without them the point is off by {1e3 * mean:.4f} mm on average, {1e3 * most:.4f} mm at most, by the model"
+    lines = [f"{', '.join(n for n in names if n not in unknown)}: {off}"] if len(names) > len(unknown) else []
+    return (*lines, *(f"{label}: {_NOT_KNOWN} {name}" for label, name in unknown.items()))
+
+
+def rigid_rest(robot: Robot, seed: int = 0) -> tuple[float, float]:
+    """How far the measured point is from that of the rigid geometry alone: mean and maximum [m].
+
+    Over the range on which the robot was learnt, as of `lost`; effects of the measurement are left out of both.
+    """
+    robot = robot.with_only(e for e in robot.effects if not e.of_measurement)
+    q, w = _poses(robot, seed)
+    p, margin = robot.model.evaluate(("p", "margin"), q, w, robot.parameters.values)
+    bare = replace(robot.with_only(()), joints=tuple(replace(j, compliance=None) for j in robot.joints), knowledge=None)
+    (stiff,) = bare.model.evaluate(("p",), q, np.tile(bare.declared, (POSES, 1)), bare.parameters.values)
+    closed = (margin.reshape(-1, POSES) > LEAST_MARGIN).all(axis=0)
+    moved = np.linalg.norm(p - stiff, axis=0)[closed]
+    return float(moved.mean()), float(moved.max())
+
+
+_NOT_KNOWN = "what would be lost is not known, for the robot file gives no range of"
+
+
+def _without_range(robot: Robot, effects: Iterable[Effect]) -> str:
+    """A condition that effects follow and whose range the robot file does not give; empty where there is none."""
     known = robot.knowledge.conditions if robot.knowledge else {}
     for name in (c for e in effects for c in e.conditions):
         if name not in known and not name.startswith(("approach", "progress", "payload_kg")):
-            return f"what would be lost is not known, for the robot file gives no range of {name}"
+            return name
+    return ""
+
+
+def _loss(robot: Robot, omission: Omission) -> str:
+    """What is lost, in words."""
+    effects = [e for e in robot.effects if e.label == omission.label]
+    if name := _without_range(robot, effects):
+        return f"{_NOT_KNOWN} {name}"
     parts = [n for e in effects for n in e.sizes() if n in omission.parts or not omission.parts]
     mean, greatest = lost(robot, [f"{omission.label}.{part}" for part in parts])
     range_ = "learnt range" if robot.knowledge and len(robot.knowledge.readings) else "range of the joints"
@@ -54,11 +98,7 @@ def lost(robot: Robot, parameters: Collection[str], seed: int = 0) -> tuple[floa
     Readings and columns are drawn uniformly from the range on which the robot was learnt; where it is not known, from
     the joints' ranges, either approach, all times, and the declared payload.
     """
-    rng = np.random.default_rng(seed)
-    known = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
-    lower, upper = (known if len(known) else np.array([(j.lower, j.upper) for j in robot.joints])).T
-    q = rng.uniform(lower, upper, (POSES, robot.n))
-    w = np.column_stack([_drawn(robot, k, rng) for k in range(len(robot.conditions))] or [np.zeros((POSES, 0))])
+    q, w = _poses(robot, seed)
     whole = robot.parameters.values
     without = whole.copy()
     without[[robot.parameters.index_of(name) for name in parameters]] = 0.0
@@ -67,6 +107,16 @@ def lost(robot: Robot, parameters: Collection[str], seed: int = 0) -> tuple[floa
     closed = (margin.reshape(-1, POSES) > LEAST_MARGIN).all(axis=0)
     moved = np.linalg.norm(p - bare, axis=0)[closed]
     return float(moved.mean()), float(moved.max())
+
+
+def _poses(robot: Robot, seed: int) -> tuple[Array, Array]:
+    """Readings and conditions of the range on which a robot was learnt, shapes (POSES, n) and (POSES, conditions)."""
+    rng = np.random.default_rng(seed)
+    known = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
+    lower, upper = (known if len(known) else np.array([(j.lower, j.upper) for j in robot.joints])).T
+    q = rng.uniform(lower, upper, (POSES, robot.n))
+    w = np.column_stack([_drawn(robot, k, rng) for k in range(len(robot.conditions))] or [np.zeros((POSES, 0))])
+    return q, w
 
 
 def _drawn(robot: Robot, column: int, rng: np.random.Generator) -> Array:

@@ -11,7 +11,7 @@ from casadical import InputError, Robot, read_campaign_robot
 from casadical.effects import Backlash, Effect, FrameDrift, JointScale, LinkFlexure, ThermalGrowth
 from casadical.effects.counterparts import Omission
 from casadical.export.mjcf import mjcf
-from casadical.export.omission import left_out, lost
+from casadical.export.omission import left_out, lost, rest_of_rigid, rigid_rest
 from casadical.robot.knowledge import Knowledge
 
 
@@ -39,6 +39,32 @@ def test_loss_is_how_far_the_point_moves_over_the_learnt_range() -> None:
     assert mean == pytest.approx(moved.mean(), rel=0.05)
     assert greatest == pytest.approx(moved.max(), rel=0.1)
     assert lost(replace(r, knowledge=None), ["joint_scale@1.k"])[1] > 2 * greatest
+
+
+def test_what_a_rigid_file_leaves_is_the_springs_and_effects_together() -> None:
+    values = {"joint_scale@1__k": 1e-4, "frame_drift__x": 1e-3}
+    r = with_values("ur10e", JointScale(1), FrameDrift(), ThermalGrowth(2), **values)
+    ranges = np.array([(j.lower, j.upper) for j in r.joints])
+    ranges[0] = (0.5, 1.0)
+    r = replace(r, knowledge=Knowledge(readings=ranges))
+    # Worked out by turning joint 1 of the compliant robot, against the rigid one, at other poses of the same range.
+    soft = robot("ur10e")
+    stiff = replace(soft, joints=tuple(replace(j, compliance=None) for j in soft.joints))
+    q = np.random.default_rng(7).uniform(*ranges.T, (4000, 6))
+    turned = q.copy()
+    turned[:, 0] *= 1 + 1e-4
+    far = [x.position.map(len(q))(at.T, x.parameters.values).full() for x, at in ((soft, turned), (stiff, q))]
+    moved = np.linalg.norm(far[0] - far[1], axis=0)
+    known = r.with_only(e for e in r.effects if e.label != ThermalGrowth(2).label)
+    mean, most = rigid_rest(known)
+    assert mean == pytest.approx(moved.mean(), rel=0.05)
+    assert most == pytest.approx(moved.max(), rel=0.1)
+    first, second = rest_of_rigid(r)
+    assert first.startswith("compliance of joints ")
+    assert "joint_scale@1, frame_drift: without them the point is off by " in first
+    assert f"{1e3 * mean:.4f} mm on average" in first
+    assert "what would be lost is not known, for the robot file gives no range of warmth_600s" in second
+    assert rest_of_rigid(stiff) == ()
 
 
 def test_poses_in_which_a_loop_does_not_close_are_none() -> None:

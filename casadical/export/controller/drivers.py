@@ -16,9 +16,8 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.transforms import frame, inverse, to_rpy
 from casadical.export.controller.commands import Sources, own_robots, robot_of
-from casadical.export.omission import POSES
+from casadical.export.omission import rest_of_rigid
 from casadical.robot.axes import row_matrix
-from casadical.robot.kinematics import LEAST_MARGIN
 from casadical.robot.robot import Robot, modified_dh
 
 UR_LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
@@ -49,24 +48,7 @@ def driver_file(sources: Sources, form: str, checksum: str = "") -> Written:
     if whole.loops:
         raise InputError(f"{whole.name}: a four-bar has no place in a driver's kinematics; export c has one")
     real, nominal, _ = own_robots(replace(sources, leave_out=True))
-    return Written(FORMS[form](real, nominal, checksum), _not_held(whole, real))
-
-
-def rigid_rest(robot: Robot, seed: int = 0) -> tuple[float, float]:
-    """How far the measured point is from that of the rigid geometry alone: mean and maximum [m], declared payload.
-
-    Over the range of the joints on which the robot was learnt, or their whole range.
-    """
-    known = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
-    lower, upper = (known if len(known) else np.array([(j.lower, j.upper) for j in robot.joints])).T
-    q = np.random.default_rng(seed).uniform(lower, upper, (POSES, robot.n))
-    w = np.tile(robot.declared, (POSES, 1))
-    p, margin = robot.model.evaluate(("p", "margin"), q, w, robot.parameters.values)
-    bare = replace(robot.with_only(()), joints=tuple(replace(j, compliance=None) for j in robot.joints), knowledge=None)
-    (stiff,) = bare.model.evaluate(("p",), q, np.tile(bare.declared, (POSES, 1)), bare.parameters.values)
-    closed = (margin.reshape(-1, POSES) > LEAST_MARGIN).all(axis=0)
-    moved = np.linalg.norm(p - stiff, axis=0)[closed]
-    return float(moved.mean()), float(moved.max())
+    return Written(FORMS[form](real, nominal, checksum), _not_held(replace(whole, payload=real.payload)))
 
 
 def standard_dh(robot: Robot, like: Array) -> tuple[Array, Array, Array]:
@@ -186,17 +168,9 @@ def _csv(table: list[list[str]]) -> str:
     return out.getvalue()
 
 
-def _not_held(whole: Robot, real: Robot) -> tuple[str, ...]:
-    soft = [f"compliance of joints {', '.join(str(i) for i, j in enumerate(whole.joints, 1) if j.compliance)}"]
-    held = [*(soft if any(j.compliance for j in whole.joints) else []), *(e.label for e in whole.effects)]
-    lines = ["base and tool of the measurement: the kinematics are those of the flange in the robot's own base frame"]
-    if held:
-        mean, most = rigid_rest(real.with_only(e for e in real.effects if not e.of_measurement))
-        lines.append(
-            f"{', '.join(held)}: without them the point is off by {1e3 * mean:.4f} mm on average, "
-            f"{1e3 * most:.4f} mm at most, by the model"
-        )
-    return tuple(lines)
+def _not_held(whole: Robot) -> tuple[str, ...]:
+    frames = "base and tool of the measurement: the kinematics are those of the flange in the robot's own base frame"
+    return (frames, *rest_of_rigid(whole))
 
 
 FORMS: dict[str, Callable[[Robot, Robot, str], str]] = {
