@@ -25,6 +25,7 @@ extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
     "sphinx_gallery.gen_gallery",
 ]
 exclude_patterns = ["README.md", "tutorials/*"]
@@ -42,6 +43,8 @@ suppress_warnings = ["config.cache"]
 
 autosummary_generate = True
 autodoc_typehints = "signature"
+napoleon_google_docstring = False
+napoleon_use_rtype = False
 autodoc_member_order = "bysource"
 autodoc_default_options = {"members": True}
 python_use_unqualified_type_names = True
@@ -73,13 +76,15 @@ sphinx_gallery_conf = {
     "only_warn_on_example_error": False,
 }
 
-# `name : what it is`, our way of describing arguments and fields, becomes a list.
+# `name : what it is`, our way of describing fields where there are no sections of numpydoc, becomes a list.
 _ITEM = re.compile(r"^(\*{0,2}\w[\w]*(?:, \*{0,2}\w+)*) : (.*)$")
 
 
 def _as_lists(*arguments: Any) -> None:
     lines: list[str] = arguments[-1]
     out: list[str] = []
+    if any(re.fullmatch("-{4,}", line) for line in lines):  # sections, for napoleon
+        return
     inside = False
     for line in lines:
         item = _ITEM.match(line)

@@ -72,7 +72,31 @@ def in_common(scores: Sequence[Score]) -> list[Score]:
 def score(folder: str | Path, key: str | Path, answers: str | Path) -> Score:
     """Answers against the key of the campaigns in a folder.
 
-    Raises InputError: the key is not the one that was published, or the answers are to another check.
+    Parameters
+    ----------
+    folder : str | Path
+        that `make` wrote
+    key : str | Path
+        folder of its key
+    answers : str | Path
+        file that `predict` wrote
+
+    Returns
+    -------
+    Score
+        outcomes, to be printed or written
+
+    Raises
+    ------
+    InputError
+        the key is not the one that was published, or the answers are to another check
+
+    Examples
+    --------
+    >>> from casadical.blind_check import score
+    >>> judged = score("data/withheld", "data/withheld", "data/withheld/answers.f-test.jsonl")
+    >>> len(judged.outcomes), judged.head.by
+    (55, 'f-test')
     """
     folder, path = Path(folder), Path(answers)
     manifest = read_manifest(folder)

@@ -34,12 +34,49 @@ Data = tuple[ArrayLike, ArrayLike]
 class Compensator:
     """A trained compensator, or the null one when the network was refused.
 
-    network : the network in use; None is the null compensator, which corrects nothing.
-    training, choice, validation : errors without and with the trained network, also when it was refused; ``choice`` are
-    poses it was not trained on and that decided (see ``chosen_by``), ``validation`` had no part in any choice.
-    trained_box : the joint angles seen in training [rad]. data_sha256 : of the training data.
-    trained, history : the network as trained, also when it was refused, and (step, loss [mm^2]) of its training; they
-    exist after a fit only and are not saved.
+    Parameters
+    ----------
+    network : Network | None
+        the one in use; None: the null compensator, which corrects nothing
+    layout : Layout
+        sizes of the network
+    trained_box : JointBox
+        the joint readings seen in training [rad]
+    training : BeforeAfter
+        errors of the training poses without and with the trained network, also when it was refused
+    choice : BeforeAfter
+        the same of poses it was not trained on and that decided
+    validation : BeforeAfter | None
+        the same of poses that had no part in any choice
+    chosen_by : str
+        which poses decided, in words
+    margin : float
+        standard errors by which the gain had to exceed zero
+    trainer : str
+        name of the trainer
+    settings : dict[str, Any]
+        of the trainer
+    note : str
+        what the trainer chose, in words
+    seed : int
+        of everything random
+    data_sha256 : str
+        hash of the training data
+    trained : Network, optional
+        the network as trained, also when it was refused; after a fit only, it is not saved
+    history : tuple[tuple[int, float], ...], default ()
+        (step, loss [mm^2]) of the training; after a fit only, it is not saved
+
+    Examples
+    --------
+    >>> residual_mm = casadical.identification.residual_mm(robot, poses)
+    >>> net = casadical.Compensator.fit(poses.q[:30], residual_mm[:30], choose=(poses.q[30:], residual_mm[30:]))
+    >>> net.helps
+    True
+    >>> net.correction_mm(poses.q[:2]).shape, net.inside(poses.q[:2])
+    ((2, 3), array([ True,  True]))
+    >>> print(net.function())
+    network:(q[2])->(dp[3]) SXFunction
     """
 
     network: Network | None
@@ -79,14 +116,46 @@ class Compensator:
     ) -> Self:
         """Train a network on residuals and keep it only where it helps.
 
-        q, residual_mm : arrays, shapes (n, joints) [rad] and (n, outputs) [mm]: training poses.
-        validate : (q, residual_mm) of further poses, for the report only.
-        choose : (q, residual_mm) of poses that decide whether the network helps, instead of a cross-validation with
-        ``folds`` trainings. trainer : one of `known_trainers` by its name, or one with its settings.
-        layout : default one hidden layer of 5. joint_range : scales the inputs; default the box of the training poses.
-        output_scale_mm : millimetres of one output unit, 1 in the paper; default the root mean square residual.
-        margin : the gain must exceed so many of its standard errors. checkpoint, progress : see `train_all`.
-        Raises InputError for arrays of wrong shape or with values that are not finite, and for fewer than 10 poses.
+        Parameters
+        ----------
+        q : ArrayLike, shape (n, joints) [rad]
+            readings of the training poses
+        residual_mm : ArrayLike, shape (n, outputs) [mm]
+            their residuals, measured less computed
+        validate : Data, optional
+            (q, residual_mm) of further poses, for the report only
+        choose : Data, optional
+            (q, residual_mm) of poses that decide whether the network helps, instead of a cross-validation
+        trainer : Trainer | str, default "lm"
+            one of `known_trainers` by its name, or one with its settings
+        layout : Layout, optional
+            default one hidden layer of 5
+        joint_range : JointBox, optional
+            scales the inputs; default the box of the training poses
+        output_scale_mm : float, optional
+            millimetres of one output unit, 1 in the paper; default the root mean square residual
+        loss : Loss, optional
+            what is minimised; default: the paper's
+        seed : int, default 0
+            of everything random
+        folds : int, default 5
+            trainings of the cross-validation, where `choose` is not given
+        margin : float, default 1.0
+            the gain must exceed so many of its standard errors
+        checkpoint : str | Path, optional
+            see `train_all`
+        progress : Callable[[Progress], None], optional
+            see `train_all`
+
+        Returns
+        -------
+        Self
+            the network, or the null compensator where it does not help
+
+        Raises
+        ------
+        InputError
+            arrays of wrong shape or with values that are not finite, and for fewer than 10 poses
         """
         rows = joint_angles(q, layout.joints if layout else np.shape(q)[-1])
         size = layout or Layout(joints=rows.shape[1], outputs=np.shape(residual_mm)[-1])
@@ -148,10 +217,18 @@ class Compensator:
         return f"{self.verdict}\n{which}{table(rows)}\n{self.trainer}, seed {self.seed}: {self.note}"
 
     def correction_mm(self, q: ArrayLike) -> Array:
-        """Return what to add to the computed positions.
+        """What is to be added to computed positions; zeros of the null compensator.
 
-        q : array, shape (n, joints) or (joints,) [rad]. Returns shape (n, outputs) or (outputs,) [mm]; zeros from the
-        null compensator. Outside of ``trained_box`` the value is an extrapolation: see `inside`.
+        Parameters
+        ----------
+        q : ArrayLike
+            joint readings, shape (n, joints) or (joints,) [rad]; outside of ``trained_box`` it is extrapolated, see
+            `inside`
+
+        Returns
+        -------
+        Array, shape (n, outputs)
+            or (outputs,) [mm]
         """
         if self.network is not None:
             return self.network.output_mm(np.asarray(q))
@@ -159,11 +236,28 @@ class Compensator:
         return np.zeros((len(rows), self.layout.outputs) if np.ndim(q) == 2 else self.layout.outputs)
 
     def inside(self, q: ArrayLike) -> Array:
-        """Tell for every row of q, shape (n, joints) [rad], whether training saw such angles, joint by joint."""
+        """Tell for every row of q, shape (n, joints) [rad], whether training saw such angles, joint by joint.
+
+        Parameters
+        ----------
+        q : ArrayLike, shape (n, joints) [rad]
+            joint readings
+
+        Returns
+        -------
+        Array, shape (n, joints)
+            boolean
+        """
         return self.trained_box.contains(joint_angles(q, self.layout.joints))
 
     def function(self) -> "casadi.Function":
-        """Return ``network:(q[joints])->(dp[outputs])``: q in radians, dp in millimetres; zeros from the null one."""
+        """Return ``network:(q[joints])->(dp[outputs])``: q in radians, dp in millimetres; zeros from the null one.
+
+        Returns
+        -------
+        Function
+            CasADi function network:(q[joints] rad)->(dp[outputs] mm)
+        """
         if self.network is not None:
             return self.network.function()
         import casadi

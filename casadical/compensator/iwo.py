@@ -22,11 +22,40 @@ from casadical.core.errors import InputError
 class IwoSettings:
     """Settings of the search; the defaults are the paper's (section 4).
 
-    initial, maximum : members at the start and at most. seeds_min, seeds_max : children of the worst and best member.
-    exponent, sigma_initial, sigma_final : eq. 13. lower, upper : bounds of every coordinate, or one a coordinate.
-    dispersal : "normal" for steps N(0, sigma), "literal" for the printed sigma * K with K uniform in [0, 1].
-    iterations, target, patience : stop after so many generations, at this loss, or when so many generations in a row
-    brought no better loss.
+    Parameters
+    ----------
+    initial : int, default 10
+        members at the start
+    maximum : int, default 50
+        members at most
+    seeds_min : int, default 0
+        children of the worst member
+    seeds_max : int, default 5
+        children of the best member
+    exponent : float, default 2.0
+        of eq. 13
+    sigma_initial : float, default 0.05
+        of eq. 13, at the start [as of the bounds]
+    sigma_final : float, default 0.0005
+        of eq. 13, at the end [as of the bounds]
+    lower : float | tuple[float, ...], default -1.7
+        bound of every coordinate, or one a coordinate
+    upper : float | tuple[float, ...], default 1.7
+        bound of every coordinate, or one a coordinate
+    dispersal : {"normal", "literal"}, default "normal"
+        "normal" for steps N(0, sigma), "literal" for the printed sigma * K with K uniform in [0, 1]
+    iterations : int, default 500
+        generations at most
+    target : float, optional
+        loss at which it stops; None: none
+    patience : int, optional
+        generations in a row without a better loss after which it stops; None: none
+
+    Examples
+    --------
+    >>> settings = casadical.compensator.IwoSettings(iterations=100)
+    >>> settings.sigma(0) > settings.sigma(100)
+    True
     """
 
     initial: int = 10
@@ -58,7 +87,18 @@ class IwoSettings:
             raise InputError(f"iterations and patience must be at least 1; got {self.iterations}, {self.patience}")
 
     def sigma(self, iteration: int) -> float:
-        """Return the standard deviation of generation ``iteration`` = 0 .. iterations (eq. 13)."""
+        """Return the standard deviation of generation ``iteration`` = 0 .. iterations (eq. 13).
+
+        Parameters
+        ----------
+        iteration : int
+            generation, from 0 to iterations
+
+        Returns
+        -------
+        float
+            step size [as of the bounds]
+        """
         left = (self.iterations - iteration) / self.iterations
         return float(left**self.exponent * (self.sigma_initial - self.sigma_final) + self.sigma_final)
 
@@ -79,7 +119,25 @@ def seed_counts(losses: Array, seeds_min: int, seeds_max: int) -> Array:
 
 @dataclass(frozen=True)
 class IwoHistory:
-    """One entry a generation: evaluations so far, best and worst loss of the colony, step size."""
+    """Course of a search, one entry a generation.
+
+    Parameters
+    ----------
+    evaluations : tuple[int, ...], default ()
+        so far
+    best : tuple[float, ...], default ()
+        loss of the best member
+    worst : tuple[float, ...], default ()
+        loss of the worst member
+    sigma : tuple[float, ...], default ()
+        step size
+
+    Examples
+    --------
+    >>> found = casadical.compensator.iwo_minimise(lambda x: (x**2).sum(axis=1), 2, seed=1)
+    >>> found.history.best[-1] <= found.history.best[0]
+    True
+    """
 
     evaluations: tuple[int, ...] = ()
     best: tuple[float, ...] = ()
@@ -89,7 +147,27 @@ class IwoHistory:
 
 @dataclass(frozen=True, eq=False)
 class IwoResult:
-    """Outcome of a search: best point, shape (dimension,) [as of the bounds], its loss, why it stopped, how it went."""
+    """Outcome of a search.
+
+    Parameters
+    ----------
+    x : Array, shape (dimension,) [as of the bounds]
+        best point
+    loss : float
+        its loss
+    reasons : tuple[str, ...]
+        why it stopped
+    evaluations : int
+        how many there were
+    history : IwoHistory, optional
+        how it went
+
+    Examples
+    --------
+    >>> found = casadical.compensator.iwo_minimise(lambda x: (x**2).sum(axis=1), 2, seed=1)
+    >>> found.x.shape, len(found.reasons)
+    ((2,), 1)
+    """
 
     x: Array
     loss: float
@@ -101,8 +179,28 @@ class IwoResult:
 class InvasiveWeeds:
     """A search in progress: ``while not search.stop(): search.tell(losses_of(search.ask()))``.
 
-    dimension : number of coordinates. seed : of its own random generator.
-    start : array, shape (k, dimension), members to begin with instead of some of the random ones.
+    Parameters
+    ----------
+    dimension : int
+        number of coordinates
+    settings : IwoSettings, optional
+        of the search; None: the paper's
+    seed : int, default 0
+        of its own random generator
+    start : ArrayLike, shape (k, dimension), optional
+        members to begin with instead of some of the random ones
+
+    Examples
+    --------
+    >>> from casadical.compensator import InvasiveWeeds, IwoSettings
+    >>> search = InvasiveWeeds(2, IwoSettings(iterations=30))
+    >>> while not search.stop():
+    ...     search.tell((search.ask() ** 2).sum(axis=1))
+    >>> search.result().loss < 1e-2
+    True
+    >>> again = InvasiveWeeds.restore(2, IwoSettings(iterations=30), search.state())
+    >>> again.result().loss == search.result().loss
+    True
     """
 
     def __init__(
@@ -128,15 +226,28 @@ class InvasiveWeeds:
             raise InputError(f"start must have shape (k, {dimension}); its shape is {self._start.shape}")
 
     def ask(self) -> Array:
-        """Return the points to evaluate next, shape (k, dimension) [as of the bounds]; the same ones until told."""
+        """Return the points to evaluate next, shape (k, dimension) [as of the bounds]; the same ones until told.
+
+        Returns
+        -------
+        Array, shape (k, dimension) [as of the bounds]
+        """
         if self._asked is None:
             self._asked = self._first_colony() if self.iteration < 0 else self._children()
         return self._asked
 
     def tell(self, losses: ArrayLike) -> None:
-        """Take the losses of the asked points, shape (k,); parents compete. A NaN counts as an infinite loss.
+        """Take the losses of the asked points; parents compete. A NaN counts as an infinite loss.
 
-        Raises InputError without an ask() before, and for another number of losses.
+        Parameters
+        ----------
+        losses : ArrayLike, shape (k,)
+            of the points that were asked for
+
+        Raises
+        ------
+        InputError
+            no ask() before, or another number of losses
         """
         if self._asked is None:
             raise InputError("tell() without ask(): call ask() first and tell the losses of its rows")
@@ -157,7 +268,13 @@ class InvasiveWeeds:
         self._asked = None
 
     def stop(self) -> tuple[str, ...]:
-        """Return the reasons to stop; empty while the search should go on."""
+        """Return the reasons to stop; empty while the search should go on.
+
+        Returns
+        -------
+        tuple[str, ...]
+            in words
+        """
         reasons, s = [], self.settings
         if self.iteration >= s.iterations:
             reasons.append(f"iterations: all {s.iterations} generations done")
@@ -168,14 +285,36 @@ class InvasiveWeeds:
         return tuple(reasons)
 
     def result(self) -> IwoResult:
-        """Return the best point so far with the history. Raises InputError before anything was evaluated."""
+        """Return the best point so far with the history.
+
+        Returns
+        -------
+        IwoResult
+            best point, loss and history
+
+        Raises
+        ------
+        InputError
+            nothing was evaluated yet
+        """
         if self.iteration < 0:
             raise InputError("nothing has been evaluated yet: call ask() and tell() first")
         history = IwoHistory(*(tuple(column) for column in zip(*self._log, strict=True)))
         return IwoResult(self.members[0].copy(), float(self.losses[0]), self.stop(), self.evaluations, history)
 
     def state(self) -> dict[str, Any]:
-        """Return all that a search needs to go on, in JSON types. Raises InputError between ask() and tell()."""
+        """Return all that a search needs to go on, in JSON types.
+
+        Returns
+        -------
+        dict[str, Any]
+            JSON types
+
+        Raises
+        ------
+        InputError
+            between ask() and tell()
+        """
         if self._asked is not None:
             raise InputError("state() between ask() and tell(): tell the losses first")
         return {
@@ -189,7 +328,22 @@ class InvasiveWeeds:
 
     @classmethod
     def restore(cls, dimension: int, settings: IwoSettings, state: dict[str, Any]) -> Self:
-        """Return the search whose `state` this was; it goes on bit for bit as the first one would have."""
+        """Return the search whose `state` this was; it goes on bit for bit as the first one would have.
+
+        Parameters
+        ----------
+        dimension : int
+            as before
+        settings : IwoSettings
+            as before
+        state : dict[str, Any]
+            as of `state`
+
+        Returns
+        -------
+        Self
+            the search
+        """
         search = cls(dimension, settings, start=unpack(state["start"]))
         search.members, search.losses = unpack(state["members"]), unpack(state["losses"])
         search._log = [(int(n), float(b), float(w), float(s)) for n, b, w, s in unpack(state["log"])]
@@ -222,10 +376,34 @@ def iwo_minimise(
     vectorised: bool = True,
     start: ArrayLike | None = None,
 ) -> IwoResult:
-    """Minimise any objective by invasive weed optimisation.
+    """Minimise any objective by invasive weed optimisation; units are those of the objective.
 
-    objective : takes points of shape (k, dimension) and returns k losses; with ``vectorised=False`` takes one point of
-    shape (dimension,) and returns its loss. Coordinates and losses have what units the objective gives them [any].
+    Parameters
+    ----------
+    objective : Callable[[Array], ArrayLike]
+        takes points of shape (k, dimension) and returns k losses; with ``vectorised=False`` one point, shape
+        (dimension,), and returns its loss
+    dimension : int
+        number of coordinates
+    settings : IwoSettings, optional
+        of the search; None: the paper's
+    seed : int, default 0
+        of everything random
+    vectorised : bool, default True
+        whether the objective takes all points at once
+    start : ArrayLike, shape (k, dimension), optional
+        members to begin with
+
+    Returns
+    -------
+    IwoResult
+        best point, loss and history
+
+    Examples
+    --------
+    >>> found = casadical.compensator.iwo_minimise(lambda x: (x**2).sum(axis=1), 2, seed=1)
+    >>> found.loss < 0.1
+    True
     """
     search = InvasiveWeeds(dimension, settings, seed=seed, start=start)
     while not search.stop():

@@ -20,10 +20,28 @@ from casadical.core.errors import InputError
 class Layout:
     """Sizes of a network.
 
-    joints : number of joint angles it is given.
-    hidden : neurons of each hidden layer, first to last (tansig).
-    outputs : number of outputs (linear).
-    periodic : joints, counted from 0, that enter as (sin q, cos q) instead of as a scaled angle.
+    Parameters
+    ----------
+    joints : int, default 6
+        number of joint angles it is given
+    hidden : tuple[int, ...], optional
+        neurons of each hidden layer, first to last (tansig)
+    outputs : int, default 3
+        number of outputs (linear)
+    periodic : tuple[int, ...], default ()
+        joints, counted from 0, that enter as (sin q, cos q) instead of as a scaled angle
+
+    Examples
+    --------
+    >>> layout = casadical.compensator.Layout(joints=6, hidden=(5,))
+    >>> layout.count, layout.shapes
+    (53, ((5, 7), (3, 6)))
+    >>> weights = np.arange(layout.count, dtype=float)
+    >>> layers = layout.layers(weights)
+    >>> [layer.shape for layer in layers], bool((layout.weights(layers) == weights).all())
+    ([(5, 7), (3, 6)], True)
+    >>> int(layout.output_biases().sum())
+    3
     """
 
     joints: int = 6
@@ -58,9 +76,19 @@ class Layout:
     def layers(self, weights: Array) -> list[Array]:
         """Split weight vectors into layers.
 
-        weights : array, shape (..., count).
-        Returns one array of shape (..., m, k + 1) a layer, each row the input weights of a neuron and then its bias.
-        Raises InputError for another number of weights.
+        Parameters
+        ----------
+        weights : Array, shape (..., count)
+
+        Returns
+        -------
+        list[Array]
+            one array of shape (..., m, k + 1) a layer, each row the input weights of a neuron and then its bias
+
+        Raises
+        ------
+        InputError
+            another number of weights
         """
         weights = np.asarray(weights)
         if weights.shape[-1:] != (self.count,):
@@ -73,14 +101,35 @@ class Layout:
         return parts
 
     def weights(self, layers: Sequence[Array]) -> Array:
-        """Join layers into weight vectors: the inverse of `layers`. Raises InputError for layers of other shapes."""
+        """Join layers into weight vectors: the inverse of `layers`.
+
+        Parameters
+        ----------
+        layers : Sequence[Array]
+            as `layers` gives them, shape (..., m, k + 1) each
+
+        Returns
+        -------
+        Array, shape (..., count)
+
+        Raises
+        ------
+        InputError
+            layers of other shapes
+        """
         got = [np.shape(layer)[-2:] for layer in layers]
         if got != list(self.shapes):
             raise InputError(f"{self} has layers of shape {list(self.shapes)}; got {got}")
         return np.concatenate([np.asarray(part).reshape(*np.shape(part)[:-2], -1) for part in layers], axis=-1)
 
     def output_biases(self) -> Array:
-        """Mark the biases of the output layer in a weight vector: boolean array, shape (count,)."""
+        """Mark the biases of the output layer in a weight vector.
+
+        Returns
+        -------
+        Array, shape (count,)
+            boolean
+        """
         marks = [np.zeros(shape, dtype=bool) for shape in self.shapes]
         marks[-1][:, -1] = True
         return np.concatenate([mark.ravel() for mark in marks])
@@ -90,8 +139,18 @@ class Layout:
 class JointBox:
     """Joint ranges that a network is scaled by and trusted in.
 
-    lower, upper : one angle a joint [rad]. ``lower`` is sent to -1 and ``upper`` to +1; a joint that does not move
-    (lower == upper) is sent to q - lower.
+    Parameters
+    ----------
+    lower : tuple[float, ...]
+        one angle a joint [rad]; it is sent to -1
+    upper : tuple[float, ...]
+        one angle a joint [rad]; it is sent to +1; a joint that does not move (lower == upper) is sent to q - lower
+
+    Examples
+    --------
+    >>> box = casadical.compensator.JointBox((-1.0, -2.0), (1.0, 2.0))
+    >>> box.contains(np.array([[0.0, 0.0], [1.5, 0.0]]))
+    array([ True, False])
     """
 
     lower: tuple[float, ...]
@@ -119,7 +178,17 @@ class JointBox:
         return np.where(half > 0, half, 1.0)
 
     def contains(self, q: Array) -> Array:
-        """Tell for every row of q, shape (n, joints) [rad], whether it lies in the box."""
+        """Tell for every row of joint readings whether it lies in the box.
+
+        Parameters
+        ----------
+        q : Array, shape (n, joints) [rad]
+
+        Returns
+        -------
+        Array, shape (n,)
+            boolean
+        """
         within: Array = (q >= self.lower) & (q <= self.upper)
         return np.asarray(within.all(axis=1), dtype=np.bool_)
 

@@ -19,9 +19,26 @@ if TYPE_CHECKING:
 class Network:
     """A trained network.
 
-    layout : layer sizes. box : joint ranges of the input scaling [rad].
-    weights : array, shape (layout.count,), in the order that `casadical.compensator.layout` defines.
-    output_scale_mm : the linear output layer's sum is multiplied by this to give millimetres; 1 in the paper.
+    Parameters
+    ----------
+    layout : Layout
+        layer sizes
+    box : JointBox
+        joint ranges of the input scaling [rad]
+    weights : Array, shape (layout.count,), optional
+        in the order that `casadical.compensator.layout` defines
+    output_scale_mm : float, default 1.0
+        the linear output layer's sum is multiplied by this to give millimetres; 1 in the paper
+
+    Examples
+    --------
+    >>> layout = casadical.compensator.Layout(joints=2, outputs=3)
+    >>> box = casadical.compensator.JointBox((-3.0, -3.0), (3.0, 3.0))
+    >>> network = casadical.compensator.Network(layout, box, np.zeros(layout.count))
+    >>> network.output_mm(q[:4]).shape
+    (4, 3)
+    >>> print(network.function())
+    network:(q[2])->(dp[3]) SXFunction
     """
 
     layout: Layout
@@ -43,10 +60,22 @@ class Network:
         object.__setattr__(self, "weights", weights)
 
     def output_mm(self, q: Array) -> Array:
-        """Return the correction for every row of q.
+        """The correction for every row of q.
 
-        q : array, shape (n, joints) or (joints,) [rad]. Returns shape (n, outputs) or (outputs,) [mm].
-        Raises InputError when the shape is another one or an angle is not finite.
+        Parameters
+        ----------
+        q : Array
+            joint readings, shape (n, joints) or (joints,) [rad]
+
+        Returns
+        -------
+        Array, shape (n, outputs)
+            or (outputs,) [mm]
+
+        Raises
+        ------
+        InputError
+            another shape, or an angle that is not finite
         """
         rows = joint_angles(q, self.layout.joints)
         inputs = network_inputs(self.layout, self.box, rows)
@@ -54,7 +83,13 @@ class Network:
         return np.asarray(out if np.ndim(q) == 2 else out[0], dtype=np.float64)
 
     def function(self) -> "casadi.Function":
-        """Return the CasADi function ``network:(q[joints])->(dp[outputs])``: q in radians, dp in millimetres."""
+        """Return the CasADi function ``network:(q[joints])->(dp[outputs])``: q in radians, dp in millimetres.
+
+        Returns
+        -------
+        Function
+            CasADi function network:(q[joints] rad)->(dp[outputs] mm)
+        """
         import casadi
 
         q = casadi.SX.sym("q", self.layout.joints)

@@ -22,12 +22,42 @@ MOST_NUMBERS = 1000
 
 
 def save_compensator(compensator: Compensator, path: str | os.PathLike[str]) -> None:
-    """Write a compensator to a JSON file; an older file is replaced in one piece."""
+    """Write a compensator to a JSON file; an older file is replaced in one piece.
+
+    Parameters
+    ----------
+    compensator : Compensator
+        of a fit
+    path : str | Path
+        JSON file
+
+    Examples
+    --------
+    >>> net = casadical.Compensator.fit(poses.q[:30], residual_mm[:30], choose=(poses.q[30:], residual_mm[30:]))
+    >>> casadical.compensator.save_compensator(net, "net.json")
+    """
     write_checksummed(path, KIND, VERSION, _body(compensator))
 
 
 def compensator_text(compensator: Compensator) -> str:
-    """Return the text that `save_compensator` writes, for those who write several files together."""
+    """Return the text that `save_compensator` writes, for those who write several files together.
+
+    Parameters
+    ----------
+    compensator : Compensator
+        of a fit, or read
+
+    Returns
+    -------
+    str
+        JSON
+
+    Examples
+    --------
+    >>> net = casadical.Compensator.fit(poses.q[:30], residual_mm[:30], choose=(poses.q[30:], residual_mm[30:]))
+    >>> casadical.compensator.compensator_text(net)[:1]
+    '{'
+    """
     return checksummed(KIND, VERSION, _body(compensator))
 
 
@@ -46,7 +76,27 @@ def _body(compensator: Compensator) -> dict[str, Any]:
 def load_compensator(path: str | os.PathLike[str]) -> Compensator:
     """Read a compensator that `save_compensator` wrote.
 
-    Raises InputError when the file is missing, truncated, changed, of another kind or version, or inconsistent.
+    Parameters
+    ----------
+    path : str | Path
+        file that `save_compensator` wrote
+
+    Returns
+    -------
+    Compensator
+        as it was, without the history of its training
+
+    Raises
+    ------
+    InputError
+        the file is missing, truncated, changed, of another kind or version, or inconsistent
+
+    Examples
+    --------
+    >>> net = casadical.Compensator.fit(poses.q[:30], residual_mm[:30], choose=(poses.q[30:], residual_mm[30:]))
+    >>> casadical.compensator.save_compensator(net, "net.json")
+    >>> casadical.compensator.load_compensator("net.json").helps == net.helps
+    True
     """
     body = read_checksummed(path, KIND, VERSION)
     try:

@@ -14,7 +14,19 @@ from casadical.core.errors import InputError
 class Loss:
     """The paper's loss l1 * mean(E) + l2 * max(E), E the mean square error of a pose's outputs [mm^2] (eqs. 12, 14).
 
-    mean, max : l1 and l2; the paper's are 1 and 0.7.
+    Parameters
+    ----------
+    mean : float, default 1.0
+        l1, 1 in the paper
+    max : float, default 0.7
+        l2, 0.7 in the paper
+
+    Examples
+    --------
+    >>> loss = casadical.compensator.Loss()
+    >>> errors = np.array([[[1.0, 3.0]]])  # one network, one output, two poses [mm]
+    >>> loss.of(errors), loss.slope(errors).shape
+    (array([11.3]), (1, 1, 2))
     """
 
     mean: float = 1.0
@@ -25,14 +37,32 @@ class Loss:
             raise InputError(f"the weights of the loss must not be negative nor both zero; got {self}")
 
     def of(self, errors: Array) -> Array:
-        """Return the loss of every network: errors of shape (P, outputs, N) [mm] -> shape (P,) [mm^2]."""
+        """The loss of every network.
+
+        Parameters
+        ----------
+        errors : Array, shape (P, outputs, N) [mm]
+
+        Returns
+        -------
+        Array, shape (P,) [mm^2]
+        """
         squares = np.einsum("pon,pon->pn", errors, errors)
         samples = errors.shape[2]
         total = self.mean / samples * (squares @ np.ones(samples, squares.dtype)) + self.max * squares.max(axis=1)
         return np.asarray(total / errors.shape[1])
 
     def slope(self, errors: Array) -> Array:
-        """Return a (sub)gradient of the loss by the errors, both of shape (P, outputs, N) [mm]."""
+        """A (sub)gradient of the loss by the errors.
+
+        Parameters
+        ----------
+        errors : Array, shape (P, outputs, N) [mm]
+
+        Returns
+        -------
+        Array, shape (P, outputs, N) [mm]
+        """
         networks, outputs, samples = errors.shape
         weight = np.full((networks, samples), self.mean / samples)
         worst = np.einsum("pon,pon->pn", errors, errors).argmax(axis=1)
@@ -44,8 +74,26 @@ class Loss:
 class Task:
     """A training problem.
 
-    inputs : array, shape (features + 1, N), from `network_inputs`. targets : array, shape (outputs, N), residuals
-    divided by ``scale_mm``, the millimetres of one unit of the linear output layer.
+    Parameters
+    ----------
+    layout : Layout
+        sizes of the network
+    inputs : Array, shape (features + 1, N)
+        as of `network_inputs`
+    targets : Array, shape (outputs, N) [units of the output layer]
+        residuals divided by ``scale_mm``
+    scale_mm : float, default 1.0
+        millimetres of one unit of the output layer [mm]
+    loss : Loss, optional
+        what is minimised
+
+    Examples
+    --------
+    >>> from casadical.compensator import JointBox, Layout, make_task
+    >>> task = make_task(Layout(2), JointBox((-3.0, -3.0), (3.0, 3.0)), poses.q, residual_mm)
+    >>> weights = np.zeros((4, task.layout.count))  # four networks
+    >>> task.losses(weights).shape, task.errors_mm(weights[0]).shape
+    ((4,), (40, 3))
     """
 
     layout: Layout
@@ -55,13 +103,33 @@ class Task:
     loss: Loss = Loss()
 
     def losses(self, weights: Array) -> Array:
-        """Return the loss of every row of weights, shape (P, count) -> (P,) [mm^2]."""
+        """The loss of every row of weights.
+
+        Parameters
+        ----------
+        weights : Array, shape (P, count)
+            one network a row
+
+        Returns
+        -------
+        Array, shape (P,) [mm^2]
+        """
         errors = forward(self.layout, weights, self.inputs)
         errors -= self.targets
         return np.asarray(self.scale_mm**2 * self.loss.of(errors))
 
     def errors_mm(self, weights: Array) -> Array:
-        """Return target minus output of one network, shape (N, outputs) [mm] (eq. 11)."""
+        """Target minus output of one network (eq. 11).
+
+        Parameters
+        ----------
+        weights : Array, shape (count,)
+            of one network
+
+        Returns
+        -------
+        Array, shape (N, outputs) [mm]
+        """
         outputs = forward(self.layout, weights[None], self.inputs)[0]
         return np.asarray(self.scale_mm * (self.targets - outputs).T, dtype=np.float64)
 
@@ -69,9 +137,38 @@ class Task:
 def make_task(
     layout: Layout, box: JointBox, q: Array, residual_mm: Array, *, scale_mm: float = 1.0, loss: Loss | None = None
 ) -> Task:
-    """Prepare joint angles, shape (n, joints) [rad], and residuals, shape (n, outputs) [mm], for training.
+    """Prepare joint angles and residuals for training.
 
-    Raises InputError for a scale that is not positive.
+    Parameters
+    ----------
+    layout : Layout
+        sizes of the network
+    box : JointBox
+        joint ranges of the input scaling [rad]
+    q : Array, shape (n, joints) [rad]
+        joint readings
+    residual_mm : Array, shape (n, outputs) [mm]
+        residuals
+    scale_mm : float, default 1.0
+        millimetres of one unit of the output layer [mm]
+    loss : Loss, optional
+        what is minimised; None: the paper's
+
+    Returns
+    -------
+    Task
+        the training problem
+
+    Raises
+    ------
+    InputError
+        a scale that is not positive
+
+    Examples
+    --------
+    >>> from casadical.compensator import JointBox, Layout, make_task
+    >>> make_task(Layout(2), JointBox((-3.0, -3.0), (3.0, 3.0)), poses.q, residual_mm).targets.shape
+    (3, 40)
     """
     if not (np.isfinite(scale_mm) and scale_mm > 0):
         raise InputError(f"output_scale_mm must be positive and finite; got {scale_mm}")

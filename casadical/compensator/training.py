@@ -19,7 +19,24 @@ _KIND, _VERSION = "casadical-training-checkpoint", 1
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a job of several trainings stands; ``loss_mm2`` is the paper's loss of the best weights so far [mm^2]."""
+    """Where a job of several trainings stands.
+
+    Parameters
+    ----------
+    training : int
+        which one, from 1
+    trainings : int
+        how many there are
+    step : int
+        of this training
+    loss_mm2 : float
+        the paper's loss of the best weights so far [mm^2]
+
+    Examples
+    --------
+    >>> casadical.compensator.Progress(training=1, trainings=6, step=50, loss_mm2=0.01).step
+    50
+    """
 
     training: int
     trainings: int
@@ -31,8 +48,27 @@ class Progress:
 class Training:
     """Outcome of one training.
 
-    weights : array, shape (count,). loss_mm2 : the paper's loss (eq. 14) on the training poses [mm^2].
-    reasons : why it stopped. note : what the trainer chose. history : (step, loss [mm^2]) now and then.
+    Parameters
+    ----------
+    weights : Array, shape (count,), optional
+    loss_mm2 : float
+        the paper's loss (eq. 14) on the training poses [mm^2]
+    steps : int
+        how many there were
+    reasons : tuple[str, ...]
+        why it stopped
+    note : str
+        what the trainer chose
+    history : tuple[tuple[int, float], ...], optional
+        (step, loss [mm^2]) now and then
+
+    Examples
+    --------
+    >>> from casadical.compensator import JointBox, Layout, known_trainers, make_task, train
+    >>> task = make_task(Layout(2), JointBox((-3.0, -3.0), (3.0, 3.0)), poses.q, residual_mm)
+    >>> outcome = train(task, known_trainers()["lm"]())
+    >>> outcome.weights.shape, len(outcome.reasons)
+    ((33,), 1)
     """
 
     weights: Array = field(repr=False)
@@ -52,7 +88,35 @@ def train(
     every: int = 50,
     progress: Callable[[Progress], None] | None = None,
 ) -> Training:
-    """Train one network; see `train_all`."""
+    """Train one network; see `train_all`.
+
+    Parameters
+    ----------
+    task : Task
+        the training problem
+    trainer : Trainer
+        with its settings
+    seed : int, default 0
+        of everything random
+    checkpoint : str | Path, optional
+        as of `train_all`
+    every : int, default 50
+        as of `train_all`
+    progress : Callable[[Progress], None], optional
+        as of `train_all`
+
+    Returns
+    -------
+    Training
+        weights, loss and history
+
+    Examples
+    --------
+    >>> from casadical.compensator import JointBox, Layout, known_trainers, make_task, train
+    >>> task = make_task(Layout(2), JointBox((-3.0, -3.0), (3.0, 3.0)), poses.q, residual_mm)
+    >>> train(task, known_trainers()["lm"](), seed=1).weights.shape
+    (33,)
+    """
     return train_all([task], trainer, seed=seed, checkpoint=checkpoint, every=every, progress=progress)[0]
 
 
@@ -67,10 +131,38 @@ def train_all(
 ) -> list[Training]:
     """Train one network for each task, one after the other.
 
-    every : steps between two calls of ``progress``, two checkpoints and two entries of the history.
-    checkpoint : file to write the state to. If it exists, the job continues from it and ends with exactly the weights
-    of an uninterrupted one (on the same machine and libraries). It is kept when the job is done.
-    Raises InputError when the checkpoint is damaged or belongs to other data, settings or seed.
+    Parameters
+    ----------
+    tasks : Sequence[Task]
+        training problems
+    trainer : Trainer
+        with its settings
+    seed : int, default 0
+        of everything random
+    checkpoint : str | Path, optional
+        file to write the state to. If it exists, the job continues from it and ends with exactly the weights of an
+        uninterrupted one (on the same machine and libraries). It is kept when the job is done
+    every : int, default 50
+        steps between two calls of ``progress``, two checkpoints and two entries of the history
+    progress : Callable[[Progress], None], optional
+        called with where the job stands
+
+    Returns
+    -------
+    list[Training]
+        one outcome a task
+
+    Raises
+    ------
+    InputError
+        the checkpoint is damaged or belongs to other data, settings or seed
+
+    Examples
+    --------
+    >>> from casadical.compensator import JointBox, Layout, known_trainers, make_task, train_all
+    >>> task = make_task(Layout(2), JointBox((-3.0, -3.0), (3.0, 3.0)), poses.q, residual_mm)
+    >>> [outcome.weights.shape for outcome in train_all([task, task], known_trainers()["lm"]())]
+    [(33,), (33,)]
     """
     if every < 1:
         raise InputError(f"every must be at least 1 step; got {every}")

@@ -5,15 +5,36 @@ from typing import Any
 
 
 class CasadicalError(Exception):
-    """Base class of all errors that casadical raises deliberately."""
+    """Base class of all errors that casadical raises deliberately.
+
+    Examples
+    --------
+    >>> issubclass(casadical.InputError, casadical.CasadicalError)
+    True
+    """
 
 
 class InputError(CasadicalError, ValueError):
-    """A file, table or argument is not usable as it is."""
+    """A file, table or argument is not usable as it is.
+
+    Examples
+    --------
+    >>> try:
+    ...     casadical.read_robot("nowhere.toml")
+    ... except casadical.InputError as error:
+    ...     print(error)
+    nowhere.toml: no such file
+    """
 
 
 class ConvergenceError(CasadicalError, RuntimeError):
-    """The solver stopped without an optimum; nothing was written."""
+    """The solver stopped without an optimum; nothing was written.
+
+    Examples
+    --------
+    >>> issubclass(casadical.ConvergenceError, (casadical.CasadicalError, RuntimeError))
+    True
+    """
 
 
 def optional(module: str, otherwise: str) -> Any:

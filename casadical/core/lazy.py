@@ -13,15 +13,22 @@ def attach(package: str, file: str) -> "tuple[Callable[[str], Any], Callable[[],
 
     package, file : its `__name__` and `__file__`. The stub beside it, `__init__.pyi`, which type checkers and editors
     read too, has a line `from MODULE import NAME as NAME` for each public name and is copied nowhere else.
-    A name must not be that of a module in the package: once that is imported, Python finds the module first.
+    A name must not be that of a module in the package: once that is imported, Python finds the module first. Packages
+    and modules beneath the package are found without an import of their own, too.
     """
     with open(f"{file}i", encoding="utf-8") as stub:
         lines = [line.split() for line in stub if line.startswith("from ")]
     home = {name: module for _, module, _, name, *_ in lines}
 
     def find(name: str) -> "Any":
-        if name not in home:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}; there are {', '.join(home)}")
-        return getattr(import_module(home[name]), name)
+        if name in home:
+            return getattr(import_module(home[name]), name)
+        beneath = f"{package}.{name}"
+        try:
+            return import_module(beneath)
+        except ModuleNotFoundError as missing:
+            if missing.name != beneath:
+                raise
+        raise AttributeError(f"module {package!r} has no attribute {name!r}; there are {', '.join(home)}")
 
     return find, lambda: sorted(home), list(home)

@@ -22,14 +22,34 @@ _UNIONS = {"kinematic": ("base", "geometry", "loop", "tool"), "placement": ("bas
 class Parameter:
     """One number of the model.
 
-    name : as in the paper's tables: alpha2, a2, beta2, d3, theta3, L4, tool_x, base_rx, c3
-    group : base, geometry, loop, tool, compliance, or the name of an effect
-    unit : SI unit
-    value : nominal value [unit]
-    scale : unit of the solver's variable: 1 mm, 1 mrad [unit]
-    lower, upper : bounds [unit]
-    prior : one sigma of the deviation from nominal [unit]
-    held : why it is never identified; empty if it can be
+    Parameters
+    ----------
+    name : str
+        as in the paper's tables: alpha2, a2, beta2, d3, theta3, L4, tool_x, base_rx, c3
+    group : str
+        base, geometry, loop, tool, compliance, or the name of an effect
+    unit : str
+        SI unit
+    value : float
+        nominal value [unit]
+    scale : float
+        unit of the solver's variable: 1 mm, 1 mrad [unit]
+    lower : float
+        bound [unit]
+    upper : float
+        bound [unit]
+    prior : float
+        one sigma of the deviation from nominal [unit]
+    held : str, default ""
+        why it is never identified; empty if it can be
+
+    Examples
+    --------
+    >>> p = robot.parameters["a1"]
+    >>> p.name, p.group, p.unit, float(p.value)
+    ('a1', 'geometry', 'm', 0.4)
+    >>> p.readable(p.value), p.readable_unit
+    (400.0, 'mm')
     """
 
     name: str
@@ -44,15 +64,48 @@ class Parameter:
 
     @property
     def readable_unit(self) -> str:
+        """Unit of reports: mm, deg, urad/(N m), or the SI unit."""
         return _READABLE.get(self.unit, (self.unit, 1.0))[0]
 
     def readable(self, value: float) -> float:
-        """A value [SI] in the unit of reports (mm, deg, urad/(N m))."""
+        """A value [SI] in the unit of reports (mm, deg, urad/(N m)).
+
+        Parameters
+        ----------
+        value : float
+            in the SI unit
+
+        Returns
+        -------
+        float
+            in `readable_unit`
+        """
         return value * _READABLE.get(self.unit, (self.unit, 1.0))[1]
 
 
 class Parameters(Sequence[Parameter]):
-    """An ordered, immutable set of parameters with unique names."""
+    """An ordered, immutable set of parameters with unique names.
+
+    Parameters
+    ----------
+    items : Iterable[Parameter]
+        in model order
+
+    Raises
+    ------
+    InputError
+        two of one name
+
+    Examples
+    --------
+    >>> p = robot.parameters
+    >>> p.names[:3], p.index_of("a1")
+    (('tool_x', 'tool_y', 'tool_z'), 8)
+    >>> p.select(["tool", "theta*"])
+    ('tool_x', 'tool_y', 'tool_z', 'theta1', 'theta2')
+    >>> float(p.with_values({"a1": 0.401})["a1"].value)
+    0.401
+    """
 
     def __init__(self, items: Iterable[Parameter]) -> None:
         self._items = tuple(items)
@@ -71,13 +124,30 @@ class Parameters(Sequence[Parameter]):
         return self._items[key if isinstance(key, int) else self.index_of(key)]
 
     def index_of(self, name: str) -> int:
-        """Place of a parameter in the list. Raises InputError that lists the names."""
+        """Place of a parameter in the list.
+
+        Parameters
+        ----------
+        name : str
+            of the parameter
+
+        Returns
+        -------
+        int
+            from 0
+
+        Raises
+        ------
+        InputError
+            no such name; those that there are
+        """
         if name not in self._index:
             raise InputError(f"no parameter {name!r}; there are {', '.join(self.names)}")
         return self._index[name]
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Names, in model order."""
         return tuple(p.name for p in self._items)
 
     @property
@@ -87,12 +157,26 @@ class Parameters(Sequence[Parameter]):
 
     @property
     def groups(self) -> tuple[str, ...]:
+        """Groups, each once, in model order."""
         return tuple(dict.fromkeys(p.group for p in self._items))
 
     def select(self, wanted: Iterable[str]) -> tuple[str, ...]:
         """Names chosen by group, union of groups (kinematic, placement), name, or pattern with * - in model order.
 
-        Raises InputError for a word that chooses nothing.
+        Parameters
+        ----------
+        wanted : Iterable[str]
+            groups, unions, names or patterns
+
+        Returns
+        -------
+        tuple[str, ...]
+            names, in model order
+
+        Raises
+        ------
+        InputError
+            a word that chooses nothing
         """
         chosen: set[str] = set()
         for word in [wanted] if isinstance(wanted, str) else wanted:
@@ -107,6 +191,23 @@ class Parameters(Sequence[Parameter]):
         return tuple(n for n in self.names if n in chosen)
 
     def with_values(self, values: dict[str, float]) -> Parameters:
+        """The same parameters with other nominal values.
+
+        Parameters
+        ----------
+        values : dict[str, float]
+            parameter name -> value [SI]
+
+        Returns
+        -------
+        Parameters
+            with these values
+
+        Raises
+        ------
+        InputError
+            no such name, or a value that is not finite
+        """
         for name in values:
             self.index_of(name)
         return Parameters(replace(p, value=float(values.get(p.name, p.value))) for p in self._items)

@@ -14,7 +14,20 @@ NEAR_PARALLEL = np.deg2rad(5.0)
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """Mass [kg] and mass centre, shape (3,) [m], in its link's frame."""
+    """Mass [kg] and mass centre, shape (3,) [m], in its link's frame.
+
+    Parameters
+    ----------
+    mass : float
+        of the link or load [kg]
+    com : Array, shape (3,) [m]
+        mass centre in the link's frame
+
+    Examples
+    --------
+    >>> casadical.Body(5.0, np.array([0.2, 0.0, 0.0])).mass
+    5.0
+    """
 
     mass: float
     com: Array
@@ -24,10 +37,36 @@ class Body:
 class Joint:
     """One row of the modified DH table and the joint that it carries; SI units.
 
-    kind : revolute, or prismatic (then the reading is added to d)
-    lower, upper : range of the reading [rad or m]
-    compliance : of the drive train [rad/(N m) or m/N]; None: taken as rigid
-    body : of the link that the joint moves
+    Parameters
+    ----------
+    alpha : float, default 0.0
+        twist of the axis before, about x [rad]
+    a : float, default 0.0
+        length of the link before, along x [m]
+    theta : float, default 0.0
+        angle about z at reading zero [rad]
+    d : float, default 0.0
+        offset along z [m]
+    beta : float, optional
+        turn about y where the axes are nearly parallel [rad]; None: d is the parameter there
+    b : float, optional
+        offset along y where the axes are nearly parallel [m]; None as of beta
+    kind : {"revolute", "prismatic"}, default "revolute"
+        revolute, or prismatic (then the reading is added to d)
+    lower : float, default -np.pi
+        least reading [rad or m]
+    upper : float, default np.pi
+        greatest reading [rad or m]
+    compliance : float, optional
+        of the drive train [rad/(N m) or m/N]; None: taken as rigid
+    body : Body, optional
+        of the link that the joint moves
+
+    Examples
+    --------
+    >>> shoulder = casadical.Joint(a=0.4, lower=-2.0, upper=2.0, compliance=1e-6)
+    >>> shoulder.kind, shoulder.a
+    ('revolute', 0.4)
     """
 
     alpha: float = 0.0
@@ -67,6 +106,26 @@ class FourBar:
 
     The ground bar is the link between the two joints (its length is the driven row's a). The driven link's angle
     against the carrier is: direction of the rocker - angle of the carrier + offset. Lengths in metres.
+
+    Parameters
+    ----------
+    driven : int
+        joint whose reading is the crank's angle, 1-based
+    carrier : int
+        joint in whose plane the loop lies, 1-based
+    crank : float
+        length [m]
+    coupler : float
+        length [m]
+    rocker : float
+        length [m]
+    offset : float, default 0.0
+        angle between rocker and driven link [rad]
+
+    Examples
+    --------
+    >>> casadical.FourBar(driven=3, carrier=2, crank=0.4, coupler=1.2, rocker=0.4)
+    FourBar(driven=3, carrier=2, crank=0.4, coupler=1.2, rocker=0.4, offset=0.0)
     """
 
     driven: int
@@ -79,7 +138,21 @@ class FourBar:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """A frame given by its nominal transform T, shape (4, 4) [m], and which part of it is identified."""
+    """A frame given by its nominal transform T, shape (4, 4) [m], and which part of it is identified.
+
+    Parameters
+    ----------
+    T : Array, shape (4, 4) [m]
+        nominal transform
+    unknown : {"none", "position", "pose"}, default "none"
+        which part is identified
+
+    Examples
+    --------
+    >>> tool = casadical.Placement(np.eye(4), unknown="position")
+    >>> tool.unknown
+    'position'
+    """
 
     T: Array
     unknown: Literal["none", "position", "pose"] = "none"

@@ -22,9 +22,30 @@ NEXT = 15
 class Details:
     """What a report of a diagnosis shows besides the diagnosis; None for what was not computed.
 
-    where : see `localise`; isolability : see `isolability`; unlisted : see `describe_unlisted`
-    check : see `check_refit`; networks : see `network_gaps`
-    curves : see `spectrum`; poses : see `next_poses`; file : name of the file that they are written to, if they are
+    Parameters
+    ----------
+    where : Localisation, optional
+        see `localise`
+    isolability : Isolability, optional
+        see `isolability`
+    unlisted : Unlisted, optional
+        see `describe_unlisted`
+    check : Check, optional
+        see `check_refit`
+    networks : tuple[NetworkGap, NetworkGap], optional
+        see `network_gaps`
+    curves : Spectrum, optional
+        see `spectrum`
+    poses : DataFrame, optional
+        see `next_poses`
+    file : str, default ""
+        name of the file that they are written to, if they are
+
+    Examples
+    --------
+    >>> details = casadical.diagnosis.Details(where=casadical.diagnosis.localise(diagnosis))
+    >>> details.networks is None
+    True
     """
 
     where: Localisation | None = None
@@ -49,10 +70,38 @@ def analyse(
 ) -> Details:
     """All that `casadical diagnose` reports besides the diagnosis; some seconds, with networks minutes.
 
-    poses : how many to choose to be measured next; workspace : where they may lie
-    networks : whether to train networks, instead of the causes and after them
-    highest_line : up to which frequency lines of joint error curves are looked for [cycles a turn], see `spectrum`
-    show : called with a line of progress. Raises ConvergenceError.
+    Parameters
+    ----------
+    found : Diagnosis
+        a diagnosis
+    poses : int, default NEXT
+        how many to choose to be measured next
+    workspace : Workspace, optional
+        where the next poses may lie
+    networks : bool, default False
+        whether to train networks, instead of the causes and after them
+    highest_line : float, optional
+        up to which frequency lines of joint error curves are looked for [cycles a turn], see `spectrum`
+    file : str, default ""
+        name of the file that the next poses are written to, for the page
+    show : Callable[[str], None], optional
+        called with a line of progress
+
+    Returns
+    -------
+    Details
+        what was computed
+
+    Raises
+    ------
+    ConvergenceError
+        Ipopt finds no optimum
+
+    Examples
+    --------
+    >>> details = casadical.diagnosis.analyse(diagnosis, poses=2)
+    >>> details.check.agree, len(details.where.joints)
+    (True, 3)
     """
     show("where it lies")
     where = localise(found)

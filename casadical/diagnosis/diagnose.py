@@ -40,20 +40,46 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnose the gap that calibration leaves on a campaign.
 
-    robot : nominal model, with the compliances that it should have, which is calibrated on the campaign first; or an
+    Parameters
+    ----------
+    robot : Robot | Identification
+        nominal model, with the compliances that it should have, which is calibrated on the campaign first; or an
         identification, whose own measurements are diagnosed unless others of the same robot are given
-    m : one set of measured positions; of full poses, the positions are used
-    effects : "standard" or "extended", or names (backlash), labels (backlash@5) and own effects
-    seed : of everything random; show : called with a line of progress
-    bootstrap : draws of noise alone that calibrate whether something is there (2000 take some seconds); 0 for none
-    prior : the same robot as another campaign found it, whose effects are in the base model with their values and
-        covariance as a prior; what changed is found first (`Diagnosis.changes`). Or as of `carry_over`, with its robot
-
-    masses : whether wrong declared masses of links are a cause that may be named, or are in the base model, free within
+    m : Measurements, optional
+        one set of measured positions; of full poses, the positions are used
+    effects : Sequence[str | Effect] | {"standard", "extended"}, default "standard"
+        "standard" or "extended", or names (backlash), labels (backlash@5) and own effects
+    seed : int, default 0
+        of everything random
+    bootstrap : int, default 0
+        draws of noise alone that calibrate whether something is there (2000 take some seconds); 0 for none
+    prior : Robot | Prior, optional
+        the same robot as another campaign found it, whose effects are in the base model with their values and
+        covariance as a prior; what changed is found first (`Diagnosis.changes`). Or as of `carry_over`, with its
+        robot
+    masses : Masses, default "candidate"
+        whether wrong declared masses of links are a cause that may be named, or are in the base model, free within
         the robot's `body_width`, and never named
-    rivals : what competes with the candidates at every ranking, as a search for laws does (see `posterior.Rival`)
+    rivals : Rivals, default no_rivals
+        what competes with the candidates at every ranking, as a search for laws does (see `posterior.Rival`)
+    show : Show, optional
+        called with a line of progress
 
-    Raises InputError where the measurements cannot carry a diagnosis.
+    Returns
+    -------
+    Diagnosis
+        verdict, causes and gap; what costs more is computed when asked for
+
+    Raises
+    ------
+    InputError
+        where the measurements cannot carry a diagnosis
+
+    Examples
+    --------
+    >>> diagnosis = casadical.diagnose(robot, casadical.from_table(table, 2), ["gear_eccentricity", "backlash"])
+    >>> diagnosis.verdict, [cause.label for cause in diagnosis.causes]
+    ('explained', ['gear_eccentricity@2'])
     """
     if bootstrap < 0:
         raise InputError(f"bootstrap is {bootstrap}; give the number of draws, 2000 say, or 0 for none")

@@ -84,7 +84,20 @@ def _rooted(square: Array, pick: Array) -> tuple[float, float, float]:
 @dataclass(frozen=True)
 class Check:
     """Held-out gap of the refit, each fifth of the poses predicted by a refit to the others, and that of the linearised
-    model on the same fifths, mean [m]."""
+    model on the same fifths, mean [m].
+
+    Parameters
+    ----------
+    refit : float
+        held-out gap of the refit, mean [m]
+    linearised : float
+        that of the linearised model on the same fifths, mean [m]
+
+    Examples
+    --------
+    >>> casadical.diagnosis.Check(refit=36.0e-6, linearised=35.9e-6).agree
+    True
+    """
 
     refit: float
     linearised: float
@@ -98,7 +111,27 @@ class Check:
 def check_refit(found: Diagnosis, show: Callable[[str], None] = lambda _text: None) -> Check:
     """Held-out gap of the nonlinear refit beside that of the linearised model.
 
-    show : called with a line of progress. Raises ConvergenceError.
+    Parameters
+    ----------
+    found : Diagnosis
+        a diagnosis
+    show : Callable[[str], None], optional
+        called with a line of progress
+
+    Returns
+    -------
+    Check
+        both gaps
+
+    Raises
+    ------
+    ConvergenceError
+        Ipopt finds no optimum
+
+    Examples
+    --------
+    >>> casadical.diagnosis.check_refit(diagnosis).agree
+    True
     """
     case, effects = found.case, found.effects()
     folds = random_folds(int(case.kept.sum()), found.seed)
@@ -116,9 +149,22 @@ def check_refit(found: Diagnosis, show: Callable[[str], None] = lambda _text: No
 class NetworkGap:
     """Mean held-out error [m] of a model, and of the model with a network trained on what it leaves of the same poses.
 
-    before : the model alone, on the same fifths; used : with the network where the training poses said that it helps
-    forced : with the network in any case, as cross-validation in the training poses judged it; refused : in how many
-    of the five trainings it was refused
+    Parameters
+    ----------
+    before : float
+        of the model alone, on the same fifths, mean [m]
+    used : float
+        with the network where the training poses said that it helps, mean [m]
+    forced : float
+        with the network in any case, mean [m]
+    refused : int
+        in how many of the five trainings it was refused
+
+    Examples
+    --------
+    >>> gap = casadical.diagnosis.NetworkGap(before=8.1e-5, used=8.1e-5, forced=9.0e-5, refused=5)
+    >>> gap.used <= gap.forced
+    True
     """
 
     before: float
@@ -130,7 +176,29 @@ class NetworkGap:
 def network_gaps(
     found: Diagnosis, trainer: Trainer | str = "lm", show: Callable[[str], None] = lambda _text: None
 ) -> tuple[NetworkGap, NetworkGap]:
-    """The gap when the paper's network is used instead of the causes, and on what the causes leave."""
+    """The gap when the paper's network is used instead of the causes, and on what the causes leave.
+
+    Parameters
+    ----------
+    found : Diagnosis
+        a diagnosis
+    trainer : Trainer | str, default "lm"
+        one of `known_trainers` by its name, or one with its settings
+    show : Callable[[str], None], optional
+        called with a line of progress
+
+    Returns
+    -------
+    tuple[NetworkGap, NetworkGap]
+        instead of the causes, and on what they leave
+
+    Examples
+    --------
+    >>> quick = casadical.compensator.LevenbergMarquardt(restarts=1, iterations=20, ridges=(0.01,))
+    >>> instead, after = casadical.diagnosis.network_gaps(diagnosis, quick)
+    >>> instead.before > after.before
+    True
+    """
     none = np.zeros(0, dtype=np.int64), found.rankings[0].noise[""]
     first, second = (
         network_gap(found.case, columns, noise, found.seed, trainer, show)

@@ -55,11 +55,24 @@ NOTES = (
 class Isolability:
     """What a design can tell, at the effects' realistic sizes.
 
-    effects : a row per candidate (index: label): size_mm, its rms over the poses; absorbed, the share of that signal's
+    Parameters
+    ----------
+    effects : DataFrame
+        a row per candidate (index: label): size_mm, its rms over the poses; absorbed, the share of that signal's
         energy that the base model takes over; visible_mm, the rms of the rest; visible_to_noise, per coordinate in
         units of the noise; findable_from, the multiple of its realistic size from which it is found nine times in ten
-    alike : share of the visible signal of each candidate (row) that another one (column) reproduces, 0 to 1
-    missing : label -> columns that would have to be logged
+    alike : DataFrame
+        share of the visible signal of each candidate (row) that another one (column) reproduces, 0 to 1
+    missing : dict[str, tuple[str, ...]]
+        label -> columns that would have to be logged
+
+    Examples
+    --------
+    >>> design = casadical.isolability(robot, poses, ["gear_eccentricity", "backlash"])
+    >>> design.effects.loc["gear_eccentricity@1", "visible_mm"].round(2)
+    np.float64(0.02)
+    >>> sorted(design.rivals("gear_eccentricity@1", above=0.0))[:1]
+    ['backlash@1']
     """
 
     effects: pd.DataFrame
@@ -67,7 +80,20 @@ class Isolability:
     missing: dict[str, tuple[str, ...]]
 
     def rivals(self, label: str, above: float = 0.5) -> dict[str, float]:
-        """Candidates that reproduce more than a share of a candidate's visible signal, the worst first."""
+        """Candidates that reproduce more than a share of a candidate's visible signal, the worst first.
+
+        Parameters
+        ----------
+        label : str
+            of the candidate
+        above : float, default 0.5
+            least share of its visible signal
+
+        Returns
+        -------
+        dict[str, float]
+            label -> share, the largest first
+        """
         shares = zip(self.alike.columns, self.alike.loc[label].to_numpy(), strict=True)
         found = [(str(k), float(v)) for k, v in shares if k != label and v > above]
         return dict(sorted(found, key=lambda rival: -rival[1]))
@@ -83,11 +109,34 @@ def isolability(
 ) -> Isolability:
     """Isolability of effects at the poses of a (planned) campaign; positions are not looked at.
 
-    robot : nominal; or a diagnosis, whose candidates are judged at its own poses, calibrated geometry and noise
-    effects : as of `diagnose`; noise : that is expected
-    whole : whether an effect counts as one cause in all its joints together, not joint by joint
+    Parameters
+    ----------
+    robot : Robot | Diagnosis
+        nominal; or a diagnosis, whose candidates are judged at its own poses, calibrated geometry and noise
+    m : Measurements, optional
+        poses, measured or planned; None of a diagnosis: its own
+    effects : Sequence[str | Effect] | {"standard", "extended"}, default "standard"
+        as of `diagnose`
+    noise : Noise, default USUAL_NOISE
+        that is expected
+    whole : bool, default False
+        whether an effect counts as one cause in all its joints together, not joint by joint
 
-    Raises InputError for a name that is no effect, or where poses are missing.
+    Returns
+    -------
+    Isolability
+        what each effect would show, and which look alike
+
+    Raises
+    ------
+    InputError
+        a name that is no effect, or where poses are missing
+
+    Examples
+    --------
+    >>> design = casadical.isolability(robot, poses, ["gear_eccentricity", "backlash"])
+    >>> design.missing
+    {}
     """
     if isinstance(robot, Diagnosis):
         return _of_case(robot.case, robot.noise)

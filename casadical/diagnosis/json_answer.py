@@ -22,7 +22,25 @@ from casadical.robot.robot_file import to_toml
 def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[str, Any]:
     """The answer in the campaigns' format; lengths in mm, readable by any tool.
 
-    more : what `analyse` computed; nothing is computed here, and what was not computed is left out
+    Parameters
+    ----------
+    d : Diagnosis
+        a diagnosis
+    campaign : str
+        its name
+    more : Details, optional
+        what `analyse` computed; what was not computed is left out
+
+    Returns
+    -------
+    dict[str, Any]
+        plain data; lengths in mm
+
+    Examples
+    --------
+    >>> answer = casadical.diagnosis.as_json(diagnosis, "made up")
+    >>> answer["verdict"], answer["causes"][0]["effect"]
+    ('explained', 'gear_eccentricity')
     """
     more = more or Details()
     poses = pd.DataFrame() if more.poses is None else more.poses
@@ -63,9 +81,34 @@ def diagnosis_files(
 ) -> dict[Path, str]:
     """What `casadical diagnose --out` writes, by file: the robot with its causes, all figures, and the page.
 
-    more : what `analyse` computed; name : of the campaign
-    unlisted : whether the description of the unknown, where there is one, is in the robot's model, too
-    Raises ConvergenceError.
+    Parameters
+    ----------
+    folder : str | Path
+        where they are to be
+    found : Diagnosis
+        a diagnosis
+    more : Details
+        what `analyse` computed
+    name : str
+        of the campaign
+    unlisted : bool, default False
+        whether the description of the unknown, where there is one, is in the robot's model, too
+
+    Returns
+    -------
+    dict[Path, str]
+        path -> text
+
+    Raises
+    ------
+    ConvergenceError
+        Ipopt finds no optimum of the refit
+
+    Examples
+    --------
+    >>> files = casadical.diagnosis.diagnosis_files("out", diagnosis, casadical.diagnosis.Details(), "made-up")
+    >>> sorted(path.suffix for path in files)
+    ['.json', '.toml', '.txt']
     """
     folder = Path(folder)
     refit = found.refit(unlisted=more.unlisted if unlisted else None)

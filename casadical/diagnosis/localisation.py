@@ -27,14 +27,35 @@ BINS = ("by", "part", "poses", "share", "low", "high", "rms_mm", "rms_low_mm", "
 class Localisation:
     """Where the gap that the base model leaves lies; a table each, empty where a column was not logged.
 
-    joints, links : columns part, share, low, high, rms_mm. Parts of the robot whose smooth errors would account for
-        the gap; both tables hold the rest as "elsewhere" and sum to one. rms_mm is a coordinate's, noise left aside;
-        intervals are those of the fit (see `components`)
-    directions : the same with column frame: base (x, y, z), axis (radial, tangential, vertical about joint 1), tool
-        (x, y, z); each frame sums to one, noise included; intervals by bootstrap over poses, as in all that follow
-    regions, payload, temperature, time, approach : columns by, part, poses, share (of the squared error), low, high,
-        rms_mm (of the distance), rms_low_mm, rms_high_mm. The poses that fall in each part; shares of one `by` sum to
-        one, so that a part is worse than the rest where its share exceeds its share of the poses
+    Parameters
+    ----------
+    joints : DataFrame
+        columns part, share, low, high, rms_mm: joints whose smooth errors would account for the gap, the rest as
+        "elsewhere"; shares sum to one, intervals are those of the fit
+    links : DataFrame
+        the same of base, links and tool
+    directions : DataFrame
+        the same with column frame: base (x, y, z), axis (radial, tangential, vertical about joint 1), tool (x, y, z);
+        each frame sums to one, noise included; intervals by bootstrap over poses, as in all that follow
+    regions : DataFrame
+        columns by, part, poses, share (of the squared error), low, high, rms_mm (of the distance), rms_low_mm,
+        rms_high_mm, of the poses that fall in each part of the ranges
+    payload : DataFrame
+        the same by payload
+    temperature : DataFrame
+        the same by temperature
+    time : DataFrame
+        the same by time
+    approach : DataFrame
+        the same by the direction from which a joint came
+
+    Examples
+    --------
+    >>> where = casadical.diagnosis.localise(diagnosis)
+    >>> [name for name, rows in where.tables()]
+    ['joints', 'links', 'directions', 'regions', 'time', 'approach']
+    >>> where.worst.columns[:3].tolist()
+    ['by', 'part', 'poses']
     """
 
     joints: pd.DataFrame
@@ -47,7 +68,13 @@ class Localisation:
     approach: pd.DataFrame
 
     def tables(self) -> Iterator[tuple[str, pd.DataFrame]]:
-        """Name and table of each that is not empty."""
+        """Name and table of each that is not empty.
+
+        Returns
+        -------
+        Iterator[tuple[str, DataFrame]]
+            (name, table) of each
+        """
         for f in fields(self):
             table = getattr(self, f.name)
             if len(table):
@@ -63,7 +90,24 @@ class Localisation:
 
 
 def localise(found: Diagnosis) -> Localisation:
-    """Where the gap of a diagnosis' base model lies: by joint, link, direction, region and circumstances."""
+    """Where the gap of a diagnosis' base model lies: by joint, link, direction, region and circumstances.
+
+    Parameters
+    ----------
+    found : Diagnosis
+        a diagnosis
+
+    Returns
+    -------
+    Localisation
+        shares of the gap
+
+    Examples
+    --------
+    >>> where = casadical.diagnosis.localise(diagnosis)
+    >>> where.joints.set_index("part").share.idxmax()
+    'elsewhere'
+    """
     return localise_residual(found.case, found.noise, found.seed)
 
 

@@ -44,21 +44,48 @@ def next_poses(
 ) -> pd.DataFrame:
     """The next n poses to measure, the most informative first.
 
-    found : a diagnosis, or the case of one
-    labels : causes to distinguish, as the case's candidates name them; "none" for no cause at all; by default those
-        that the diagnosis has in question (`Diagnosis.in_question`), and an empty table where there are none
-    beside : others from which each of them is to be distinguished as well, but not from each other; by default "none",
-        and with the default labels the most probable other cause
-    workspace : where poses may lie; by default the robot's own ranges, loops as open as they were in the campaign
-    payloads : states [kg] that can be mounted; by default none, the declared one and the campaign's
-    pool : how many poses are drawn to choose from; the campaign's own are added
-
     Columns: order; q1_deg ...; payload_kg and approach1 ... where they matter; repeats, the row of the campaign that
     the pose repeats, if any; state, cold or warm, where a cause follows the temperature; new, what the campaign had
     not (a wider range of a joint, another payload, approach or thermal state); separation, the expected log Bayes
     factor in favour of the truth among the labels, of this pose and those before it, the smallest of all truths;
-    and, empty, the columns to be logged. Raises InputError for fewer than two labels or one that the case does not
-    know.
+    and, empty, the columns to be logged.
+
+    Parameters
+    ----------
+    found : Diagnosis | Case
+        a diagnosis, or the case of one
+    n : int
+        how many poses
+    labels : Sequence[str], default ()
+        causes to distinguish, as the case's candidates name them; "none" for no cause at all; by default those that
+        the diagnosis has in question (`Diagnosis.in_question`), and an empty table where there are none
+    seed : int, default 0
+        of the drawn poses
+    beside : Sequence[str], optional
+        others from which each of them is to be distinguished as well, but not from each other; by default "none", and
+        with the default labels the most probable other cause
+    workspace : Workspace, optional
+        where poses may lie; by default the robot's own ranges, loops as open as they were in the campaign
+    payloads : Sequence[float], default ()
+        states [kg] that can be mounted; by default none, the declared one and the campaign's
+    pool : int, default POOL
+        how many poses are drawn to choose from; the campaign's own are added
+
+    Returns
+    -------
+    DataFrame
+        one row a pose
+
+    Raises
+    ------
+    InputError
+        fewer than two labels or one that the case does not know
+
+    Examples
+    --------
+    >>> rivals = ["gear_eccentricity@1", "gear_eccentricity@2"]
+    >>> casadical.next_poses(diagnosis, 3, rivals, pool=40)[["order", "q1_deg", "q2_deg"]].shape
+    (3, 3)
     """
     case = found.case if isinstance(found, Diagnosis) else found
     others: tuple[str, ...] = ()

@@ -28,9 +28,24 @@ Verdict = Literal["none", "explained", "ambiguous", "unknown"]
 class Gap:
     """Mean distance [m] of measured from computed positions on poses held out from the fit.
 
-    kept : of the base model; after : with the causes; floor : what noise alone would leave. All three are means over
-    the poses that are no outliers and over the same partitions into fifths: a page shows these
-    before : of the base model, the outliers counted where they are named as a cause; else the same as kept
+    A page shows kept, after and floor.
+
+    Parameters
+    ----------
+    before : float
+        of the base model, the outliers counted where they are named as a cause; else the same as kept
+    after : float
+        with the causes, of the same poses
+    floor : float
+        what noise alone would leave
+    kept : float
+        of the base model, outliers left out, over the same partitions into fifths
+
+    Examples
+    --------
+    >>> gap = diagnosis.gap
+    >>> f"{1e3 * gap.kept:.3f} -> {1e3 * gap.after:.3f} mm, noise {1e3 * gap.floor:.3f} mm"
+    '0.081 -> 0.037 mm, noise 0.033 mm'
     """
 
     before: float
@@ -52,11 +67,32 @@ class Outlier:
 class Cause:
     """One cause.
 
-    effect, joint : its name and 1-based joint or None; confidence : its posterior probability
-    shrink, shrink_interval : share by which the held-out gap falls when it is added, with a 95 % interval
-    indistinguishable : labels (name or name@joint) that this data cannot tell from it
-    effects : the symbolic effects with their most likely settings
-    estimates : parameter -> (value, standard error, unit) [SI]
+    Parameters
+    ----------
+    effect : str
+        name of the effect
+    joint : int | None
+        its joint, 1-based; None where it belongs to none
+    confidence : float
+        its posterior probability
+    shrink : float
+        share by which the held-out gap falls when it is added
+    shrink_interval : tuple[float, float]
+        of `shrink`, 95 %
+    indistinguishable : tuple[str, ...]
+        labels (name or name@joint) that this data cannot tell from it
+    effects : tuple[Effect, ...], default ()
+        the symbolic effects with their most likely settings
+    estimates : dict[str, tuple[float, float, str]], optional
+        parameter -> (value, standard error, unit) [SI]
+
+    Examples
+    --------
+    >>> (cause,) = diagnosis.causes
+    >>> cause.label, round(cause.confidence, 3), round(cause.shrink, 2)
+    ('gear_eccentricity@2', 1.0, 0.55)
+    >>> sorted(cause.estimates)
+    ['cos1', 'cos2', 'sin1', 'sin2']
     """
 
     effect: str
@@ -70,6 +106,7 @@ class Cause:
 
     @property
     def label(self) -> str:
+        """The effect's name, with @joint where it belongs to one."""
         return self.effect if self.joint is None else f"{self.effect}@{self.joint}"
 
 
@@ -101,9 +138,26 @@ class Change:
 class Unlisted:
     """Forms that describe the unknown (see `describe_unlisted`); they name no cause.
 
-    labels : what they are, of listed effects too; effects : the same as effects of the model
-    before, after : mean held-out gap [m] with the named causes, and with these forms too
-    shrink, shrink_interval : share by which it falls, with a 95 % interval
+    Parameters
+    ----------
+    labels : tuple[str, ...]
+        what the forms are, of listed effects too
+    effects : tuple[Effect, ...]
+        the same as effects of the model
+    before : float
+        mean held-out gap with the named causes [m]
+    after : float
+        the same with these forms too [m]
+    shrink : float
+        share by which it falls
+    shrink_interval : tuple[float, float]
+        of `shrink`, 95 %
+
+    Examples
+    --------
+    >>> unknown = casadical.diagnose(robot, casadical.from_table(table, 2), ["backlash"])
+    >>> unknown.verdict, casadical.diagnosis.describe_unlisted(unknown).labels
+    ('unknown', ('smooth in q2',))
     """
 
     labels: tuple[str, ...]
@@ -118,20 +172,61 @@ class Unlisted:
 class Diagnosis:
     """The answer to: why is there still a gap?
 
-    verdict : none, explained, ambiguous, unknown; causes : the largest shrink first
-    gap : held-out, before and after the causes; noise : instrument and joint repeatability
-    unknown_rest : share of the gap that is there to be explained and that no named cause explains
-    cause_set : probability of the causes as a set; None where none is named
-    course : how far the gap falls with each cause added (see `held_out_gap.course`)
-    replicates : scatter of repeated poses, of which there may be none
-    rankings : what each step saw; outliers : poses that were left out
-    missing : label -> columns that would be needed to judge it
-    case, identification : what it was computed from; seed : of everything random
-    prior : what another campaign told, before these data, or None; changes : what of it changed
-    p_nothing : how often noise alone would look as much like some cause; None without a bootstrap
-
     What costs more is asked for by name: `refit` and `apply` below, and in `casadical.diagnosis` `analyse`, `localise`,
     `isolability`, `describe_unlisted`, `check_refit`, `network_gaps` and `next_poses`.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        none, explained, ambiguous, unknown
+    causes : tuple[Cause, ...]
+        the largest shrink first
+    gap : Gap
+        held-out, before and after the causes
+    noise : Noise
+        instrument and joint repeatability
+    unknown_rest : float
+        share of the gap that is there to be explained and that no named cause explains
+    course : DataFrame
+        how far the gap falls with each cause added (see `held_out_gap.course`)
+    replicates : Replicates
+        scatter of repeated poses, of which there may be none
+    rankings : tuple[Ranking, ...]
+        what each step saw
+    outliers : tuple[Outlier, ...]
+        poses that were left out
+    missing : dict[str, tuple[str, ...]]
+        label -> columns that would be needed to judge it
+    case : Case
+        the linear problem that it was computed from
+    identification : Identification
+        of the base model
+    seed : int, default 0
+        of everything random
+    p_nothing : float, optional
+        how often noise alone would look as much like some cause; None without a bootstrap
+    prior : Prior, optional
+        what another campaign told, before these data, or None
+    changes : tuple[Change, ...], default ()
+        what of it changed
+    cause_set : CauseSet, optional
+        probability of the causes as a set; None where none is named
+
+    Examples
+    --------
+    >>> gap = diagnosis.gap
+    >>> [round(1e3 * value, 3) for value in (gap.kept, gap.after, gap.floor)]  # mm
+    [0.081, 0.037, 0.033]
+    >>> [effect.label for effect in diagnosis.effects(top=1)]
+    ['gear_eccentricity@2']
+    >>> refitted = diagnosis.refit()
+    >>> refitted.is_optimal()
+    True
+    >>> value, error, unit = diagnosis.causes[0].estimates["sin1"]
+    >>> f"{1e3 * value:.2f} +- {1e3 * error:.2f} m{unit}"  # 0.44 was put in
+    '0.42 +- 0.02 mrad'
+    >>> diagnosis.apply().effects_in_words[:19]
+    'gear_eccentricity@2'
     """
 
     verdict: Verdict
@@ -183,7 +278,17 @@ class Diagnosis:
     def effects(self, top: int | None = None, unlisted: Unlisted | None = None) -> tuple[Effect, ...]:
         """Effects of the first `top` causes (all by default), with their most likely settings.
 
-        unlisted : a description of the unknown, whose forms are added
+        Parameters
+        ----------
+        top : int, optional
+            number of causes, the first ones; None: all
+        unlisted : Unlisted, optional
+            a description of the unknown, whose forms are added
+
+        Returns
+        -------
+        tuple[Effect, ...]
+            effects, as a robot's model takes them
         """
         named = tuple(e for c in self.causes[:top] for e in c.effects)
         return (*named, *unlisted.effects) if unlisted else named
@@ -191,14 +296,47 @@ class Diagnosis:
     def refit(self, top: int | None = None, unlisted: Unlisted | None = None) -> Identification:
         """Base model and these effects identified together by Ipopt, with standard errors.
 
-        top, unlisted : as of `effects`. Raises ConvergenceError.
+        Parameters
+        ----------
+        top : int, optional
+            as of `effects`
+        unlisted : Unlisted, optional
+            as of `effects`
+
+        Returns
+        -------
+        Identification
+            values of the effects among the parameters, with standard errors
+
+        Raises
+        ------
+        ConvergenceError
+            Ipopt finds no optimum
         """
         from casadical.diagnosis.refit import refit
 
         return refit(self.case, self.effects(top, unlisted), self.noise)
 
     def apply(self, top: int | None = None, unlisted: Unlisted | None = None) -> Robot:
-        """The calibrated robot with these effects in its model (see `refit`): it predicts, and is exported, as any."""
+        """The calibrated robot with these effects in its model (see `refit`): it predicts, and is exported, as any.
+
+        Parameters
+        ----------
+        top : int, optional
+            as of `effects`
+        unlisted : Unlisted, optional
+            as of `effects`
+
+        Returns
+        -------
+        Robot
+            a robot that predicts, and can be written and exported
+
+        Raises
+        ------
+        ConvergenceError
+            Ipopt finds no optimum
+        """
         return self.refit(top, unlisted).robot
 
     @property

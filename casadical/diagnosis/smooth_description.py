@@ -22,6 +22,21 @@ def describe_unlisted(found: Diagnosis) -> Unlisted | None:
     """What the rest is most like, and the gap with that in the model; None unless the verdict is unknown.
 
     Forms are added one by one, the first of them on no list, each compared again with the others; None without one.
+
+    Parameters
+    ----------
+    found : Diagnosis
+        a diagnosis
+
+    Returns
+    -------
+    Unlisted | None
+        forms, with the gap before and after; None where there is nothing to describe
+
+    Examples
+    --------
+    >>> print(casadical.diagnosis.describe_unlisted(diagnosis))  # its cause is listed
+    None
     """
     if found.verdict != "unknown":
         return None

@@ -33,7 +33,22 @@ def titled(title: str, page: str) -> RenderableType:
 def page_of(d: Diagnosis, more: Details | None = None) -> str:
     """The page as plain text, at most `WIDTH` characters wide.
 
-    more : what `analyse` computed; without it, the page says what the diagnosis alone tells
+    Parameters
+    ----------
+    d : Diagnosis
+        a diagnosis
+    more : Details, optional
+        what `analyse` computed; None: what the diagnosis alone tells
+
+    Returns
+    -------
+    str
+        lines of text
+
+    Examples
+    --------
+    >>> print(casadical.diagnosis.page_of(diagnosis).splitlines()[0])
+    VERDICT explained: gear_eccentricity@2; 0.081 -> 0.037 mm, noise alone would leave 0.033
     """
     lines: list[str] = []
     last = ""

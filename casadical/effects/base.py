@@ -29,14 +29,38 @@ from casadical.effects.counterparts import Counterparts
 class Context:
     """What an effect may look at; every entry but the first is symbolic.
 
-    arm : rows, masses, limits, loops, payload
-    torque_scale : great gravity torques on each joint, shape (n,) [N m or N] (see `Robot.torque_scale`)
-    q : joint readings, shape (n,) [rad or m]
-    conditions : logged columns by name (payload_kg, temperature_degC, progress, approach1, ...)
-    values : the value of every parameter of the model, by name [SI]
-    frames : T_01..T_0n, the rigid links' frames in the robot's base frame, each (4, 4)
-    gravity : in the robot's base frame, shape (3,) [m/s^2]
-    torque : of gravity on the actuated joints, shape (n,) [N m or N]; None at the seam `energy`, which makes it
+    Parameters
+    ----------
+    arm : Arm
+        rows, masses, limits, loops, payload
+    torque_scale : Symbolic, shape (n,) [N m or N]
+        great gravity torques on each joint (see `Robot.torque_scale`)
+    q : Symbolic, shape (n,) [rad or m]
+        joint readings
+    conditions : Mapping[str, Symbolic]
+        logged columns by name (payload_kg, temperature_degC, progress, approach1, ...)
+    values : Mapping[str, Symbolic]
+        the value of every parameter of the model, by name [SI]
+    frames : tuple[Symbolic, ...]
+        T_01..T_0n, the rigid links' frames in the robot's base frame, each (4, 4)
+    gravity : Symbolic, shape (3,) [m/s^2]
+        in the robot's base frame
+    torque : Symbolic, shape (n,) [N m or N], optional
+        of gravity on the actuated joints; None at the seam `energy`, which makes it
+
+    Examples
+    --------
+    >>> seen = []
+    >>> class Look(casadical.Effect):
+    ...     name = "look"
+    ...
+    ...     def joint_angle(self, context):
+    ...         seen.append(context)
+    ...         return super().joint_angle(context)
+    >>> size = robot.with_effect(Look()).position.n_in()
+    >>> context = seen[0]
+    >>> context.load(1).shape, context.moment(1).shape, context.greatest(1, 2).shape
+    ((1, 1), (3, 1), (1, 1))
     """
 
     arm: Arm
@@ -49,12 +73,33 @@ class Context:
     torque: Symbolic = None
 
     def load(self, joint: int | None) -> Symbolic:
-        """Gravity torque on a joint (1-based) as a share of its great torques."""
+        """Gravity torque on a joint (1-based) as a share of its great torques.
+
+        Parameters
+        ----------
+        joint : int | None
+            1-based
+
+        Returns
+        -------
+        Symbolic
+            one number, without unit
+        """
         assert joint is not None
         return self.torque[joint - 1] / self.torque_scale[joint - 1]
 
     def moment(self, link: int) -> Symbolic:
-        """Moment [N m] of all weight from a link (1-based) on, about its origin; in the base frame, shape (3,)."""
+        """Moment [N m] of all weight from a link (1-based) on, about its origin; in the base frame, shape (3,).
+
+        Parameters
+        ----------
+        link : int
+            1-based
+
+        Returns
+        -------
+        Symbolic, shape (3,) [N m]
+        """
         origin = self.frames[link - 1][:3, 3]
         joints = self.arm.joints
         loads = [(j.body.mass, apply(T, ca.DM(j.body.com))) for j, T in zip(joints, self.frames, strict=True) if j.body]
@@ -76,6 +121,18 @@ class Context:
         """The greatest great torque of the turning joints (1-based) from the first to the last [N m].
 
         Where none of them turns, of all of them [N]: moments and forces are not compared.
+
+        Parameters
+        ----------
+        first : int
+            joint, 1-based
+        last : int
+            joint, 1-based
+
+        Returns
+        -------
+        Symbolic
+            one number [N m or N]
         """
         there = range(first, last + 1)
         turning = [j for j in there if j in self.arm.revolute] or there
@@ -99,9 +156,36 @@ def setting(
 ) -> Any:
     """A field of an effect in which it is not linear.
 
-    grid : values of the candidates; between them the diagnosis refines a setting of type float, by factors
-    steps : rather by steps, shares of the grid's first one; signed : below zero too
-    given : only a user can know it (a gear ratio): it is not refined; joint : it is the number of a joint
+    Parameters
+    ----------
+    default : Any
+        value where none is given
+    grid : Sequence[Any], default ()
+        values of the candidates; between them the diagnosis refines a setting of type float, by factors
+    steps : bool, default False
+        whether it is refined by steps, shares of the grid's first value, rather than by factors
+    signed : bool, default False
+        whether it may be below zero
+    given : bool, default False
+        whether only a user can know it (a gear ratio): it is not refined
+    joint : bool, default False
+        whether it is the number of a joint
+
+    Returns
+    -------
+    Any
+        a field of a dataclass
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> @dataclass(frozen=True)
+    ... class Ripple(casadical.Effect):
+    ...     waves: float = casadical.effects.setting(80.0, grid=(80.0, 100.0, 120.0))
+    ...     name = "ripple"
+    ...     acts_at = "joints"
+    >>> [effect.waves for effect in Ripple.candidates(robot)]
+    [80.0, 100.0, 120.0, 80.0, 100.0, 120.0]
     """
     how = {"grid": tuple(grid), "steps": steps, "signed": signed, "given": given, "joint": joint}
     return field(default=default, metadata=how)
@@ -111,9 +195,49 @@ def setting(
 class Effect:
     """One unmodelled effect. Subclass it, name it, give its parameters, and override the seams it acts at.
 
-    joint : 1-based, of effects that belong to a joint
-
     Further fields are settings, in which the effect is not linear (see `setting`).
+
+    Parameters
+    ----------
+    joint : int, optional
+        number of the joint, 1-based, of effects that belong to a joint
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> @dataclass(frozen=True)
+    ... class Slack(casadical.Effect):
+    ...     name = "slack"
+    ...     physics = "A hose pulls its joint back."
+    ...
+    ...     def sizes(self):
+    ...         return {"spring": (10.0, "N m/rad")}
+    ...
+    ...     def energy(self, context):
+    ...         return 0.5 * self.value(context, "spring") * context.q[self.joint - 1] ** 2
+    ...
+    ...     def joint_angle(self, context):
+    ...         return super().joint_angle(context)  # what `angle` adds to its own joint
+    >>> slack = Slack(2)
+    >>> slack.label, slack.to_dict(), Slack.from_dict(slack.to_dict()) == slack
+    ('slack@2', {'name': 'slack', 'joint': 2}, True)
+    >>> [p.name for p in slack.parameters()], slack.own_values({"slack@2.spring": 3.0})
+    (['slack@2.spring'], {'spring': 3.0})
+    >>> [effect.label for effect in Slack.candidates(robot)], len(list(Slack.variants(robot)))
+    (['slack'], 1)
+    >>> slack.refuse_joints(robot)  # the arm has a joint 2
+    >>> slack.for_poses(100) is slack, slack.with_sizes({}) is slack
+    (True, True)
+    >>> hosed = robot.with_effect(slack).with_values({"slack@2.spring": 3.0})
+    >>> hosed.position([0.1, 0.2], hosed.parameters.values).shape
+    (3, 1)
+    >>> slack.angle(None, 0.1), slack.link(1, None).is_eye(), slack.base(None).is_eye(), slack.tool(None).is_eye()
+    (0.0, True, True, True)
+    >>> slack.measurement("as it is", None)
+    'as it is'
+    >>> from casadical.effects.counterparts import Counterparts
+    >>> slack.counterpart(Counterparts((), np.zeros(2), np.zeros(2), 0.0), {"spring": 3.0}).left_out
+    (Omission(label='slack@2', why='no counterpart in MuJoCo', parts=()),)
     """
 
     joint: int | None = None
@@ -144,7 +268,18 @@ class Effect:
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """The effect with its settings on a grid, by default all combinations, wherever it may act (`acts_at`)."""
+        """The effect with its settings on a grid, by default all combinations, wherever it may act (`acts_at`).
+
+        Parameters
+        ----------
+        arm : Arm
+            rows, loops, loads and limits of a robot; a `Robot` is one
+
+        Returns
+        -------
+        Iterable[Effect]
+            candidates of the diagnosis
+        """
         place = cls.acts_at or ("arm" if cls.angle is Effect.angle else "joints")
         joints = {"arm": (None,), "joints": arm.numbers, "turning joints": arm.revolute}[place]
         grids = {f.name: f.metadata["grid"] for f in fields(cls) if f.metadata.get("grid")}
@@ -153,12 +288,39 @@ class Effect:
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterable[tuple[Effect, ...]]:
-        """The candidates, those together that act together; by default each alone."""
+        """The candidates, those together that act together; by default each alone.
+
+        Parameters
+        ----------
+        arm : Arm
+            rows, loops, loads and limits of a robot; a `Robot` is one
+
+        Returns
+        -------
+        Iterable[tuple[Effect, ...]]
+            groups that are judged as one candidate
+        """
         return ((effect,) for effect in cls.candidates(arm))
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Effect:
-        """The effect that `to_dict` wrote; settings that are not given have their defaults. Raises InputError."""
+        """The effect that `to_dict` wrote; settings that are not given have their defaults.
+
+        Parameters
+        ----------
+        data : Mapping[str, Any]
+            as of `to_dict`
+
+        Returns
+        -------
+        Effect
+            the effect
+
+        Raises
+        ------
+        InputError
+            a setting that does not exist, or is no number
+        """
         hints = get_type_hints(cls)
         names = [f.name for f in fields(cls) if f.name != "joint"]
         found = {}
@@ -173,13 +335,30 @@ class Effect:
         return cls(data.get("joint"), **found)
 
     def to_dict(self) -> dict[str, Any]:
-        """Name, joint where it has one, and settings where there are any, as plain data."""
+        """Name, joint where it has one, and settings where there are any, as plain data.
+
+        Returns
+        -------
+        dict[str, Any]
+            plain data, to be written as JSON or TOML
+        """
         settings = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "joint"}
         whole = {"name": self.name, "joint": self.joint, "settings": settings}
         return {key: value for key, value in whole.items() if value not in (None, {})}
 
     def refuse_joints(self, arm: Arm) -> None:
-        """Raises InputError for the number of a joint that the arm does not have."""
+        """Refuse the number of a joint that the arm does not have.
+
+        Parameters
+        ----------
+        arm : Arm
+            rows, loops, loads and limits of a robot; a `Robot` is one
+
+        Raises
+        ------
+        InputError
+            the arm has no joint of this number
+        """
         for f in fields(self):
             number = getattr(self, f.name)
             if (f.name == "joint" or f.metadata.get("joint")) and number is not None and number not in arm.numbers:
@@ -201,22 +380,56 @@ class Effect:
         return ()
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Its parameters: name -> (realistic size, one sigma; unit), by default `size`. Zero must mean: no effect."""
+        """Its parameters: name -> (realistic size, one sigma; unit), by default `size`. Zero must mean: no effect.
+
+        Returns
+        -------
+        Mapping[str, tuple[float, str]]
+            name -> (one sigma, unit)
+        """
         return self.size
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Its parameters, named label.name, without bounds that matter and with a prior that hardly holds them back."""
+        """Its parameters, named label.name, without bounds that matter and with a prior that hardly holds them back.
+
+        Returns
+        -------
+        tuple[Parameter, ...]
+            one for each of `sizes`
+        """
         return tuple(
             Parameter(f"{self.label}.{name}", self.label, unit, 0.0, size, -1e3 * size, 1e3 * size, self.held * size)
             for name, (size, unit) in self.sizes().items()
         )
 
     def own_values(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Values of its parameters [SI] by their short names, out of those of a model; zero where there is none."""
+        """Values of its parameters [SI] by their short names, out of those of a model; zero where there is none.
+
+        Parameters
+        ----------
+        values : Mapping[str, float]
+            parameter name -> value [SI], of the whole model
+
+        Returns
+        -------
+        dict[str, float]
+            short name -> value [SI]
+        """
         return {name: values.get(f"{self.label}.{name}", 0.0) for name in self.sizes()}
 
     def for_poses(self, count: int) -> Self:
-        """The effect as it is judged in a campaign of so many poses."""
+        """The effect as it is judged in a campaign of so many poses.
+
+        Parameters
+        ----------
+        count : int
+            number of poses
+
+        Returns
+        -------
+        Self
+            by default the effect itself
+        """
         return self
 
     @property
@@ -225,7 +438,18 @@ class Effect:
         return {}
 
     def with_sizes(self, factors: Mapping[int, float]) -> Self:
-        """The effect with the prior size of each part times a factor; factors : by part."""
+        """The effect with the prior size of each part times a factor; factors : by part.
+
+        Parameters
+        ----------
+        factors : Mapping[int, float]
+            part -> factor on its prior size
+
+        Returns
+        -------
+        Self
+            by default the effect itself
+        """
         if factors:
             raise NotImplementedError(f"{self.label} has no parts whose size is learnt")
         return self
@@ -236,41 +460,150 @@ class Effect:
         return ()
 
     def value(self, context: Context, name: str) -> Symbolic:
-        """The symbol of one of its parameters."""
+        """The symbol of one of its parameters.
+
+        Parameters
+        ----------
+        context : Context
+            what the model gives
+        name : str
+            short name, as of `sizes`
+
+        Returns
+        -------
+        Symbolic
+            a CasADi symbol [unit of the parameter]
+        """
         return context.values[f"{self.label}.{name}"]
 
     def energy(self, context: Context) -> Symbolic:
-        """Potential energy that it adds [J]."""
+        """Potential energy that it adds [J].
+
+        Parameters
+        ----------
+        context : Context
+            what the model gives
+
+        Returns
+        -------
+        Symbolic
+            potential energy [J]; zero by default
+        """
         return 0.0
 
     def joint_angle(self, context: Context) -> Symbolic:
-        """What it adds to the joint variables, shape (n,) [rad or m]; by default `angle`, at its own joint."""
+        """What it adds to the joint variables, shape (n,) [rad or m]; by default `angle`, at its own joint.
+
+        Parameters
+        ----------
+        context : Context
+            what the model gives
+
+        Returns
+        -------
+        Symbolic, shape (n,) [rad or m]
+            added to the joint variables
+        """
         moved = ca.SX.zeros(context.arm.n)
         if self.joint is not None:
             moved[self.joint - 1] = self.angle(context, context.q[self.joint - 1])
         return moved
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        """What it adds to its own joint, whose reading is q [rad or m]."""
+        """What it adds to its own joint, whose reading is q [rad or m].
+
+        Parameters
+        ----------
+        context : Context
+            what the model gives
+        q : Symbolic
+            the joint's own reading [rad or m]
+
+        Returns
+        -------
+        Symbolic
+            added to this joint's variable [rad or m]; zero by default
+        """
         return 0.0
 
     def link(self, number: int, context: Context) -> Symbolic:
-        """Transform (4, 4) behind link `number` (1-based), in that link's frame."""
+        """Transform (4, 4) behind link `number` (1-based), in that link's frame.
+
+        Parameters
+        ----------
+        number : int
+            of the link, 1-based
+        context : Context
+            what the model gives
+
+        Returns
+        -------
+        Symbolic, shape (4, 4) [m]
+            the identity by default
+        """
         return ca.SX.eye(4)
 
     def base(self, context: Context) -> Symbolic:
-        """Transform (4, 4) of the robot's foot, in the base frame."""
+        """Transform (4, 4) of the robot's foot, in the base frame.
+
+        Parameters
+        ----------
+        context : Context
+            what the model gives
+
+        Returns
+        -------
+        Symbolic, shape (4, 4) [m]
+            the identity by default
+        """
         return ca.SX.eye(4)
 
     def tool(self, context: Context) -> Symbolic:
-        """Transform (4, 4) in front of the tool, in the flange frame."""
+        """Transform (4, 4) in front of the tool, in the flange frame.
+
+        Parameters
+        ----------
+        context : Context
+            what the model gives
+
+        Returns
+        -------
+        Symbolic, shape (4, 4) [m]
+            the identity by default
+        """
         return ca.SX.eye(4)
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
-        """The measured point, shape (3,) [m], as the instrument reports it."""
+        """The measured point, shape (3,) [m], as the instrument reports it.
+
+        Parameters
+        ----------
+        point : Symbolic, shape (3,) [m]
+            measured point
+        context : Context
+            what the model gives
+
+        Returns
+        -------
+        Symbolic, shape (3,) [m]
+            the point as reported
+        """
         return point
 
     def counterpart(self, found: Counterparts, v: Mapping[str, float]) -> Counterparts:
-        """What a simulator has in its place, added to what was found before; v : its values (see `own_values`)."""
+        """What a simulator has in its place, added to what was found before; v : its values (see `own_values`).
+
+        Parameters
+        ----------
+        found : Counterparts
+            what was collected of other effects
+        v : Mapping[str, float]
+            its values by short name [SI], see `own_values`
+
+        Returns
+        -------
+        Counterparts
+            the same with its own part
+        """
         why = "an effect of the measurement, not of the robot" if self.of_measurement else "no counterpart in MuJoCo"
         return found.without(self.label, why)

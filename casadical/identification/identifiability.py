@@ -25,7 +25,25 @@ MANY, CERTAIN = 200, 1e8
 
 @dataclass(frozen=True)
 class Unidentifiable:
-    """A parameter that stays at its nominal value, why, and which parameters move the measurement as it does."""
+    """A parameter that stays at its nominal value, why, and which parameters move the measurement as it does.
+
+    Parameters
+    ----------
+    name : str
+        of the parameter
+    reason : str
+        in words
+    confounded_with : tuple[str, ...], default ()
+        parameters that move the measurement as it does
+
+    Examples
+    --------
+    >>> for parameter in found.identifiability.held:
+    ...     print(f"{parameter.name}: {parameter.reason}")
+    d1: axes 1 and 2 are nearly parallel: d1 moves the tool as d2 does; tool_z carries it
+    d2: it moves the measured points exactly as tool_z does
+    theta2: it moves the measured points exactly as tool_y does
+    """
 
     name: str
     reason: str
@@ -36,8 +54,23 @@ class Unidentifiable:
 class Identifiability:
     """Which parameters the data determine.
 
-    independent : names, in model order; held : the others, each with its reason
-    condition : condition number of the scaled Jacobian of the independent ones
+    Parameters
+    ----------
+    independent : tuple[str, ...]
+        names, in model order
+    held : tuple[Unidentifiable, ...]
+        the others, each with its reason
+    condition : float
+        condition number of the scaled Jacobian of the independent ones
+
+    Examples
+    --------
+    >>> found.identifiability.independent[:4]
+    ('tool_x', 'tool_y', 'tool_z', 'alpha0')
+    >>> round(found.identifiability.condition, 1)
+    2.6
+    >>> found.identifiability.held[0].name
+    'd1'
     """
 
     independent: tuple[str, ...]

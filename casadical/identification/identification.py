@@ -58,12 +58,49 @@ def rows_in_words(rows: Sequence[LeftOut], most: int = 8) -> str:
 class Identification:
     """What was identified, from what, and how sure it is.
 
-    given : the robot as handed in; start : with its frames placed; robot : calibrated
-    measurements : what was used; method, loss : how
-    identifiability : which parameters are independent, which are not and why
-    problem, solution : the least squares and where it ended
-    variance : of a residual, in units of the sigmas used; degrees_of_freedom : residuals and priors less variables
-    outliers : (set, pose) indices of poses that a robust loss left out
+    Parameters
+    ----------
+    given : Robot
+        the robot as handed in
+    start : Robot
+        with its frames placed
+    robot : Robot
+        calibrated
+    measurements : tuple[Measurements, ...]
+        what was used
+    method : str
+        KM, SKCM, or the parameters that were free
+    loss : Loss
+        of the residuals
+    identifiability : Identifiability
+        which parameters are independent, which are not and why
+    problem : LeastSquares
+        the least squares that was solved
+    solution : Solution
+        where the solver ended
+    variance : float
+        of a residual, in units of the sigmas used
+    degrees_of_freedom : int
+        residuals and priors less variables
+    outliers : tuple[tuple[int, int], ...], default ()
+        (set, pose) indices of poses that a robust loss left out
+
+    Examples
+    --------
+    >>> found.parameters[["name", "value", "std_error", "unit"]].head(2).round(4)
+         name     value  std_error unit
+    0  tool_x  299.3005     0.0033   mm
+    1  tool_y   -2.0832     0.0045   mm
+    >>> position, covariance = found.predict(poses.q[:2])
+    >>> position.round(3)
+    array([[ 0.622,  0.223,  0.   ],
+           [-0.394,  0.246,  0.   ]])
+    >>> {state: round(1e3 * a.mean, 3) for state, a in found.accuracy(poses).items()}  # mm
+    {'nominal': 1.735, 'placed': 1.694, 'calibrated': 0.029}
+    >>> found.correlations(above=0.9).shape[1], found.is_optimal()
+    (3, True)
+    >>> found.to_toml().splitlines()[0]
+    '# Calibrated by casadical.'
     """
 
     given: Robot
@@ -177,7 +214,18 @@ class Identification:
         return self.parameters[self.parameters["name"].isin(self.start.shown)].reset_index(drop=True)
 
     def correlations(self, above: float = 0.95) -> pd.DataFrame:
-        """Pairs of identified parameters whose estimates are correlated by more than `above`, the strongest first."""
+        """Pairs of identified parameters whose estimates are correlated by more than `above`, the strongest first.
+
+        Parameters
+        ----------
+        above : float, default 0.95
+            least absolute correlation that is listed
+
+        Returns
+        -------
+        DataFrame
+            one row a pair: two names, and their correlation
+        """
         C = self.covariance / np.outer(self.standard_errors, self.standard_errors)
         i, j = np.nonzero(np.tril(np.abs(C) > above, -1))
         pairs = pd.DataFrame(
@@ -188,9 +236,20 @@ class Identification:
     def predict(self, q: Array, conditions: Mapping[str, Array] | None = None) -> tuple[Array, Array]:
         """Positions of the calibrated robot, shape (n, 3) [m], and their covariances, shape (n, 3, 3) [m^2].
 
-        q : joint readings, shape (n, joints) [rad or m]; conditions : logged columns by name, each of shape (n,).
         The covariance is that of the model's position; a new measurement adds its own noise. It holds the parameters
         that were not identified too, by their covariance in the robot's file or else their priors (see `prediction`).
+
+        Parameters
+        ----------
+        q : Array, shape (n, joints) [rad or m]
+            joint readings
+        conditions : Mapping[str, Array], optional
+            logged columns by name, each of shape (n,)
+
+        Returns
+        -------
+        tuple[Array, Array]
+            positions, and the covariance of each
         """
         q = np.atleast_2d(q)
         m = unmeasured(q, conditions)
@@ -206,7 +265,18 @@ class Identification:
         return covariance_of_all(self.problem, self.solution.v, self.variance)
 
     def accuracy(self, m: Measurements) -> dict[str, Accuracy]:
-        """Errors on any measurements: "nominal", "placed" (base and tool fitted) and "calibrated"."""
+        """Errors on any measurements: "nominal", "placed" (base and tool fitted) and "calibrated".
+
+        Parameters
+        ----------
+        m : Measurements
+            poses, those of the identification or others
+
+        Returns
+        -------
+        dict[str, Accuracy]
+            state -> error figures [m]
+        """
         return {
             "nominal": summarise(errors(self.given, m)),
             "placed": summarise(errors(self.placed, m)),
@@ -225,13 +295,27 @@ class Identification:
     def is_optimal(self, tolerance: float = 1e-4) -> bool:
         """Whether no step inside the bounds lowers the cost; recomputed from the data, not by the solver.
 
-        tolerance : what one more Gauss-Newton step may gain in chi-squared; 1e-4 is about 1 % of a standard error
+        Parameters
+        ----------
+        tolerance : float, default 0.0001
+            what one more Gauss-Newton step may gain in chi-squared; 1e-4 is about 1 % of a standard error
+
+        Returns
+        -------
+        bool
+            true at an optimum
         """
         round_off = 1e-12 * self.solution.history[0]
         return self.problem.decrement(self.solution.v) < tolerance * self.variance + round_off
 
     def to_toml(self) -> str:
-        """The calibrated robot as the text of a robot file that `read_robot` reads again."""
+        """The calibrated robot as the text of a robot file that `read_robot` reads again.
+
+        Returns
+        -------
+        str
+            text of the file
+        """
         return to_toml(self.robot, f"Calibrated by casadical.\n{self.verdict}")
 
     @property
@@ -271,19 +355,52 @@ def identify(
 ) -> Identification:
     """Identify parameters of a robot from measurements.
 
-    robot : nominal model; measurements : one set, or several of different kinds, each with its own sigma
-    free : parameters by group (base, geometry, loop, tool, compliance), union (kinematic, placement), name or pattern
-    method : the paper's KM (kinematics only, joints rigid) or SKCM (with compliance), instead of `free`
-    loss : linear, huber or soft_l1; the robust ones leave poses that noise explains once in 100 000 out of a last solve
-    priors : whether departures from nominal are held back by the robot's prior widths; or name -> (mean, one sigma)
-        [SI] of parameters with another prior, the others' being the robot's own
-    prior : the same robot from another campaign, whose effects are put into the model and freed, with their values and
+    Parameters
+    ----------
+    robot : Robot
+        nominal model
+    measurements : Measurements | Sequence[Measurements]
+        one set, or several of different kinds, each with its own sigma
+    free : Iterable[str], optional
+        parameters by group (base, geometry, loop, tool, compliance), union (kinematic, placement), name or pattern
+    method : Method, optional
+        the paper's KM (kinematics only, joints rigid) or SKCM (with compliance), instead of `free`
+    loss : Loss, default "linear"
+        linear, huber or soft_l1; the robust ones leave poses that noise explains once in 100 000 out of a last solve
+    priors : bool | Mapping[str, tuple[float, float]], default False
+        whether departures from nominal are held back by the robot's prior widths; or name -> (mean, one sigma) [SI]
+        of parameters with another prior, the others' being the robot's own
+    prior : Robot | Prior, optional
+        the same robot from another campaign, whose effects are put into the model and freed, with their values and
         covariance as a prior, and all other parameters held back by the robot's own priors; or as of `carry_over`
-    screen : whether a robust loss leaves far poses out of further solves, or only gives them less weight
-    progress : called with iteration number and cost
+    screen : bool, default True
+        whether a robust loss leaves far poses out of further solves, or only gives them less weight
+    progress : Progress, optional
+        called with iteration number and cost
 
-    Raises InputError where the measurements do not fit the robot, ConvergenceError where Ipopt finds no optimum.
-    Source: paper, section 3; Hollerbach, Khalil and Gautier, Springer Handbook of Robotics (2016), chapter 8.
+    Returns
+    -------
+    Identification
+        the result: parameters with standard errors, accuracy, predictions
+
+    Raises
+    ------
+    InputError
+        where the measurements do not fit the robot
+    ConvergenceError
+        where Ipopt finds no optimum
+
+    References
+    ----------
+    paper, section 3; Hollerbach, Khalil and Gautier, Springer Handbook of Robotics (2016), chapter 8.
+
+    Examples
+    --------
+    >>> found = casadical.identify(robot, poses, method="KM")
+    >>> print(found.verdict)
+    KM: 9 parameters identified from 40 poses, 3 not identifiable. Ipopt found an optimum.
+    >>> print(f"a1 = {1e3 * found.robot.parameters['a1'].value:.3f} mm")
+    a1 = 400.601 mm
     """
     sets = _as_sets(measurements)
     if isinstance(prior, Robot):

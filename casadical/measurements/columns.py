@@ -55,9 +55,37 @@ class Source:
 class Columns:
     """Columns of one table, converted to SI; every error (InputError) says where.
 
-    table : headers without blanks around them, empty columns left out
-    source : file name or description; row : shape (n,), line of the file at which each row stands
-    empty : headers of columns without a cell, which are left out; taken : of those that others were made of
+    Parameters
+    ----------
+    table : DataFrame
+        headers without blanks around them, empty columns left out
+    source : str
+        file name or description
+    row : Array, shape (n,)
+        line of the file at which each row stands
+    empty : tuple[str, ...], default ()
+        headers of columns without a cell, which are left out
+    taken : tuple[str, ...], default ()
+        of those that others were made of
+
+    Examples
+    --------
+    >>> columns = casadical.measurements.Columns.of_frame(table, "made up")
+    >>> columns.joints(["revolute", "revolute"]).shape, columns.vector("").shape, columns.si("x", ["_mm", "_m"]).shape
+    ((60, 2), (60, 3), (60,))
+    >>> columns.column("q1_deg").shape, columns.at(0), columns.tools()
+    ((60,), 'made up: row 2', {})
+    >>> columns.with_tools({"A": [2, 3], "B": [4]}).table.tool[:3].tolist()
+    ['A', 'A', 'B']
+    >>> columns.without([2, 3], "leave_out").at(0)
+    'made up: row 4'
+    >>> columns.without_numbers(["x_mm"]), columns.conditions(["[xyz]_mm"]), columns.unused([], ["[xyz]_mm"])
+    ((), {}, ())
+    >>> columns.mapped({"payload_kg": "z_mm"}).names.split(", ")[-1]
+    'payload_kg'
+    >>> from casadical.measurements.raw_table import read_table
+    >>> casadical.measurements.Columns.of_file(read_table("data/planar/planar.csv")).names
+    'q1_deg, q2_deg, x_mm, y_mm, z_mm'
     """
 
     table: pd.DataFrame
@@ -68,20 +96,69 @@ class Columns:
 
     @staticmethod
     def of_file(raw: RawTable) -> Columns:
-        """Columns of a file. Raises InputError."""
+        """Columns of a file.
+
+        Parameters
+        ----------
+        raw : RawTable
+            the file's text in cells, as of `casadical.measurements.raw_table.read_table`
+
+        Returns
+        -------
+        Columns
+            its columns
+
+        Raises
+        ------
+        InputError
+            a header occurs twice, or a row has another number of cells
+        """
         return _columns(raw.frame(), raw.path.name, np.array(raw.line))
 
     @staticmethod
     def of_frame(table: pd.DataFrame, source: str) -> Columns:
-        """Columns of a pandas table; its rows count as in a file, from 2 on. Raises InputError."""
+        """Columns of a pandas table; its rows count as in a file, from 2 on.
+
+        Parameters
+        ----------
+        table : DataFrame
+            with the columns of docs/measurements.md
+        source : str
+            what messages call it
+
+        Returns
+        -------
+        Columns
+            its columns
+
+        Raises
+        ------
+        InputError
+            a header occurs twice
+        """
         return _columns(table, source, np.arange(len(table)) + 2)
 
     def mapped(self, columns: Mapping[str, str | Source], point_from: Sequence[str] = ()) -> Columns:
         """With our names where the table's headers differ.
 
-        columns : our name -> name in the table, or how it is made of the table's columns
-        point_from : columns whose words, joined by "/", name the touched point
-        Raises InputError where a named column is missing. Rows to which a shift of rows gives no value are left out.
+         Rows to which a shift of rows gives no value are left out.
+
+        Parameters
+        ----------
+        columns : Mapping[str, str | Source]
+            our name -> name in the table, or how it is made of the table's columns
+        point_from : Sequence[str], default ()
+            columns whose words, joined by "/", name the touched point
+
+        Returns
+        -------
+        Columns
+            columns under our names
+
+        Raises
+        ------
+        InputError
+            a named column is missing
         """
         sources = {ours: Source(given) if isinstance(given, str) else given for ours, given in columns.items()}
         named = [(name, f"named for {ours!r}") for ours, s in sources.items() for name in (s.name, *s.add)]
@@ -114,7 +191,25 @@ class Columns:
         return total.where(words.isna(), words).shift(-source.rows)
 
     def without(self, rows: Collection[int], why: str) -> Columns:
-        """Without some rows of the file. Raises InputError for one that is not there; why : where they are named."""
+        """Without some rows of the file.
+
+        Parameters
+        ----------
+        rows : Collection[int]
+            of the file
+        why : str
+            where they are named, for messages
+
+        Returns
+        -------
+        Columns
+            the other rows
+
+        Raises
+        ------
+        InputError
+            one that is not there
+        """
         missing = sorted(set(rows) - set(self.row.tolist()))
         if missing:
             raise InputError(f"{self.source}: row {missing[0]}, named in {why}, is no row of the table")
@@ -124,7 +219,20 @@ class Columns:
     def with_tools(self, rows: Mapping[str, Sequence[int]]) -> Columns:
         """With the column `tool` from the rows of the file at which each target was measured.
 
-        Raises InputError for a row that is listed twice.
+        Parameters
+        ----------
+        rows : Mapping[str, Sequence[int]]
+            name of a target -> rows of the file
+
+        Returns
+        -------
+        Columns
+            with one more column
+
+        Raises
+        ------
+        InputError
+            a row that is listed twice
         """
         names: dict[int, str] = {}
         for name, listed in rows.items():
@@ -136,7 +244,18 @@ class Columns:
         )
 
     def without_numbers(self, needed: Iterable[str]) -> tuple[int, ...]:
-        """Rows of the file in which one of these columns holds no number."""
+        """Rows of the file in which one of these columns holds no number.
+
+        Parameters
+        ----------
+        needed : Iterable[str]
+            names of columns
+
+        Returns
+        -------
+        tuple[int, ...]
+            rows of the file
+        """
         bad = np.zeros(len(self.row), dtype=bool)
         for name in needed:
             bad |= ~np.isfinite(pd.to_numeric(self.table[name], errors="coerce").to_numpy(dtype=float))
@@ -148,11 +267,38 @@ class Columns:
         return ", ".join(map(str, self.table))
 
     def at(self, k: int) -> str:
-        """Source and row of the table's k-th row, for messages."""
+        """Source and row of the table's k-th row, for messages.
+
+        Parameters
+        ----------
+        k : int
+            row of the table, from 0
+
+        Returns
+        -------
+        str
+            as "poses.csv, row 7"
+        """
         return f"{self.source}: row {self.row[k]}"
 
     def column(self, name: str) -> Array:
-        """A column of numbers as it stands, shape (n,) [its own unit]. Raises InputError: missing, or not finite."""
+        """A column of numbers as it stands, shape (n,) [its own unit].
+
+        Parameters
+        ----------
+        name : str
+            of the column
+
+        Returns
+        -------
+        Array, shape (n,)
+            in the unit of the column
+
+        Raises
+        ------
+        InputError
+            it is missing, or a cell is no finite number
+        """
         if name not in self.table:
             raise InputError(f"{self.source}: column {name!r} is missing; there are {self.names}")
         values = pd.to_numeric(self.table[name], errors="coerce").to_numpy(dtype=float)
@@ -173,7 +319,24 @@ class Columns:
         return values
 
     def si(self, stem: str, units: Sequence[str]) -> Array:
-        """Column `stem` with one of the suffixes _mm, _m, _deg, _rad, shape (n,) [m or rad]. Raises InputError."""
+        """Column `stem` with one of the suffixes _mm, _m, _deg, _rad, shape (n,) [m or rad].
+
+        Parameters
+        ----------
+        stem : str
+            of the name, without its unit
+        units : Sequence[str]
+            suffixes that are allowed
+
+        Returns
+        -------
+        Array, shape (n,) [m or rad]
+
+        Raises
+        ------
+        InputError
+            it is missing, given in two units, or a cell is no finite number
+        """
         present = [u for u in units if f"{stem}{u}" in self.table]
         if len(present) > 1:
             both = " and ".join(f"{stem}{u}" for u in present)
@@ -184,9 +347,21 @@ class Columns:
         return self.column(stem + present[0]) * _TO_SI[present[0]]
 
     def joints(self, kinds: Sequence[str]) -> Array:
-        """Readings q1_deg (q1_rad, q1_mm, q1_m) and so on, shape (n, joints) [rad or m]; kinds : of each joint.
+        """Readings q1_deg (q1_rad, q1_mm, q1_m) and so on.
 
-        Raises InputError: one is missing or too many, or angles are in another unit than the column says.
+        Parameters
+        ----------
+        kinds : Sequence[str]
+            revolute or prismatic, of each joint
+
+        Returns
+        -------
+        Array, shape (n, joints) [rad or m]
+
+        Raises
+        ------
+        InputError
+            one is missing or too many, or angles are in another unit than the column says
         """
         columns = []
         for i, kind in enumerate(kinds, 1):
@@ -224,14 +399,45 @@ class Columns:
             )
 
     def vector(self, prefix: str, units: Sequence[str] = ("_mm", "_m")) -> Array:
-        """Columns PREFIXx_mm, PREFIXy_mm and PREFIXz_mm, shape (n, 3) [m or rad]. Raises InputError."""
+        """Columns PREFIXx_mm, PREFIXy_mm and PREFIXz_mm, shape (n, 3) [m or rad].
+
+        Parameters
+        ----------
+        prefix : str
+            of the names
+        units : Sequence[str], optional
+            suffixes that are allowed
+
+        Returns
+        -------
+        Array, shape (n, 3) [m or rad]
+
+        Raises
+        ------
+        InputError
+            one is missing, or a cell is no finite number
+        """
         return np.stack([self.si(f"{prefix}{c}", units) for c in "xyz"], axis=1)
 
     def conditions(self, observations: Iterable[str]) -> dict[str, Array]:
         """Numeric columns that hold neither readings nor observations, by name, each of shape (n,) [its own unit].
 
-        observations : patterns of the columns that the kinds of measurement read
-        Columns of words (remarks, operators) are left out. Raises InputError for words among numbers.
+        Columns of words (remarks, operators) are left out.
+
+        Parameters
+        ----------
+        observations : Iterable[str]
+            patterns of the columns that the kinds of measurement read
+
+        Returns
+        -------
+        dict[str, Array]
+            name -> array, shape (n,), in the unit of the column
+
+        Raises
+        ------
+        InputError
+            words among numbers
         """
         others = re.compile("|".join([_NO_CONDITIONS, *observations]))
         found = {}
@@ -247,7 +453,15 @@ class Columns:
     def tools(self) -> dict[str, Array]:
         """Of the column `tool`, for each name in it whether that point was measured, [1 or 0], shape (n,).
 
-        Raises InputError for an empty cell.
+        Returns
+        -------
+        dict[str, Array]
+            condition -> array, shape (n,), of 0 and 1
+
+        Raises
+        ------
+        InputError
+            an empty cell
         """
         if "tool" not in self.table:
             return {}
@@ -260,7 +474,20 @@ class Columns:
         return {f"tool_{name}": (names == name).to_numpy(dtype=float) for name in dict.fromkeys(names)}
 
     def unused(self, conditions: Collection[str], observations: Iterable[str]) -> tuple[str, ...]:
-        """Columns that are neither readings, observations nor conditions: those of words, and those without a cell."""
+        """Columns that are neither readings, observations nor conditions: those of words, and those without a cell.
+
+        Parameters
+        ----------
+        conditions : Collection[str]
+            names of those that are conditions
+        observations : Iterable[str]
+            patterns of the columns that the kinds of measurement read
+
+        Returns
+        -------
+        tuple[str, ...]
+            headers
+        """
         used = re.compile("|".join([_NO_CONDITIONS, *observations]))
         left = (n for n in map(str, self.table) if n not in (*conditions, *self.taken) and not used.fullmatch(n))
         return (*left, *self.empty)

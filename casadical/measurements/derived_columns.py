@@ -18,11 +18,29 @@ _MEMORY = re.compile(r"memory(\d+)_(\d+)mrad")
 def derive(m: Measurements, names: Iterable[str]) -> tuple[Measurements, tuple[str, ...]]:
     """The measurements with the named columns added, and the names that do not follow from what was logged.
 
-    progress : place in the order of measuring, 0 to 1 (column pose or time_s; else the order of the rows)
-    warmth_600s : temperature_degC behind a first-order lag of 600 s, less its mean [K]
-    approach2 : direction of joint 2's last motion, -1 or 1; from the order of the poses where it was not logged
-    move2 : joint 2's way from the pose before, 0 for the first [rad or m]
-    memory2_300mrad : state between -1 and 1 that goes to the direction of motion within 0.3 rad of it (Dahl 1968)
+    Columns: progress, the place in the order of measuring, 0 to 1 (column pose or time_s; else the order of the rows);
+    warmth_600s, temperature_degC behind a first-order lag of 600 s, less its mean [K]; approach2, direction of joint
+    2's last motion, -1 or 1, from the order of the poses where it was not logged; move2, joint 2's way from the pose
+    before, 0 for the first [rad or m]; memory2_300mrad, a state between -1 and 1 that goes to the direction of motion
+    within 0.3 rad of it (Dahl 1968).
+
+    Parameters
+    ----------
+    m : Measurements
+        campaign with its logged columns
+    names : Iterable[str]
+        columns to derive: progress, warmth_600s, approach2, move2, memory2_300mrad and their like
+
+    Returns
+    -------
+    tuple[Measurements, tuple[str, ...]]
+        measurements, and the names that cannot be derived
+
+    Examples
+    --------
+    >>> more, without = casadical.measurements.derive(poses, ["progress", "warmth_600s"])
+    >>> float(more.conditions["progress"][-1]), without
+    (1.0, ('warmth_600s',))
     """
     columns = dict(m.conditions)
     missing = []

@@ -26,23 +26,66 @@ FIELDS = ("position", "orientation", "distance", "target", "other", "label")
 class Measurements:
     """Poses of one robot and what was observed at them, all of one kind; SI units.
 
-    q : joint readings, shape (n, joints) [rad or m]
-    kind : what was observed: position, pose, distance, pair_distance, contact, or that of a plug-in
-    position : shape (n, 3) [m], of kinds position and pose
-    orientation : shape (n, 3, 3), of kind pose
-    distance : shape (n,) [m], of kinds distance and pair_distance
-    target : shape (n, 3) [m], the known far end of a distance; None where it is to be identified
-    other : shape (n, joints), readings at the other end of a pair distance
-    label : shape (n,), which unknown point is touched, of kind contact
-    extra : further observed arrays by name, each of shape (n, ...), of kinds that need others than these
-    separations : for kind contact, (label, label, distance [m]) between touched points that are known
-    separation_sigma : how well they are known [m]
-    conditions : logged columns by name, each of shape (n,)
-    sigma, sigma_angle : standard deviation of one coordinate [m] and angle [rad]; None: estimated from the fit
-    weight : shape (n,), factor on each pose's residual
-    row : shape (n,), line of the source at which each pose stands, for messages
-    source : file name or description; unused : columns that were left out: of words, or without a cell
-    copies : lines that repeat another to the last digit and were left out
+    Parameters
+    ----------
+    q : Array, shape (n, joints) [rad or m]
+        joint readings
+    kind : str
+        what was observed: position, pose, distance, pair_distance, contact, or that of a plug-in
+    position : Array, shape (n, 3) [m], optional
+        of kinds position and pose
+    orientation : Array, shape (n, 3, 3), optional
+        of kind pose
+    distance : Array, shape (n,) [m], optional
+        of kinds distance and pair_distance
+    target : Array, shape (n, 3) [m], optional
+        known far end of a distance; None where it is to be identified
+    other : Array, shape (n, joints) [rad or m], optional
+        readings at the other end of a pair distance
+    label : Array, shape (n,), optional
+        which unknown point is touched, of kind contact
+    extra : Mapping[str, Array], optional
+        further observed arrays by name, each of shape (n, ...), of kinds that need others than these
+    separations : tuple[tuple[str, str, float], ...], default ()
+        for kind contact, (label, label, distance [m]) between touched points that are known
+    separation_sigma : float, default 2e-05
+        how well they are known [m]
+    conditions : Mapping[str, Array], optional
+        logged columns by name, each of shape (n,)
+    sigma : float, optional
+        one sigma of a coordinate [m]; None: estimated from the fit
+    sigma_angle : float, optional
+        one sigma of an angle [rad]; None: estimated from the fit
+    weight : Array, shape (n,), optional
+        factor on each pose's residual
+    row : Array, shape (n,), optional
+        line of the source at which each pose stands, for messages
+    source : str, default "table"
+        file name or description
+    unused : tuple[str, ...], default ()
+        columns that were left out: of words, or without a cell
+    copies : tuple[int, ...], default ()
+        lines that repeat another to the last digit and were left out
+
+    Raises
+    ------
+    InputError
+        arrays that do not fit the kind or each other
+
+    Examples
+    --------
+    >>> len(poses), poses.residuals
+    (40, 120)
+    >>> sets = poses.split({"identify": 25, "report": 15}, seed=0)
+    >>> {name: len(m) for name, m in sets.items()}
+    {'identify': 25, 'report': 15}
+    >>> poses.condition_matrix(["payload_kg"], [5.0]).shape
+    (40, 1)
+    >>> poses.positions_alone().kind
+    'position'
+    >>> touched = casadical.Measurements(poses.q, "contact", label=np.array(["A", "B"] * 20))
+    >>> touched.with_separations([("A", "B", 0.25)]).separations
+    (('A', 'B', 0.25),)
     """
 
     q: Array
@@ -102,7 +145,18 @@ class Measurements:
         return int(np.count_nonzero(self.weight)) * find_kind(self.kind).numbers + len(self.separations)
 
     def positions_alone(self) -> Measurements:
-        """The same poses as kind position, whatever else was observed left out. Raises InputError: no positions."""
+        """The same poses as kind position, whatever else was observed left out.
+
+        Returns
+        -------
+        Measurements
+            kind position, same order
+
+        Raises
+        ------
+        InputError
+            no positions
+        """
         none = dict.fromkeys(("orientation", "distance", "target", "other", "label"))
         return replace(self, kind="position", extra={}, separations=(), **none)  # type: ignore[arg-type]
 
@@ -136,7 +190,20 @@ class Measurements:
         )
 
     def condition_matrix(self, names: Sequence[str], declared: Array) -> Array:
-        """Logged columns, shape (n, len(names)), SI; a column that was not logged takes its declared value."""
+        """Logged columns, shape (n, len(names)), SI; a column that was not logged takes its declared value.
+
+        Parameters
+        ----------
+        names : Sequence[str]
+            columns, in the order of the result, k of them
+        declared : Array, shape (k,) [SI]
+            value of each where it was not logged
+
+        Returns
+        -------
+        Array, shape (n, k) [SI]
+            a row per pose
+        """
         columns = [self.conditions.get(n, np.full(len(self), declared[k])) for k, n in enumerate(names)]
         return np.stack(columns, axis=1) if columns else np.zeros((len(self), 0))
 
@@ -145,7 +212,24 @@ class Measurements:
 
         Poses at the same joint readings (replicates) stay together, so that no pose is ever in two sets; a set may hold
         some more or less than its size for that. A pair distance whose ends fall in two sets is left out; poses of one
-        contact point may fall in two. Raises InputError for impossible sizes.
+        contact point may fall in two.
+
+        Parameters
+        ----------
+        sizes : Mapping[str, float]
+            set name -> number of poses, or share of them
+        seed : int, default 0
+            of the drawing
+
+        Returns
+        -------
+        dict[str, Measurements]
+            set name -> its poses
+
+        Raises
+        ------
+        InputError
+            impossible sizes
         """
         ends = np.concatenate([self.q] if self.other is None else [self.q, self.other])
         reading = same_readings(ends)
@@ -166,7 +250,20 @@ class Measurements:
         return {name: self[(home[near] == k) & (home[far] == k)] for k, name in enumerate(sizes)}
 
     def with_separations(self, known: Iterable[tuple[str, str, float]], sigma: float = 2e-5) -> Measurements:
-        """Contact poses with known distances (label, label, distance [m]) between touched points, sigma [m] each."""
+        """Contact poses with known distances (label, label, distance [m]) between touched points, sigma [m] each.
+
+        Parameters
+        ----------
+        known : Iterable[tuple[str, str, float]]
+            (label, label, distance [m]) of pairs of touched points
+        sigma : float, default 2e-05
+            one sigma of each distance [m]
+
+        Returns
+        -------
+        Measurements
+            the same poses, with the scale that the distances give
+        """
         return replace(self, separations=tuple(known), separation_sigma=sigma)
 
 

@@ -7,9 +7,24 @@ from casadical.core.errors import InputError
 
 @dataclass(frozen=True)
 class Noise:
-    """One sigma each: of a measured coordinate [m], and of how a joint repeats its reading [rad or m].
+    """Noise of a campaign.
 
-    Raises InputError for a sigma that is not positive and for a negative repeatability.
+    Parameters
+    ----------
+    sigma : float, default 2e-05
+        of a measured coordinate, one sigma [m]
+    repeatability : float, default 0.0
+        of how a joint repeats its reading, one sigma [rad or m]
+
+    Raises
+    ------
+    InputError
+        a sigma that is not positive, or a negative repeatability
+
+    Examples
+    --------
+    >>> casadical.pose_selection.Noise(sigma=2e-5, repeatability=8e-6).sigma
+    2e-05
     """
 
     sigma: float = 2e-5

@@ -29,13 +29,38 @@ def read_measurements(
 ) -> Measurements:
     """Measurements from a table in a file (see `casadical.measurements.raw_table`).
 
-    joints : number of joints, or the kind of each ("revolute", "prismatic")
-    kind : what was observed; by default what the columns say
-    columns : our name -> name in the file, where the file's headers differ from ours and do not tell it themselves
-    point_from : columns that together name the touched point, of kind contact
-    sigma_mm, sigma_deg : standard deviation of one coordinate [mm] and angle [deg]; None: estimated from the fit
+    Parameters
+    ----------
+    path : str | Path
+        table, as text in any usual form or .xlsx
+    joints : int | Sequence[str]
+        number of joints, or the kind of each ("revolute", "prismatic")
+    kind : str, optional
+        what was observed; by default what the columns say
+    columns : Mapping[str, str | Source], optional
+        our name -> name in the file, where the file's headers differ from ours and do not tell it themselves
+    point_from : Sequence[str], default ()
+        columns that together name the touched point, of kind contact
+    sigma_mm : float, optional
+        one sigma of a measured coordinate [mm]; None: estimated from the fit
+    sigma_deg : float, optional
+        one sigma of a measured angle [deg]; None: estimated from the fit
 
-    Raises InputError that names the file, row and column where something is wrong.
+    Returns
+    -------
+    Measurements
+        poses with their readings, observations and logged columns
+
+    Raises
+    ------
+    InputError
+        a table that cannot be used; it names the file, row and column where something is wrong
+
+    Examples
+    --------
+    >>> poses = casadical.read_measurements("data/planar/planar.csv", 2)
+    >>> poses.kind, poses.position.shape
+    ('position', (40, 3))
     """
     table = named_columns(read_table(path), joints, columns or {}, point_from)
     return from_columns(table, joints, kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
@@ -70,7 +95,40 @@ def from_table(
     sigma_deg: float | None = None,
     source: str = "table",
 ) -> Measurements:
-    """Measurements from a pandas table; arguments and errors (Raises InputError) as of `read_measurements`."""
+    """Measurements from a pandas table; arguments and errors as of `read_measurements`.
+
+    Parameters
+    ----------
+    table : DataFrame
+        with the columns of docs/measurements.md
+    joints : int | Sequence[str]
+        as of `read_measurements`
+    kind : str, optional
+        as of `read_measurements`
+    columns : Mapping[str, str], optional
+        as of `read_measurements`
+    sigma_mm : float, optional
+        as of `read_measurements`
+    sigma_deg : float, optional
+        as of `read_measurements`
+    source : str, default "table"
+        what messages call the table
+
+    Returns
+    -------
+    Measurements
+        poses with their readings, observations and logged columns
+
+    Raises
+    ------
+    InputError
+        the table names no usable poses; row and column are named
+
+    Examples
+    --------
+    >>> casadical.from_table(table, 2, "position", sigma_mm=0.02)
+    <Measurements table: 60 poses of 2 joints, position>
+    """
     given = Columns.of_frame(table, source).mapped(columns or {})
     return from_columns(given, joints, kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
 

@@ -30,11 +30,28 @@ ATTEMPTS = 100
 class Circumstances:
     """How poses are measured.
 
-    payloads : masses [kg] that can be mounted; empty: the declared one, and also none if an effect needs two
-    every_payload : whether each reading is measured with all of them instead of one
-    both_approaches : whether each reading is approached twice, with all joints moving in opposite directions
-    repeats : how often each reading is measured, in passes over all poses
-    seconds : time per pose; warmup_K, warmup_minutes : assumed rise of temperature [K] and its time constant [min]
+    Parameters
+    ----------
+    payloads : tuple[float, ...], default ()
+        masses [kg] that can be mounted; empty: the declared one, and also none if an effect needs two
+    every_payload : bool, default False
+        whether each reading is measured with all of them instead of one
+    both_approaches : bool, default False
+        whether each reading is approached twice, with all joints moving in opposite directions
+    repeats : int, default 1
+        how often each reading is measured, in passes over all poses
+    seconds : float, default 30.0
+        time per pose [s]
+    warmup_K : float, default 5.0
+        assumed rise of temperature [K]
+    warmup_minutes : float, default 35.0
+        its time constant [min]
+
+    Examples
+    --------
+    >>> often = casadical.pose_selection.Circumstances(both_approaches=True, repeats=3)
+    >>> often.size(robot), often.states(robot)
+    (6, (0.0,))
     """
 
     payloads: tuple[float, ...] = ()
@@ -46,14 +63,36 @@ class Circumstances:
     warmup_minutes: float = 35.0
 
     def states(self, robot: Robot) -> tuple[float, ...]:
-        """Payloads [kg] of the campaign."""
+        """Payloads [kg] of the campaign.
+
+        Parameters
+        ----------
+        robot : Robot
+            the robot
+
+        Returns
+        -------
+        tuple[float, ...]
+            masses [kg]
+        """
         declared = robot.payload.mass if robot.payload else 0.0
         if self.payloads:
             return self.payloads
         return (0.0, declared) if any("payload_kg" in e.needs for e in robot.effects) else (declared,)
 
     def size(self, robot: Robot) -> int:
-        """How many measurements are made at one reading."""
+        """How many measurements are made at one reading.
+
+        Parameters
+        ----------
+        robot : Robot
+            the robot
+
+        Returns
+        -------
+        int
+            approaches, repeats and payloads multiplied
+        """
         return self.repeats * (1 + self.both_approaches) * (len(self.states(robot)) if self.every_payload else 1)
 
 

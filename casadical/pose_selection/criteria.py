@@ -22,10 +22,27 @@ _Spectral = tuple[Callable[[Array], Array], Callable[[Array], Array]]
 
 
 def observability(J: Array, n: int) -> dict[str, float]:
-    """Indices O1 to O5 of a scaled Jacobian, shape (rows, p) [sigma per unit of scale], of n poses.
+    """Indices of observability.
 
-    O1 : root of the product of the singular values over the root of n; O2 : smallest over greatest; O3 : smallest;
-    O4 : square of the smallest over the greatest; O5 : inverse of the sum of inverses
+    O1: root of the product of the singular values over the root of n; O2: smallest over greatest; O3: smallest;
+    O4: square of the smallest over the greatest; O5: inverse of the sum of inverses.
+
+    Parameters
+    ----------
+    J : Array, shape (rows, p) [sigma per unit of scale]
+        scaled Jacobian
+    n : int
+        number of poses
+
+    Returns
+    -------
+    dict[str, float]
+        name -> index
+
+    Examples
+    --------
+    >>> {k: round(v, 3) for k, v in casadical.pose_selection.observability(np.diag([2.0, 1.0]), 4).items()}
+    {'O1': 0.707, 'O2': 0.5, 'O3': 1.0, 'O4': 0.5, 'O5': 0.667}
     """
     s = np.linalg.svd(J, compute_uv=False)
     if len(J) < J.shape[1] or s[-1] <= 1e-14 * s[0]:

@@ -24,11 +24,36 @@ from casadical.robot.robot import Robot
 class Selection:
     """Poses to measure, in order, and the accuracy to expect of them.
 
-    robot : with the values and effects that were planned for
-    chosen : readings and circumstances; m : one row per measurement, in order, at the positions that the model gives
-    measured : poses measured before, which count as well
-    names, held : parameters that will be identified, and the others with the reason
-    criterion, noise, task, circumstances : as asked for
+    Parameters
+    ----------
+    robot : Robot
+        with the values and effects that were planned for
+    chosen : Candidates
+        readings and circumstances
+    m : Measurements
+        one row per measurement, in order, at the positions that the model gives
+    measured : Measurements | None
+        poses measured before, which count as well
+    names : tuple[str, ...]
+        parameters that will be identified
+    held : tuple[Unidentifiable, ...]
+        the others, each with its reason
+    criterion : Criterion
+        as asked for
+    noise : Noise
+        as asked for
+    task : Measurements
+        as asked for
+    circumstances : Circumstances
+        as asked for
+
+    Examples
+    --------
+    >>> plan = casadical.select_poses(robot, None, 12, pool=200, restarts=1).ordered()
+    >>> plan.q.shape, plan.expected_error(poses).shape
+    ((12, 2), (40,))
+    >>> print(f"{1e3 * plan.accuracy:.3f} mm to expect over the task")
+    0.017 mm to expect over the task
     """
 
     robot: Robot
@@ -51,7 +76,18 @@ class Selection:
         return self.m.q
 
     def ordered(self) -> Selection:
-        """The same poses in an order of short travel. Raises InputError where networkx is missing."""
+        """The same poses in an order of short travel.
+
+        Returns
+        -------
+        Selection
+            another order
+
+        Raises
+        ------
+        InputError
+            networkx is missing
+        """
         return replace(self, m=arranged(self.robot, self.chosen, self.circumstances, travel=True))
 
     @cached_property
@@ -94,7 +130,14 @@ class Selection:
     def expected_error(self, m: Measurements | None = None) -> Array:
         """Expected root mean square position error of the calibrated robot due to noise, shape (n,) [m].
 
-        m : poses to predict; None: the task
+        Parameters
+        ----------
+        m : Measurements, optional
+            poses to predict; None: the task
+
+        Returns
+        -------
+        Array, shape (n,) [m]
         """
         J = scaled_jacobian(self.robot, self.names, self.task if m is None else m)
         return np.asarray(MM * np.sqrt(np.einsum("kip,pq,kiq->k", J, self._covariance, J, optimize=True)))

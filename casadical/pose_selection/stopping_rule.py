@@ -23,26 +23,61 @@ from casadical.robot.robot import Robot
 class Forecast:
     """Expected accuracy against the number of poses, if the best ones are measured next.
 
-    poses : numbers of poses, measured ones included, shape (k,)
-    error : expected root mean square position error over the task [m], shape (k,)
+    Parameters
+    ----------
+    poses : Array, shape (k,)
+        numbers of poses, measured ones included
+    error : Array, shape (k,)
+        expected root mean square position error over the task [m]
+
+    Examples
+    --------
+    >>> error = casadical.pose_selection.Forecast(np.array([10, 20, 40]), np.array([4e-5, 2e-5, 1.9e-5]))
+    >>> error.enough(3e-5), error.stop(gain=0.1, ahead=20)
+    (20, None)
     """
 
     poses: Array
     error: Array
 
     def enough(self, target: float) -> int | None:
-        """The least number of poses whose expected error is at most target [m]; None where none of these is."""
+        """The least number of poses whose expected error is at most target [m]; None where none of these is.
+
+        Parameters
+        ----------
+        target : float
+            largest expected error that will do [m]
+
+        Returns
+        -------
+        int | None
+            number of poses
+        """
         good = np.flatnonzero(self.error <= target)
         return int(self.poses[good[0]]) if len(good) else None
 
     def stop(self, gain: float = 0.1, ahead: int = 10) -> int | None:
-        """The number of poses from which on `ahead` more would reduce the error by less than the share `gain`."""
+        """The number of poses from which on `ahead` more would reduce the error by less than the share `gain`.
+
+        Parameters
+        ----------
+        gain : float, default 0.1
+            share of the error
+        ahead : int, default 10
+            number of further poses
+
+        Returns
+        -------
+        int | None
+            number of poses; None where that many always help
+        """
         shares = 1 - self.error[ahead:] / self.error[:-ahead]
         small = np.flatnonzero(shares < gain)
         return int(self.poses[small[0]]) if len(small) else None
 
     @property
     def table(self) -> pd.DataFrame:
+        """Poses and expected error [mm]."""
         return pd.DataFrame({"poses": self.poses, "expected_error_mm": 1e3 * self.error})
 
 
@@ -61,8 +96,46 @@ def forecast(
 ) -> Forecast:
     """The expected error as poses are added one by one, each the best next one by V-optimality.
 
-    most : largest number of poses, measured ones included; other arguments as of `select_poses`
-    Starts with the measured poses or, without any, with a fifth more equations than parameters. Raises InputError.
+    Starts with the measured poses or, without any, with a fifth more equations than parameters.
+
+    Parameters
+    ----------
+    robot : Robot
+        the robot
+    most : int, default 100
+        largest number of poses, measured ones included
+    workspace : Workspace, optional
+        as of `select_poses`
+    circumstances : Circumstances, optional
+        as of `select_poses`
+    measured : Measurements, optional
+        as of `select_poses`
+    free : Iterable[str], optional
+        as of `select_poses`
+    task : Array, shape (T, joints) [rad or m], optional
+        as of `select_poses`
+    noise : Noise, optional
+        as of `select_poses`
+    pool : int, default 1000
+        as of `select_poses`
+    seed : int, default 0
+        of everything random
+
+    Returns
+    -------
+    Forecast
+        errors by number of poses
+
+    Raises
+    ------
+    InputError
+        nothing can be chosen
+
+    Examples
+    --------
+    >>> ahead = casadical.pose_selection.forecast(robot, 12, pool=100)
+    >>> bool(ahead.error[-1] < ahead.error[0])
+    True
     """
     before = 0 if measured is None else len(measured)
     if most <= before:

@@ -19,7 +19,25 @@ from casadical.robot.robot import Robot
 class Box:
     """A box as an obstacle, parallel to the measuring frame's axes.
 
-    low, high : two corners, shape (3,) [m]. Raises InputError unless each coordinate of low is below that of high.
+    Parameters
+    ----------
+    low : Array, shape (3,) [m]
+        one corner
+    high : Array, shape (3,) [m]
+        the opposite one
+
+    Raises
+    ------
+    InputError
+        a coordinate of low that is not below that of high
+
+    Examples
+    --------
+    >>> box = casadical.pose_selection.Box(np.array([0.5, -1, -1]), np.array([1.0, 1, 1]))
+    >>> box.holds(np.array([[0.6, 0, 0], [0.4, 0, 0]]), clearance=0.05)
+    array([ True, False])
+    >>> box.hides(np.array([[2.0, 0, 0]]), np.zeros(3))
+    array([ True])
     """
 
     low: Array
@@ -32,12 +50,35 @@ class Box:
             )
 
     def holds(self, points: Array, clearance: float = 0.0) -> Array:
-        """Which points, shape (..., 3) [m], are in the box or closer than clearance [m] to it: boolean, (...)."""
+        """Which points are in the box, or closer than the clearance to it.
+
+        Parameters
+        ----------
+        points : Array, shape (..., 3) [m]
+        clearance : float, default 0.0
+            distance that counts as in the box [m]
+
+        Returns
+        -------
+        Array, shape (...)
+            boolean
+        """
         inside = (points > np.asarray(self.low) - clearance) & (points < np.asarray(self.high) + clearance)
         return np.asarray(inside.all(axis=-1))
 
     def hides(self, points: Array, station: Array) -> Array:
-        """Whether the straight lines from station, shape (3,) [m], to points, shape (n, 3) [m], pass through it."""
+        """Whether the straight lines from the station to points pass through the box.
+
+        Parameters
+        ----------
+        points : Array, shape (n, 3) [m]
+        station : Array, shape (3,) [m]
+
+        Returns
+        -------
+        Array, shape (n,)
+            boolean
+        """
         along = points - station
         with np.errstate(divide="ignore", invalid="ignore"):
             t = np.stack([(np.asarray(corner) - station) / along for corner in (self.low, self.high)])
@@ -53,10 +94,28 @@ class Box:
 class Tracker:
     """A laser tracker in the measuring frame and the cone in which it sees.
 
-    station : position of its head, shape (3,) [m]; towards : a point on the axis of its cone, shape (3,) [m], or None:
-        it sees all around; half_angle : half of the cone's angle [rad]; nearest, farthest : range of distances [m]
-    opening : direction of the reflector's opening in the tool frame, shape (3,), or None: it is visible from all sides
-    acceptance : largest angle between the beam and that direction [rad]
+    Parameters
+    ----------
+    station : Array, shape (3,) [m]
+        position of its head
+    towards : Array, shape (3,) [m], optional
+        a point on the axis of its cone; None: it sees all around
+    half_angle : float, optional
+        half of the cone's angle [rad]
+    nearest : float, default 0.3
+        least distance [m]
+    farthest : float, default 30.0
+        greatest distance [m]
+    opening : Array, shape (3,), optional
+        direction of the reflector's opening in the tool frame; None: it is visible from all sides
+    acceptance : float, optional
+        largest angle between the beam and that direction [rad]
+
+    Examples
+    --------
+    >>> tracker = casadical.pose_selection.Tracker(np.array([3.0, 0, 0.5]), towards=np.zeros(3))
+    >>> tracker.sees(np.array([[0.5, 0, 0], [3.0, 2, 0]]), np.tile(np.eye(3), (2, 1, 1)))
+    array([ True, False])
     """
 
     station: Array
@@ -68,7 +127,19 @@ class Tracker:
     acceptance: float = np.pi / 6
 
     def sees(self, points: Array, R: Array) -> Array:
-        """Whether it sees reflectors at points, shape (n, 3) [m], tools turned by R, shape (n, 3, 3); boolean, (n,)."""
+        """Whether it sees reflectors at points.
+
+        Parameters
+        ----------
+        points : Array, shape (n, 3) [m]
+        R : Array, shape (n, 3, 3)
+            orientations of the tool frame
+
+        Returns
+        -------
+        Array, shape (n,)
+            boolean
+        """
         beam = points - self.station
         distance = np.linalg.norm(beam, axis=1)
         seen = (distance >= self.nearest) & (distance <= self.farthest)
@@ -86,11 +157,34 @@ class Tracker:
 class Workspace:
     """Which poses can be measured.
 
-    lower, upper : least and greatest readings, shape (joints,) [rad or m]; None: the robot's ranges
-    margin : least margin of every four-bar (see `fourbar.margin`)
-    floor : height in the measuring frame [m] below which no point may lie
-    boxes : obstacles; clearance : least distance of tool point and link origins from floor and boxes [m]
-    tracker : it must see the tool point, past the boxes
+    Parameters
+    ----------
+    lower : Array, shape (joints,) [rad or m], optional
+        least readings; None: the robot's
+    upper : Array, shape (joints,) [rad or m], optional
+        greatest readings; None: the robot's
+    margin : float, optional
+        least margin of every four-bar, see `fourbar.margin`
+    floor : float, optional
+        height in the measuring frame below which no point may lie [m]
+    boxes : tuple[Box, ...], default ()
+        obstacles
+    clearance : float, default 0.0
+        least distance of tool point and link origins from floor and boxes [m]
+    tracker : Tracker | None, optional
+        it must see the tool point, past the boxes
+
+    Examples
+    --------
+    >>> box = casadical.pose_selection.Box(np.array([0.5, -1, -1]), np.array([1.0, 1, 1]))
+    >>> where = casadical.pose_selection.Workspace(boxes=(box,))
+    >>> q = np.array([[0.0, 0.0], [np.pi / 2, 0.0]])
+    >>> where.allows(robot, q), sorted(where.refusals(robot, q))
+    (array([False,  True]), ['box', 'joint range'])
+    >>> [limit.round(2) for limit in where.ranges(robot)]
+    [array([-3.14, -3.14]), array([3.14, 3.14])]
+    >>> where.as_open_as(robot, q).boxes == where.boxes
+    True
     """
 
     lower: Array | None = None
@@ -102,7 +196,23 @@ class Workspace:
     tracker: Tracker | None = field(default=None)
 
     def ranges(self, robot: Robot) -> tuple[Array, Array]:
-        """Least and greatest readings, shape (joints,) each [rad or m]. Raises InputError."""
+        """Least and greatest readings, shape (joints,) each [rad or m].
+
+        Parameters
+        ----------
+        robot : Robot
+            the robot
+
+        Returns
+        -------
+        tuple[Array, Array]
+            lower and upper, shape (joints,) each [rad or m]
+
+        Raises
+        ------
+        InputError
+            limits of another number of joints, or a lower one that is not below the upper
+        """
         lower = np.array([j.lower for j in robot.joints]) if self.lower is None else np.asarray(self.lower, float)
         upper = np.array([j.upper for j in robot.joints]) if self.upper is None else np.asarray(self.upper, float)
         if lower.shape != (robot.n,) or upper.shape != (robot.n,) or not (lower < upper).all():
@@ -112,9 +222,19 @@ class Workspace:
         return lower, upper
 
     def refusals(self, robot: Robot, q: Array) -> dict[str, Array]:
-        """By reason, which of the readings q, shape (n, joints) [rad or m], are ruled out, boolean, shape (n,).
+        """By reason, which of the readings are ruled out.
 
-        Links are checked by the origins of their frames and the tool by its point, not by their shapes.
+        Parameters
+        ----------
+        robot : Robot
+            the robot
+        q : Array, shape (n, joints) [rad or m]
+            joint readings
+
+        Returns
+        -------
+        dict[str, Array]
+            reason -> boolean array, shape (n,)
         """
         lower, upper = self.ranges(robot)
         found: dict[str, Array] = {"joint range": np.asarray(((q < lower - 1e-9) | (q > upper + 1e-9)).any(axis=1))}
@@ -133,13 +253,39 @@ class Workspace:
         return found
 
     def as_open_as(self, robot: Robot, q: Array) -> Workspace:
-        """The workspace with four-bars no less open than at any of the readings q, shape (n, joints) [rad or m]."""
+        """The workspace with four-bars no less open than at any of the readings.
+
+        Parameters
+        ----------
+        robot : Robot
+            the robot
+        q : Array, shape (n, joints) [rad or m]
+            joint readings
+
+        Returns
+        -------
+        Workspace
+            another workspace
+        """
         if not robot.loops:
             return self
         return replace(self, margin=max(self.margin, float(_places(robot, q)[2].min())))
 
     def allows(self, robot: Robot, q: Array) -> Array:
-        """Which of the readings q, shape (n, joints) [rad or m], may be measured, boolean, shape (n,)."""
+        """Which of the readings may be measured.
+
+        Parameters
+        ----------
+        robot : Robot
+            the robot
+        q : Array, shape (n, joints) [rad or m]
+            joint readings
+
+        Returns
+        -------
+        Array, shape (n,)
+            boolean
+        """
         return np.asarray(~np.any(list(self.refusals(robot, q).values()), axis=0))
 
 

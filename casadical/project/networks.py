@@ -26,9 +26,23 @@ TOO_FEW = 10
 class NetworkResult:
     """One network method on one problem.
 
-    compensator : trained or refused; None where there was nothing to train on, and `why` says so
-    errors : by set, of the corrected positions; those of SKCM where the network was refused, for then nothing is
-    corrected (what it would have done: `compensator.training`, `.choice`, `.validation`)
+    Parameters
+    ----------
+    method : str
+        as in problem.toml
+    compensator : Compensator | None
+        trained or refused; None where there was nothing to train on, and `why` says so
+    why : str
+        why there is no compensator; empty where there is one
+    errors : Mapping[str, Accuracy]
+        by set, of the corrected positions; those of SKCM where the network was refused, for then nothing is corrected
+        (what it would have done: `compensator.training`, `.choice`, `.validation`)
+
+    Examples
+    --------
+    >>> nothing = casadical.project.NetworkResult("NN-SKCM", None, "no poses to train on", {})
+    >>> nothing.helps, nothing.verdict
+    (False, 'NN-SKCM: no poses to train on')
     """
 
     method: str
@@ -49,7 +63,20 @@ class NetworkResult:
 
 @dataclass(frozen=True, eq=False)
 class Networks:
-    """All network methods of a problem; `trained_on` says on which poses, or why on none."""
+    """All network methods of a problem.
+
+    Parameters
+    ----------
+    results : Mapping[str, NetworkResult]
+        by method
+    trained_on : str
+        which poses, or why none
+
+    Examples
+    --------
+    >>> casadical.project.Networks({}, "no poses to train on").trained_on
+    'no poses to train on'
+    """
 
     results: Mapping[str, NetworkResult]
     trained_on: str
@@ -72,11 +99,41 @@ def train_networks(
     show: Callable[[str], None] = lambda _text: None,
     judged: Mapping[str, Measurements] | None = None,
 ) -> Networks:
-    """Train the networks of `methods`, by default of all, on what an identification left.
+    """Train networks on what an identification left.
 
-    The set train is learnt from, the set choose decides, all others have no part in either. show : called with a line
-    of progress that holds the loss. judged : poses whose errors are told, by set; all of the problem's by default.
-    Raises InputError.
+    The set train is learnt from, the set choose decides, all others have no part in either.
+
+    Parameters
+    ----------
+    problem : Problem
+        of whose sets the networks learn
+    result : Identification
+        identification by SKCM
+    methods : Sequence[str], optional
+        network methods; None: all that there are
+    seed : int, default 0
+        of everything random
+    show : Callable[[str], None], optional
+        called with a line of progress that holds the loss
+    judged : Mapping[str, Measurements], optional
+        poses whose errors are told, by set; None: all of the problem's
+
+    Returns
+    -------
+    Networks
+        one result a method
+
+    Raises
+    ------
+    InputError
+        a method that is no network, or data without positions
+
+    Examples
+    --------
+    >>> problem = casadical.read_problem("problems/planar")
+    >>> networks = casadical.project.train_networks(problem, found, ["GP-NN-SKCM"])
+    >>> networks.results["GP-NN-SKCM"].helps
+    False
     """
     judged = dict(problem.parts()) if judged is None else judged
     trainers = network_methods()

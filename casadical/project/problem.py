@@ -46,14 +46,49 @@ def as_it_is(robot: Robot) -> tuple[Robot, Prior | None]:
 class Problem:
     """A robot and its measurements, split into named sets (identify, train, choose, report).
 
-    data : whether the measurements are real or synthetic; None where nobody said
-    sets : by name, one `Measurements` for each kind; no pose is in two sets
-    methods, loss : what `casadical calibrate` does by default; methods identify, networks learn what SKCM leaves
-    seed : of the split and of the networks
-    paper : published figures, and their source; prior : what another campaign told, where it is used
-    urdf : file, base link and tip link where the robot came from a URDF
-    set_column : of the tables, that names each pose's set; None where the split is drawn
-    tables : how the tables are to be understood, as problem.toml says it
+    Parameters
+    ----------
+    folder : Path
+        where it was read
+    title : str
+        of reports
+    data : {"real", "synthetic"} | None
+        whether the measurements are real or synthetic; None where nobody said
+    robot : Robot
+        nominal robot
+    sets : Mapping[str, tuple[Measurements, ...]]
+        by name, one `Measurements` for each kind; no pose is in two sets
+    methods : tuple[BaseMethod, ...]
+        identification methods of `casadical calibrate`
+    loss : ProblemLoss
+        how far poses are weighted, of `casadical calibrate`
+    urdf : tuple[Path, str | None, str | None], optional
+        file, base link and tip link where the robot came from a URDF
+    networks : tuple[str, ...], default ()
+        network methods that are trained on what SKCM leaves
+    seed : int, default 0
+        of the split and of the networks
+    paper : Paper, optional
+        published figures, and their source
+    prior : Prior, optional
+        what another campaign told, where it is used
+    set_column : str, optional
+        of the tables, that names each pose's set; None where the split is drawn
+    tables : tuple[Mapping[str, Any], ...], default ()
+        how the tables are to be understood, as problem.toml says it
+
+    Examples
+    --------
+    >>> problem = casadical.read_problem("problems/planar")
+    >>> problem.title
+    'Planar arm of two links, to be read in five minutes'
+    >>> [name for name, m in problem.parts()]
+    ['identify', 'report']
+    >>> try:
+    ...     problem.calibrated_urdf(found.robot)
+    ... except casadical.InputError as error:
+    ...     print(str(error)[:60])
+    problems/planar: its robot is not from a URDF; write its rob
     """
 
     folder: Path
@@ -77,14 +112,33 @@ class Problem:
         return f"{self.data} data" if self.data else "data of unstated origin"
 
     def parts(self) -> Iterator[tuple[str, Measurements]]:
-        """Every set by name; one of several kinds of measurements as SET/KIND."""
+        """Every set by name; one of several kinds of measurements as SET/KIND.
+
+        Returns
+        -------
+        Iterator[tuple[str, Measurements]]
+            (name, poses) of each set
+        """
         for name, parts in self.sets.items():
             yield from ((name if len(parts) == 1 else f"{name}/{m.kind}", m) for m in parts)
 
     def calibrated_urdf(self, robot: Robot) -> str:
         """The problem's URDF with the geometry of a calibrated robot, the measured point as a link of its own.
 
-        Raises InputError where the problem's robot is not from a URDF.
+        Parameters
+        ----------
+        robot : Robot
+            calibrated robot
+
+        Returns
+        -------
+        str
+            text of the URDF
+
+        Raises
+        ------
+        InputError
+            where the problem's robot is not from a URDF
         """
         from casadical.robot.urdf import calibrated_urdf_text
 
@@ -96,8 +150,30 @@ class Problem:
 def read_problem(folder: str | Path, seed: int | None = None, carried: Carried = as_it_is) -> Problem:
     """Read a problem folder; `seed` replaces the one that its file gives for the split.
 
-    carried : what puts into the robot what another campaign found (see `casadical.identification.prior.carry_over`)
-    Raises InputError that names the file and what is wrong in it.
+    Parameters
+    ----------
+    folder : str | Path
+        problem folder, with its problem.toml
+    seed : int, optional
+        of the split, in place of the one in the file; None: that of the file
+    carried : Carried, default as_it_is
+        what puts into the robot what another campaign found (see `casadical.identification.prior.carry_over`)
+
+    Returns
+    -------
+    Problem
+        robot and measurements, already split into named sets
+
+    Raises
+    ------
+    InputError
+        a folder that is no problem; it names the file and what is wrong in it
+
+    Examples
+    --------
+    >>> problem = casadical.read_problem("problems/planar")
+    >>> {name: len(m) for name, m in problem.parts()}
+    {'identify': 25, 'report': 15}
     """
     folder = Path(folder)
     file, path = problem_file(folder), folder / "problem.toml"
@@ -138,7 +214,25 @@ def read_problem_robot(folder: str | Path) -> Robot:
 def read_campaign_robot(folder: str | Path) -> Robot:
     """The robot of a problem folder as a diagnosis takes it: its `campaign_robot`, else its robot; or of a robot file.
 
-    Raises InputError.
+    Parameters
+    ----------
+    folder : str | Path
+        problem folder, or a robot file
+
+    Returns
+    -------
+    Robot
+        the nominal robot of a campaign
+
+    Raises
+    ------
+    InputError
+        no such file, or what is wrong in it
+
+    Examples
+    --------
+    >>> casadical.read_campaign_robot("problems/planar").name
+    'Planar arm of two links'
     """
     return read_robot(folder) if Path(folder).is_file() else _robot_of(Path(folder), campaign=True)
 

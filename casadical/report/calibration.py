@@ -21,7 +21,28 @@ from casadical.report.style import Figure
 def calibration_report(calibrations: Sequence[Calibration], command: Sequence[str] = ()) -> str:
     """One HTML file of one or several calibrated problems.
 
-    command : as it was typed. Raises InputError where plotly or jinja2 is not installed, or a problem's file is gone.
+    Parameters
+    ----------
+    calibrations : Sequence[Calibration]
+        of one or several problems
+    command : Sequence[str], default ()
+        as it was typed
+
+    Returns
+    -------
+    str
+        HTML
+
+    Raises
+    ------
+    InputError
+        plotly or jinja2 is not installed, or a problem's file is gone
+
+    Examples
+    --------
+    >>> html = casadical.report.calibration_report([calibration])
+    >>> html[:15]
+    '<!doctype html>'
     """
     files = [path for c in calibrations for path in problem_files(c.problem.folder)]
     return report_html("Calibration", [calibration_part(c) for c in calibrations], provenance_of(files, command))

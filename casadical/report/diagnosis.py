@@ -37,8 +37,32 @@ def diagnosis_report(
 ) -> str:
     """One HTML file of one or several diagnoses of a problem's robot.
 
-    folder : the problem's; answered : (campaign's file, diagnosis, what `analyse` computed of it); command : as it was
-    typed. Raises InputError where plotly or jinja2 is not installed, or a file is gone.
+    Parameters
+    ----------
+    folder : Path
+        the problem's
+    answered : Sequence[tuple[Path, Diagnosis, Details | None]]
+        (campaign's file, diagnosis, what `analyse` computed of it)
+    command : Sequence[str], default ()
+        as it was typed
+
+    Returns
+    -------
+    str
+        HTML
+
+    Raises
+    ------
+    InputError
+        plotly or jinja2 is not installed, or a file is gone
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> file = Path("problems/planar/../../data/planar/planar.csv")
+    >>> html = casadical.report.diagnosis_report(Path("problems/planar"), [(file, diagnosis, None)])
+    >>> html[:15]
+    '<!doctype html>'
     """
     parts = [diagnosis_part(d, path.stem, more) for path, d, more in answered]
     return report_html("Diagnosis", parts, provenance_of(campaign_files(folder, [a[0] for a in answered]), command))

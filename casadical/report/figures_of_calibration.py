@@ -16,7 +16,27 @@ def calibration_figures(calibration: Calibration) -> dict[str, Figure]:
 
     errors/SET and distribution/SET for each set of poses; workspace; where/TABLE as `Diagnosis.where` names them (of
     measured positions); parameters/lengths, /angles, /compliance; fit/residuals, /coverage, /pairs; training. What the
-    data do not hold is not there. Raises InputError where plotly is not installed.
+    data do not hold is not there.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        of `casadical.calibrate`
+
+    Returns
+    -------
+    dict[str, Figure]
+        name -> figure of plotly
+
+    Raises
+    ------
+    InputError
+        where plotly is not installed
+
+    Examples
+    --------
+    >>> "errors/report" in casadical.report.calibration_figures(calibration)
+    True
     """
     poses = pose_errors(calibration)
     found: dict[str, Figure] = {}

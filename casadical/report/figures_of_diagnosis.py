@@ -30,7 +30,29 @@ def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> dict[str, Fi
 
     gap; errors (held out, pose by pose); workspace; causes/STEP; shrink (where a cause was found); parameters/lengths,
     /angles, /compliance; fit/residuals, /coverage, /pairs; of `analyse` where/TABLE as `Localisation` names them,
-    curves/angles and /lines, and networks beside the gap. Raises InputError without plotly.
+    curves/angles and /lines, and networks beside the gap.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        a diagnosis
+    more : Details, optional
+        what `casadical.diagnosis.analyse` computed of it
+
+    Returns
+    -------
+    dict[str, Figure]
+        name -> figure of plotly
+
+    Raises
+    ------
+    InputError
+        without plotly
+
+    Examples
+    --------
+    >>> "gap" in casadical.report.diagnosis_figures(diagnosis)
+    True
     """
     poses = held_out_poses(d)
     found = {

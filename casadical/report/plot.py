@@ -29,12 +29,28 @@ def plot(
 ) -> Figure | dict[str, Figure]:
     """The figures of a report, as plotly makes them: one by its name, or all by name.
 
-    result : of `calibrate`, `identify` or `diagnose`; more : what `casadical.diagnosis.analyse` computed of a diagnosis
-    name : as "errors/report"; without it all figures are given
-    Raises InputError: a name that the result does not have, or plotly is not installed.
+    Parameters
+    ----------
+    result : Calibration | Identification | Diagnosis
+        of `calibrate`, `identify` or `diagnose`
+    name : str, optional
+        as "errors/report"; None: all figures
+    more : Details, optional
+        what `casadical.diagnosis.analyse` computed of a diagnosis
 
-    >>> import casadical
-    >>> sorted(casadical.plot(casadical.calibrate("problems/planar")))[:3]
+    Returns
+    -------
+    Figure | dict[str, Figure]
+        a figure, or name -> figure
+
+    Raises
+    ------
+    InputError
+        a name that the result does not have, or plotly is not installed
+
+    Examples
+    --------
+    >>> sorted(casadical.plot(calibration))[:3]
     ['distribution/identify', 'distribution/report', 'errors/identify']
     """
     if isinstance(result, Calibration):

@@ -109,7 +109,24 @@ def new_figure(title: str, x: str = "", y: str = "", height: int = 360, **layout
 
 
 def dark(figure: Figure) -> Figure:
-    """The same figure in the dark colours, for a dark notebook or page."""
+    """The same figure in the dark colours, for a dark notebook or page.
+
+    Parameters
+    ----------
+    figure : Figure
+        of a report
+
+    Returns
+    -------
+    Figure
+        another figure
+
+    Examples
+    --------
+    >>> figure = casadical.plot(calibration, "errors/report")
+    >>> len(casadical.report.dark(figure).data) == len(figure.data)
+    True
+    """
     text = figure.to_json()
     for light, its_dark in DARK.items():
         text = text.replace(light, its_dark)

@@ -34,9 +34,60 @@ SMALLEST_GEAR = 0.05
 class Robot(Arm):
     """An arm with its model and its parameters.
 
-    effects, effect_values : what was added to the base model (see `with_effect`)
-    notes : what a reader of results must know (assumed masses, sources)
-    knowledge : how well the values are known, and on what range they were learnt
+    Parameters
+    ----------
+    name : str
+        as reports call it
+    joints : tuple[Joint, ...]
+        from the base to the flange
+    base : Placement, optional
+        base frame in the measuring frame
+    tool : Placement, optional
+        measured point in the flange frame
+    loops : tuple[FourBar, ...], default ()
+        closed loops that drive a joint
+    gravity : Array, shape (3,) [m/s^2], optional
+    gravity_frame : {"measuring", "base"}, default "measuring"
+        frame in which gravity is given
+    payload : Body, optional
+        declared load in the flange frame; None: none
+    widths : Mapping[str, Width], optional
+        bounds and priors of groups of parameters
+    body_width : BodyWidth, optional
+        one sigma of declared masses and mass centres
+    tool_name : str, default ""
+        name of the measured point, where there are several
+    targets : tuple[Target, ...], default ()
+        further measured points on the flange
+    effects : tuple[Effect, ...], default ()
+        what was added to the base model, see `with_effect`
+    effect_values : Mapping[str, float], optional
+        parameter name -> value [SI] of those effects
+    notes : tuple[str, ...], default ()
+        what a reader of results must know (assumed masses, sources)
+    knowledge : Knowledge, optional
+        how well the values are known, and on what range they were learnt
+
+    Raises
+    ------
+    InputError
+        parts that do not fit each other, with the joint and the value
+
+    Examples
+    --------
+    >>> arm = casadical.Robot("two links", (casadical.Joint(), casadical.Joint(a=0.4)))
+    >>> arm = arm.with_values({"a1": 0.401})
+    >>> arm.position([0, 0], arm.parameters.values).full().ravel()
+    array([0.401, 0.   , 0.   ])
+    >>> from casadical.effects import find_effect
+    >>> loose = arm.with_effect(find_effect("joint_scale")(2))
+    >>> loose.effects_in_words
+    'joint_scale@2 (k 0 rad/rad)'
+    >>> loose.with_only([]).effects
+    ()
+    >>> values = arm.values_of(arm.with_values({"a1": 0.402}))
+    >>> float(values[arm.parameters.index_of("a1")])
+    0.402
     """
 
     effects: tuple[Effect, ...] = ()
@@ -142,7 +193,18 @@ class Robot(Arm):
         return self.model.at_declared("torque", ("tau",))
 
     def with_effect(self, *effects: Effect) -> Robot:
-        """A robot whose model holds these effects too."""
+        """A robot whose model holds these effects too.
+
+        Parameters
+        ----------
+        *effects : Effect
+            effects that are added
+
+        Returns
+        -------
+        Robot
+            a robot with further parameters, by default zero
+        """
         return replace(self, effects=(*self.effects, *effects))
 
     @property
@@ -156,7 +218,18 @@ class Robot(Arm):
         return ", ".join(texts)
 
     def with_only(self, effects: Iterable[Effect]) -> Robot:
-        """A robot whose model holds only these of its effects."""
+        """A robot whose model holds only these of its effects.
+
+        Parameters
+        ----------
+        effects : Iterable[Effect]
+            those of this robot's effects that stay
+
+        Returns
+        -------
+        Robot
+            a robot without the others
+        """
         kept = tuple(effects)
         gone = {p.name for e in self.effects if e not in kept for p in e.parameters()}
         values = {name: value for name, value in self.effect_values.items() if name not in gone}
@@ -164,7 +237,23 @@ class Robot(Arm):
         return replace(self, effects=kept, effect_values=values, knowledge=known)
 
     def with_values(self, values: Mapping[str, float]) -> Robot:
-        """A robot whose nominal values are these, by parameter name [SI]; `knowledge` of the former ones is dropped."""
+        """A robot whose nominal values are these, by parameter name [SI]; `knowledge` of the former ones is dropped.
+
+        Parameters
+        ----------
+        values : Mapping[str, float]
+            parameter name -> nominal value [SI]
+
+        Returns
+        -------
+        Robot
+            a robot with these values
+
+        Raises
+        ------
+        InputError
+            no such parameter, or a value that is not finite
+        """
         for name in values:
             self.parameters.index_of(name)
         v = {p.name: float(values.get(p.name, p.value)) for p in self.parameters}
@@ -181,7 +270,18 @@ class Robot(Arm):
         )
 
     def values_of(self, other: Robot) -> Array:
-        """Parameters of this robot, shape (P,) [SI], that make it the other one, whose base may stand elsewhere."""
+        """Parameters of this robot, shape (P,) [SI], that make it the other one, whose base may stand elsewhere.
+
+        Parameters
+        ----------
+        other : Robot
+            a robot of the same structure
+
+        Returns
+        -------
+        Array, shape (P,) [SI]
+            values in the order of `parameters`
+        """
         values = dict(zip(other.parameters.names, other.parameters.values, strict=True))
         moved = np.linalg.solve(self.base.T, other.base.T)
         turn = (np.arctan2(-moved[1, 2], moved[2, 2]), np.arcsin(moved[0, 2]), np.arctan2(-moved[0, 1], moved[0, 0]))

@@ -272,9 +272,29 @@ def _moved(body: Body, T: Array) -> Body:
 def read_robot(path: str | Path, effects: Sequence[type[Effect]] = ()) -> Robot:
     """A robot from its TOML file, with its effects and what is known of their values.
 
-    effects : classes of your own, besides those that are installed (see `casadical.effects.find_effect`); a file runs
-    no other code
-    Raises InputError that names the file, the key, the value and what is allowed.
+    Parameters
+    ----------
+    path : str | Path
+        robot file
+    effects : Sequence[type[Effect]], default ()
+        classes of your own, besides those that are installed (see `casadical.effects.find_effect`); a file runs no
+        other code
+
+    Returns
+    -------
+    Robot
+        the nominal robot, or a calibrated one, effects and what is known of their values included
+
+    Raises
+    ------
+    InputError
+        a file that is no robot; it names the file, the key, the value and what is allowed
+
+    Examples
+    --------
+    >>> arm = casadical.read_robot("problems/planar/robot.toml")
+    >>> arm.n, arm.name
+    (2, 'Planar arm of two links')
     """
     path = Path(path)
     return robot_from(load_toml(path), path.name, effects)
@@ -321,8 +341,27 @@ def with_tools(robot: Robot, tools: Sequence[ToolTable]) -> Robot:
 def write_robot(robot: Robot, path: str | Path, comment: str = "", effects: Sequence[type[Effect]] = ()) -> None:
     """Write a robot as TOML that `read_robot` reads again; the file appears whole or not at all.
 
-    effects : classes of your own, as of `read_robot`
-    Raises InputError for an effect that is not installed, and so could not be read again.
+    Parameters
+    ----------
+    robot : Robot
+        the robot
+    path : str | Path
+        file to write; one that is there is replaced
+    comment : str, default ""
+        text of the comment at the file's head
+    effects : Sequence[type[Effect]], default ()
+        classes of your own, as of `read_robot`
+
+    Raises
+    ------
+    InputError
+        an effect that is not installed, and so could not be read again
+
+    Examples
+    --------
+    >>> casadical.write_robot(found.robot, "calibrated.toml", "after the crash of May")
+    >>> bool(casadical.read_robot("calibrated.toml").parameters["a1"].value == found.robot.parameters["a1"].value)
+    True
     """
     write_whole(Path(path), to_toml(robot, comment, effects))
 

@@ -29,9 +29,40 @@ def campaign(
 ) -> pd.DataFrame:
     """Measure ``n`` poses of the robot as built ``plant``; the same seed gives the same table.
 
-    hidden : what else the robot or the instrument has; all else as in ``synthetic.campaigns.simulate``
+    Parameters
+    ----------
+    plant : Plant
+        the robot as built
+    hidden : Sequence[Hidden]
+        its effects
+    n : int
+        number of poses
+    seed : int
+        what everything drawn follows from
+    repeatability_urad : float, default REPEATABILITY_URAD
+        one sigma of each joint about its reading [urad]
+    **options : Unpack[Options]
+        as of `casadical.blind_check.synthetic.campaigns.simulate`
 
-    Raises InputError when an argument is not usable or MuJoCo is missing.
+    Returns
+    -------
+    DataFrame
+        columns of a campaign
+
+    Raises
+    ------
+    InputError
+        when an argument is not usable or MuJoCo is missing
+
+    Examples
+    --------
+    >>> import json
+    >>> from pathlib import Path
+    >>> from casadical.blind_check.mujoco_physics import campaign
+    >>> from casadical.blind_check.numpy_physics import Plant
+    >>> plant = Plant.from_dict(json.loads(Path("data/campaigns/robots/ur10e.json").read_text()))
+    >>> len(campaign(plant, (), 3, seed=1))
+    3
     """
     return simulate(_machine(plant, hidden), n, seed, repeatability_urad=repeatability_urad, **options)
 
@@ -48,10 +79,43 @@ def measure(
 ) -> pd.DataFrame:
     """Measure given poses: the table ``readings`` with the positions of the reflector.
 
-    readings : one row a pose, with q1_deg..q6_deg; where they are missing, time_s is 30 s a pose, temperature_degC 20
-        throughout, payload_kg the robot's, approach1..6 1; all else as in ``campaign``
+    Parameters
+    ----------
+    plant : Plant
+        the robot as built
+    hidden : Sequence[Hidden]
+        its effects
+    readings : DataFrame
+        table of a campaign without positions
+    seed : int
+        what everything drawn follows from
+    noise_mm : float, default 0.02
+        one sigma of each measured coordinate [mm]
+    repeatability_urad : float, default REPEATABILITY_URAD
+        one sigma of each joint about its reading [urad]
+    truth : bool, default False
+        whether true positions are added
 
-    Raises InputError when a reading is missing.
+    Returns
+    -------
+    DataFrame
+        the table with positions
+
+    Raises
+    ------
+    InputError
+        when a reading is missing
+
+    Examples
+    --------
+    >>> import json
+    >>> from pathlib import Path
+    >>> from casadical.blind_check.mujoco_physics import campaign, measure
+    >>> from casadical.blind_check.numpy_physics import Plant
+    >>> plant = Plant.from_dict(json.loads(Path("data/campaigns/robots/ur10e.json").read_text()))
+    >>> readings = campaign(plant, (), 3, seed=1).drop(columns=["x_mm", "y_mm", "z_mm"])
+    >>> measure(plant, (), readings, seed=2).shape
+    (3, 19)
     """
     machine = _machine(plant, hidden)
     return simulate_readings(
@@ -62,7 +126,37 @@ def measure(
 def positions(plant: Plant, hidden: Sequence[Hidden], stops: Stops, jitter: Array | float = 0.0) -> Array:
     """Where the tracker sees the reflector without noise, (n, 3) [m]; ``jitter`` (n, 6) [rad] adds to the readings.
 
-    Raises ConvergenceError where the engine finds no rest.
+    Parameters
+    ----------
+    plant : Plant
+        the robot as built
+    hidden : Sequence[Hidden]
+        its effects
+    stops : Stops
+        readings and circumstances
+    jitter : Array | float, shape (n, 6) [rad], default 0.0
+        errors of the joints
+
+    Returns
+    -------
+    Array, shape (n, 3) [m]
+
+    Raises
+    ------
+    ConvergenceError
+        where the engine finds no rest
+
+    Examples
+    --------
+    >>> import json
+    >>> from pathlib import Path
+    >>> from casadical.blind_check.mujoco_physics import positions
+    >>> from casadical.blind_check.numpy_physics import Plant
+    >>> from casadical.blind_check.synthetic.stops import Stops
+    >>> plant = Plant.from_dict(json.loads(Path("data/campaigns/robots/ur10e.json").read_text()))
+    >>> stops = Stops(np.full((1, 6), 0.3), np.zeros(1), np.zeros(1), np.zeros(1), np.ones((1, 6)))
+    >>> positions(plant, (), stops).shape
+    (1, 3)
     """
     acting = causes(hidden)
     built, factor = mechanism(plant), 1.0

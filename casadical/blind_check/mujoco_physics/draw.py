@@ -24,7 +24,38 @@ def draw_hidden(plant: Plant, kind: Kind, rng: np.random.Generator, *, poses: in
     """No effect, one, two or three different listed ones, or one that is on no list.
 
     Sizes scatter by about a factor of two about what is usual. Steps in time fall into the middle of a campaign of
-    ``poses`` poses. Raises InputError for an unknown kind.
+    ``poses`` poses.
+
+    Parameters
+    ----------
+    plant : Plant
+        the robot as built
+    kind : Kind
+        how many effects, and whether they are listed
+    rng : np.random.Generator
+        what everything drawn follows from
+    poses : int, default 100
+        of the campaign
+
+    Returns
+    -------
+    tuple[Hidden, ...]
+        the effects
+
+    Raises
+    ------
+    InputError
+        an unknown kind
+
+    Examples
+    --------
+    >>> import json
+    >>> from pathlib import Path
+    >>> from casadical.blind_check.mujoco_physics import draw_hidden
+    >>> from casadical.blind_check.numpy_physics import Plant
+    >>> plant = Plant.from_dict(json.loads(Path("data/campaigns/robots/ur10e.json").read_text()))
+    >>> draw_hidden(plant, "none", np.random.default_rng(1))
+    ()
     """
     if kind not in _COUNT:
         raise InputError(f"kind {kind!r} is unknown; it must be one of {', '.join(get_args(Kind))}")
@@ -34,7 +65,39 @@ def draw_hidden(plant: Plant, kind: Kind, rng: np.random.Generator, *, poses: in
 
 
 def draw_effect(plant: Plant, effect: str, rng: np.random.Generator, *, poses: int = 100) -> Hidden:
-    """One effect by its name, its joint and sizes at random. Raises InputError for an unknown name."""
+    """One effect by its name, its joint and sizes at random.
+
+    Parameters
+    ----------
+    plant : Plant
+        the robot as built
+    effect : str
+        a word of `LISTED` or `UNLISTED`
+    rng : np.random.Generator
+        what everything drawn follows from
+    poses : int, default 100
+        of the campaign
+
+    Returns
+    -------
+    Hidden
+        the effect
+
+    Raises
+    ------
+    InputError
+        an unknown name
+
+    Examples
+    --------
+    >>> import json
+    >>> from pathlib import Path
+    >>> from casadical.blind_check.mujoco_physics import draw_effect
+    >>> from casadical.blind_check.numpy_physics import Plant
+    >>> plant = Plant.from_dict(json.loads(Path("data/campaigns/robots/ur10e.json").read_text()))
+    >>> draw_effect(plant, "payload_error", np.random.default_rng(1)).label
+    'payload_error'
+    """
     if effect not in {**LISTED, **UNLISTED}:
         raise InputError(f"effect {effect!r} is unknown; there are {', '.join([*LISTED, *UNLISTED])}")
     joint = _joint(plant, effect, rng)

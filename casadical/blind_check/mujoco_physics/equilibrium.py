@@ -27,6 +27,21 @@ class Setting:
     """Something that is not at one pose as it was built: a body or a mark shifted (3,) [m] or turned (3,) [rad].
 
     Bodies are shifted and turned in their parent's frame, before their joints; marks in their body's frame.
+
+    Parameters
+    ----------
+    kind : {"shift", "turn", "mark"}
+        what is set
+    name : str
+        of the body or mark
+    value : Array
+        shift (3,) [m], turn (3,) [rad] or place (3,) [m]
+
+    Examples
+    --------
+    >>> from casadical.blind_check.mujoco_physics import Setting
+    >>> Setting("shift", "link2", np.zeros(3)).kind
+    'shift'
     """
 
     kind: Literal["shift", "turn", "mark"]
@@ -55,8 +70,34 @@ class Stop:
 class Engine:
     """A mechanism compiled by MuJoCo, that can be brought to rest at one pose after the other.
 
-    ``travels`` makes the engine move to every pose from the side it is approached from, which only friction and play
-    need. ``factor`` is the true over the declared mass of the payload. Raises InputError when MuJoCo is missing.
+    Parameters
+    ----------
+    mechanism : Mechanism
+        the robot as built, effects included
+    travels : bool, default False
+        whether it moves to every pose from the side it is approached from, which only friction and play need
+    factor : float, default 1.0
+        true over declared mass of the payload
+
+    Raises
+    ------
+    InputError
+        MuJoCo is missing
+
+    Examples
+    --------
+    >>> from casadical.blind_check.mujoco_physics import Engine, Stop, mechanism
+    >>> from casadical.blind_check.mujoco_physics.robot import start
+    >>> import json
+    >>> from pathlib import Path
+    >>> from casadical.blind_check.numpy_physics import Plant
+    >>> plant = Plant.from_dict(json.loads(Path("data/campaigns/robots/ur10e.json").read_text()))
+    >>> engine = Engine(mechanism(plant))
+    >>> q = np.full(6, 0.3)
+    >>> engine.rest(Stop(q, np.ones(6), start(plant, q), 5.0)).shape
+    (3,)
+    >>> abs(engine.coordinate("joint1") - 0.3) < 1e-2
+    True
     """
 
     def __init__(self, mechanism: Mechanism, *, travels: bool = False, factor: float = 1.0) -> None:
@@ -80,9 +121,21 @@ class Engine:
         self._built = {name: getattr(m, name).copy() for name in names}
 
     def rest(self, stop: Stop) -> Array:
-        """The reflector (3,) [m] as the tracker sees it when all has come to rest.
+        """The reflector as the tracker sees it when all has come to rest.
 
-        Raises ConvergenceError when it does not within some thousand steps.
+        Parameters
+        ----------
+        stop : Stop
+            readings, payload and where to start
+
+        Returns
+        -------
+        Array, shape (3,) [m]
+
+        Raises
+        ------
+        ConvergenceError
+            it does not come to rest within some thousand steps
         """
         self._arrange(stop)
         if self.travels:
@@ -94,7 +147,18 @@ class Engine:
         return np.array(self.data.sensor("measured").data)
 
     def coordinate(self, joint: str) -> float:
-        """The coordinate of a joint now [rad or m]."""
+        """The coordinate of a joint now.
+
+        Parameters
+        ----------
+        joint : str
+            name
+
+        Returns
+        -------
+        float
+            [rad or m]
+        """
         return float(self.data.qpos[self._row[joint]])
 
     def _arrange(self, stop: Stop) -> None:

@@ -49,7 +49,23 @@ UNLISTED: Mapping[str, type[Cause]] = {
 
 @dataclass(frozen=True)
 class Hidden:
-    """One hidden effect: its name, the joint (1-based) it sits in or None, and everything else about it in SI units."""
+    """One hidden effect.
+
+    Parameters
+    ----------
+    effect : str
+        its name
+    joint : int | None
+        the joint it sits in, 1-based; None: none
+    size : Mapping[str, Any]
+        everything else about it [SI]
+
+    Examples
+    --------
+    >>> from casadical.blind_check.mujoco_physics import Hidden
+    >>> Hidden("backlash", 5, {"gap_rad": 1e-4}).label
+    'backlash@5'
+    """
 
     effect: str
     joint: int | None

@@ -98,7 +98,37 @@ class Shaft:
 
 @dataclass(frozen=True)
 class Mechanism:
-    """Bodies, parents before their children, and what connects them besides their joints."""
+    """Bodies, and what connects them besides their joints.
+
+    Parameters
+    ----------
+    bodies : tuple[Body, ...]
+        parents before their children
+    loops : tuple[Loop, ...], default ()
+        ball joints that close them
+    cords : tuple[Cord, ...], default ()
+        springs between two bodies
+    shafts : tuple[Shaft, ...], default ()
+        couplings between joints
+
+    Examples
+    --------
+    >>> import json
+    >>> from pathlib import Path
+    >>> from dataclasses import replace
+    >>> from casadical.blind_check.mujoco_physics import Body, mechanism
+    >>> from casadical.blind_check.numpy_physics import Plant
+    >>> arm = mechanism(Plant.from_dict(json.loads(Path("data/campaigns/robots/ur10e.json").read_text())))
+    >>> arm.body("link2").mass == arm.holder("joint2").mass, arm.joint("joint2").motor
+    (np.True_, 2)
+    >>> heavier = arm.with_body(replace(arm.body("link2"), mass=20.0))
+    >>> softer = arm.with_joint(replace(arm.joint("joint2"), stiffness=1e5))
+    >>> hinge = replace(arm.joint("joint2"), name="play", motor=0)
+    >>> [j.name for j in arm.with_more("joint2", after=(hinge,)).holder("play").joints]
+    ['joint2', 'play']
+    >>> len(arm.with_body_after("link2", Body("tip", "link2", np.eye(4))).bodies) - len(arm.bodies)
+    1
+    """
 
     bodies: tuple[Body, ...]
     loops: tuple[Loop, ...] = ()
@@ -106,14 +136,46 @@ class Mechanism:
     shafts: tuple[Shaft, ...] = ()
 
     def body(self, name: str) -> Body:
-        """The body of that name. Raises InputError if there is none."""
+        """The body of that name.
+
+        Parameters
+        ----------
+        name : str
+            of the body
+
+        Returns
+        -------
+        Body
+            a body
+
+        Raises
+        ------
+        InputError
+            there is none; those that there are
+        """
         for body in self.bodies:
             if body.name == name:
                 return body
         raise InputError(f"no body {name!r}; there are {', '.join(b.name for b in self.bodies)}")
 
     def holder(self, joint: str) -> Body:
-        """The body that has the joint of that name. Raises InputError if none has."""
+        """The body that has the joint of that name.
+
+        Parameters
+        ----------
+        joint : str
+            name
+
+        Returns
+        -------
+        Body
+            a body
+
+        Raises
+        ------
+        InputError
+            none has it; the joints that there are
+        """
         for body in self.bodies:
             if any(j.name == joint for j in body.joints):
                 return body
@@ -121,23 +183,76 @@ class Mechanism:
         raise InputError(f"no joint {joint!r}; there are {', '.join(names)}")
 
     def joint(self, name: str) -> Joint:
-        """The joint of that name; InputError when there is none."""
+        """The joint of that name.
+
+        Parameters
+        ----------
+        name : str
+            of the joint
+
+        Returns
+        -------
+        Joint
+            a joint
+
+        Raises
+        ------
+        InputError
+            there is none
+        """
         return next(j for j in self.holder(name).joints if j.name == name)
 
     def with_body(self, changed: Body) -> Self:
-        """The same with the body of that name replaced."""
+        """The same with the body of that name replaced.
+
+        Parameters
+        ----------
+        changed : Body
+            takes the place of the body of its name
+
+        Returns
+        -------
+        Self
+            another mechanism
+        """
         self.body(changed.name)
         return replace(self, bodies=tuple(changed if b.name == changed.name else b for b in self.bodies))
 
     def with_joint(self, changed: Joint) -> Self:
-        """The same with the joint of that name replaced."""
+        """The same with the joint of that name replaced.
+
+        Parameters
+        ----------
+        changed : Joint
+            takes the place of the joint of its name
+
+        Returns
+        -------
+        Self
+            another mechanism
+        """
         body = self.holder(changed.name)
         return self.with_body(
             replace(body, joints=tuple(changed if j.name == changed.name else j for j in body.joints))
         )
 
     def with_more(self, joint: str, *, before: tuple[Joint, ...] = (), after: tuple[Joint, ...] = ()) -> Self:
-        """The same with more joints around the joint of that name, in the same body."""
+        """The same with more joints around the joint of that name, in the same body.
+
+        Parameters
+        ----------
+        joint : str
+            name
+        before : tuple[Joint, ...], default ()
+            joints between the parent and this one
+        after : tuple[Joint, ...], default ()
+            joints behind it
+
+        Returns
+        -------
+        Self
+            another mechanism
+        """
         body = self.holder(joint)
         k = [j.name for j in body.joints].index(joint)
         return self.with_body(
@@ -145,7 +260,20 @@ class Mechanism:
         )
 
     def with_body_after(self, name: str, new: Body) -> Self:
-        """The same with ``new`` on the body ``name`` and everything that this one carried on ``new``, where it was."""
+        """The same with ``new`` on the body ``name`` and everything that this one carried on ``new``, where it was.
+
+        Parameters
+        ----------
+        name : str
+            of the body that carries it
+        new : Body
+            further body
+
+        Returns
+        -------
+        Self
+            another mechanism
+        """
         self.body(name)
         bodies: list[Body] = []
         for body in self.bodies:

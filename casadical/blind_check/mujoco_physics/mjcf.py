@@ -17,6 +17,25 @@ def mjcf(mechanism: Mechanism) -> str:
     Loops are equality constraints between sites, motors the rests of joint springs (``qpos_spring`` and
     ``tendon_lengthspring``, which the model keeps at ``ref``). The body ``tracker`` stands at the world's origin, and
     a sensor gives the site ``reflector`` in its frame.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        the robot as built
+
+    Returns
+    -------
+    str
+        XML
+
+    Examples
+    --------
+    >>> import json
+    >>> from pathlib import Path
+    >>> from casadical.blind_check.mujoco_physics import mechanism, mjcf
+    >>> from casadical.blind_check.numpy_physics import Plant
+    >>> mjcf(mechanism(Plant.from_dict(json.loads(Path("data/campaigns/robots/ur10e.json").read_text()))))[:7]
+    '<mujoco'
     """
     stiff = f"{2 * STEP!r} 1"
     # The solver's tolerance is in units of the mean inertia, which is large here: any but 0 would end it too early.

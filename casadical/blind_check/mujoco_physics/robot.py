@@ -21,6 +21,25 @@ def mechanism(plant: Plant) -> Mechanism:
     A four-bar adds the bodies ``crank`` (turned by ``joint3`` on the axis of joint 2) and ``coupler``, and the free
     hinge ``elbow`` between links 2 and 3; the coupler ends in a ball joint on link 3. It is drawn in the middle of the
     joint ranges.
+
+    Parameters
+    ----------
+    plant : Plant
+        the robot as built
+
+    Returns
+    -------
+    Mechanism
+        its bodies and joints
+
+    Examples
+    --------
+    >>> import json
+    >>> from pathlib import Path
+    >>> from casadical.blind_check.mujoco_physics import mechanism
+    >>> from casadical.blind_check.numpy_physics import Plant
+    >>> len(mechanism(Plant.from_dict(json.loads(Path("data/campaigns/robots/ur10e.json").read_text()))).bodies)
+    9
     """
     middle = np.mean(plant.ranges, 1)
     bodies = [Body("pedestal", "world", plant.base)]

@@ -21,11 +21,32 @@ _SIZES = {"size", "oval", "shift_m", "turn_rad", "share", "gradient_K_per_m"}
 def draw_disturbance(effect: str, seed: int, *, joint: int | None = None, scale: float = 1.0) -> Disturbance:
     """The effect with 0.7 to 1.5 times its usual size, times ``scale``, and everything else at random.
 
-    effect : a word of ``disturbances.LISTED`` or ``disturbances.UNLISTED``
-    seed : everything drawn follows from it
-    joint : 1 to 6, for an effect that sits in a joint; a coupling comes from the joint before it
+    Parameters
+    ----------
+    effect : str
+        a word of ``disturbances.LISTED`` or ``disturbances.UNLISTED``
+    seed : int
+        everything drawn follows from it
+    joint : int, optional
+        1 to 6, for an effect that sits in a joint; a coupling comes from the joint before it
+    scale : float, default 1.0
+        factor on its usual size
 
-    Raises InputError for an unknown effect, or when a joint is missing or out of place.
+    Returns
+    -------
+    Disturbance
+        the effect
+
+    Raises
+    ------
+    InputError
+        an unknown effect, or a joint that is missing or out of place
+
+    Examples
+    --------
+    >>> from casadical.blind_check.numpy_physics import draw_disturbance
+    >>> draw_disturbance("backlash", seed=1, joint=5).joint
+    5
     """
     kind = (LISTED | UNLISTED).get(effect)
     if kind is None:

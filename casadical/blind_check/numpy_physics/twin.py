@@ -82,7 +82,24 @@ def hh800_nominal() -> Plant:
 
 
 def hh800_true(robot_seed: int = ROBOT_SEED) -> Plant:
-    """The twin's true robot: errors in every link that leave about 4.5 mm once base and tool frames are fitted."""
+    """The twin's true robot: errors in every link that leave about 4.5 mm once base and tool frames are fitted.
+
+    Parameters
+    ----------
+    robot_seed : int, default ROBOT_SEED
+        of its errors
+
+    Returns
+    -------
+    Plant
+        the robot as built
+
+    Examples
+    --------
+    >>> from casadical.blind_check.numpy_physics import hh800_true
+    >>> hh800_true().payload_kg
+    300.0
+    """
     robot = perturb(hh800_nominal(), robot_seed, length_mm=0.84, angle_mrad=0.593)
     return replace(robot, stiffness=TRUE_STIFFNESS)
 
@@ -96,6 +113,27 @@ def hh800_twin(
     starts (2 K are left to rise), the payload of 300 kg stays. Another ``seed`` is another experiment on the same
     robot; ``disturbances=()`` is a twin that the model describes exactly, except the compliance of joints 1 and 6.
     ``truth`` as in ``campaign``.
+
+    Parameters
+    ----------
+    seed : int, default SEED
+        of the experiment
+    disturbances : Sequence[Disturbance], default UNMODELLED
+        what the model does not contain; ``()`` for a twin that it describes exactly, except the compliance of joints
+        1 and 6
+    truth : bool, default False
+        whether true positions are added, as in ``campaign``
+
+    Returns
+    -------
+    DataFrame
+        columns of a campaign, and ``set``
+
+    Examples
+    --------
+    >>> from casadical.blind_check.numpy_physics import hh800_twin
+    >>> sorted(set(hh800_twin()["set"]))
+    ['choose', 'identify', 'report', 'train']
     """
     plant = hh800_true()
     rng, limits = np.random.default_rng([seed, 7]), unfolded(hh800_nominal())

@@ -105,19 +105,52 @@ def simulate(
 
     Poses, circumstances and noise do not depend on the effects: the same campaign without them is their absence.
 
-    n, seed : number of poses, and what everything drawn follows from
-    repeatability_urad : standard deviation of each joint about its reading
-    noise_mm : standard deviation of each measured coordinate
-    payload_states : declared payloads [kg], in alternating blocks; by default none and the plant's
-    warmup : the arm's temperature; by default 7 K in some 35 minutes
-    approach : direction of each joint's last motion, random or (``"motion"``) as it follows from the order of the poses
-    q_deg : readings (n, 6) to take instead of drawing them from ``ranges_deg`` (6, 2), by default the plant's
-    crank_distance_m : limits of the loop's crank distance; by default a quarter of the rocker away from the folds
-    truth : add x_true_mm, y_true_mm, z_true_mm: no noise, joints exactly repeated, and the instrument right
-
     Returns a DataFrame with pose, time_s, temperature_degC, payload_kg, approach1..6, q1_deg..q6_deg, x_mm, y_mm, z_mm.
 
-    Raises InputError when an argument is not usable or no pose keeps the loop's limits.
+    Parameters
+    ----------
+    machine : Machine
+        the robot as built, with its effects
+    n : int
+        number of poses
+    seed : int
+        what everything drawn follows from
+    repeatability_urad : float
+        one sigma of each joint about its reading [urad]
+    noise_mm : float, default 0.02
+        one sigma of each measured coordinate [mm]
+    payload_states : Sequence[float], optional
+        declared payloads [kg], in alternating blocks; by default none and the plant's
+    warmup : Warmup, optional
+        the arm's temperature; by default 7 K in some 35 minutes
+    approach : {"chance", "motion"}, default "chance"
+        direction of each joint's last motion, random or (``"motion"``) as it follows from the order of the poses
+    q_deg : Array, shape (n, 6) [deg], optional
+        readings to take instead of drawing them
+    ranges_deg : Array, shape (6, 2) [deg], optional
+        between which readings are drawn; None: the plant's
+    crank_distance_m : tuple[float, float], optional
+        limits of the loop's crank distance [m]; None: a quarter of the rocker away from the folds
+    truth : bool, default False
+        add x_true_mm, y_true_mm, z_true_mm: no noise, joints exactly repeated, and the instrument right
+
+    Returns
+    -------
+    DataFrame
+        columns pose, time_s, temperature_degC, payload_kg, approach1..6, q1_deg..q6_deg, x_mm, y_mm, z_mm
+
+    Raises
+    ------
+    InputError
+        an argument is not usable, or no pose keeps the loop's limits
+
+    Examples
+    --------
+    >>> from casadical.blind_check.numpy_physics import HH800, Plant
+    >>> from casadical.blind_check.synthetic.campaigns import Machine, simulate
+    >>> still = Machine(Plant.from_dict(HH800), lambda stops, errors: np.zeros((len(stops), 3)), (), 6)
+    >>> simulate(still, 4, 1, repeatability_urad=8.0).shape
+    (4, 19)
     """
     if n < 1:
         raise InputError(f"n is {n}; a campaign needs at least 1 pose")

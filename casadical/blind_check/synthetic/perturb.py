@@ -20,12 +20,33 @@ def perturb(
 ) -> Plant:
     """The robot with generic errors: all six of every link, not only those that DH rows name.
 
-    plant : the nominal robot
-    seed : everything drawn follows from it
-    length_mm, angle_mrad : standard deviations of each coordinate of a link's error (of the bars and the crank, too)
-    base : greatest shift [m] and turn [deg] of the robot's base against the measuring frame
-    tool_mm : standard deviation of each coordinate of the reflector's error
-    stiffness_spread : standard deviation of the logarithm of the joint stiffnesses
+    Parameters
+    ----------
+    plant : Plant
+        the nominal robot
+    seed : int
+        everything drawn follows from it
+    length_mm : float, default 0.3
+        one sigma of each coordinate of a link's error, of the bars and the crank too [mm]
+    angle_mrad : float, default 0.3
+        one sigma of each angle of a link's error [mrad]
+    base : tuple[float, float], optional
+        greatest shift [m] and turn [deg] of the robot's base against the measuring frame
+    tool_mm : float, default 1.0
+        one sigma of each coordinate of the reflector's error [mm]
+    stiffness_spread : float, default 0.4
+        standard deviation of the logarithm of the joint stiffnesses
+
+    Returns
+    -------
+    Plant
+        the robot as built
+
+    Examples
+    --------
+    >>> from casadical.blind_check.numpy_physics import HH800, Plant, perturb
+    >>> perturb(Plant.from_dict(HH800), seed=1).name
+    'hh800'
     """
     links, bars, place, tool, spring = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(5))
     wrong = motion(links.normal(0, angle_mrad * 1e-3, (6, 3)), links.normal(0, length_mm * 1e-3, (6, 3)), np.zeros(3))

@@ -21,8 +21,24 @@ _KEYS = ("name", "modified_dh", "tool_m", "mass_kg", "com_m", "payload", "stiffn
 class FourBar:
     """A planar loop that drives joint 3: ground bar = link 2, crank on the axis of joint 2, coupler, rocker on link 3.
 
-    Lengths [m]; ``crank_zero_rad`` is added to the reading of joint 3, ``passive_offset_rad`` to the rocker's direction
-    in link 2 to give the passive angle of link 3.
+    Parameters
+    ----------
+    crank_m : float
+        length [m]
+    coupler_m : float
+        length [m]
+    rocker_m : float
+        length [m]
+    crank_zero_rad : float, default 0.0
+        added to the reading of joint 3 [rad]
+    passive_offset_rad : float, optional
+        added to the rocker's direction in link 2, which gives the passive angle of link 3 [rad]
+
+    Examples
+    --------
+    >>> from casadical.blind_check.numpy_physics import FourBar
+    >>> FourBar(crank_m=0.4, coupler_m=1.2, rocker_m=0.4).crank_m
+    0.4
     """
 
     crank_m: float
@@ -36,14 +52,39 @@ class FourBar:
 class Plant:
     """A six-axis robot at zero readings, in SI units.
 
-    home : array (6, 4, 4), frame of every link in the robot's base at zero readings; joint i turns about its z axis
-    reflector : array (3,), reflector in frame 6 [m]
-    mass, com : arrays (6,) [kg] and (6, 3) [m], mass centres in the link frames
-    payload_kg, payload_com : declared payload [kg] and its mass centre in frame 6 [m]
-    payload_factor : true mass of the payload over the declared one
-    stiffness : array (6,) [N m/rad], of the actuated joints (joint 3: the crank, where there is a four-bar)
-    ranges : array (6, 2), joint ranges [rad]
-    base : array (4, 4), the robot's base in the measuring frame; gravity is along its -z
+    Parameters
+    ----------
+    name : str
+        of the robot
+    home : Array, shape (6, 4, 4) [m]
+        frame of every link in the robot's base at zero readings; joint i turns about its z axis
+    reflector : Array, shape (3,) [m]
+        in frame 6
+    mass : Array, shape (6,) [kg]
+        of the links
+    com : Array, shape (6, 3) [m]
+        mass centres in the link frames
+    payload_kg : float
+        declared payload [kg]
+    payload_com : Array, shape (3,) [m]
+        its mass centre in frame 6
+    stiffness : Array, shape (6,) [N m/rad]
+        of the actuated joints (joint 3: the crank, where there is a four-bar)
+    ranges : Array, shape (6, 2) [rad]
+        joint ranges
+    base : Array, shape (4, 4) [m]
+        the robot's base in the measuring frame; gravity is along its -z
+    four_bar : FourBar, optional
+        loop that drives joint 3; None: none
+    payload_factor : float, default 1.0
+        true mass of the payload over the declared one
+
+    Examples
+    --------
+    >>> from casadical.blind_check.numpy_physics import HH800, Plant
+    >>> plant = Plant.from_dict(HH800)
+    >>> plant.at_home(6, plant.reflector).shape, plant.payload_kg
+    ((3,), 300.0)
     """
 
     name: str
@@ -61,9 +102,22 @@ class Plant:
 
     @classmethod
     def from_dict(cls, robot: Mapping[str, Any]) -> Self:
-        """The nominal robot of a mapping with the keys of a robots/*.json file.
+        """The nominal robot of a mapping.
 
-        Raises InputError when a key is missing or a table has the wrong shape.
+        Parameters
+        ----------
+        robot : Mapping[str, Any]
+            as the files of data/campaigns/robots
+
+        Returns
+        -------
+        Self
+            as drawn, without errors
+
+        Raises
+        ------
+        InputError
+            a key is missing, or a table has the wrong shape
         """
         for key in _KEYS:
             if key not in robot:
@@ -94,7 +148,19 @@ class Plant:
         return self.home[:, :3, 3]
 
     def at_home(self, link: int, x: Array) -> Array:
-        """Points ``x``, shape (..., 3) [m], of link frame ``link`` (1-based), in the robot's base at zero readings."""
+        """Points of a link frame, in the robot's base at zero readings.
+
+        Parameters
+        ----------
+        link : int
+            1-based
+        x : Array, shape (..., 3) [m]
+            in the link's frame
+
+        Returns
+        -------
+        Array, shape (..., 3) [m]
+        """
         placed: Array = x @ self.home[link - 1, :3, :3].T + self.home[link - 1, :3, 3]
         return placed
 

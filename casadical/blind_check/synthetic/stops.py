@@ -50,7 +50,25 @@ class Stops:
 
 @dataclass(frozen=True)
 class Warmup:
-    """The arm's temperature while it works: it rises from ``start_degC`` towards ``rise_K`` more."""
+    """The arm's temperature while it works.
+
+    Parameters
+    ----------
+    start_degC : float, default 20.0
+        at the start [degC]
+    rise_K : float, default 7.0
+        how much it rises in the end [K]
+    minutes : float, default 35.0
+        time constant [min]
+    sensor_K : float, default 0.05
+        noise of the sensor, one sigma [K]
+
+    Examples
+    --------
+    >>> from casadical.blind_check.numpy_physics import Warmup
+    >>> Warmup().course(np.array([0.0, 35 * 60.0])).round(2)
+    array([0.  , 4.42])
+    """
 
     start_degC: float = 20.0
     rise_K: float = 7.0
@@ -58,7 +76,17 @@ class Warmup:
     sensor_K: float = 0.05
 
     def course(self, time_s: Array) -> Array:
-        """Warmth (n,) [K] at the times (n,) [s]."""
+        """Warmth at times.
+
+        Parameters
+        ----------
+        time_s : Array, shape (n,) [s]
+            since the start
+
+        Returns
+        -------
+        Array, shape (n,) [K]
+        """
         rise: Array = -self.rise_K * np.expm1(-np.asarray(time_s, float) / (60.0 * self.minutes))
         return rise
 

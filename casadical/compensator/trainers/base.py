@@ -35,9 +35,27 @@ class Run(Protocol):
 class Trainer(ABC):
     """Settings of one way to train. Every trainer is one small frozen dataclass in a file of its own.
 
-    name : short name, as in tables and saved files
-    method : how problem.toml and `calibrate --method` call a network that it trains on what SKCM leaves; "" for none
-    output_scale_mm : of networks of that method, millimetres of one output unit; None: root mean square residual
+    Attributes
+    ----------
+    name
+        short name, as in tables and saved files
+    method
+        how problem.toml and `calibrate --method` call a network that it trains on what SKCM leaves; "" for none
+    output_scale_mm
+        of networks of that method, millimetres of one output unit; None: root mean square residual
+
+    Examples
+    --------
+    >>> from casadical.compensator import JointBox, Layout, known_trainers, make_task
+    >>> trainer = known_trainers()["lm"].for_method()
+    >>> trainer.name
+    'lm'
+    >>> task = make_task(Layout(2), JointBox((-3.0, -3.0), (3.0, 3.0)), poses.q, residual_mm)
+    >>> run = trainer.begin(task, seed=0)
+    >>> run.step()
+    >>> again = trainer.resume(task, 0, run.state())
+    >>> again.state() == run.state()
+    True
     """
 
     name: ClassVar[str]
@@ -46,13 +64,47 @@ class Trainer(ABC):
 
     @classmethod
     def for_method(cls) -> Self:
-        """The trainer with the settings that its method has; by default those it has anyway."""
+        """The trainer with the settings that its method has; by default those it has anyway.
+
+        Returns
+        -------
+        Self
+            with those settings
+        """
         return cls()
 
     @abstractmethod
     def begin(self, task: Task, seed: int) -> Run:
-        """Start a training."""
+        """Start a training.
+
+        Parameters
+        ----------
+        task : Task
+            the training problem
+        seed : int
+            of everything random
+
+        Returns
+        -------
+        Run
+            one training, step by step
+        """
 
     @abstractmethod
     def resume(self, task: Task, seed: int, state: dict[str, Any]) -> Run:
-        """Take a training up again from its `Run.state`; it goes on bit for bit as it would have."""
+        """Take a training up again from its `Run.state`; it goes on bit for bit as it would have.
+
+        Parameters
+        ----------
+        task : Task
+            the training problem
+        seed : int
+            of everything random
+        state : dict[str, Any]
+            as of `Run.state`
+
+        Returns
+        -------
+        Run
+            the training
+        """

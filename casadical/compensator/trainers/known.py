@@ -19,7 +19,23 @@ GROUP = "casadical.trainers"
 
 @cache
 def known_trainers() -> Mapping[str, type[Trainer]]:
-    """Every trainer by its name, those of plug-ins last. Raises InputError for a faulty plug-in."""
+    """Every trainer by its name, those of plug-ins last.
+
+    Returns
+    -------
+    Mapping[str, type[Trainer]]
+        name -> class
+
+    Raises
+    ------
+    InputError
+        a faulty plug-in
+
+    Examples
+    --------
+    >>> sorted(casadical.compensator.known_trainers())[:2]
+    ['backprop', 'iwo']
+    """
     own = (kind for kind in vars(registry).values() if isinstance(kind, type))
     found = members(GROUP, Trainer, own)  # type: ignore[type-abstract]
     methods = [kind.method for kind in found.values() if kind.method]
@@ -29,7 +45,23 @@ def known_trainers() -> Mapping[str, type[Trainer]]:
 
 
 def network_methods() -> Mapping[str, type[Trainer]]:
-    """Trainers by the method of problem.toml that each stands for. Raises InputError for a faulty plug-in."""
+    """Trainers by the method of problem.toml that each stands for.
+
+    Returns
+    -------
+    Mapping[str, type[Trainer]]
+        method -> class
+
+    Raises
+    ------
+    InputError
+        a faulty plug-in
+
+    Examples
+    --------
+    >>> "GP-NN-SKCM" in casadical.compensator.network_methods()
+    True
+    """
     return {kind.method: kind for kind in known_trainers().values() if kind.method}
 
 

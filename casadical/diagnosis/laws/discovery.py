@@ -77,13 +77,37 @@ class Round:
 class Discovery:
     """The answer to: which law is missing?
 
-    diagnosis : of the same data; rounds : each beside what was in the model before
-    case : with the laws among its candidates; laws : that were claimed; causes : listed effects beside them
-    noise : that they leave; values : of the laws' factors: (value, standard error, unit) [SI] by parameter
-    gap : mean held-out error [m] of the base model, with the diagnosis's causes, with the laws (and causes beside
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        of the same data
+    rounds : tuple[Round, ...]
+        each beside what was in the model before
+    case : Case
+        with the laws among its candidates
+    laws : tuple[Scored, ...]
+        that were claimed
+    causes : tuple[Effect, ...]
+        listed effects beside them
+    noise : Noise
+        that they leave
+    values : dict[str, tuple[float, float, str]]
+        of the laws' factors: (value, standard error, unit) [SI] by parameter
+    gap : dict[Kept, float]
+        mean held-out error [m] of the base model, with the diagnosis's causes, with the laws (and causes beside
         them), with causes and smooth forms; only those that there are
-    shrink : share by which it falls with the laws, and a 95 % interval; settings were chosen again in each fold
-    smooth : the smooth description, None without one
+    shrink : tuple[float, tuple[float, float]] | None
+        share by which it falls with the laws, and a 95 % interval; settings were chosen again in each fold
+    smooth : Unlisted | None
+        the smooth description, None without one
+
+    Examples
+    --------
+    >>> discovery = casadical.discover(found, effects=["backlash"])
+    >>> discovery.kept, discovery.laws, discovery.effects
+    ('base', (), ())
+    >>> discovery.refit().is_optimal(), discovery.apply().effects_in_words
+    (True, '')
     """
 
     diagnosis: Diagnosis
@@ -114,12 +138,29 @@ class Discovery:
         return found.get(self.kept, ())
 
     def refit(self) -> Identification:
-        """Base model and the effects that are kept identified together. Raises ConvergenceError."""
+        """Base model and the effects that are kept identified together.
+
+        Returns
+        -------
+        Identification
+            values of the laws' factors among the parameters
+
+        Raises
+        ------
+        ConvergenceError
+            Ipopt finds no optimum
+        """
         noise = self.noise if self.kept == "law" else self.diagnosis.noise
         return refit(self.case, self.effects, noise)
 
     def apply(self) -> Robot:
-        """The calibrated robot with laws or smooth forms in its model, whichever predict better."""
+        """The calibrated robot with laws or smooth forms in its model, whichever predict better.
+
+        Returns
+        -------
+        Robot
+            a robot that predicts, and can be written and exported
+        """
         return self.refit().robot
 
 
@@ -133,7 +174,33 @@ def discover(
 ) -> Discovery:
     """Diagnose a campaign and search for the law of what no listed effect explains.
 
-    robot, m, effects, seed, show : as of `diagnose`. Raises InputError as that.
+    Parameters
+    ----------
+    robot : Robot | Identification
+        as of `diagnose`
+    m : Measurements, optional
+        as of `diagnose`
+    effects : str | Sequence[str | Effect], default "standard"
+        as of `diagnose`
+    seed : int, default 0
+        as of `diagnose`
+    show : Show, optional
+        as of `diagnose`
+
+    Returns
+    -------
+    Discovery
+        laws, their rivals and what each leaves
+
+    Raises
+    ------
+    InputError
+        the measurements cannot carry a diagnosis
+
+    Examples
+    --------
+    >>> casadical.discover(found, effects=["backlash"]).kept  # neither a law nor a cause is missing
+    'base'
     """
     found = diagnose(robot, m, effects, seed=seed, show=show)
     return laws_beside(found, show)

@@ -266,7 +266,8 @@ def _every_joint(problem: Problem, linear: Linearisation, known: Collection[str]
     needed = {d: [m for n in parse(d.text).names for m in of_joint.get(n, [n])] for d in drivers}
     drivers = [d for d in drivers if all(n.startswith(("q", "tau")) or n in known for n in needed[d])]
     values = variables(linear, tuple(dict.fromkeys(n for d in drivers for n in needed[d])))
-    for block in _blocks([(d, own_values(linear, values, d)) for d in drivers], FORMS):
+    moving = [(d, x) for d in drivers if (x := own_values(linear, values, d)).any()]  # no load turns an upright axis
+    for block in _blocks(moving, FORMS):
         yield from _of_block(seam, block, problem.gains(seam, block.functions), EXACT)
 
 

@@ -32,6 +32,27 @@ class Kernel:
     """Functions of a compiled export on arrays; made by :func:`load` or :func:`build`.
 
     Calls are re-entrant, as the C is; a row costs a microsecond or less.
+
+    Parameters
+    ----------
+    shape : Shape
+        name, real type, joints and outputs
+    library : Path
+        compiled
+
+    Examples
+    --------
+    >>> from casadical.export import Sources, command_of, load, write_c
+    >>> export = write_c(command_of(Sources(found.robot, robot)), "kernel", name="arm", vectors=100, languages=())
+    >>> kernel = load("kernel")
+    >>> kernel.self_test()
+    0
+    >>> dq, status = kernel.correct(poses.q[:3])
+    >>> dq.shape, status
+    ((3, 2), array([5, 5, 5], dtype=int32))
+    >>> p, status = kernel.forward(poses.q[:3])
+    >>> kernel.rows("forward", poses.q[:3])[0].shape, kernel.steps(poses.q[:3], np.ones(3))[0].shape
+    ((3, 3), (3, 2))
     """
 
     def __init__(self, shape: Shape, library: Path) -> None:
@@ -39,13 +60,24 @@ class Kernel:
         self._library = ctypes.CDLL(str(library))
 
     def rows(self, function: str, q: Array) -> tuple[Array, Array]:
-        """Call ``network``, ``curves``, ``forward`` or ``correct`` for each row of joints.
+        """Call a function for each row of joints.
 
-        q : array, shape (k, n) [rad]; converted to the kernel's real type
+        Parameters
+        ----------
+        function : str
+            ``network``, ``curves``, ``forward`` or ``correct``, as the export has it
+        q : Array, shape (k, n) [rad]
+            joint readings, converted to the kernel's real type
 
-        Returns the values, shape (k, outputs of the function), and the status, shape (k,), a `casadical.export.Status`.
+        Returns
+        -------
+        tuple[Array, Array]
+            values, shape (k, outputs), and status, shape (k,), a `casadical.export.Status`
 
-        Raises InputError: the export has no such function, or q another number of joints.
+        Raises
+        ------
+        InputError
+            the export has no such function, or q another number of joints
         """
         shape = self.shape
         if function not in shape.outputs:
@@ -60,23 +92,100 @@ class Kernel:
         return out, status
 
     def network(self, q: Array) -> tuple[Array, Array]:
-        """Network correction [mm], shape (k, m), and status."""
+        """Correction by the network.
+
+        Parameters
+        ----------
+        q : Array, shape (k, n) [rad]
+            joint readings
+
+        Returns
+        -------
+        tuple[Array, Array]
+            corrections, shape (k, m) [mm], and status, shape (k,)
+
+        Examples
+        --------
+        >>> import casadi as ca
+        >>> x = ca.SX.sym("q", 2)
+        >>> function = ca.Function("network", [x], [ca.vertcat(x, 0)], ["q"], ["dp"])
+        >>> network = casadical.export.NetworkFunction(function, np.full(2, -3.0), np.full(2, 3.0))
+        >>> export = casadical.export.write_c(network, "network", name="net", vectors=100, languages=())
+        >>> casadical.export.load("network").network(poses.q[:3])[0].shape
+        (3, 3)
+        """
         return self.rows("network", q)
 
     def curves(self, q: Array) -> tuple[Array, Array]:
-        """Error curves of the joints [rad], shape (k, n), and status."""
+        """Error curves of the joints.
+
+        Parameters
+        ----------
+        q : Array, shape (k, n) [rad]
+            joint readings
+
+        Returns
+        -------
+        tuple[Array, Array]
+            what each joint turns beyond its reading, shape (k, n) [rad], and status, shape (k,)
+
+        Examples
+        --------
+        >>> import casadi as ca
+        >>> x = ca.SX.sym("q", 2)
+        >>> function = ca.Function("curves", [x], [1e-4 * ca.sin(x)], ["q"], ["dq"])
+        >>> curves = casadical.export.CurveFunction(function, np.full(2, -3.0), np.full(2, 3.0))
+        >>> export = casadical.export.write_c(curves, "curves2", name="arm", vectors=100, languages=())
+        >>> casadical.export.load("curves2").curves(poses.q[:3])[0].shape
+        (3, 2)
+        """
         return self.rows("curves", q)
 
     def forward(self, q: Array) -> tuple[Array, Array]:
-        """Calibrated position [m], shape (k, 3), or (k, 12) with the rotation, and status."""
+        """Calibrated position, with the rotation where the export has it.
+
+        Parameters
+        ----------
+        q : Array, shape (k, n) [rad]
+            joint readings
+
+        Returns
+        -------
+        tuple[Array, Array]
+            positions, shape (k, 3) [m], or (k, 12) with the rotation, and status, shape (k,)
+        """
         return self.rows("forward", q)
 
     def correct(self, q: Array) -> tuple[Array, Array]:
-        """Joint corrections [rad], shape (k, n), and status."""
+        """Corrections of joint commands.
+
+        Parameters
+        ----------
+        q : Array, shape (k, n) [rad]
+            joint readings
+
+        Returns
+        -------
+        tuple[Array, Array]
+            corrections, shape (k, n) [rad], and status, shape (k,)
+        """
         return self.rows("correct", q)
 
     def steps(self, q: Array, enable: Array) -> tuple[Array, Array]:
-        """``step`` for consecutive cycles from the zero state: corrections [rad], shape (k, n), and status."""
+        """``step`` for consecutive cycles from the zero state.
+
+        Parameters
+        ----------
+        q : Array, shape (k, n) [rad]
+            joint readings of consecutive cycles
+        enable : Array, shape (k,)
+            whether the correction is on
+
+        Returns
+        -------
+        tuple[Array, Array]
+            corrections, shape (k, n) [rad], and status, shape (k,)
+        """
         table = np.ascontiguousarray(q, DTYPE[self.shape.real])
         on = np.ascontiguousarray(enable, np.uint32)
         out, status = np.empty_like(table), np.empty(len(table), np.int32)
@@ -85,7 +194,13 @@ class Kernel:
         return out, status
 
     def self_test(self) -> int:
-        """Status of the C's own self-test."""
+        """Status of the C's own self-test.
+
+        Returns
+        -------
+        int
+            0 where it passed
+        """
         return int(getattr(self._library, f"{self.shape.name}_self_test")())
 
 
@@ -120,11 +235,34 @@ def build(shape: Shape, sources: list[Path], folder: Path, compiler: Compiler, f
 def load(export: str | Path, *, trust: bool = False) -> Kernel:
     """Compile what an export folder holds and load it.
 
-    export : folder that ``write_c`` wrote
-    trust : also compile and run the C of a folder that this user did not export on this machine
+    Parameters
+    ----------
+    export : str | Path
+        folder that ``write_c`` wrote
+    trust : bool, default False
+        whether the C of a folder that this user did not export on this machine is compiled and run too
 
-    Raises InputError: the folder has no manifest, is not trusted, or a source is not the one that was written. Raises
-    CasadicalError: there is no C compiler, it fails, or the compiled code fails its self-test.
+    Returns
+    -------
+    Kernel
+        its functions
+
+    Raises
+    ------
+    InputError
+        the folder has no manifest, is not trusted, or a source is not the one that was written
+    CasadicalError
+        there is no C compiler, it fails, or the compiled code fails its self-test
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> x = ca.SX.sym("q", 2)
+    >>> function = ca.Function("curves", [x], [1e-4 * ca.sin(x)], ["q"], ["dq"])
+    >>> curves = casadical.export.CurveFunction(function, np.full(2, -3.0), np.full(2, 3.0))
+    >>> export = casadical.export.write_c(curves, "curves1", name="arm", vectors=100, languages=())
+    >>> casadical.export.load("curves1").self_test()
+    0
     """
     from casadical.export.c.manifest import read_manifest
 

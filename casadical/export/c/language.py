@@ -13,7 +13,22 @@ NAME = "^[a-z][a-z0-9_]{0,23}$"
 
 @dataclass(frozen=True)
 class Label:
-    """What the files say about themselves: a C identifier, and hashes of the model and the data it came from."""
+    """What the files say about themselves.
+
+    Parameters
+    ----------
+    name : str
+        a C identifier
+    model_sha256 : str, optional
+        hash of the model
+    data_sha256 : str, optional
+        hash of the data it came from
+
+    Examples
+    --------
+    >>> casadical.export.Label("arm").data_sha256
+    'not given'
+    """
 
     name: str
     model_sha256: str = "not given"
@@ -23,7 +38,21 @@ class Label:
 class Language(ABC):
     """A language that a controller takes. Derive from it, without arguments of the constructor.
 
-    name : by which `casadical export c --language` knows it
+    Attributes
+    ----------
+    name
+        by which `casadical export c --language` knows it
+
+    Examples
+    --------
+    >>> class Count(casadical.export.Language):
+    ...     name = "count"
+    ...
+    ...     def files(self, program, label):
+    ...         return {f"{label.name}.txt": str(len(program.tapes))}
+    >>> from casadical.export import TapeProgram
+    >>> Count().files(TapeProgram(None, "double", {}, ()), casadical.export.Label("arm"))
+    {'arm.txt': '0'}
     """
 
     name: ClassVar[str]
@@ -32,6 +61,15 @@ class Language(ABC):
     def files(self, program: TapeProgram, label: Label) -> Mapping[str, str | bytes]:
         """Contents by file name, relative to the export's folder; the same ones for the same arguments.
 
-        program : its tapes by name: `network`, or `forward`, `prepare`, `advance` and perhaps `network` of a command
-        (see `tape_program`); label.name begins each file's name
+        Parameters
+        ----------
+        program : TapeProgram
+            its tapes by name: `network`, or `forward`, `prepare`, `advance` and perhaps `network` of a command
+        label : Label
+            name and hashes; label.name begins each file's name
+
+        Returns
+        -------
+        Mapping[str, str | bytes]
+            file name -> contents
         """

@@ -14,15 +14,36 @@ from casadical.core.errors import InputError
 class Limits:
     """Limits of the correction, and when a result is reported as not reached.
 
-    delta_rad, step_rad : of each joint's correction and of each of its least-squares steps [rad]
-    rate_rad_s, ramp_s : rate at which a correction may change [rad/s]; time from none to all of it [s]
-    cycle_s : of the controller [s]; damping : lambda of the least squares [m/rad]
-    singular_m_per_rad : a pose whose weakest direction moves the tool by less than about this is reported [m/rad]
-    tolerance_mm : a larger remaining error is reported [mm]
+    Parameters
+    ----------
+    delta_rad : float, default 0.15
+        of each joint's correction [rad]
+    step_rad : float, default 0.1
+        of each of its least-squares steps [rad]
+    rate_rad_s : float, default 0.5
+        rate at which a correction may change [rad/s]
+    cycle_s : float, default 0.004
+        of the controller [s]
+    ramp_s : float, default 1.0
+        time from none to all of it [s]
+    damping : float, default 0.01
+        lambda of the least squares [m/rad]
+    singular_m_per_rad : float, default 0.07
+        a pose whose weakest direction moves the tool by less than about this is reported [m/rad]
+    tolerance_mm : float, default 0.05
+        a larger remaining error is reported [mm]
 
-    Raises InputError for a limit that is not positive, a cycle outside of 0.01 ms to 1 s, a ramp of less than one cycle
-    or more than 100,000 (in float a gain of smaller steps goes wrong), or a rate that in a cycle changes a joint by
-    less than 1e-6 rad or by more than the largest correction.
+    Raises
+    ------
+    InputError
+        a limit that is not positive, a cycle outside of 0.01 ms to 1 s, a ramp of less than one cycle or more than
+        100,000 (in float a gain of smaller steps goes wrong), or a rate that in a cycle changes a joint by less than
+        1e-6 rad or by more than the largest correction
+
+    Examples
+    --------
+    >>> casadical.export.Limits(cycle_s=0.002).ramp_s
+    1.0
     """
 
     delta_rad: float = 0.15
@@ -55,9 +76,40 @@ class Limits:
 
 @dataclass(frozen=True)
 class NetworkFunction:
-    """A function q[n] -> dp_mm[m] and the box of joint angles it was trained in (arrays of shape (n,) [rad]).
+    """A network as a function of the joints, and the box of joint angles it was trained in.
 
-    key, out, unit, title : the names of the exported function and of its result, its unit, and what it is, in words
+    Parameters
+    ----------
+    function : Function
+        q[n] [rad] -> dp[m] [mm]
+    lower : Array, shape (n,) [rad]
+        box of joint angles it was trained in
+    upper : Array, shape (n,) [rad]
+        its other end
+
+    Attributes
+    ----------
+    key
+        the names of the exported function and of its result, its unit, and what it is, in words
+    out
+        the names of the exported function and of its result, its unit, and what it is, in words
+    unit
+        the names of the exported function and of its result, its unit, and what it is, in words
+    title
+        the names of the exported function and of its result, its unit, and what it is, in words
+
+    Raises
+    ------
+    InputError
+        a function of other shapes
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> x = ca.SX.sym("q", 2)
+    >>> function = ca.Function("network", [x], [ca.vertcat(x, 0)], ["q"], ["dp"])
+    >>> casadical.export.NetworkFunction(function, np.full(2, -3.0), np.full(2, 3.0)).unit
+    'mm'
     """
 
     function: casadi.Function
@@ -76,7 +128,30 @@ class NetworkFunction:
 
 @dataclass(frozen=True)
 class CurveFunction(NetworkFunction):
-    """The joints' error curves, q[n] -> dq[n]: each joint stands at its reading plus dq [rad]."""
+    """The joints' error curves, q[n] -> dq[n]: each joint stands at its reading plus dq [rad].
+
+    Parameters
+    ----------
+    function : Function
+        q[n] [rad] -> dq[n] [rad]
+    lower : Array, shape (n,) [rad]
+        box of joint angles
+    upper : Array, shape (n,) [rad]
+        its other end
+
+    Raises
+    ------
+    InputError
+        a function of other shapes
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> x = ca.SX.sym("q", 2)
+    >>> function = ca.Function("curves", [x], [1e-4 * ca.sin(x)], ["q"], ["dq"])
+    >>> casadical.export.CurveFunction(function, np.full(2, -3.0), np.full(2, 3.0)).unit
+    'rad'
+    """
 
     key: ClassVar[str] = "curves"
     out: ClassVar[str] = "dq"
@@ -92,17 +167,43 @@ class CurveFunction(NetworkFunction):
 class Command:
     """The correction of joint commands: it moves the real tool to the position of the nominal robot's tool.
 
-    nominal, calibrated : q[n] -> p[3] [m], or q[n] -> (p[3], R[3x3]) for position and orientation; the calibrated one
-        is the whole model of the real robot (loop, compliance, network).
-    lower, upper : box of joint angles in which the model was identified, shape (n,) [rad]
-    jacobian_of, jacobian_at : the calibrated robot's part in the chord steps' Jacobian is the one of ``jacobian_of`` (a
-        function like ``calibrated``, which it is when not given) with respect to its joints, at the joints
-        ``jacobian_at(q)`` (q when not given). With the chain without compliance and network for the one and the bent
-        joints for the other it costs a third.
-    network : exported with the correction if given
-    steps : least-squares steps, 1 to 10. With one step NOT_CONVERGED sees only what the damping leaves; with more it
-        also extrapolates from the last two errors, without evaluating the robot once more.
-    length_m : for poses, the length by which an orientation error [rad] is weighted [m]
+    Parameters
+    ----------
+    nominal : Function
+        q[n] -> p[3] [m], or q[n] -> (p[3], R[3x3]) for position and orientation; the calibrated one is the whole
+        model of the real robot (loop, compliance, network)
+    calibrated : Function
+        q[n] -> p[3] [m], or q[n] -> (p[3], R[3x3]) for position and orientation; the calibrated one is the whole
+        model of the real robot (loop, compliance, network)
+    lower : Array, shape (n,) [rad]
+        box of joint angles in which the model was identified
+    upper : Array, shape (n,) [rad]
+        its other end
+    jacobian_of : Function, optional
+        robot whose Jacobian the chord steps take, a function like ``calibrated``; None: that one. The chain without
+        compliance and network costs a third
+    jacobian_at : Function, optional
+        joints at which it is taken, as a function of q; None: q
+    network : NetworkFunction, optional
+        exported with the correction if given
+    limits : Limits, optional
+        of the correction, and of what is reported
+    steps : int, default 2
+        least-squares steps, 1 to 10; with one, NOT_CONVERGED sees only what the damping leaves; with more it also
+        extrapolates from the last two errors
+    length_m : float, default 0.3
+        for poses, the length by which an orientation error [rad] is weighted [m]
+
+    Raises
+    ------
+    InputError
+        functions of other shapes, or a number of steps that is not allowed
+
+    Examples
+    --------
+    >>> command = casadical.export.command_of(casadical.export.Sources(found.robot, robot), steps=2)
+    >>> command.steps, command.limits.tolerance_mm
+    (2, 0.05)
     """
 
     nominal: casadi.Function

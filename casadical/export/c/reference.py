@@ -18,7 +18,13 @@ from casadical.export.c.tape_program import TapeProgram, prepared_size
 
 
 class Status(IntEnum):
-    """What every exported function returns; where several apply, the highest number wins."""
+    """What every exported function returns; where several apply, the highest number wins.
+
+    Examples
+    --------
+    >>> casadical.export.Status(0).name
+    'OK'
+    """
 
     OK = 0
     CLAMPED = 1

@@ -67,7 +67,26 @@ class Node:
 
 @dataclass(frozen=True)
 class Tape:
-    """The operations in order of evaluation, how many inputs there are, and which nodes are the outputs."""
+    """A function as a list of plain real operations.
+
+    Parameters
+    ----------
+    nodes : tuple[Node, ...]
+        operations in order of evaluation
+    n_in : int
+        number of inputs
+    outputs : tuple[int, ...]
+        which nodes are the results
+
+    Examples
+    --------
+    >>> from casadical.export.c.tape import tape_of
+    >>> import casadi as ca
+    >>> x = ca.SX.sym("x", 2)
+    >>> tape = tape_of(ca.Function("f", [x], [ca.sin(x[0]) + x[1]]))
+    >>> tape.n_in, len(tape.outputs)
+    (2, 1)
+    """
 
     nodes: tuple[Node, ...]
     n_in: int

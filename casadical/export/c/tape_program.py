@@ -19,7 +19,29 @@ from casadical.export.c.tape import Tape, tape_of
 
 @dataclass(frozen=True)
 class TapeProgram:
-    """A product ready to be written: its tapes by name, and bounds of its outputs for the header."""
+    """A product ready to be written.
+
+    Parameters
+    ----------
+    product : Product
+        what is exported
+    real : Real
+        type of its numbers
+    tapes : dict[str, Tape]
+        by name
+    network_bounds : tuple[tuple[float, float], ...]
+        least and greatest value of each of the network's outputs
+
+    Examples
+    --------
+    >>> class Names(casadical.export.Language):
+    ...     name = "names"
+    ...
+    ...     def files(self, program, label):
+    ...         return {"names.txt": " ".join(program.tapes)}
+    >>> Names().name
+    'names'
+    """
 
     product: Product
     real: Real

@@ -26,7 +26,31 @@ LEAST_CONVERGED = 0.9
 
 @dataclass(frozen=True)
 class Export:
-    """A written export: its files, the comparisons of the compiled C, figures of this model, operations of a call."""
+    """A written export: its files, the comparisons of the compiled C, figures of this model, operations of a call.
+
+    Parameters
+    ----------
+    folder : Path
+        where it lies
+    files : tuple[str, ...]
+        their names
+    comparisons : tuple[Comparison, ...]
+        of the compiled C with the reference, one for each compiler
+    figures : dict[str, float]
+        of this model, by name
+    operations : Operations
+        additions, products and so on of a call, by function
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> x = ca.SX.sym("q", 2)
+    >>> function = ca.Function("curves", [x], [1e-4 * ca.sin(x)], ["q"], ["dq"])
+    >>> curves = casadical.export.CurveFunction(function, np.full(2, -3.0), np.full(2, 3.0))
+    >>> export = casadical.export.write_c(curves, "curves", name="arm", vectors=100, languages=())
+    >>> "arm.c" in export.files, sorted(export.to_json())[:1], len(export.report()) > 0
+    (True, ['figures'], True)
+    """
 
     folder: Path
     files: tuple[str, ...]
@@ -45,7 +69,13 @@ class Export:
         return self.figures.get("share_converged", 1.0) >= LEAST_CONVERGED
 
     def report(self) -> str:
-        """Whether it is verified, every comparison, the figures of this model, and the operations of a call."""
+        """Whether it is verified, every comparison, the figures of this model, and the operations of a call.
+
+        Returns
+        -------
+        str
+            lines of text
+        """
         head = "verified: compiled, and the same bits as the reference"
         if not self.converges:
             share = 100 * self.figures["share_converged"]
@@ -61,7 +91,13 @@ class Export:
         return "\n".join([*lines, f"{len(self.files)} files in {self.folder}"])
 
     def to_json(self) -> dict[str, Any]:
-        """The same as plain data."""
+        """The same as plain data.
+
+        Returns
+        -------
+        dict[str, Any]
+            plain data
+        """
         return {
             "folder": str(self.folder), "files": list(self.files), "verified": self.verified, "figures": self.figures,
             "operations": self.operations.count,
@@ -83,16 +119,47 @@ def write_c(
 ) -> Export:
     """Turn a network, curves or a command into C99 with everything an integrator needs, compiled and compared.
 
-    product : :class:`NetworkFunction`, :class:`CurveFunction` or :class:`Command`
-    folder : made when missing; what is in it already stays
-    name : prefix of the C functions and files: a lower-case C identifier of at most 24 characters
-    languages : which to write besides the C, by name; default: all of this package (`fmu`, `structured_text`)
-    vectors : joint vectors on which the compiled C is compared with the reference
-    overwrite : replace files that this function did not write, or that were changed since
-    also : further files that appear with them or not at all, from what this function gives back
+    Parameters
+    ----------
+    product : Product
+        a network, curves or a command
+    folder : str | Path
+        made when missing; what is in it already stays
+    name : str
+        prefix of the C functions and files: a lower-case C identifier of at most 24 characters
+    real : Real, default "double"
+        type of its numbers
+    model_sha256 : str, optional
+        hash of the model, for the header
+    data_sha256 : str, optional
+        hash of the data, for the header
+    languages : Iterable[str], optional
+        which to write besides the C, by name; default: all of this package (`fmu`, `structured_text`)
+    vectors : int, default 100000
+        joint vectors on which the compiled C is compared with the reference
+    overwrite : bool, default False
+        replace files that this function did not write, or that were changed since
+    also : Callable[[Export], Mapping[Path, str]], optional
+        further files that appear with them or not at all, from what this function gives back
 
-    Raises InputError: a name, type or function cannot be used, or a file is in the way. Raises CasadicalError: the C
-    does not compile without warnings, or gives other bits than the reference; nothing was written.
+    Returns
+    -------
+    Export
+        files, comparisons and figures
+
+    Raises
+    ------
+    InputError
+        a name, type or function cannot be used, or a file is in the way
+    CasadicalError
+        the C does not compile without warnings, or gives other bits than the reference; nothing was written
+
+    Examples
+    --------
+    >>> command = casadical.export.command_of(casadical.export.Sources(found.robot, robot))
+    >>> export = casadical.export.write_c(command, "command", name="arm", vectors=100)
+    >>> "arm.c" in export.files, "arm.st" in export.files
+    (True, True)
     """
     label = _checked_label(name, real, model_sha256, data_sha256)
     folder = Path(folder)

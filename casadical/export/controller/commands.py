@@ -37,15 +37,32 @@ SAME_ROBOT = 0.1  # m between nominal and calibrated tool, median: above it the 
 class Sources:
     """What a product is made of.
 
-    robot, nominal : the calibrated robot and the one that the controller computes with; a file or a `Robot`, such as
-        `diagnosis.apply()` with its causes in the model
-    compensator : the network trained on the calibrated robot's residuals; a file or a `Compensator`
-    payload_kg : mass on the flange [kg]; None: as declared
-    leave_out : whether effects that a controller cannot follow are left out of the robot; else they are refused
-    tool : "shared": both robots have the calibrated robot's tool. "own": each has its own, so that the difference is
+    Parameters
+    ----------
+    robot : Path | Robot
+        the calibrated robot; a file or a `Robot`, such as `diagnosis.apply()` with its causes in the model
+    nominal : Path | Robot, optional
+        the one that the controller computes with; a file or a `Robot`
+    compensator : Path | Compensator, optional
+        the network trained on the calibrated robot's residuals; a file or a `Compensator`
+    payload_kg : float, optional
+        mass on the flange [kg]; None: as declared
+    tool : Tool, default "shared"
+        "shared": both robots have the calibrated robot's tool. "own": each has its own, so that the difference is
         corrected too, for a measured point that is the controller's tool centre point itself
+    leave_out : bool, default False
+        whether effects that a controller cannot follow are left out of the robot; else they are refused
 
-    Raises InputError for another word as tool.
+    Raises
+    ------
+    InputError
+        another word as tool
+
+    Examples
+    --------
+    >>> sources = casadical.export.Sources(found.robot, robot, payload_kg=0.0)
+    >>> sources.tool
+    'shared'
     """
 
     robot: Path | Robot
@@ -66,11 +83,33 @@ def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -
     The nominal robot is rigid and without effects, as a controller computes. The box is the calibrated robot's joint
     limits [rad], within the angles that the compensator's training saw.
 
-    steps : least-squares steps, 1 to 10; orientation : whether the tool's orientation is to be reached as well, by the
-    least change of the joints (with seven, the elbow moves by no more); fewer than six joints reach the position only.
     Without it the joints change by the least that reaches the position.
 
-    Raises InputError where the files are not of one robot, or the robot cannot be corrected; see `followed`.
+    Parameters
+    ----------
+    sources : Sources
+        robots, network and payload
+    steps : int, default 2
+        least-squares steps, 1 to 10
+    orientation : bool, default False
+        whether the tool's orientation is to be reached as well, by the least change of the joints; fewer than six
+        joints reach the position only
+
+    Returns
+    -------
+    Command
+        what `write_c` exports
+
+    Raises
+    ------
+    InputError
+        where the files are not of one robot, or the robot cannot be corrected; see `followed`
+
+    Examples
+    --------
+    >>> command = casadical.export.command_of(casadical.export.Sources(found.robot, robot))
+    >>> command.lower.round(2)
+    array([-3.14, -3.14])
     """
     real, nominal, turn = own_robots(sources)
     orientation = orientation and real.n >= POSE_JOINTS
@@ -115,7 +154,28 @@ def own_robots(sources: Sources) -> tuple[Robot, Robot, Array]:
 def network_of(sources: Sources) -> NetworkFunction:
     """The compensator alone: joints [rad] -> what to add to the computed position [mm], in the measuring frame.
 
-    Raises InputError where `sources` names no compensator, or one that was refused when it was trained.
+    Parameters
+    ----------
+    sources : Sources
+        robots, network and payload
+
+    Returns
+    -------
+    NetworkFunction
+        what `write_c` exports
+
+    Raises
+    ------
+    InputError
+        where `sources` names no compensator, or one that was refused when it was trained
+
+    Examples
+    --------
+    >>> try:
+    ...     casadical.export.network_of(casadical.export.Sources(found.robot))
+    ... except casadical.InputError as error:
+    ...     print(error)
+    a network needs its file: give --compensator NET.json, as calibrate --out wrote it
     """
     if sources.compensator is None:
         raise InputError("a network needs its file: give --compensator NET.json, as calibrate --out wrote it")
@@ -133,7 +193,28 @@ def curves_of(sources: Sources) -> CurveFunction:
 
     For a controller that has the rest of the calibration in its own kinematics. The box is the robot's joint limits.
 
-    Raises InputError where the robot has no `joint_error_curve`.
+    Parameters
+    ----------
+    sources : Sources
+        robots, network and payload
+
+    Returns
+    -------
+    CurveFunction
+        what `write_c` exports
+
+    Raises
+    ------
+    InputError
+        where the robot has no `joint_error_curve`
+
+    Examples
+    --------
+    >>> try:
+    ...     casadical.export.curves_of(casadical.export.Sources(found.robot))
+    ... except casadical.InputError as error:
+    ...     print(error)
+    Planar arm of two links: it has no joint_error_curve; there is nothing to export. ...
     """
     robot = robot_of(sources.robot)
     curves = joint_curves(robot)

@@ -38,11 +38,25 @@ MEANINGS = {
 class Corrector:
     """A way to correct joint targets: the compiled C of an export, or a model.
 
-    joints : number of joints
-    correct : q, shape (k, joints) [rad] -> corrections [rad] of the same shape, and status, shape (k,)
-    position : q -> calibrated tool positions [m], shape (k, 3)
-    target : q -> nominal tool positions [m], shape (k, 3); None where it is not known
-    instead : of the position alone, for targets whose pose cannot be corrected; None: they are refused
+    Parameters
+    ----------
+    joints : int
+        number of joints
+    correct : Callable[[Array], tuple[Array, Array]]
+        q, shape (k, joints) [rad] -> corrections [rad] of the same shape, and status, shape (k,)
+    position : Callable[[Array], Array]
+        q -> calibrated tool positions [m], shape (k, 3)
+    target : Callable[[Array], Array], optional
+        q -> nominal tool positions [m], shape (k, 3); None where it is not known
+    instead : Corrector, optional
+        of the position alone, for targets whose pose cannot be corrected; None: they are refused
+
+    Examples
+    --------
+    >>> command = casadical.export.command_of(casadical.export.Sources(found.robot, robot))
+    >>> corrector = casadical.export.model_corrector(command)
+    >>> corrector.joints, corrector.position(poses.q[:2]).shape
+    (2, (2, 3))
     """
 
     joints: int
@@ -54,11 +68,32 @@ class Corrector:
 
 @dataclass(frozen=True, eq=False)
 class Corrected:
-    """A corrected program.
+    r"""A corrected program.
 
-    q : corrected targets, shape (rows, joints) [rad]; refused rows keep theirs; status : name of each row's status
-    moved_mm : how far the correction moves the real tool, shape (rows,)
-    rest_mm : distance of the real tool from the nominal one, before and after, shape (rows, 2); None: not known
+    Parameters
+    ----------
+    program : Program
+        as it was read
+    q : Array, shape (rows, joints) [rad]
+        corrected targets; refused rows keep theirs
+    status : tuple[str, ...]
+        name of each row's status
+    moved_mm : Array, shape (rows,)
+        how far the correction moves the real tool
+    rest_mm : Array | None, shape (rows, 2)
+        distance of the real tool from the nominal one, before and after; None: not known
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> size = Path("program.csv").write_text("q1_deg,q2_deg,speed\n10,20,100\n30,40,100\n")
+    >>> command = casadical.export.command_of(casadical.export.Sources(found.robot, robot))
+    >>> corrector = casadical.export.model_corrector(command)
+    >>> done = casadical.export.corrected(corrector, casadical.export.read_program("program.csv", 2))
+    >>> done.fine, done.to_csv().splitlines()[0]
+    (array([False, False]), 'q1_deg,q2_deg,speed,correction_status')
+    >>> done.to_json()["rows"], len(done.report()) > 0
+    (2, True)
     """
 
     program: Program
@@ -73,15 +108,33 @@ class Corrected:
         return np.array([s in FINE for s in self.status])
 
     def to_csv(self) -> str:
-        """The program's table with the new targets and a status for each row."""
+        """The program's table with the new targets and a status for each row.
+
+        Returns
+        -------
+        str
+            CSV
+        """
         return self.program.text(self.q, self.fine, self.status)
 
     def report(self) -> str:
-        """The number of corrected rows, refused rows with their reasons, and how far joints and tool move."""
+        """The number of corrected rows, refused rows with their reasons, and how far joints and tool move.
+
+        Returns
+        -------
+        str
+            lines of text
+        """
         return "\n".join([*_refused(self), *_moved(self)])
 
     def to_json(self) -> dict[str, Any]:
-        """The summary as plain data: rows, refused ones by line of the file, how far the tool moves [mm]."""
+        """The summary as plain data: rows, refused ones by line of the file, how far the tool moves [mm].
+
+        Returns
+        -------
+        dict[str, Any]
+            plain data
+        """
         refused = {str(self.program.line[k]): self.status[k] for k in np.flatnonzero(~self.fine)}
         moved = self.moved_mm[self.fine]
         found: dict[str, Any] = {"rows": len(self.status), "corrected": int(self.fine.sum()), "refused": refused}
@@ -96,7 +149,30 @@ class Corrected:
 def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
     """Correction by the C in an export folder, compiled here.
 
-    trust : as of `casadical.export.c.kernel.load`. Raises InputError, also where there is no compiler.
+    Parameters
+    ----------
+    folder : Path
+        that `write_c` wrote
+    trust : bool, default False
+        as of `casadical.export.c.kernel.load`
+
+    Returns
+    -------
+    Corrector
+        callable on arrays
+
+    Raises
+    ------
+    InputError
+        no such export, or there is no compiler
+
+    Examples
+    --------
+    >>> from casadical.export import Sources, command_of, kernel_corrector, write_c
+    >>> from pathlib import Path
+    >>> export = write_c(command_of(Sources(found.robot, robot)), "correct", name="arm", vectors=100, languages=())
+    >>> kernel_corrector(Path("correct")).correct(poses.q[:3])[0].shape
+    (3, 2)
     """
     try:
         kernel = load(folder, trust=trust)
@@ -120,7 +196,25 @@ def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
 def model_corrector(command: Command, instead: Corrector | None = None) -> Corrector:
     """Correction by the export's reference in NumPy: the same bits as the exported double C, without a compiler.
 
-    instead : as of `Corrector`
+    Parameters
+    ----------
+    command : Command
+        what is corrected
+    instead : Corrector, optional
+        as of `Corrector`
+
+    Returns
+    -------
+    Corrector
+        callable on arrays
+
+    Examples
+    --------
+    >>> command = casadical.export.command_of(casadical.export.Sources(found.robot, robot))
+    >>> corrector = casadical.export.model_corrector(command)
+    >>> dq, status = corrector.correct(poses.q[:3])
+    >>> dq.shape, status
+    ((3, 2), array([5, 5, 5]))
     """
     made = tape_program(command, "double")
     return Corrector(
@@ -133,7 +227,29 @@ def model_corrector(command: Command, instead: Corrector | None = None) -> Corre
 
 
 def corrected(corrector: Corrector, program: Program) -> Corrected:
-    """Correct every row of a program independently."""
+    r"""Correct every row of a program independently.
+
+    Parameters
+    ----------
+    corrector : Corrector
+        model or compiled C
+    program : Program
+        joint targets
+
+    Returns
+    -------
+    Corrected
+        targets, status and what moves
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> size = Path("program.csv").write_text("q1_deg,q2_deg,speed\n10,20,100\n30,40,100\n")
+    >>> command = casadical.export.command_of(casadical.export.Sources(found.robot, robot))
+    >>> corrector = casadical.export.model_corrector(command)
+    >>> casadical.export.corrected(corrector, casadical.export.read_program("program.csv", 2)).status
+    ('SINGULAR', 'SINGULAR')
+    """
     q, names = corrected_joints(corrector, program.q)
     before, after = corrector.position(program.q), corrector.position(q)
     moved = 1e3 * np.linalg.norm(after - before, axis=1)

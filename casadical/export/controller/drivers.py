@@ -37,10 +37,30 @@ class Written:
 def driver_file(sources: Sources, form: str, checksum: str = "") -> Written:
     """The calibrated robot as a driver reads it.
 
-    form : `ur` (kinematics YAML of the UR ROS 2 description), `standard_dh`, `modified_dh` (CSV), or `xacro`
-    checksum : of the controller's own calibration, for `ur`: the driver compares it
+    Parameters
+    ----------
+    sources : Sources
+        robots, network and payload
+    form : str
+        `ur` (kinematics YAML of the UR ROS 2 description), `standard_dh`, `modified_dh` (CSV), or `xacro`
+    checksum : str, default ""
+        of the controller's own calibration, for `ur`: the driver compares it
 
-    Raises InputError for another form, a robot with closed loops, or one that has not the structure of the form.
+    Returns
+    -------
+    Written
+        text, and what it cannot carry
+
+    Raises
+    ------
+    InputError
+        another form, a robot with closed loops, or one that has not the structure of the form
+
+    Examples
+    --------
+    >>> written = casadical.export.driver_file(casadical.export.Sources(found.robot, robot), "modified_dh")
+    >>> written.text.splitlines()[0][:5]
+    'joint'
     """
     if form not in FORMS:
         raise InputError(f"--form {form}: not known; allowed: {', '.join(FORMS)}")

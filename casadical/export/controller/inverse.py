@@ -25,9 +25,23 @@ _STEPS, _LARGEST_STEP, _DAMPING, _DONE = 60, 0.4, 0.1, 1e-13
 class Inverse:
     """Joints that reach poses.
 
-    q : shape (k, n) [rad or m]; rest_m, rest_rad : what remains of position and orientation, shape (k,)
-    singular : whether the pose is nearly singular: the weakest direction moves the tool by less than 0.02 m/rad
-    inside : whether every joint is in its range, shape (k,)
+    Parameters
+    ----------
+    q : Array, shape (k, n) [rad or m]
+    rest_m : Array, shape (k,) [m]
+        what remains of the position
+    rest_rad : Array, shape (k,) [rad]
+        what remains of the orientation
+    singular : Array, shape (k,)
+        whether the pose is nearly singular: the weakest direction moves the tool by less than 0.02 m/rad
+    inside : Array, shape (k,)
+        whether every joint is in its range
+
+    Examples
+    --------
+    >>> p, _ = casadical.identification.predicted(found.robot, poses)
+    >>> casadical.export.inverse_kinematics(found.robot, p[:1], None, start=poses.q[:1]).reached
+    array([ True])
     """
 
     q: Array
@@ -45,12 +59,37 @@ class Inverse:
 def inverse_kinematics(robot: Robot, p: Array, R: Array | None, start: Array) -> Inverse:
     """Joints that bring the robot's tool to poses, by Newton's method from a start such as the nominal solution.
 
-    p : positions of the measured point in the measuring frame, shape (k, 3) [m]
-    R : orientations of the tool frame, shape (k, 3, 3); None: only the position is to be reached
-    start : joints to start from, shape (k, n) or (n,) [rad or m]; the solution nearest to them, as a rule, is found
     The model holds compliance, effects that joints and declared payload decide, and the file's base and tool.
 
-    A pose that cannot be reached has a rest; look at `Inverse.reached`. Raises InputError for arrays of other shapes.
+    A pose that cannot be reached has a rest; look at `Inverse.reached`.
+
+    Parameters
+    ----------
+    robot : Robot
+        calibrated robot
+    p : Array, shape (k, 3) [m]
+        positions of the measured point in the measuring frame
+    R : Array | None, shape (k, 3, 3)
+        orientations of the tool frame; None: only the position is to be reached
+    start : Array
+        joints to start from, shape (k, n) or (n,) [rad or m]; the solution nearest to them, as a rule, is found
+
+    Returns
+    -------
+    Inverse
+        joints, and what is left; a pose that cannot be reached has a rest
+
+    Raises
+    ------
+    InputError
+        arrays of other shapes
+
+    Examples
+    --------
+    >>> p, _ = casadical.identification.predicted(found.robot, poses)
+    >>> flat = casadical.export.inverse_kinematics(found.robot, p[:2], None, start=poses.q[:2] + 0.01)
+    >>> flat.q.shape, flat.inside
+    ((2, 2), array([ True,  True]))
     """
     p = np.atleast_2d(np.asarray(p, float))
     start = np.broadcast_to(np.asarray(start, float), (len(p), robot.n))

@@ -21,10 +21,35 @@ _DIGITS = {"_deg": 7, "_rad": 9}  # decimals: some nanometres at the tool
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """Joint targets and the table that contains them.
+    r"""Joint targets and the table that contains them.
 
-    q : shape (rows, joints) [rad]; header, rows : the table's cells as text; line : of each row in the file
-    columns : indices of the joints' columns; units : "_deg" or "_rad" of each
+    Parameters
+    ----------
+    source : str
+        name of the file
+    q : Array, shape (rows, joints) [rad or m]
+        joint targets
+    header : tuple[str, ...]
+        headers of the columns
+    rows : tuple[tuple[str, ...], ...]
+        cells as text
+    line : tuple[int, ...]
+        of each row in the file
+    columns : tuple[int, ...]
+        indices of the joints' columns
+    units : tuple[str, ...]
+        "_deg" or "_rad" of each
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> size = Path("program.csv").write_text("q1_deg,q2_deg,speed\n10,20,100\n30,40,100\n")
+    >>> program = casadical.export.read_program("program.csv", 2)
+    >>> program.q.round(3)
+    array([[0.175, 0.349],
+           [0.524, 0.698]])
+    >>> print(program.text(program.q, np.array([True, True]), ["OK", "OK"]).splitlines()[1])
+    10.0000000,20.0000000,100,OK
     """
 
     source: str
@@ -38,7 +63,19 @@ class Program:
     def text(self, q: Array, moved: Array, status: Sequence[str]) -> str:
         """The table as CSV with new targets in some rows, and a column with each row's status.
 
-        q : joint targets, shape (rows, joints) [rad or m]; moved : which rows take them, boolean, shape (rows,)
+        Parameters
+        ----------
+        q : Array, shape (rows, joints) [rad or m]
+            joint targets
+        moved : Array, shape (rows,)
+            which rows take them, boolean
+        status : Sequence[str]
+            of each row
+
+        Returns
+        -------
+        str
+            CSV
         """
         out = io.StringIO()
         writer = csv.writer(out, lineterminator="\n")
@@ -53,9 +90,31 @@ class Program:
 
 
 def read_program(path: str | Path, joints: int) -> Program:
-    """Joint targets q1_deg .. (or q1_rad ..) from a CSV file with commas and a header.
+    r"""Joint targets q1_deg .. (or q1_rad ..) from a CSV file with commas and a header.
 
-    Raises InputError that names file, row and column.
+    Parameters
+    ----------
+    path : str | Path
+        CSV file with commas and a header
+    joints : int
+        number of joints
+
+    Returns
+    -------
+    Program
+        targets and table
+
+    Raises
+    ------
+    InputError
+        a cell or column that cannot be used; it names file, row and column
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> size = Path("program.csv").write_text("q1_deg,q2_deg,speed\n10,20,100\n30,40,100\n")
+    >>> casadical.export.read_program("program.csv", 2).header
+    ('q1_deg', 'q2_deg', 'speed')
     """
     table = read_table(path)
     header, rows, line = table.header, table.cells, table.line

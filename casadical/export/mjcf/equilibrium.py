@@ -19,10 +19,33 @@ AT_MOST = 100
 
 
 def positions(xml: str, m: Measurements, payload_factor: float = 1.0) -> Array:
-    """Equilibrium position of the site `measured` at the readings and conditions of m, shape (n, 3) [m].
+    """Equilibrium position of the site `measured` at readings and conditions.
 
-    xml : as `mjcf` writes it; of m are taken q, payload_kg and approach1 .. where they were logged
-    Raises InputError without MuJoCo or for readings of another robot, ConvergenceError where a loop cannot close.
+    Parameters
+    ----------
+    xml : str
+        as `mjcf` writes it
+    m : Measurements
+        readings and conditions: payload_kg and approach1 .. where they were logged
+    payload_factor : float, default 1.0
+        true mass of the payload over the declared one
+
+    Returns
+    -------
+    Array, shape (n, 3) [m]
+
+    Raises
+    ------
+    InputError
+        MuJoCo is not installed, or readings of another robot
+    ConvergenceError
+        a loop cannot close
+
+    Examples
+    --------
+    >>> p = casadical.export.mjcf.positions(casadical.export.mjcf.mjcf(found.robot).text, poses)
+    >>> bool(abs(p - casadical.identification.predicted(found.robot, poses)[0]).max() < 1e-8)
+    True
     """
     model = _Model(xml)
     if model.arm != m.q.shape[1]:

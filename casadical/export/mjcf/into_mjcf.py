@@ -28,10 +28,42 @@ POINT = "casadical_measured"
 def into_mjcf(nominal: Robot, calibrated: Robot, path: Path, joints: Sequence[str], springs: bool = False) -> str:
     """The user's model with the calibrated geometry, as XML.
 
-    nominal, calibrated : the robot before and after; joints : names of the arm's joints in the model, from the base on
-    springs : whether each compliant joint also gets a hinge `NAME_spring` beside it, in the same body
     The base stays where it is; the site `casadical_measured` is the measured point. Relative paths of meshes stay too.
-    Raises InputError: a closed loop, no such joint, or a joint whose axis is not the nominal robot's.
+
+    Parameters
+    ----------
+    nominal : Robot
+        the robot before
+    calibrated : Robot
+        the robot after
+    path : Path
+        of the user's model
+    joints : Sequence[str]
+        names of the arm's joints in the model, from the base on
+    springs : bool, default False
+        whether each compliant joint also gets a hinge `NAME_spring` beside it, in the same body
+
+    Returns
+    -------
+    str
+        XML
+
+    Raises
+    ------
+    InputError
+        a closed loop, no such joint, or a joint whose axis is not the nominal robot's
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from casadical.export.mjcf import mjcf
+    >>> from casadical.export.mjcf.into_mjcf import into_mjcf
+    >>> arm = casadical.read_robot("problems/ur10/robot.toml")
+    >>> size = Path("yours.xml").write_text(mjcf(arm).text)
+    >>> longer = arm.with_values({"a2": arm.parameters["a2"].value + 1e-3})
+    >>> names = [f"joint{k}" for k in range(1, 7)]
+    >>> "casadical_measured" in into_mjcf(arm, longer, Path("yours.xml"), names)
+    True
     """
     if nominal.loops:
         raise InputError(f"{nominal.name!r} has a closed loop; write a new model (without --into)")

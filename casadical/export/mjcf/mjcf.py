@@ -29,7 +29,24 @@ POINT = "measured"
 
 @dataclass(frozen=True, eq=False)
 class MjcfExport:
-    """A MuJoCo model: its XML, how each effect was written, and what has no counterpart."""
+    """A MuJoCo model.
+
+    Parameters
+    ----------
+    text : str
+        XML
+    written : tuple[str, ...]
+        how each effect was written, in words
+    omitted : tuple[Omission, ...]
+        what has no counterpart, and why
+    notes : tuple[str, ...], default ()
+        what a reader must know
+
+    Examples
+    --------
+    >>> casadical.export.mjcf.mjcf(diagnosis.apply()).left_out
+    ('gear_eccentricity@2: no counterpart in MuJoCo',)
+    """
 
     text: str
     written: tuple[str, ...]
@@ -47,6 +64,21 @@ def mjcf(robot: Robot) -> MjcfExport:
 
     Bodies base, link1 .. linkN, payload; joints joint1 .. (of a four-bar joint3 is the crank, joint3_driven the link),
     actuators drive1 .. which take the reading as `ctrl`; the site and sensor `measured` are the measured point.
+
+    Parameters
+    ----------
+    robot : Robot
+        the robot
+
+    Returns
+    -------
+    MjcfExport
+        its text, and what is not in it
+
+    Examples
+    --------
+    >>> casadical.export.mjcf.mjcf(found.robot).text[:7]
+    '<?xml v'
     """
     found = counterparts(robot)
     root = ET.Element("mujoco", model=robot.name)

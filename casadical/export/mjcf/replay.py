@@ -49,7 +49,25 @@ class ReplayedModel:
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """A campaign replayed: stages nominal, geometry, effect (if there is one); poses that were held out."""
+    """A campaign replayed on poses that were held out.
+
+    Parameters
+    ----------
+    source : str
+        name of the campaign
+    robot : str
+        its name
+    stages : tuple[ReplayedModel, ...]
+        nominal, geometry, effect (if there is one)
+    diagnosis : Diagnosis, optional
+        whose causes are in the last model
+
+    Examples
+    --------
+    >>> replay = casadical.export.mjcf.replay_campaign(robot, casadical.from_table(table, 2), ["backlash"])
+    >>> replay.table.shape[0], sorted(replay.to_json())[:1]
+    (2, ['left_out'])
+    """
 
     source: str
     robot: str
@@ -69,7 +87,13 @@ class Replay:
         return pd.DataFrame(rows)
 
     def to_json(self) -> dict[str, Any]:
-        """The replay as plain data: its table, and what became of each effect in the last model."""
+        """The replay as plain data: its table, and what became of each effect in the last model.
+
+        Returns
+        -------
+        dict[str, Any]
+            plain data
+        """
         last = self.stages[-1].export
         return {
             "robot": self.robot,
@@ -83,7 +107,33 @@ def replay(robot: Robot, m: Measurements, name: str = "model") -> ReplayedModel:
     """Replay measured poses with a robot's model in MuJoCo.
 
     Effects of the measurement (a frame that drifts, a reflector's offset) are not in the model: they are added to the
-    point that MuJoCo finds. Raises InputError, ConvergenceError.
+    point that MuJoCo finds.
+
+    Parameters
+    ----------
+    robot : Robot
+        whose model is replayed
+    m : Measurements
+        measured poses
+    name : str, default "model"
+        of the stage
+
+    Returns
+    -------
+    ReplayedModel
+        errors in the simulator
+
+    Raises
+    ------
+    InputError
+        MuJoCo is not installed, or readings of another robot
+    ConvergenceError
+        the simulator finds no equilibrium
+
+    Examples
+    --------
+    >>> round(casadical.export.mjcf.replay(found.robot, poses).accuracy.mean * 1e3, 3)  # mm
+    0.029
     """
     if m.position is None:
         raise InputError(f"{m.source}: of kind {m.kind}; positions are needed to replay")
@@ -112,8 +162,36 @@ def replay_campaign(
 ) -> Replay:
     """Identify, diagnose and replay a campaign on poses that were held out.
 
-    robot : as `diagnose` takes it
-    Raises InputError, ConvergenceError.
+    Parameters
+    ----------
+    robot : Robot
+        as `diagnose` takes it
+    m : Measurements
+        the campaign
+    effects : Sequence[str] | str, default "standard"
+        as of `diagnose`
+    seed : int, default 0
+        of the poses that are held out
+    show : Show, optional
+        called with a line of progress
+
+    Returns
+    -------
+    Replay
+        errors of each stage
+
+    Raises
+    ------
+    InputError
+        the measurements cannot carry a diagnosis, or MuJoCo is not installed
+    ConvergenceError
+        Ipopt finds no optimum, or the simulator no equilibrium
+
+    Examples
+    --------
+    >>> replay = casadical.export.mjcf.replay_campaign(robot, casadical.from_table(table, 2), ["backlash"])
+    >>> len(replay.stages)
+    2
     """
     m, _ = derive(m, [f"approach{i}" for i in range(1, robot.n + 1)])
     m, _ = derive(m, ["progress"])
@@ -127,7 +205,29 @@ def replay_diagnosis(found: Diagnosis) -> Replay:
     """Replay a campaign with the causes that were found in it, all values identified again from a part of its poses.
 
     The outliers are left out, and the other poses replayed: no value has seen them, though they had a part in which
-    causes are named; `replay_campaign` keeps them from that, too. Raises InputError, ConvergenceError.
+    causes are named; `replay_campaign` keeps them from that, too.
+
+    Parameters
+    ----------
+    found : Diagnosis
+        a diagnosis
+
+    Returns
+    -------
+    Replay
+        errors of each stage
+
+    Raises
+    ------
+    InputError
+        MuJoCo is not installed
+    ConvergenceError
+        Ipopt finds no optimum, or the simulator no equilibrium
+
+    Examples
+    --------
+    >>> len(casadical.export.mjcf.replay_diagnosis(diagnosis).stages)
+    3
     """
     case, robot = found.case, found.case.given
     m, _ = derive(case.m, ["progress", *(f"approach{i}" for i in range(1, robot.n + 1))])

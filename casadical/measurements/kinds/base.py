@@ -19,9 +19,36 @@ PositionsAt = Callable[[Array], Array]
 class PoseExpression:
     """What a residual may use at one pose, as CasADi expressions in metres and radians.
 
-    p : measured point of the model, shape (3,); R : its orientation, shape (3, 3); joints : number of joints
-    point : departure of the unknown point from its start, shape (3,), where the kind has one
-    observed : what the residual took of the pose's observed numbers, by name
+    Parameters
+    ----------
+    model : Callable[[Symbolic], Symbolic]
+        readings -> (position, orientation), under this pose's conditions
+    q : Symbolic
+        joint readings
+    point : Symbolic | None, shape (3,)
+        departure of the unknown point from its start, where the kind has one
+
+    Attributes
+    ----------
+    p
+        measured point of the model, shape (3,)
+    R
+        its orientation, shape (3, 3)
+    joints
+        number of joints
+    observed
+        what the residual took of the pose's observed numbers, by name
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> x = ca.SX.sym("q", 2)
+    >>> model = lambda q: (ca.vertcat(q, 0), ca.SX.eye(3))
+    >>> pose = casadical.measurements.PoseExpression(model, x, ca.SX.sym("point", 3))
+    >>> pose.take("position", 3).shape, pose.position_at(2 * x).shape, pose.from_point().shape
+    ((3, 1), (3, 1), (3, 1))
+    >>> sorted(pose.observed)
+    ['point', 'position']
     """
 
     def __init__(self, model: Callable[[Symbolic], Symbolic], q: Symbolic, point: Symbolic | None) -> None:
@@ -32,16 +59,44 @@ class PoseExpression:
         self.observed: dict[str, Symbolic] = {}
 
     def take(self, name: str, size: int) -> Symbolic:
-        """An observed array at this pose, as a column of numbers, a matrix row by row."""
+        """An observed array at this pose, as a column of numbers, a matrix row by row.
+
+        Parameters
+        ----------
+        name : str
+            of the array, as of `MeasurementKind.arrays`
+        size : int
+            how many numbers it has at a pose
+
+        Returns
+        -------
+        Symbolic
+            CasADi symbols, a matrix row by row
+        """
         self.observed[name] = ca.SX.sym(name, size)
         return self.observed[name]
 
     def position_at(self, q: Symbolic) -> Symbolic:
-        """The measured point at other readings, under the same conditions."""
+        """The measured point at other readings, under the same conditions.
+
+        Parameters
+        ----------
+        q : Symbolic
+            joint readings
+
+        Returns
+        -------
+        Symbolic, shape (3,) [m]
+        """
         return self._model(q)[0]
 
     def from_point(self) -> Symbolic:
-        """The measured point less the unknown point that is identified too, for kinds with one."""
+        """The measured point less the unknown point that is identified too, for kinds with one.
+
+        Returns
+        -------
+        Symbolic, shape (3,) [m]
+        """
         assert self.point is not None
         return self.p - self.take("point", 3) - self.point
 
@@ -49,11 +104,46 @@ class PoseExpression:
 class MeasurementKind(ABC):
     """A kind of measurement; one instance serves all tables.
 
-    name : as in problem.toml; columns, unknown : its row of the table in docs/measurements.md
-    pattern : of the columns that it reads, which are no conditions
-    arrays : names of the arrays that it needs: fields of `Measurements`, else entries of its `extra`
-    lengths, angles : numbers that are observed at a pose [m] and [rad], at least one and at most six together
-    has_scale : whether it determines the scale: not where robots of one shape and any size fit alike
+    Attributes
+    ----------
+    name
+        as in problem.toml
+    columns
+        its row of the table in docs/measurements.md
+    unknown
+        its row of the table in docs/measurements.md
+    pattern
+        of the columns that it reads, which are no conditions
+    arrays
+        names of the arrays that it needs: fields of `Measurements`, else entries of its `extra`
+    lengths
+        numbers that are observed at a pose [m] and [rad], at least one and at most six together
+    angles
+        numbers that are observed at a pose [m] and [rad], at least one and at most six together
+    has_scale
+        whether it determines the scale: not where robots of one shape and any size fit alike
+
+    Examples
+    --------
+    >>> from casadical.measurements.kinds.registry import find_kind
+    >>> kind = find_kind("position")
+    >>> kind.matches({"x_mm", "y_mm", "z_mm"}), kind.numbers
+    (True, 3)
+    >>> columns = casadical.measurements.Columns.of_frame(table, "made up")
+    >>> arrays = kind.read(columns, q)
+    >>> model = arrays["position"] + [1e-3, 0, 0]
+    >>> kind.errors(arrays, model, lambda q: q)[:2].round(6)
+    array([0.001, 0.001])
+    >>> kind.at_rest(arrays), kind.point_names(arrays), kind.unit_fault(arrays, model, lambda q: q, reach=0.7)
+    (True, (), '')
+    >>> contact = find_kind("contact")
+    >>> contact.point_starts({"label": np.array(["A", "A"])}, np.array([[0.0, 0, 0], [0.2, 0, 0]])).round(2)
+    array([[0.1, 0. , 0. ],
+           [0.1, 0. , 0. ]])
+    >>> import casadi as ca
+    >>> x = ca.SX.sym("q", 2)
+    >>> kind.residual(casadical.measurements.PoseExpression(lambda q: (ca.vertcat(q, 0), ca.SX.eye(3)), x, None)).shape
+    (3, 1)
     """
 
     name: ClassVar[str]
@@ -72,35 +162,137 @@ class MeasurementKind(ABC):
 
     @abstractmethod
     def matches(self, names: Set[str]) -> bool:
-        """Whether a table with these columns is of this kind, where problem.toml does not say."""
+        """Whether a table with these columns is of this kind, where problem.toml does not say.
+
+        Parameters
+        ----------
+        names : Set[str]
+            headers of the table
+
+        Returns
+        -------
+        bool
+            true where they are its columns
+        """
 
     @abstractmethod
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        """The arrays of a table [SI], optional ones too; q : readings, shape (n, joints). Raises InputError."""
+        """The arrays of a table, optional ones too.
+
+        Parameters
+        ----------
+        columns : Columns
+            of the table
+        q : Array, shape (n, joints) [rad or m]
+            joint readings
+
+        Returns
+        -------
+        dict[str, Array]
+            name -> array [SI], a row per pose
+
+        Raises
+        ------
+        InputError
+            a column is missing, or holds what cannot be measured
+        """
 
     @abstractmethod
     def residual(self, pose: PoseExpression) -> Symbolic:
-        """Model less measurement at a pose: `lengths` numbers [m], then `angles` numbers [rad]."""
+        """Model less measurement at a pose: `lengths` numbers [m], then `angles` numbers [rad].
+
+        Parameters
+        ----------
+        pose : PoseExpression
+            what it may use
+
+        Returns
+        -------
+        Symbolic
+            a column of CasADi expressions
+        """
 
     @abstractmethod
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
-        """Error that is reported of each pose, shape (n,) [m]; p : positions of the model, shape (n, 3) [m]."""
+        """Error of each pose that reports tell.
+
+        Parameters
+        ----------
+        arrays : Arrays
+            as of `read`
+        p : Array, shape (n, 3) [m]
+            positions of the model
+        positions_at : PositionsAt
+            positions of the model at other readings, shape (n, joints) -> shape (n, 3) [m]
+
+        Returns
+        -------
+        Array, shape (n,) [m]
+        """
 
     def at_rest(self, arrays: Arrays) -> bool:
-        """Whether something at rest was measured (see `read`); without it the base's pose is not identifiable."""
+        """Whether something at rest was measured (see `read`); without it the base's pose is not identifiable.
+
+        Parameters
+        ----------
+        arrays : Arrays
+            as of `read`
+
+        Returns
+        -------
+        bool
+            true by default
+        """
         return True
 
     def point_names(self, arrays: Arrays) -> Sequence[str]:
-        """Name of the unknown point that each pose refers to (see `read`); none where the kind has no such points."""
+        """Name of the unknown point that each pose refers to (see `read`); none where the kind has no such points.
+
+        Parameters
+        ----------
+        arrays : Arrays
+            as of `read`
+
+        Returns
+        -------
+        Sequence[str]
+            one name per pose, or none
+        """
         return ()
 
     def point_starts(self, arrays: Arrays, p: Array) -> Array:
-        """A first estimate of each pose's unknown point, shape (n, 3) [m]; p : positions of the model, same shape."""
+        """A first estimate of each pose's unknown point.
+
+        Parameters
+        ----------
+        arrays : Arrays
+            as of `read`
+        p : Array, shape (n, 3) [m]
+            positions of the model
+
+        Returns
+        -------
+        Array, shape (n, 3) [m]
+        """
         raise NotImplementedError(f"kind {self.name!r} names unknown points but does not estimate them")
 
     def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
         """What is wrong with the lengths, in words, where they must be in another unit; else nothing.
 
-        p : positions of the nominal model, shape (n, 3) [m]; reach : of the robot [m]
+        Parameters
+        ----------
+        arrays : Arrays
+            as of `read`
+        p : Array, shape (n, 3) [m]
+            positions of the nominal model
+        positions_at : PositionsAt
+            as of `errors`
+        reach : float
+            of the robot [m]
+
+        Returns
+        -------
+        str
+            a sentence; empty where nothing is wrong
         """
         return ""

@@ -19,7 +19,26 @@ def new_urdf(robot: Robot) -> str:
     """The text of a URDF: base_link is the robot's base frame, the joints are joint1 .. jointN.
 
     Where the base stands in the measuring frame, compliances and effects have no place in a URDF: a comment says so.
-    Raises InputError for a robot with a closed loop.
+
+    Parameters
+    ----------
+    robot : Robot
+        calibrated or nominal
+
+    Returns
+    -------
+    str
+        XML
+
+    Raises
+    ------
+    InputError
+        a robot with a closed loop
+
+    Examples
+    --------
+    >>> casadical.robot.urdf.new_urdf(found.robot)[:21]
+    '<?xml version="1.0" e'
     """
     if robot.loops:
         raise InputError(f"{robot.name!r} has a closed loop, a URDF is a tree; write it with: casadical export mjcf")

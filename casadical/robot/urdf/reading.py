@@ -45,14 +45,40 @@ def read_urdf(
 ) -> Robot:
     """A robot from a URDF file.
 
-    base_link, tip_link : ends of the chain; by default the root and the only end that moves
-    compliant : joints (1-based, counted from the base link) whose drives give under load; their compliance, of which a
-        URDF says nothing, starts at zero
     The measuring frame is nominally the base link (its true pose unknown), the tool is the tip link (its position
     unknown). Joints keep their zero, sign and range; a continuous one gets +-360 deg. Down is -z of the file's root
     link. Links on fixed joints, and side branches at zero reading, count as mass of the link that carries them.
-    Raises InputError: no parser installed, no file, malformed XML, no such link, a branching chain, no moving joint, a
-    joint that mimics another, floats, or has no axis or no range.
+
+    Parameters
+    ----------
+    path : str | Path
+        URDF file
+    base_link : str, optional
+        first end of the chain; None: the root
+    tip_link : str, optional
+        last end of the chain; None: the only end that moves
+    compliant : Collection[int], default ()
+        joints (1-based, counted from the base link) whose drives give under load; their compliance, of which a URDF
+        says nothing, starts at zero
+
+    Returns
+    -------
+    Robot
+        the nominal robot, base and tool to be identified
+
+    Raises
+    ------
+    InputError
+        no parser installed, no file, malformed XML, no such link, a branching chain, no moving joint, a joint that
+        mimics another, floats, or has no axis or no range
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from casadical.robot.urdf import new_urdf
+    >>> size = Path("arm.urdf").write_text(new_urdf(found.robot))
+    >>> casadical.read_urdf("arm.urdf", compliant=[1, 2]).parameters.names[-2:]
+    ('c1', 'c2')
     """
     chain = read_chain(Path(path), base_link, tip_link)
     if unknown := set(compliant) - set(range(1, len(chain.moving) + 1)):

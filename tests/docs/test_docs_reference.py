@@ -1,0 +1,201 @@
+"""Every name of docs/reference.md has the sections of numpydoc, and its examples run on one small planar arm."""
+
+from __future__ import annotations
+
+import ast
+import doctest
+import enum
+import importlib
+import importlib.util
+import inspect
+import re
+import shutil
+import textwrap
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from functools import cache
+from pathlib import Path
+
+import pytest
+from walk import ROOT, blocks
+
+PAGE = ROOT / "docs" / "reference.md"
+SECTION = re.compile(r"^(\w[\w ]*)\n-{4,}\n(.*?)(?=\n\w[\w ]*\n-{4,}\n|\Z)", re.MULTILINE | re.DOTALL)
+OURS = {"InputError", "ConvergenceError", "CasadicalError"}
+COMPARED = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+# What an example needs that the base install has not, by the beginning of its name.
+NEEDS = {
+    "casadical.export.load": "gcc",
+    "casadical.export.Kernel": "gcc",
+    "casadical.export.kernel_corrector": "gcc",
+    "casadical.blind_check.mujoco_physics": "mujoco",
+    "casadical.blind_check.make": "mujoco",
+    "casadical.export.mjcf.positions": "mujoco",
+    "casadical.export.mjcf.replay": "mujoco",
+    "casadical.plot": "plotly",
+    "casadical.report": "plotly",
+    "casadical.read_urdf": "yourdfpy",
+    "casadical.calibrated_urdf": "yourdfpy",
+    "casadical.pose_selection.Selection": "networkx",
+}
+
+
+def named(name: str) -> object:
+    """What stands behind a name of the page."""
+    package, _, last = name.rpartition(".")
+    thing = getattr(importlib.import_module(package), last)
+    if inspect.ismodule(thing):  # a function in a module of its own name
+        thing = getattr(thing, last)
+    return inspect.unwrap(thing)
+
+
+@cache
+def documented() -> dict[str, object]:
+    """Every function and class of the page."""
+    names = re.findall(r"^   (casadical\.\S+)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    return {name: named(name) for name in names}
+
+
+def methods(name: str, thing: object) -> Iterator[tuple[str, object]]:
+    """Public methods of a class by name, properties aside: their summary says what they are."""
+    for key, member in vars(thing).items() if inspect.isclass(thing) else ():
+        function = getattr(member, "__func__", member)
+        if not key.startswith("_") and inspect.isfunction(function):
+            yield f"{name}.{key}", inspect.unwrap(function)
+
+
+@cache
+def everything() -> dict[str, object]:
+    return {**documented(), **{n: f for name, thing in documented().items() for n, f in methods(name, thing)}}
+
+
+@cache
+def sections(thing: object) -> dict[str, str]:
+    return dict(SECTION.findall((inspect.getdoc(thing) or "") + "\n"))
+
+
+def arguments(thing: object) -> set[str]:
+    if inspect.isclass(thing):
+        if issubclass(thing, enum.Enum | Exception):
+            return set()
+        if is_dataclass(thing) and thing.__dataclass_params__.init:
+            return {f.name for f in fields(thing) if f.init}
+        thing = vars(thing).get("__init__")
+        if thing is None:
+            return set()
+    return set(inspect.signature(thing).parameters) - {"self", "cls"}
+
+
+def described(section: str) -> set[str]:
+    """Names of the section's entries that have a type and something said of it: a description, or a shape."""
+    entries = re.split(r"^(?=\S)", section, flags=re.MULTILINE)
+    heads = [(e.partition("\n")[0], e.partition("\n")[2].strip()) for e in entries if e.strip()]
+    return {h.partition(" : ")[0].lstrip("*") for h, said in heads if " : " in h and (said or "shape" in h)}
+
+
+def source(thing: object) -> ast.AST:
+    return ast.parse(textwrap.dedent(inspect.getsource(thing))).body[0]
+
+
+def raised(thing: object) -> set[str]:
+    calls = [n.exc.func for n in ast.walk(source(thing)) if isinstance(n, ast.Raise) and isinstance(n.exc, ast.Call)]
+    return {getattr(call, "id", "") for call in calls} & OURS
+
+
+def test_the_page_has_every_public_name_at_the_top() -> None:
+    import casadical
+
+    tops = {name.removeprefix("casadical.") for name in documented() if name.count(".") == 1}
+    assert tops == set(casadical.__all__)
+    assert len(documented()) > 150
+
+
+def test_every_argument_is_described_on_a_line_of_its_own() -> None:
+    wrong = {}
+    for name, thing in everything().items():
+        found = described(sections(thing).get("Parameters", ""))
+        if found != arguments(thing):
+            wrong[name] = sorted(found ^ arguments(thing))
+    assert wrong == {}
+
+
+def test_every_result_is_described() -> None:
+    without = []
+    for name, thing in everything().items():
+        if inspect.isfunction(thing):
+            gives = inspect.signature(thing).return_annotation not in (None, "None")
+            if gives != ("Returns" in sections(thing)):
+                without.append(name)
+    assert without == []
+
+
+def test_every_error_that_it_raises_is_described() -> None:
+    functions = {name: thing for name, thing in everything().items() if inspect.isfunction(thing)}
+    assert {
+        name: missing
+        for name, thing in functions.items()
+        if (
+            missing := {
+                e for e in raised(thing) if not re.search(rf"^{e}\n +\S", sections(thing).get("Raises", ""), re.M)
+            }
+        )
+    } == {}
+
+
+def test_every_name_has_an_example_and_that_of_a_class_calls_its_methods() -> None:
+    assert [name for name, thing in documented().items() if ">>> " not in sections(thing).get("Examples", "")] == []
+    without = []
+    for name, thing in documented().items():
+        example = sections(thing).get("Examples", "")
+        for key, method in methods(name, thing):
+            own = "Examples" in sections(method)
+            if not own and not re.search(rf"(\.|def ){key.rpartition('.')[2]}\(", example):
+                without.append(key)
+    assert without == []
+
+
+def test_the_sections_are_looked_for() -> None:
+    """A function without them is found."""
+
+    def bare(q: float) -> float:
+        """Nothing is said of q."""
+        if q < 0:
+            raise ValueError
+        return q
+
+    assert arguments(bare) == {"q"}
+    assert sections(bare) == {}
+    assert described("q : float, shape (3,) [m]\nr : int\n    how many\ns : int\n") == {"q", "r"}
+
+
+@pytest.fixture(scope="module")
+def before(tmp_path_factory) -> tuple[Path, dict[str, object]]:
+    """A folder as the page asks for, and what its first lines make: read, identified and diagnosed once."""
+    folder = tmp_path_factory.mktemp("reference")
+    for name in ("problems", "data"):
+        (folder / name).symlink_to(ROOT / name)
+    (block,) = [b for b in blocks(PAGE) if b.language == "python"]
+    made: dict[str, object] = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        exec(block.text, made)
+    return folder, made
+
+
+def lacking(name: str) -> str:
+    """The tool that an example needs and that is not here."""
+    needed = [tool for begin, tool in NEEDS.items() if name.startswith(begin)]
+    there = {tool: shutil.which(tool) or importlib.util.find_spec(tool) for tool in needed}
+    return next((tool for tool, found in there.items() if not found), "")
+
+
+@pytest.mark.parametrize("name", sorted(name for name, thing in everything().items() if ">>> " in str(thing.__doc__)))
+def test_the_example_runs(name: str, before: tuple[Path, dict[str, object]], monkeypatch) -> None:
+    if tool := lacking(name):
+        pytest.skip(f"{tool} is not installed")
+    folder, made = before
+    monkeypatch.chdir(folder)
+    test = doctest.DocTestParser().get_doctest(inspect.getdoc(everything()[name]), dict(made), name, None, 0)
+    said: list[str] = []
+    doctest.DocTestRunner(optionflags=COMPARED).run(test, out=said.append)
+    assert said == []
