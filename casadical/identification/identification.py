@@ -363,9 +363,9 @@ def identify(
         one set, or several of different kinds, each with its own sigma
     free : Iterable[str], optional
         parameters by group (base, geometry, loop, tool, compliance), union (kinematic, placement), name or pattern
-    method : Method, optional
+    method : {"KM", "SKCM"}, optional
         the paper's KM (kinematics only, joints rigid) or SKCM (with compliance), instead of `free`
-    loss : Loss, default "linear"
+    loss : {"linear", "huber", "soft_l1"}, default "linear"
         linear, huber or soft_l1; the robust ones leave poses that noise explains once in 100 000 out of a last solve
     priors : bool | Mapping[str, tuple[float, float]], default False
         whether departures from nominal are held back by the robot's prior widths; or name -> (mean, one sigma) [SI]
@@ -375,7 +375,7 @@ def identify(
         covariance as a prior, and all other parameters held back by the robot's own priors; or as of `carry_over`
     screen : bool, default True
         whether a robust loss leaves far poses out of further solves, or only gives them less weight
-    progress : Progress, optional
+    progress : Callable[[int, float], None], optional
         called with iteration number and cost
 
     Returns
