@@ -1,0 +1,188 @@
+"""Parts of both simulators and of the protocol by hand: levers, links, draws, circumstances, refusals."""
+
+from __future__ import annotations
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import plants
+import pytest
+from scipy.optimize import minimize_scalar
+from scipy.spatial.transform import Rotation
+
+from casadical.blind_check import physics, worker_pool
+from casadical.blind_check.baselines import Regression
+from casadical.blind_check.mujoco_physics.campaigns import _machine
+from casadical.blind_check.mujoco_physics.causes_load import GravityCompensator
+from casadical.blind_check.mujoco_physics.causes_loose import CrackedLink
+from casadical.blind_check.mujoco_physics.causes_structure import LinkFlexure
+from casadical.blind_check.mujoco_physics.draw import _size
+from casadical.blind_check.mujoco_physics.hidden import Hidden, cause
+from casadical.blind_check.mujoco_physics.robot import mechanism
+from casadical.blind_check.numpy_physics import campaign, draw_disturbance
+from casadical.blind_check.numpy_physics.disturbance import Disturbance
+from casadical.blind_check.numpy_physics.disturbances_rare import _OfJoint
+from casadical.blind_check.numpy_physics.statics import placed, settle
+from casadical.blind_check.protocol import read_table
+from casadical.blind_check.signal_size import unabsorbed_rms
+from casadical.blind_check.synthetic.perturb import _home
+from casadical.blind_check.synthetic.stops import Warmup, draw_stops
+from casadical.core.errors import InputError
+
+ARM = plants.arm()
+Q = np.random.default_rng(0).uniform(-0.5, 0.5, (4, 6))
+
+
+def test_a_cause_that_shows_nothing_gains_nothing() -> None:
+    E = np.array([[1.0, 0, 0, 2], [0, 0, 0, 0], [0, 0, 1, 0]])
+    found = Regression(np.array([3.0, 4, 5]), E, 2).gains(
+        [np.array([0]), np.array([1]), np.array([0, 3]), np.array([2])]
+    )
+    np.testing.assert_allclose(found, [9, 0, 9, 25])
+
+
+def test_what_the_base_model_does_not_absorb() -> None:
+    J = np.zeros((2, 3, 1))
+    J[0, 0] = J[1, 0] = 1.0
+    shift = np.array([[1.0, 2, 0], [3.0, 0, 0]])
+    assert unabsorbed_rms(J, shift) == pytest.approx(np.sqrt((1 + 1 + 4) / 6))
+
+
+def test_an_undisturbed_robot_is_the_plant_itself() -> None:
+    nothing = Disturbance()
+    state = settle(ARM, plants.stops_at(Q, 50.0))
+    for value in (nothing.misread(state.stops), nothing.torque(state), nothing.twist(state)):
+        assert np.all(np.asarray(value) == 0)
+    assert ARM.payload_factor == 1.0
+    np.testing.assert_array_equal(settle(ARM, plants.stops_at(Q, 50.0), [nothing]).angles, state.angles)
+
+
+@dataclass(frozen=True)
+class Twisted(Disturbance):
+    def twist(self, _state: Any) -> Any:
+        return np.tile([0, 0, 1e-4, 0, -2e-4, 0], (len(Q), 1))
+
+
+def test_twists_add_to_what_the_springs_give() -> None:
+    plain, twisted = (settle(ARM, plants.stops_at(Q, 50.0), d) for d in ([], [Twisted()]))
+    np.testing.assert_allclose(twisted.angles - plain.angles, Twisted().twist(None), atol=2e-6)
+
+
+def test_weights_hang_at_the_mass_centres_of_their_links() -> None:
+    state = placed(ARM, plants.stops_at(np.zeros((1, 6)), 80.0), np.zeros((1, 6)))
+    mass, centre = state.weights()
+    assert mass[:, 0].tolist() == [*ARM.mass, 80.0]
+    for i in range(6):
+        expected = ARM.home[i, :3, :3] @ ARM.com[i] + ARM.home[i, :3, 3]
+        np.testing.assert_allclose(centre[i, 0], expected, atol=1e-12)
+    np.testing.assert_allclose(centre[6, 0], ARM.home[5, :3, :3] @ ARM.payload_com + ARM.home[5, :3, 3], atol=1e-12)
+
+
+def test_errors_of_the_links_add_up_along_the_chain() -> None:
+    assert _home(ARM, np.tile(np.eye(4), (6, 1, 1))) == pytest.approx(ARM.home, abs=1e-12)
+    wrong = np.tile(np.eye(4), (6, 1, 1))
+    wrong[1, :3, :3] = Rotation.from_rotvec([0.01, 0, 0.02]).as_matrix()
+    found = _home(ARM, wrong)
+    np.testing.assert_allclose(found[0], ARM.home[0], atol=1e-12)
+    at = ARM.home[1]
+    for k in range(1, 6):  # all beyond link 2 turn about its frame
+        np.testing.assert_allclose(found[k], at @ wrong[1] @ np.linalg.inv(at) @ ARM.home[k], atol=1e-12)
+
+
+@pytest.mark.parametrize("joint", range(1, 7))
+def test_a_driver_is_the_next_joint_of_the_last_one_the_one_before(joint: int) -> None:
+    driver = {1: 2, 2: 3, 3: 4, 4: 5, 5: 6, 6: 5}[joint]
+    np.testing.assert_array_equal(_OfJoint.next(_of(joint), plants.stops_at(Q, 0.0)), Q[:, driver - 1])
+    np.testing.assert_array_equal(_OfJoint.own(_of(joint), plants.stops_at(Q, 0.0)), Q[:, joint - 1])
+
+
+def _of(joint: int) -> Any:
+    return type("Of", (), {"joint": joint})()
+
+
+def test_approaches_follow_from_the_order() -> None:
+    q = np.array([[0.0] * 6, [0.5] * 6, [0.2] * 6, [0.2, 0.9, 0.1, 0.3, -1, 0.2]])
+    stops = draw_stops(q, np.random.SeedSequence(0).spawn(4), [0.0], Warmup(), "motion")
+    assert stops.approach[1:].tolist() == [[1.0] * 6, [-1.0] * 6, [1, 1, -1, 1, -1, 1]]
+
+
+def test_true_positions_have_a_tenth_of_a_micrometre_and_those_of_the_engine_a_nanometre() -> None:
+    table = campaign(ARM, 4, 0, truth=True)
+    true = table[["x_true_mm", "y_true_mm", "z_true_mm"]].to_numpy()
+    assert (np.round(true, 4) == true).all()
+    assert not (np.round(true, 3) == true).all()
+    assert _machine(ARM, []).true_decimals == 6
+
+
+def test_drawn_sizes_lie_in_their_ranges() -> None:
+    rng = np.random.default_rng(0)
+    ovals = [_size(ARM, "gear_eccentricity", 2, 1.0, rng, 3000.0)["oval"] for _ in range(300)]
+    assert 8e-6 <= min(ovals) < 9e-6
+    assert 31e-6 < max(ovals) <= 32e-6
+    assert {draw_disturbance("link_flexure", k).link for k in range(30)} == {2, 3}
+    assert physics.SCALES == (0.7, 1.0, 1.5, 2.5)
+
+
+@pytest.mark.parametrize("joint", [0, 7, None])
+def test_an_effect_sits_in_a_joint_that_there_is(joint: int | None) -> None:
+    with pytest.raises(InputError, match="needs a joint from 1 to 6"):
+        cause(Hidden("joint_scale", joint, {"size": 1e-5}))
+    assert cause(Hidden("joint_scale", 6, {"size": 1e-5}))
+
+
+def test_a_crack_and_a_beam_are_cut_where_they_say() -> None:
+    whole = mechanism(ARM)
+    link = np.array(ARM.centres[2] - ARM.centres[1])
+    cracked = CrackedLink(2, 1e-4, 0.3).built(whole, ARM)
+    place = cracked.body("beyond_crack").place
+    assert place.shape == (4, 4)
+    assert np.linalg.norm(place[:3, 3]) == pytest.approx(0.3 * np.linalg.norm(link))
+    beam = LinkFlexure(2, 1e-4, 0.5).built(whole, ARM)
+    for name, share in (("link2a", 0.25), ("link2b", 0.5)):  # the second is seen from the first
+        place = beam.body(name).place
+        assert place.shape == (4, 4)
+        assert np.linalg.norm(place[:3, 3]) == pytest.approx(share * np.linalg.norm(link))
+
+
+@pytest.mark.parametrize("post", [0.6, 1.4])
+def test_the_greatest_torque_of_a_balancer_is_the_slope_of_its_energy(post: float) -> None:
+    lever, rest = 0.3, 0.1
+    any_: Any = GravityCompensator
+    kind = {f.name: 0.0 for f in fields(any_)} | {"post": post}
+    found = any_(**kind)._greatest(lever, rest)
+
+    def slope(angle: float) -> float:
+        def energy(a: float) -> float:
+            end = np.array([post * lever - lever * np.cos(a), lever * np.sin(a)])
+            return 0.5 * float((np.linalg.norm(end) - rest) ** 2)
+
+        return (energy(angle + 1e-6) - energy(angle - 1e-6)) / 2e-6
+
+    greatest = -minimize_scalar(lambda a: -slope(a), bounds=(0, np.pi), method="bounded").fun
+    assert found == pytest.approx(greatest, rel=1e-3)
+
+
+def test_a_campaign_that_is_missing_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("q1_deg,x_mm\n1.0,2.0\n")
+    assert read_table(tmp_path, "a")["x_mm"].tolist() == [2.0]
+    with pytest.raises(InputError, match=r"b\.csv: is missing, though"):
+        read_table(tmp_path, "b")
+
+
+def test_workers_are_left_at_once_where_the_work_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[dict[str, bool]] = []
+
+    class Watched(ProcessPoolExecutor):
+        def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+            told.append({"wait": wait, "cancel_futures": cancel_futures})
+            super().shutdown(wait, cancel_futures=cancel_futures)
+
+    monkeypatch.setattr(worker_pool, "ProcessPoolExecutor", Watched)
+    with pytest.raises(KeyboardInterrupt), worker_pool.workers(None, 1):
+        raise KeyboardInterrupt
+    with worker_pool.workers(None, 1):
+        pass
+    assert told == [{"wait": False, "cancel_futures": True}, {"wait": True, "cancel_futures": False}]

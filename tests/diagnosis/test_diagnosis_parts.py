@@ -1,0 +1,317 @@
+"""Parts of the diagnosis on small made-up problems: posteriors by enumeration, odds, gains, words, next poses."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from cases import ROOT, robot, small_problem
+from numpy.testing import assert_allclose
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal
+
+from casadical import Joint, Measurements
+from casadical.core import private_folder
+from casadical.core.transforms import frame, from_rpy
+from casadical.diagnosis import bootstrap, conclusion
+from casadical.diagnosis.brief import _things
+from casadical.diagnosis.candidates import Candidate, standard_candidates
+from casadical.diagnosis.details import analyse
+from casadical.diagnosis.diagnose import _of
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS
+from casadical.diagnosis.formula_cache import KeptFormulas
+from casadical.diagnosis.formulas import _twist
+from casadical.diagnosis.gains import NEGLIGIBLE, log_gain
+from casadical.diagnosis.laws.drivers import Driver
+from casadical.diagnosis.laws.forms import _with_widths
+from casadical.diagnosis.laws.screening import Screen, log_mean
+from casadical.diagnosis.laws.search import Problem
+from casadical.diagnosis.line_search import Line, Search
+from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.localisation import _thirds
+from casadical.diagnosis.next_poses import _table
+from casadical.diagnosis.noise_floor import replicates
+from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, SAME_JOINT, rank
+from casadical.diagnosis.seams import seams_of
+from casadical.diagnosis.spectrum_report import _decimals
+from casadical.diagnosis.statements import Statement, _gap
+from casadical.effects import Backlash, GearEccentricity, NonlinearStiffness
+from casadical.effects.base import CHOSEN
+from casadical.identification.prior import Prior
+from casadical.measurements.noise import Noise
+from casadical.project.problem import read_problem
+
+NONE = np.zeros(0, dtype=np.int64)
+
+
+def small_case() -> Case:
+    """Backlash of joint 2 with two settings, another cause of joint 2, and something unknown."""
+    soft, hard, other, unknown = Backlash(2, 0.04), Backlash(2, 0.3), NonlinearStiffness(2), GearEccentricity(3)
+    candidates = (
+        Candidate("backlash@2", "backlash", 2, ((soft,), (hard,))),
+        Candidate("nonlinear_stiffness@2", "nonlinear_stiffness", 2, ((other,),)),
+        Candidate("unknown", "unknown", None, ((unknown,),), listed=False),
+    )
+    columns = {e: np.array([k]) for k, e in enumerate((soft, hard, other, unknown))}
+    e = small_problem()
+    nothing: Any = None
+    return Case(nothing, nothing, np.zeros(5), nothing, candidates, {}, e, np.ones(len(e.r), bool), columns)
+
+
+def log_odds(case: Case, column: int) -> float:
+    """Log Bayes factor of one column against none: densities summed over the grids, each written out in full."""
+    e = case.whole
+    grid = np.full((len(RHOS), len(SIGMAS), len(KAPPAS) + 1), -np.inf)
+    rows, J, E = e.r.size, e.J.reshape(e.r.size, -1), e.E.reshape(e.r.size, -1)
+    for a, rho in enumerate(RHOS):
+        for b, sigma in enumerate(SIGMAS):
+            C = (J * (sigma / e.reference * e.prior) ** 2) @ J.T
+            for k, Jq in enumerate(e.Jq):
+                C[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += sigma**2 * (np.eye(3) + rho**2 * Jq @ Jq.T)
+            for c, kappa in enumerate([0.0, *KAPPAS]):
+                whole = C + kappa**2 * np.outer(E[:, column], E[:, column])
+                left = e.r.ravel() - J @ e.delta0
+                half = np.linalg.solve(np.linalg.cholesky(whole), left)
+                grid[a, b, c] = -0.5 * (half @ half + np.linalg.slogdet(whole)[1] + rows * np.log(2 * np.pi))
+    return float(logsumexp(grid[:, :, 1:] + np.log(KAPPA_WEIGHTS)) - logsumexp(grid[:, :, 0]))
+
+
+@pytest.fixture(scope="module")
+def odds() -> list[float]:
+    case = small_case()
+    return [log_odds(case, k) for k in range(4)]
+
+
+def test_a_posterior_is_prior_times_likelihood_over_all_settings(odds: list[float]) -> None:
+    found = rank(small_case(), NONE)
+    factor = {
+        "backlash@2": np.logaddexp(odds[0], odds[1]) - np.log(2),
+        "nonlinear_stiffness@2": odds[2],
+        "unknown": odds[3],
+    }
+    assert found.log_factor == pytest.approx(factor, abs=1e-6)
+    share = {"backlash@2": PRIOR_FIRST["listed"] / 2, "nonlinear_stiffness@2": PRIOR_FIRST["listed"] / 2}
+    weights = {k: np.log(share.get(k, PRIOR_FIRST["unknown"])) + f for k, f in factor.items()}
+    total = logsumexp([np.log(PRIOR_FIRST["none"]), *weights.values()])
+    assert found.none == pytest.approx(np.exp(np.log(PRIOR_FIRST["none"]) - total), abs=1e-9)
+    assert found.probability == pytest.approx({k: np.exp(w - total) for k, w in weights.items()}, abs=1e-7)
+    assert found.variant["backlash@2"] == int(np.argmax(odds[:2]))
+
+
+def test_a_second_cause_at_a_joint_has_a_twentieth_of_the_prior() -> None:
+    found = rank(small_case(), np.array([0]), skip=frozenset({"backlash@2"}))
+    assert set(found.probability) == {"nonlinear_stiffness@2", "unknown"}
+    prior = found.log_mass["nonlinear_stiffness@2"] - found.log_factor["nonlinear_stiffness@2"]
+    assert np.exp(prior) == pytest.approx(0.05 * PRIOR_FURTHER["listed"])
+    assert SAME_JOINT == 0.05
+
+
+def test_a_law_is_judged_against_none_by_the_same_densities(odds: list[float]) -> None:
+    case = small_case()
+    problem = Problem.of(case, NONE)
+    E = np.asarray(case.whole.E)
+    assert_allclose(problem.evidences([E[:, :, [0]], E[:, :, [2]]]), [odds[0], odds[2]], atol=1e-6)
+
+
+def test_odds_of_a_draw_are_those_of_its_density() -> None:
+    """One rho, without a base: independent normal coordinates, and one column of random size."""
+    rng = np.random.default_rng(0)
+    column, Y, sigma = 4e-5 * rng.normal(size=(12, 1)), 3e-5 * rng.normal(size=(12, 3)), np.array([2e-5, 3e-5])
+    white: Any = SimpleNamespace(log_norm=0.0, rows=12, E=column)
+    value, vector = np.linalg.eigh(column.T @ column)
+    group = bootstrap._Group(np.array([0]), np.log(0.3), value, vector)
+    nothing, something = bootstrap._log_likelihoods(white, Y, [group], sigma)
+    for k, y in enumerate(Y.T):
+        parts = [[multivariate_normal(cov=s**2 * np.eye(12) + kappa**2 * column @ column.T).logpdf(y)
+                  for kappa in (0.0, *KAPPAS)] for s in sigma]  # fmt: skip
+        logs = np.array(parts) + 6 * np.log(2 * np.pi)
+        assert nothing[k] == pytest.approx(logsumexp(logs[:, 0]))
+        assert something[k] == pytest.approx(np.log(0.3) + logsumexp(logs[:, 1:] + np.log(KAPPA_WEIGHTS)))
+
+
+def test_gains_are_left_out_only_where_they_cannot_count() -> None:
+    """A group that explains nothing is judged near the best sigma alone, and there by the determinant it costs."""
+    sigmas, base = np.geomspace(1e-6, 1e-3, 40), np.full(40, 0.0)
+    base[:10] = -NEGLIGIBLE - 30
+    value, turned = np.array([[2.0, 1.0]]), np.array([[0.0, 0.0]])
+    kappas = 1e-4 * KAPPAS
+    found = log_gain(sigmas, kappas, base, value, turned)
+    direct = -0.5 * np.log1p(value[:, :, None, None] * (kappas / sigmas[:, None]) ** 2).sum(axis=1)
+    seen = np.isfinite(found[0])
+    assert not seen[:10].any()
+    assert seen[-10:].all()
+    assert_allclose(found[0][seen], direct[0][seen], rtol=1e-9)
+
+
+def test_repeated_poses_have_the_freedom_that_their_means_leave() -> None:
+    q = np.repeat(np.arange(5.0), [1, 2, 3, 1, 2])[:, None] * [0.1, 0.2]
+    r = 1e-5 * np.random.default_rng(0).normal(size=(9, 3))
+    m = Measurements(q=q, kind="position", position=np.zeros((9, 3)))
+    found = replicates(m, r, np.ones(9, bool))
+    groups = [r[1:3], r[3:6], r[7:9]]
+    square = sum(((g - g.mean(axis=0)) ** 2).sum() for g in groups)
+    assert (found.poses, found.groups, found.freedom) == (7, 3, 3 * 4)
+    assert found.sigma == pytest.approx(np.sqrt(square / 12))
+
+
+def test_the_twist_of_a_small_transform() -> None:
+    turn, shift = np.array([1e-6, -2e-6, 3e-6]), np.array([0.1, 0.2, -0.3])
+    found = np.array(ca.DM(_twist(ca.SX(ca.DM(frame(from_rpy(turn), shift)))))).ravel()
+    assert_allclose(found, [*shift, *turn], atol=1e-11)
+
+
+def test_sums_of_logarithms_far_from_zero() -> None:
+    logs = np.array([[-2000.0, 1500.0], [-2001.0, 1400.0], [-2003.0, 1500.5]])
+    weights = np.log([0.2, 0.3, 0.5])
+    assert_allclose(log_mean(logs, weights[:, None]), logsumexp(logs + weights[:, None], axis=0), rtol=1e-14)
+
+
+def test_drivers_of_columns_alone() -> None:
+    assert Driver("t", "time", "time").columns_only
+    assert Driver("approach1*t", "linear", "approach").columns_only
+    assert not Driver("q1*t", "linear", "product").columns_only
+    assert not Driver("q1", "angle", "angle").columns_only
+
+
+def test_positions_and_widths_of_a_form_lie_within_the_driver() -> None:
+    x = np.linspace(-2.0, 6.0, 801)
+    grid = _with_widths(4, [0.1, 0.2])(x)
+    assert_allclose(np.unique(grid[:, 0]), [-1, 1, 3, 5], atol=0.02)
+    assert_allclose(np.unique(grid[:, 1]), [0.8, 1.6], rtol=0.02)
+    assert len(grid) == 8
+
+
+def test_candidates_of_one_setting_and_of_several_are_named_by_their_effect() -> None:
+    by_label = {c.label: c for c in standard_candidates(robot("ur10e"))}
+    assert by_label["frame_drift"].name == "frame_drift"
+    assert len(by_label["frame_drift"].variants) > 1  # settling is one of its laws
+    assert {(c.name, c.joint) for c in by_label.values() if c.label == "joint_scale@3"} == {("joint_scale", 3)}
+
+
+def test_kept_formulas_are_known_to_who_clears_the_folder() -> None:
+    path = KeptFormulas(seams_of(robot("ur10e"))).path
+    assert path is None or private_folder._KEPT.fullmatch(path.name)
+
+
+def test_the_base_model_keeps_all_parameters_by_their_priors() -> None:
+    planar = read_problem(ROOT / "problems" / "planar")
+    (m,) = planar.sets["identify"]
+    found = _of(planar.robot, m, Prior(), (), lambda _: None)
+    assert found.problem.priors
+    assert found.problem.loss == "huber"
+    assert set(found.names) >= {"a1", "theta1", "beta1"}
+    assert found.left_out == ()
+
+
+def test_the_grid_of_lines_ends_at_the_highest_frequency() -> None:
+    b: Any = SimpleNamespace(q=np.linspace(0, 4 * np.pi, 50), weight=np.ones(50), waves=lambda f: len(f))
+    curve: Any = SimpleNamespace(t=np.zeros(4))
+    for top in (3.0, 4.5):
+        frequency = Search(b, 1, curve, top, 6).frequency
+        steps = round((top - frequency[0]) / (frequency[1] - frequency[0]))
+        assert frequency[-1] == pytest.approx(top)
+        assert len(frequency) == steps + 1
+
+
+@pytest.mark.parametrize(("error", "shown"), [(0.01, 2), (0.0499, 2), (0.05, 1), (0.3, 1)])
+def test_digits_of_a_frequency(error: float, shown: int) -> None:
+    assert _decimals(Line(1, 17.0, error, 1e-5, 1e-6, 0.0, 0.1, 1e-9)) == shown
+
+
+def test_thirds_are_named_to_a_tenth() -> None:
+    values = np.linspace(20.0, 29.0, 31)
+    case: Any = SimpleNamespace(m=SimpleNamespace(conditions={"temperature_degC": values}))
+    assert _thirds(case, "temperature", "time_s", "degC") == []
+    names = [name for _, name, _ in _thirds(case, "temperature", "temperature_degC", "degC")]
+    assert names == ["20.0 .. 23.0 degC", "23.0 .. 26.0 degC", "26.0 .. 29.0 degC"]
+
+
+def test_fifteen_poses_are_proposed_by_default() -> None:
+    assert inspect.signature(analyse).parameters["poses"].default == 15
+
+
+@pytest.mark.parametrize(("p", "told"), [(None, "P(nothing) = 0.2"), (5e-4, "p < 0.0005"), (1e-3, "p = 0.001")])
+def test_a_p_value_is_told_to_a_thousandth(p: float | None, told: str) -> None:
+    d: Any = SimpleNamespace(
+        replicates=SimpleNamespace(enough=False, poses=0), verdict="none", p_nothing=p, outliers=(),
+        gap=SimpleNamespace(kept=1e-4, floor=1e-4), case=SimpleNamespace(kept=np.ones(5, bool)),
+        rankings=[SimpleNamespace(none=0.2, noise_form="")],
+    )  # fmt: skip
+    assert next(_gap(d)).text.endswith(told)
+
+
+def test_the_short_answer_has_each_kind_once_and_doubts_first() -> None:
+    told = [
+        Statement("UNKNOWN", "much"), Statement("UNKNOWN", "more"), Statement("UNKNOWN", "doubt", doubtful=True),
+        Statement("CANNOT", "tell"), Statement("WHERE", "joint 2"), Statement("GAP", "0.1 mm", doubtful=True),
+    ]  # fmt: skip
+    d: Any = SimpleNamespace(verdict="explained")
+    assert [(s.about, s.text) for s in _things(d, told)] == [("UNKNOWN", "doubt"), ("WHERE", "joint 2")]
+    d.verdict = "none"
+    assert [s.about for s in _things(d, told)] == ["UNKNOWN"]
+
+
+def test_next_poses_have_the_unit_of_their_joint() -> None:
+    joints = (Joint(), Joint(kind="prismatic"))
+    q = np.array([[np.pi / 6, 0.25], [0.1, 0.2]])
+    m = Measurements(q=q, kind="position", position=np.zeros((2, 3)))
+    case: Any = SimpleNamespace(robot=SimpleNamespace(joints=joints, payload=None), m=m)
+    drawn: Any = SimpleNamespace(m=m, warm=None, repeated=np.array([-1, -1]), q=q)
+    table = _table(case, (), drawn, [0], [0.5])
+    assert table.loc[0, ["q1_deg", "q2_mm"]].tolist() == [30.0, 250.0]
+
+
+def test_a_law_that_explains_nothing_costs_its_width() -> None:
+    screen = Screen(np.zeros((4, 3, 3)), np.zeros((4, 3, 1)), np.zeros((4, 3)), 12 * 4e-10, 12)
+    size = 3e-9  # its column's square; the noise's variance is 4e-10
+    (found,) = screen.gains(np.array([[[size]]]), np.zeros((1, 1)))
+    assert found == pytest.approx(logsumexp(np.log(KAPPA_WEIGHTS) - 0.5 * np.log1p(KAPPAS**2 * size / 4e-10)))
+
+
+def test_only_sigmas_near_the_best_are_judged() -> None:
+    """A column that explains nearly all makes small sigmas likely, and large ones not worth a look."""
+    sigmas = np.geomspace(1e-6, 1e-3, 40)
+    found = log_gain(sigmas, 1e-3 * KAPPAS, np.zeros(40), np.array([[1.0]]), np.array([[2e-4]]))
+    assert np.isfinite(found[0]).all(axis=1).tolist() == [True] + 39 * [False]
+
+
+class Parted:
+    """An effect of two parts whose sizes are learnt."""
+
+    parts = {0: np.array([0]), 1: np.array([1])}  # noqa: RUF012
+
+    def with_sizes(self, factors: Any) -> Parted:
+        self.given = factors
+        return Parted()
+
+
+@pytest.mark.parametrize(("ratio", "near"), [(0.0, (0, 1)), (0.2, (1, 2, 3)), (0.39, (3, 4, 2)), (5.0, (4, 5))])
+def test_learnt_sizes_hold_about_the_noise_at_which_they_were_learnt(ratio: float, near: tuple[int, ...]) -> None:
+    case, effect = small_case(), Parted()
+    any_effect: Any = effect
+    with_it = replace(case, columns={**case.columns, any_effect: np.array([1, 3])})
+    more, _ = with_it.with_sizes(any_effect, {0: 0.5, 1: 2.0}, Noise(3e-5, ratio * 3e-5))
+    assert set(more.whole.near) == set(near)
+    assert more.whole.reference == 3e-5
+    assert more.whole.held is not None
+    assert more.whole.held.tolist() == [CHOSEN, 0.5 * CHOSEN, CHOSEN, 2 * CHOSEN]
+
+
+def test_rivals_of_a_cause_are_the_others_that_remain_probable(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(conclusion, "_estimates", lambda *_: {})
+    case = small_case()
+    probability = {"backlash@2": 0.7, "nonlinear_stiffness@2": 0.2, "unknown": 0.01}
+    noise = dict.fromkeys(probability, Noise(2e-5, 0.0))
+    ranking: Any = SimpleNamespace(probability=probability, noise=noise)
+    state: Any = SimpleNamespace(
+        case=case, by_label={c.label: c for c in case.candidates}, listed=lambda _: probability
+    )
+    step: Any = SimpleNamespace(labels=("backlash@2",), ranking=ranking, effects=case.candidates[0].variants[0])
+    found = conclusion._cause(state, step, np.full(9, 1e-4), 0)
+    assert found.indistinguishable == ("nonlinear_stiffness@2",)
+    assert found.confidence == 0.7

@@ -1,0 +1,82 @@
+"""Parts of a search for poses: depth of the exchange, size of the pool, order, digits of the table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pose_arms import planar
+
+from casadical.core.errors import InputError
+from casadical.pose_selection import exchange, pose_search
+from casadical.pose_selection.candidates import Candidates, Circumstances
+from casadical.pose_selection.pose_order import TIME_PARTS, arranged
+from casadical.pose_selection.pose_search import select_poses
+from casadical.pose_selection.workspace_file import read_workspace
+
+ROBOT = planar()
+
+
+class Still:
+    """A design that no exchange improves."""
+
+    def __init__(self) -> None:
+        self.chosen, self.value = [0, 1, 2, 3], 1.0
+
+    def snapshot(self) -> None: ...
+
+    def restore(self, before: None) -> None: ...
+
+
+def test_an_exchange_goes_as_deep_as_it_is_told_step_by_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[tuple[int, bool]] = []
+    monkeypatch.setattr(exchange, "_excursion", lambda _design, _n, reach, up: tried.append((reach, up)))
+    design: Any = Still()
+    exchange.improve(design, 3)
+    assert tried == [(1, True), (1, False), (2, True), (2, False), (3, True), (3, False)]
+
+
+def test_the_pool_is_three_times_what_is_chosen_at_least(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+
+    def stop(*_: object, pool: int, **__: object) -> None:
+        asked.append(pool)
+        raise InputError("far enough")
+
+    monkeypatch.setattr(pose_search, "prepare", stop)
+    for n, pool in ((5, 100), (50, 100)):
+        with pytest.raises(InputError, match="far enough"):
+            select_poses(ROBOT, None, n, pool=pool)
+    assert asked == [100, 150]
+
+
+def test_poses_stay_in_their_part_of_the_campaign() -> None:
+    rng = np.random.default_rng(0)
+    progress = np.array([0.9, 0.0, 0.3, 1.0, 0.05, 0.6])
+    q = rng.uniform(-1, 1, (6, ROBOT.n))
+    m = arranged(ROBOT, Candidates(q, {"progress": progress[:, None]}), Circumstances(), travel=False)
+    order = [int(np.flatnonzero((q == row).all(axis=1))[0]) for row in m.q]
+    parts = np.minimum((TIME_PARTS * progress).astype(int), TIME_PARTS - 1)
+    assert order == sorted(range(6), key=lambda k: (parts[k], k))
+
+
+def test_limits_that_leave_one_reading_leave_nothing(tmp_path: Path) -> None:
+    low, high = (float(np.rad2deg(v)) for v in (ROBOT.joints[0].lower, ROBOT.joints[0].upper))
+    middle = 0.5 * (low + high)
+    path = tmp_path / "room.toml"
+    path.write_text(f"casadical = 1\n[[joint]]\nnumber = 1\nlimits_deg = [{middle}, {middle}]\n")
+    with pytest.raises(InputError, match=r"joint 1: nothing of its range is left"):
+        read_workspace(path, ROBOT)
+    path.write_text(f"casadical = 1\n[[joint]]\nnumber = 1\nlimits_deg = [{middle}, {middle + 1}]\n")
+    assert read_workspace(path, ROBOT).upper[0] == pytest.approx(np.deg2rad(middle + 1))
+
+
+def test_the_table_for_the_robot_tells_micrometres() -> None:
+    found = select_poses(ROBOT, None, 3, pool=12, restarts=1)
+    assert found.m.position is not None
+    shown = found.table[["nominal_x_mm", "nominal_y_mm", "nominal_z_mm"]].to_numpy()
+    assert (np.round(shown, 3) == shown).all()
+    np.testing.assert_allclose(shown, 1e3 * found.m.position, rtol=0, atol=5.001e-4)
+    assert list(found.table.columns[:3]) == ["pose", "q1_deg", "q2_deg"]
