@@ -47,8 +47,8 @@ def test_a_cause_that_shows_nothing_gains_nothing() -> None:
 def test_what_the_base_model_does_not_absorb() -> None:
     J = np.zeros((2, 3, 1))
     J[0, 0] = J[1, 0] = 1.0
-    shift = np.array([[1.0, 2, 0], [3.0, 0, 0]])
-    assert unabsorbed_rms(J, shift) == pytest.approx(np.sqrt((1 + 1 + 4) / 6))
+    shift = np.array([[1.0, 3, 0], [3.0, 0, 0]])
+    assert unabsorbed_rms(J, shift) == pytest.approx(np.sqrt((1 + 1 + 9) / 6))
 
 
 def test_an_undisturbed_robot_is_the_plant_itself() -> None:

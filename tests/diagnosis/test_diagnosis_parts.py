@@ -13,7 +13,7 @@ import pytest
 from cases import ROOT, robot, small_problem
 from numpy.testing import assert_allclose
 from scipy.special import logsumexp
-from scipy.stats import multivariate_normal
+from scipy.stats import chi2, multivariate_normal
 
 from casadical import Joint, Measurements
 from casadical.core import private_folder
@@ -23,7 +23,7 @@ from casadical.diagnosis.brief import _things
 from casadical.diagnosis.candidates import Candidate, standard_candidates
 from casadical.diagnosis.details import analyse
 from casadical.diagnosis.diagnose import _of
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, log_repeats
 from casadical.diagnosis.formula_cache import KeptFormulas
 from casadical.diagnosis.formulas import _twist
 from casadical.diagnosis.gains import NEGLIGIBLE, log_gain
@@ -315,3 +315,33 @@ def test_rivals_of_a_cause_are_the_others_that_remain_probable(monkeypatch: pyte
     found = conclusion._cause(state, step, np.full(9, 1e-4), 0)
     assert found.indistinguishable == ("nonlinear_stiffness@2",)
     assert found.confidence == 0.7
+
+
+def test_repeated_poses_weigh_sigmas_as_their_scatter_does() -> None:
+    """Sums of squares over a variance are chi-squared; the noise of joints adds to that of the instrument."""
+    e = replace(small_problem(), repeats=(4e-5, 12))
+    for k in (0, 3):
+        variance = SIGMAS**2 * (1 + RHOS[k] ** 2 * (e.Jq**2).sum(axis=2).mean())
+        direct = chi2(12).logpdf(12 * 4e-5**2 / variance) - np.log(variance)
+        found = log_repeats(e, e.Jq, k)
+        assert_allclose(found - found[0], direct - direct[0], rtol=1e-9, atol=1e-9)
+
+
+def test_a_prior_of_correlated_parameters_is_one_of_independent_units() -> None:
+    case = small_case()
+    names = tuple("abcde")
+    group = SimpleNamespace(group="x")
+    parameters: Any = type("Of", (), {"names": names, "__getitem__": lambda _s, _n: group})()
+    given: Any = SimpleNamespace(parameters=parameters)
+    C = np.array([[4e-10, 3e-10], [3e-10, 9e-10]])
+    prior = Prior(names, {"b": (1e-5, 2e-5), "d": (-3e-5, 3e-5)}, ((("b", "d"), C),), ("x",))
+    found = replace(case, given=given).with_prior(prior, 2e-5)
+    assert found.units is not None
+    mean = case.whole.delta0.copy()
+    mean[[1, 3]] = 1e-5, -3e-5
+    assert_allclose(found.units @ found.whole.delta0, mean, atol=1e-18)
+    spread = found.units @ np.diag(found.whole.prior**2) @ found.units.T
+    expected = np.diag(case.whole.prior**2)
+    expected[np.ix_([1, 3], [1, 3])] = C
+    assert_allclose(spread, expected, rtol=1e-9, atol=1e-25)
+    assert_allclose(found.whole.J, case.whole.J @ found.units, rtol=1e-12)

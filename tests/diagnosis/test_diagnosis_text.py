@@ -208,6 +208,8 @@ def test_json_holds_what_the_page_says(fixed: Diagnosis, details: Details) -> No
     before, after = answer["told_rightly"]
     assert before == pytest.approx(0.55)
     assert after == pytest.approx(probability_after(0.55, 1.5), abs=1e-4)
+    noisy = as_json(replace(fixed, noise=Noise(1.2346e-5, 5.4321e-6)), "made-up", details)["noise"]
+    assert noisy["repeatability_urad"] == 5.43
 
 
 @pytest.mark.parametrize(("share", "gain"), [(0.5, 1.0), (0.7, 0.5), (0.9, 3.0), (0.98, 0.2)])
