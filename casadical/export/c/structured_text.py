@@ -76,9 +76,14 @@ def number(value: float, real: Real) -> str:
     return mantissa + (f"E{int(exponent)}" if exponent else "")
 
 
+def _operand(value: float, real: Real) -> str:
+    text = number(value, real)
+    return f"({text})" if text.startswith("-") else text
+
+
 def _common(program: TapeProgram, plan: Plan, label: Label) -> dict[str, str]:
     kind = "REAL" if program.real == "float" else "LREAL"
-    values = constants(program.real, number) | {
+    values = constants(program.real, _operand) | {
         "name": label.name,
         "kind": kind,
         "index": "INT" if plan.size < 2**15 else "DINT",
