@@ -7,10 +7,9 @@ loss), of known separations between points, and of priors where they are asked f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -22,6 +21,7 @@ from casadical.identification.identifiability import (
     analyse,
     scaled_inverse,
 )
+from casadical.identification.last_answer import Last, Sums
 from casadical.identification.residuals import POINT_SCALE, Block, Loss, loss_slope, loss_value, make_block
 from casadical.identification.solver import Progress, Solution, minimise
 from casadical.measurements.kinds.registry import find_kind
@@ -47,28 +47,6 @@ _WHOLE_ROBOT = (
 )
 
 _Part = tuple[int, Array, Array]
-
-
-@dataclass(frozen=True, eq=False)
-class _Sums:
-    """Of all poses at one point: cost and gradient with the priors, J'WJ without, residuals of every set."""
-
-    cost: float
-    gradient: Array
-    information: Array
-    residuals: list[Array]
-
-
-def _remembered() -> Callable[[Array, Callable[[Array], Any]], Any]:
-    """A function of a point and what to compute there that knows its last answer: a point is asked for many times."""
-    last: list[Any] = [None, None]
-
-    def asked(v: Array, compute: Callable[[Array], Any]) -> Any:
-        if last[0] is None or not np.array_equal(last[0], v):
-            last[:] = [v.copy(), compute(v)]
-        return last[1]
-
-    return asked
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,13 +176,20 @@ class LeastSquares:
         return minimise(self.cost, self.gradient, *self.bounds, scale=0.5 * self.residual_count, progress=progress)
 
     def cost(self, v: Array) -> float:
-        """Half the sum of squares at v, through the robust loss, with the priors."""
-        return self._sums(v).cost
+        """Half the sum of squares at v, through the robust loss, with the priors.
+
+        A line search asks for further points where it did not step to the last one, which its gradient would show:
+        there residuals are evaluated without derivatives.
+        """
+        last = self._last_sums
+        if last.point is None or last.holds(v) or self._last_gradient.holds(last.point):
+            return self._sums(v).cost
+        return float(self._last_cost(v, self._cost))
 
     def gradient(self, v: Array) -> tuple[Array, Array]:
         """Gradient and Gauss-Newton Hessian of the cost at v, shapes (size,) and (size, size)."""
         sums = self._sums(v)
-        return sums.gradient, sums.information + self.prior_matrix
+        return sums.gradient, self._last_gradient(v, lambda _: sums.information + self.prior_matrix)
 
     def information(self, v: Array) -> Array:
         """J'WJ at v without the priors, shape (size, size); W : the weights that the loss gives."""
@@ -214,11 +199,11 @@ class LeastSquares:
         """Of every set, shape (n, m), and of the known separations, where there are any, shape (separations, 1)."""
         return self._sums(v).residuals
 
-    def _sums(self, v: Array) -> _Sums:
-        found: _Sums = self._last_sums(v, self._summed)
+    def _sums(self, v: Array) -> Sums:
+        found: Sums = self._last_sums(v, self._summed)
         return found
 
-    def _summed(self, v: Array) -> _Sums:
+    def _summed(self, v: Array) -> Sums:
         cost, gradient, information = 0.0, np.zeros(self.size), np.zeros((self.size, self.size))
         residuals: dict[int, list[Array]] = {}
         for k, r, J in self._parts(v):
@@ -231,7 +216,14 @@ class LeastSquares:
             gradient += J.T @ (r.ravel() if slope is None else slope * r.ravel())
         gradient += self.prior_matrix @ (v - self.prior_mean)
         cost = 0.5 * (cost + self.prior_square(v))
-        return _Sums(cost, gradient, information, [np.concatenate(parts) for parts in residuals.values()])
+        return Sums(cost, gradient, information, [np.concatenate(parts) for parts in residuals.values()])
+
+    def _cost(self, v: Array) -> float:
+        """The cost from residuals alone."""
+        x, u = self.separate(v)
+        found = [(k, r) for k, block in enumerate(self.blocks) for r in block.residuals(x, u)]
+        found += [(k, r) for k, r, _ in self._separated(v)]
+        return 0.5 * (sum(float(loss_value(self._loss_of(k), r).sum()) for k, r in found) + self.prior_square(v))
 
     def _loss_of(self, k: int) -> Loss:
         """Known separations pass through no loss."""
@@ -247,16 +239,21 @@ class LeastSquares:
         found: tuple[_Part, ...] = self._last_parts(v, lambda v: tuple(self._evaluated(v)))
         return found
 
-    _last_sums, _last_parts = cached_property(lambda _: _remembered()), cached_property(lambda _: _remembered())
+    _last_sums, _last_parts = cached_property(lambda _: Last()), cached_property(lambda _: Last())
+    _last_gradient, _last_cost = cached_property(lambda _: Last()), cached_property(lambda _: Last())
 
     def _evaluated(self, v: Array) -> Iterator[_Part]:
         x, u = self.separate(v)
         for k, block in enumerate(self.blocks):
             for some, r, J in block.parts(x, u):
                 yield k, r, self._widened(block, some, J)
+        yield from self._separated(v)
+
+    def _separated(self, v: Array) -> Iterator[_Part]:
+        """The part of known distances between touched points, where there are any."""
         if any(m.separations for m in self.sets):
             w = ca.MX.sym("v", self.size)
-            r_s = self._separations(ca.reshape(w[x.size :], 3, len(self.labels)))
+            r_s = self._separations(ca.reshape(w[len(self.names) :], 3, len(self.labels)))
             both = ca.Function("separations", [w], [r_s, ca.densify(ca.jacobian(r_s, w))])(v)
             yield len(self.sets), both[0].full(), both[1].full()
 

@@ -59,11 +59,14 @@ _LOSS: dict[Loss, Callable[[Array, float], tuple[Array, Array]]] = {
 }
 
 
+_Which = Literal["residual", "value", "machine_code"]
+
+
 class PoseFunctions:
     """The residual of one pose and its Jacobian; shared by all robots of one structure.
 
     robot : the numbers that differ between them: nominal parameters, constants, scales (see `robot_numbers`)
-    residual : (z, data, robot)->(r[m], J[m, z]), in units of sigma, without the loss
+    residual : (z, data, robot)->(r[m], J[m, z]), in units of sigma, without the loss; value : r alone, a tenth of it
     point : whether z ends with an unknown point; observed : names of the observed arrays in data, in their order
     """
 
@@ -91,14 +94,16 @@ class PoseFunctions:
         r, z = r * ca.vertcat(*sigmas) * root, ca.vertcat(x, u)
         data = ca.vertcat(q, w, *pose.observed.values(), inverse, root)
         outputs = [r, ca.densify(ca.jacobian(r, z))]
-        self.residual = ca.Function("residual", [z, data, ca.vertcat(nominal, constants, scale)], outputs)
-        self._mapped: dict[tuple[int, bool], ca.Function] = {}
+        inputs = [z, data, ca.vertcat(nominal, constants, scale)]
+        self.residual = ca.Function("residual", inputs, outputs)
+        self.value = ca.Function("value", inputs, outputs[:1])
+        self._mapped: dict[tuple[int, _Which], ca.Function] = {}
 
-    def mapped(self, n: int, *, machine_code: bool) -> ca.Function:
-        """The residual over n poses, z and robot shared; outputs side by side."""
-        key = (n, machine_code)
+    def mapped(self, n: int, which: _Which) -> ca.Function:
+        """One of the functions over n poses, z and robot shared; outputs side by side."""
+        key = (n, which)
         if key not in self._mapped:
-            f = self.machine_code if machine_code else self.residual
+            f: ca.Function = getattr(self, which)
             self._mapped[key] = f.map("poses", "serial", n, [2] if self.point else [0, 2], [])
         return self._mapped[key]
 
@@ -164,14 +169,22 @@ class Block:
 
     def parts(self, x: Array, u: Array) -> Iterator[tuple[slice, Array, Array]]:
         """As `evaluate`, some poses at a time: which, their residuals and their Jacobians."""
+        for some, (r, J) in self._called("machine_code" if self.data.shape[1] >= COMPILE_FROM else "residual", x, u):
+            yield some, r.T, J.T.reshape(r.shape[1], -1, len(r)).transpose(0, 2, 1)
+
+    def residuals(self, x: Array, u: Array) -> Iterator[Array]:
+        """As `parts`, the residuals alone."""
+        for _, (r,) in self._called("value", x, u):
+            yield r.T
+
+    def _called(self, which: _Which, x: Array, u: Array) -> Iterator[tuple[slice, list[Array]]]:
+        """Outputs of one of the kernel's functions, some poses at a time."""
         n = self.data.shape[1]
         for start in range(0, n, CHUNK):
             some = slice(start, min(start + CHUNK, n))
             data = self.data[:, some]
             z = np.concatenate([np.tile(x[:, None], data.shape[1]), u[self.group[some]].T]) if self.kernel.point else x
-            f = self.kernel.mapped(data.shape[1], machine_code=n >= COMPILE_FROM)
-            r, J = call(f, z, data, self.robot)
-            yield some, r.T, J.T.reshape(r.shape[1], -1, len(r)).transpose(0, 2, 1)
+            yield some, call(self.kernel.mapped(data.shape[1], which), z, data, self.robot)
 
 
 def make_block(

@@ -11,7 +11,7 @@ from scipy.stats import t as student
 from casadical import identify
 from casadical.core.statistics import student_t
 from casadical.identification.least_squares import LeastSquares
-from casadical.identification.residuals import _KNEE
+from casadical.identification.residuals import _KNEE, Block
 
 ARM = arms.six_axis()
 
@@ -112,10 +112,8 @@ def test_robust_losses_minimise_what_scipy_says(small, loss):
     assert np.abs(plain.x - oracle.x).max() > 1e-2  # the outliers do pull without the loss
 
 
-@pytest.mark.parametrize("loss", ["linear", "huber", "soft_l1"])
-@pytest.mark.parametrize("kind", ["position", "pose", "distance", "pair", "contact"])
-def test_gradient_is_that_of_the_cost(kind, loss):
-    """Central differences of the solver's own cost, with priors, weights and separations, far from the optimum."""
+def problem_of(kind: str, loss: str) -> LeastSquares:
+    """Twelve poses, with priors, weights and separations."""
     robot = replace(ARM, base=arms.Placement(np.eye(4)))
     built = arms.planted(robot, 1)
     q = arms.readings(robot, 12, 2)
@@ -131,7 +129,17 @@ def test_gradient_is_that_of_the_cost(kind, loss):
     }[kind]()
     m = replace(m, weight=np.linspace(0.5, 2, 12))
     names = ("a1", "alpha2", "beta2", "theta3", "d4", "tool_x")
-    problem = LeastSquares(robot, (m,), names, loss, True, ((1e-3, 1e-2),))
+    return LeastSquares(robot, (m,), names, loss, True, ((1e-3, 1e-2),))
+
+
+every_kind = pytest.mark.parametrize("kind", ["position", "pose", "distance", "pair", "contact"])
+
+
+@pytest.mark.parametrize("loss", ["linear", "huber", "soft_l1"])
+@every_kind
+def test_gradient_is_that_of_the_cost(kind, loss):
+    """Central differences of the solver's own cost, far from the optimum."""
+    problem = problem_of(kind, loss)
     v = np.random.default_rng(5).normal(size=problem.size)
 
     steps = np.eye(problem.size) * 1e-5
@@ -140,6 +148,21 @@ def test_gradient_is_that_of_the_cost(kind, loss):
     assert np.allclose(g, numeric, rtol=1e-5, atol=1e-6 * np.abs(numeric).max())
     assert np.abs(approx_fprime(v, problem.cost, 1e-6) - g).max() < 1e-2 * np.abs(g).max()
     assert np.linalg.eigvalsh(H).min() > -1e-9 * np.abs(H).max()
+
+
+@every_kind
+def test_a_search_along_a_step_evaluates_no_derivatives_and_has_the_same_costs(kind, monkeypatch):
+    """Where the point before was not stepped to, its gradient never asked for, the next has its cost alone."""
+    there, here = problem_of(kind, "huber"), problem_of(kind, "huber")
+    first, *others = np.random.default_rng(6).normal(size=(4, there.size))
+    expected = [replace(there).cost(v) for v in others]
+    here.cost(first)
+    with monkeypatch.context() as patch:
+        patch.setattr(Block, "parts", lambda *_: pytest.fail("derivatives"))
+        assert [here.cost(v) for v in others] == expected
+    assert here.gradient(others[-1])[0] == pytest.approx(there.gradient(others[-1])[0], rel=1e-14)
+    monkeypatch.setattr(Block, "residuals", lambda *_: pytest.fail("the cost alone"))
+    assert here.cost(first) == there.cost(first)  # after a gradient both are wanted again
 
 
 @pytest.mark.parametrize("freedom", [3, 5, 15, 60, 1000])

@@ -1,0 +1,36 @@
+"""What a least squares problem computed last: at one point it is asked for cost, gradient and statistics in turn."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from casadical.core.arrays import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """Of all poses at one point: cost and gradient with the priors, J'WJ without, residuals of every set."""
+
+    cost: float
+    gradient: Array
+    information: Array
+    residuals: list[Array]
+
+
+class Last:
+    """The last answer of a function of a point, shape (size,), and that point."""
+
+    point: Array | None = None
+    answer: Any = None
+
+    def holds(self, v: Array) -> bool:
+        """Whether v is that point."""
+        return self.point is not None and np.array_equal(self.point, v)
+
+    def __call__(self, v: Array, compute: Callable[[Array], Any]) -> Any:
+        """Its answer at v, computed where v is another point."""
+        if not self.holds(v):
+            self.point, self.answer = v.copy(), compute(v)
+        return self.answer
