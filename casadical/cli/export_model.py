@@ -94,7 +94,8 @@ def export_urdf(
 ) -> None:
     """Write a calibrated robot as a URDF: the problem's own URDF with new numbers, or a new one if it has none.
 
-    A URDF holds geometry and masses, but no springs and effects. For closed loops use `export mjcf`.
+    A URDF holds geometry and masses, but no springs and effects: what that costs is printed in millimetres. For closed
+    loops use `export mjcf`.
 
     Example: casadical export urdf results/SKCM.robot.toml --out arm.urdf
 
@@ -103,25 +104,37 @@ def export_urdf(
     from casadical.core.files import write_together
     from casadical.effects.counterparts import Omission
     from casadical.export.mjcf.sources import calibrated, robot_to_write
-    from casadical.export.omission import left_out
+    from casadical.export.omission import geometry_alone, left_out, rest_of_rigid
     from casadical.robot.urdf import new_urdf
 
     refuse_taken(out, overwrite)
-    into = None
+    into, figures = None, None
     with working(quiet, "calibrating"):
         if source.is_dir():
             calibration = calibrated(source)
-            robot, into = calibration.robot, calibration.problem.urdf
+            robot, into, figures = calibration.robot, calibration.problem.urdf, geometry_alone(calibration)
         else:
             robot, _ = robot_to_write(source)
     omissions = [Omission(e.label, "a URDF holds geometry and masses only") for e in robot.effects]
-    lines = left_out(robot, omissions, "a URDF", leave_out)
+    lines = (*left_out(robot, omissions, "a URDF", leave_out), *rest_of_rigid(robot))
     text = calibration.problem.calibrated_urdf(robot) if into else new_urdf(robot)
     kept = {"file": str(out), "robot": robot.name, "into": into[0].name if into else None, "left_out": list(lines)}
-    write_together(with_json({out: text}, json_file, kept))
+    write_together(with_json({out: text}, json_file, {**kept, "mean_errors": figures}))
     console = plain(quiet)
     for line in lines:
         console.print(f"LEFT OUT {line}")
+    if not lines:
+        console.print("nothing is left out: the robot is rigid and has no effects")
+    if figures:
+        poses = "held-out poses" if figures["set"] == "report" else "poses that were identified from"
+        console.print(
+            f"mean error at {figures['poses']} {poses}: nominal, base and tool fitted, {figures['nominal_mm']:.3f} mm; "
+            f"this URDF alone {figures['geometry_mm']:.3f} mm; the whole model {figures['model_mm']:.3f} mm"
+        )
+    if lines:
+        console.print(
+            "a robot that is calibrated as rigid (method KM) loses less as a URDF; `export mjcf` keeps the springs"
+        )
     console.print(f"wrote {out}: {robot.name}, {robot.n} joints" + (f", after {into[0].name}" if into else ""))
     if json_file:
         console.print(f"wrote {json_file}")

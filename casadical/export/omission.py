@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Iterable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -9,8 +10,12 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.effects import Effect
 from casadical.effects.counterparts import Omission
+from casadical.identification.accuracy import errors
 from casadical.robot.kinematics import LEAST_MARGIN
 from casadical.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from casadical.project.calibration import Calibration
 
 POSES = 1000
 
@@ -62,11 +67,30 @@ def rigid_rest(robot: Robot, seed: int = 0) -> tuple[float, float]:
     robot = robot.with_only(e for e in robot.effects if not e.of_measurement)
     q, w = _poses(robot, seed)
     p, margin = robot.model.evaluate(("p", "margin"), q, w, robot.parameters.values)
-    bare = replace(robot.with_only(()), joints=tuple(replace(j, compliance=None) for j in robot.joints), knowledge=None)
+    bare = geometry_of(robot)
     (stiff,) = bare.model.evaluate(("p",), q, np.tile(bare.declared, (POSES, 1)), bare.parameters.values)
     closed = (margin.reshape(-1, POSES) > LEAST_MARGIN).all(axis=0)
     moved = np.linalg.norm(p - stiff, axis=0)[closed]
     return float(moved.mean()), float(moved.max())
+
+
+def geometry_of(robot: Robot) -> Robot:
+    """The rigid robot without effects whose geometry, base and tool are the same."""
+    return replace(robot.with_only(()), joints=tuple(replace(j, compliance=None) for j in robot.joints), knowledge=None)
+
+
+def geometry_alone(calibration: "Calibration") -> dict[str, float | int | str]:
+    """Mean errors [mm] at measured poses: of the nominal robot, of the calibrated geometry alone, of the whole model.
+
+    The set `report`, which the fit has not seen, else the poses that were identified from; key `set` says which.
+    The nominal robot has its base and tool fitted.
+    """
+    found, sets = calibration.identification, calibration.problem.sets
+    name = "report" if "report" in sets else "identify"
+    robots = {"nominal": found.placed, "geometry": geometry_of(found.robot), "model": found.robot}
+    mean = {key: np.concatenate([errors(robot, m) for m in sets[name]]) for key, robot in robots.items()}
+    figures = {f"{key}_mm": 1e3 * float(e.mean()) for key, e in mean.items()}
+    return {"set": name, "poses": len(mean["model"]), **figures}
 
 
 _NOT_KNOWN = "what would be lost is not known, for the robot file gives no range of"

@@ -8,11 +8,15 @@ import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import main
 
+from casadical.project.calibration import calibrate
+
 ROOT = Path(__file__).parents[2]
 PLANAR = ROOT / "problems" / "planar"
+KR210 = ROOT / "problems" / "kr210"
 HH800 = ROOT / "problems" / "hh800"
 
 
@@ -42,6 +46,39 @@ def test_a_robot_file_is_written_as_it_is_and_nothing_is_overwritten(
     assert "is there already" in capfd.readouterr().err
     assert file.read_text() == text
     assert main(monkeypatch, "export", "urdf", PLANAR / "robot.toml", "--out", file, "--overwrite") == 0
+
+
+def test_a_urdf_says_in_millimetres_what_it_cannot_hold(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The figure of the URDF alone is that of pinocchio, which reads the file, at the measured poses."""
+    pinocchio = pytest.importorskip("pinocchio")
+    file, kept = tmp_path / "arm.urdf", tmp_path / "arm.json"
+    assert main(monkeypatch, "export", "urdf", KR210, "--out", file, "--json", kept) == 0
+    printed = " ".join(capfd.readouterr().out.split())
+    figures = json.loads(kept.read_text())["mean_errors"]
+    calibration = calibrate(KR210, method="SKCM")
+    (m,) = calibration.problem.sets["report"]
+    model = pinocchio.buildModelFromUrdf(str(file))
+    data = model.createData()
+    p = []
+    for q in m.q:
+        pinocchio.framesForwardKinematics(model, data, q)
+        p.append(calibration.robot.base.T @ data.oMf[model.getFrameId("measured")].homogeneous[:, 3])
+    error = 1e3 * np.linalg.norm(np.array(p)[:, :3] - m.position, axis=1).mean()
+    assert figures["geometry_mm"] == pytest.approx(error, rel=1e-6)
+    assert figures["model_mm"] < 0.05 < 1 < figures["nominal_mm"]
+    assert f"this URDF alone {error:.3f} mm; the whole model {figures['model_mm']:.3f} mm" in printed
+    assert "LEFT OUT compliance of joints 1, 2, 3, 4, 5, 6" in printed
+
+
+def test_a_urdf_of_a_rigid_robot_leaves_nothing_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert main(monkeypatch, "export", "urdf", PLANAR, "--out", tmp_path / "arm.urdf") == 0
+    printed = " ".join(capfd.readouterr().out.split())
+    assert "nothing is left out" in printed
+    assert "this URDF alone 0.025 mm; the whole model 0.025 mm" in printed
 
 
 WRONG = {
