@@ -26,6 +26,7 @@ POSSIBLE = {
     "weight": (-LARGEST, LARGEST),
 }
 _NUMBERS = re.compile(r"warmth_\w+|approach\d+")
+_POINT = re.compile(r"[xyz]_mm?")
 _READING = re.compile(r"q(\d+)_(deg|rad|mm|m)")
 # Readings, weights and sets.
 _NO_CONDITIONS = r"q\d+_(deg|rad|mm|m)|weight|set|tool"
@@ -243,23 +244,14 @@ class Columns:
             self, table=self.table.assign(tool=pd.Series([names.get(int(row)) for row in self.row], dtype=object))
         )
 
-    def without_numbers(self, needed: Iterable[str]) -> tuple[int, ...]:
-        """Rows of the file in which one of these columns holds no number.
-
-        Parameters
-        ----------
-        needed : Iterable[str]
-            names of columns
-
-        Returns
-        -------
-        tuple[int, ...]
-            rows of the file
-        """
+    @property
+    def lost_rows(self) -> tuple[int, ...]:
+        """Rows of the file in which a reading or a position is no number; none where these are no few."""
+        needed = [name for name in map(str, self.table) if _POINT.fullmatch(name) or _READING.fullmatch(name)]
         bad = np.zeros(len(self.row), dtype=bool)
         for name in needed:
             bad |= ~np.isfinite(pd.to_numeric(self.table[name], errors="coerce").to_numpy(dtype=float))
-        return tuple(int(k) for k in self.row[bad])
+        return tuple(int(k) for k in self.row[bad]) if 2 * bad.sum() <= len(bad) else ()
 
     @property
     def names(self) -> str:

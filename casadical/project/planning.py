@@ -67,6 +67,14 @@ def _mounted(given: Circumstances | None, effects: Sequence[Effect], measured: M
     return known if known.payloads or not effects or len(states) < 2 else replace(known, payloads=tuple(states))
 
 
+def _of_first_target(robot: Robot, measured: Measurements | None) -> tuple[Robot, Measurements | None]:
+    """Of several targets poses are planned for the first, beside what was measured of it."""
+    if measured is not None and (rest := [t.column for t in robot.targets if t.column in measured.conditions]):
+        first = ~measured.condition_matrix(rest, np.zeros(len(rest))).any(axis=1)
+        measured = measured[np.flatnonzero(first)] if first.any() else None
+    return replace(robot, targets=(), tool_name=""), measured
+
+
 def plan(
     robot: Robot,
     n: int | None,
@@ -98,6 +106,7 @@ def plan(
     if measured is not None:
         show("calibrating with the poses measured so far")
         robot, measured, noise = continued(robot, measured, noise, free)
+    robot, measured = _of_first_target(robot, measured)
     circumstances = _mounted(circumstances, effects, measured)
     total = 0 if measured is None else len(measured)
     found = None

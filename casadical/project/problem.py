@@ -253,7 +253,7 @@ def _read_robot(path: Path, urdf: UrdfTable) -> Robot:
 
 
 def read_campaign(
-    folder: str | Path, path: str | Path, robot: Robot, *, readings_only: bool = False, nameless: bool = False
+    folder: str | Path, path: str | Path, robot: Robot, *, readings_only: bool = False, later: bool = False
 ) -> Measurements:
     """A table of measured poses beside a problem, its columns understood as the problem's own tables are.
 
@@ -261,16 +261,18 @@ def read_campaign(
     the first [[measurements]] whose own names for columns it has, as far as it has them.
     folder : of the problem, or a robot's file, with the tables of its calibration in the result.json beside it; where
     there is neither, the table's headers are taken as ours
-    readings_only : of poses that are planned but not measured: every position is zero; nameless : the table need not
-    say which of several targets was measured
+    readings_only : of poses that are planned but not measured: every position is zero; later : of a check after the
+    calibration, which need not say which of several targets was measured; rows without numbers are left out
 
     Raises InputError.
     """
     folder, raw = Path(folder), read_table(path)
     data = _fitting(folder, raw, _tables_of(folder))
     columns, joints = _columns(raw, data, robot), [j.kind for j in robot.joints]
+    if later:
+        columns = columns.without(columns.lost_rows, "the table")
     found = readings_alone(columns, joints) if readings_only else from_columns(columns, joints, data.kind)
-    if not (readings_only or nameless):
+    if not (readings_only or later):
         refuse_nameless(found, robot)
     return _with_conditions(found, robot)
 

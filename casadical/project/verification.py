@@ -15,6 +15,7 @@ from casadical.core.blocks import Table, Words, mm
 from casadical.core.errors import InputError
 from casadical.identification.accuracy import errors
 from casadical.identification.identification import LeftOut, identify, rows_in_words
+from casadical.measurements.raw_table import read_table
 from casadical.project.problem import read_campaign
 from casadical.project.target_names import names_in
 from casadical.robot.robot_file import read_robot
@@ -33,7 +34,7 @@ class Verification:
 
     promised : rms position error on held-out poses of the calibration [m]; found : now, base and tool fitted again, the
     fit's own share made up for [m]; limit : what `found` may be by chance [m]; n : poses; far : those far off
-    without : `found` without those, where it is no longer valid with them
+    lost : rows in which a cell is no number; without : `found` without the far ones, where it is not valid with them
     """
 
     robot: str
@@ -43,6 +44,7 @@ class Verification:
     n: int
     far: tuple[LeftOut, ...]
     without: float | None = None
+    lost: tuple[int, ...] = ()
 
     @property
     def valid(self) -> bool:
@@ -68,6 +70,9 @@ class Verification:
             if self.without is not None:
                 text += f"; without them it is {mm(self.without)} mm{', as promised' * (self.without <= self.limit)}"
             found.append(Words(f"{text}. Measure these poses again first.", "warning"))
+        if self.lost:
+            listed = ", ".join(map(str, self.lost))
+            found.append(Words(f"Left out, a cell is no number: row {listed}.", "warning"))
         if not self.valid and (self.without is None or self.without > self.limit):
             found.append(Words("Calibrate again, or ask casadical diagnose what changed.", "warning"))
         return list(found)
@@ -82,6 +87,7 @@ class Verification:
             "limit_mm": 1e3 * self.limit,
             "poses": self.n,
             "without_far_mm": None if self.without is None else 1e3 * self.without,
+            "left_out": list(self.lost),
             "far": [{"row": out.row, "error_mm": 1e3 * out.error} for out in self.far],
         }
 
@@ -98,9 +104,10 @@ def verify(robot: str | Path, table: str | Path, promised_mm: float | None = Non
     place = Path(robot)
     arm = read_robot(place)
     promised = 1e-3 * promised_mm if promised_mm is not None else promised_rms(place)
-    m = read_campaign(place, table, arm, nameless=True)
+    m = read_campaign(place, table, arm, later=True)
     if arm.targets and not names_in(m):  # the tool is fitted again, whichever it was
         arm = replace(arm, targets=(), tool_name="")
+    lost = tuple(row for row in read_table(table).line if row not in {*m.row.tolist(), *m.copies})
     if m.position is None:
         raise InputError(f"{table}: kind {m.kind}; a check needs measured positions")
     groups = [g for g in ("base", "tool") if g in arm.parameters.groups]
@@ -111,16 +118,14 @@ def verify(robot: str | Path, table: str | Path, promised_mm: float | None = Non
     placed = identify(arm, m, groups).robot if groups else arm
     e = errors(placed, m)
     found, limit = _scatter(e, k), _limit(promised, 3 * len(m) - k)
-    far = [LeftOut(m.source, int(m.row[i]), float(e[i])) for i in np.argsort(-e) if e[i] > FAR * promised][
-        : len(m) // 3
-    ]
+    far = [LeftOut(m.source, int(m.row[i]), float(e[i])) for i in np.argsort(-e) if e[i] > FAR * promised]
     without = None
     if found > limit and groups:  # a few gross errors draw base and tool, and so all others, towards themselves
         robust = identify(arm, m, groups, loss="huber")
         if 0 < len(robust.outliers) <= len(m) // 3:
             kept = robust.used[0]
             far, without = list(robust.left_out), _scatter(errors(robust.robot, kept), k)
-    return Verification(arm.name, promised, found, limit, len(m), tuple(far), without)
+    return Verification(arm.name, promised, found, limit, len(m), tuple(far[: len(m) // 3]), without, lost)
 
 
 def _scatter(e: Array, k: int) -> float:

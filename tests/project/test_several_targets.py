@@ -228,3 +228,26 @@ def test_a_target_that_is_only_held_out_is_refused_with_its_rows(tmp_path: Path)
     with pytest.raises(InputError, match=rf"target 'SMR4' was measured in row {row} only, of the set 'report'"):
         calibrate(tmp_path / "arm")
     assert any("no pose that is fitted tells where it is" in f.text for f in precheck(tmp_path / "arm").of("error"))
+
+
+def test_a_target_that_is_seen_once_is_left_out_by_new(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = table(tmp_path, 60)
+    lines = path.read_text().splitlines()
+    lines[17] = lines[17].rpartition(";")[0] + ";SMR4"
+    path.write_text("\n".join(lines) + "\n")
+    arm = tmp_path / "arm"
+    assert main(monkeypatch, "new", arm, "--dh", tmp_path / "dh.csv", "--data", path, "--yes") == 0
+    assert "left out (leave_out in problem.toml): 18, one of few of target SMR4" in " ".join(
+        capfd.readouterr().out.split()
+    )
+    assert (arm / "robot.toml").read_text().count("[[tool]]") == 3
+    assert precheck(arm).ok
+
+
+def test_poses_are_planned_for_the_first_of_several_targets(
+    arm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert main(monkeypatch, "plan", arm, "-n", "14", "--no-order", "--out", tmp_path / "next.csv", "-q") == 0
+    assert "tool" not in (tmp_path / "next.csv").read_text().splitlines()[0]

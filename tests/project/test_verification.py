@@ -129,9 +129,11 @@ def test_bad_rows_neither_loosen_the_promise_nor_hide(
     figures = json.loads((out / "result.json").read_text())["methods"]["KM"]["sets"]["report"]
     assert figures["rms_mm"] > 5 > 0.1 > figures["without_far_off"]["rms_mm"]
     p[103] += [20.0, 0.0, 0.0]
+    p[106, 1] = np.nan
     ten = first_hour.write(tmp_path, "messung.csv", q[100:], p[100:])
     assert main(monkeypatch, "verify", out / "KM.robot.toml", ten, "--promised-mm", "0.06") == 5
     printed = " ".join(capfd.readouterr().out.split())
     assert "NO LONGER VALID" in printed
     assert "Far off: row 8 (" in printed
+    assert "Left out, a cell is no number: row 11." in printed
     assert "as promised. Measure these poses again first." in printed

@@ -1,6 +1,5 @@
 """Compose the files of a new problem, check that they can be read, and then write them."""
 
-import re
 import tempfile
 import tomllib
 from collections.abc import Callable, Mapping
@@ -20,6 +19,9 @@ from casadical.project.new.texts import EXAMPLE_ROBOT, column_lines, problem_tex
 from casadical.project.problem import Problem, read_problem
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
+
+# A target that is measured at fewer poses is left out.
+FEWEST = 3
 
 
 def new_problem(
@@ -58,7 +60,7 @@ def new_problem(
     if given and show and understood.columns:
         show(table_of(given, understood))
     columns = understood.sources
-    tools = tools_in(given, columns) if given else ()
+    tools, rare = tools_in(given, columns) if given else ((), {})
     if len(tools) > 1:
         if "robot.toml" in texts:
             texts["robot.toml"] = with_tools(str(texts["robot.toml"]), tools)
@@ -67,9 +69,11 @@ def new_problem(
             show(Words(f"Column 'tool' names {len(tools)} measured points, {', '.join(tools)}: {place} has each."))
     for question in understood.questions:
         columns = _answered(columns, question, ask)
-    left_out = rows_without_numbers(given, columns) if given else {}
+    lost = Columns.of_file(given).mapped(columns).lost_rows if given else ()
+    left_out = {**rare, **dict.fromkeys(lost, "a cell is no number")}
     if left_out and show:
-        show(Words(f"Rows without numbers are left out: {', '.join(map(str, left_out))} (leave_out in problem.toml)."))
+        rows = "; ".join(f"{row}, {why}" for row, why in left_out.items())
+        show(Words(f"Rows that are left out (leave_out in problem.toml): {rows}."))
     compliant = any(j.compliance is not None for j in robot.joints)
     links = (base_link, tip_link) if urdf else None
     sets = given is not None and "set" in given.header
@@ -107,19 +111,18 @@ def _answered(
     return {**{name: s for name, s in columns.items() if name.rpartition("_")[0] not in taken}, **answer}
 
 
-def tools_in(raw: RawTable, columns: Mapping[str, Source]) -> tuple[str, ...]:
-    """Names in the column that says which point on the flange was measured; the one measured most first."""
-    found = Columns.of_file(raw).mapped({n: s for n, s in columns.items() if n == "tool"}).tools()
+def tools_in(raw: RawTable, columns: Mapping[str, Source]) -> tuple[tuple[str, ...], dict[int, str]]:
+    """Names in the column that says which point on the flange was measured, the one measured most first.
+
+    Of those measured at fewer poses than tell where they are, the rows, each with the reason to leave it out.
+    """
+    table = Columns.of_file(raw).mapped({n: s for n, s in columns.items() if n == "tool"})
+    found = table.tools()
     order = sorted(found, key=lambda name: -found[name].sum())
-    return tuple(name.removeprefix("tool_") for name in order)
-
-
-def rows_without_numbers(raw: RawTable, columns: Mapping[str, Source]) -> dict[int, str]:
-    """Rows in which a reading or a position is no number, with the cell; none where these are no few."""
-    found = Columns.of_file(raw).mapped(columns)
-    needed = [name for name in map(str, found.table) if re.fullmatch(r"q\d+_\w+|[xyz]_mm?", name)]
-    rows = found.without_numbers(needed)
-    return {} if 2 * len(rows) > len(found.row) else dict.fromkeys(rows, "a cell is no number")
+    names = {name: name.removeprefix("tool_") for name in order}
+    few = [name for name in order if found[name].sum() < FEWEST and len(order) > 1]
+    rare = {int(row): f"one of few of target {names[n]}" for n in few for row in table.row[found[n] > 0]}
+    return tuple(names[name] for name in order if name not in few), rare
 
 
 def table_of(raw: RawTable, found: Understanding) -> Table:
