@@ -106,7 +106,7 @@ def understand(raw: RawTable, joints: Sequence[str], given: Collection[str] = ()
     questions: list[Question] = []
     taken: list[_Heading] = []
     if joints_missing:
-        chosen = _joints(headings, len(joints), questions)
+        chosen = _joints(headings, len(joints), questions) or _numbered(raw, frame, len(joints), questions)
         taken += chosen
         for kind in dict.fromkeys(joints):
             members = [h for h, k in zip(chosen, joints, strict=False) if k == kind]
@@ -207,6 +207,24 @@ def _joints(headings: Sequence[_Heading], n: int, questions: list[Question]) -> 
                 full.append((_RANK[qualifier] + (0 if known else 3), [members[i] for i in wanted]))
                 break
     return _one_of(full, [f"q{i}" for i in range(1, n + 1)], "joint readings", questions)
+
+
+def _numbered(raw: RawTable, frame: pd.DataFrame, n: int, questions: list[Question]) -> list[_Heading]:
+    """Columns of numbers whose headings differ in a number only, 1 to n or 0 to n - 1, in words that are unknown."""
+    groups: dict[str, dict[int, _Heading]] = {}
+    for name in raw.header:
+        values = pd.to_numeric(frame[name], errors="coerce").to_numpy(dtype=float) if name else np.zeros(0)
+        numbers = re.findall(r"\d+", name)
+        if len(numbers) == 1 and np.isfinite(values).mean() > 0.5:
+            text = re.sub(r"\d+", "#", name)
+            found = _Heading(name, "joint", int(numbers[0]), "", words_of(name)[1], frozenset(), values)
+            groups.setdefault(text, {})[found.number] = found
+    full = [[m[i] for i in sorted(m)] for m in groups.values() if sorted(m) in ([*range(1, n + 1)], [*range(n)])]
+    if len(full) != 1:
+        return []
+    choice = {", ".join(h.name for h in full[0]): {f"q{i}": Source(h.name) for i, h in enumerate(full[0], 1)}}
+    questions.append(Question("Are these the joint readings?", choice))
+    return full[0]
 
 
 def _positions(headings: Sequence[_Heading], questions: list[Question]) -> list[_Heading]:

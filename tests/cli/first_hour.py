@@ -135,6 +135,12 @@ def _french(q: np.ndarray, p: np.ndarray) -> bytes:
     return table(names, q, p, ";", ",").encode("cp1252")
 
 
+def _italian(q: np.ndarray, p: np.ndarray) -> bytes:
+    """A language that is not known: the numbers of the joints tell which columns are the readings."""
+    names = [f"Asse {k} [gradi]" for k in range(1, 7)] + [f"Misurato {c} [mm]" for c in "XYZ"]
+    return table(names, q, p, ";", ",").encode("cp1252")
+
+
 def _spatial_analyzer(q: np.ndarray, p: np.ndarray) -> bytes:
     """Comments with the units and the headings, collection, group and point, lengths in inches."""
     lines = ["// Spatial Analyzer export", "// Units: Inches", "// Active frame: A::World"]
@@ -192,6 +198,7 @@ TABLES = {
     "chinese.csv": _chinese,
     "japanese.txt": _japanese,
     "mesures.csv": _french,
+    "misure.csv": _italian,
     "spatial_analyzer.txt": _spatial_analyzer,
     "polyworks.txt": _polyworks,
     "poses.xlsx": _workbook,
