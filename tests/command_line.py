@@ -21,7 +21,8 @@ ROOT = Path(__file__).parents[1]
 def main(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     """Run `casadical` with these arguments; its exit code."""
     monkeypatch.setattr(sys, "argv", ["casadical", *map(str, arguments)])
-    monkeypatch.setattr(sys.modules["__main__"], "__package__", None)  # else the help is that of `python -m pytest`
+    # Else the help is that of `python -m pytest`.
+    monkeypatch.setattr(sys.modules["__main__"], "__package__", None, raising=False)
     with pytest.raises(SystemExit) as stopped:
         cli.main()
     return int(stopped.value.code or 0)

@@ -1,4 +1,4 @@
-"""Plug-ins as an installer leaves them, and the command in a fresh process that finds them."""
+"""Plug-ins as an installer leaves them, and the command that finds them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
+
+import command_line
+import pytest
 
 ROOT = Path(__file__).parents[1]
 
@@ -27,3 +31,21 @@ def run(site: Path, *arguments: object, program: str = "") -> subprocess.Complet
     command = [sys.executable, "-c", program or "from casadical.cli import main; main()", *map(str, arguments)]
     environment = {**os.environ, "PYTHONPATH": path, "COLUMNS": "400"}
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, env=environment)
+
+
+def run_here(
+    monkeypatch: pytest.MonkeyPatch, known: Any, site: Path, *arguments: object
+) -> subprocess.CompletedProcess[str]:
+    """The command in the process of the test, where what it finds in `site` is faulty or not there.
+
+    known : the cached function that gives the members of the family
+    """
+    modules = [path.stem for path in site.glob("*.py")]
+    monkeypatch.syspath_prepend(site)
+    known.cache_clear()
+    try:
+        return command_line.run(*arguments, width=400)
+    finally:
+        known.cache_clear()
+        for module in modules:
+            sys.modules.pop(module, None)

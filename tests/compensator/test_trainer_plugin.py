@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plugin_site import ROOT, installed, run
+from plugin_site import ROOT, installed, run, run_here
 
 from casadical.compensator import load_compensator
+from casadical.compensator.trainers.known import known_trainers
 
 # The trainer of the page, as a user would copy it.
 PAGE = (ROOT / "docs" / "compensator.md").read_text(encoding="utf-8")
@@ -81,15 +82,16 @@ FAULTY = {
 
 
 @pytest.mark.parametrize("name", FAULTY)
-def test_a_faulty_plug_in_is_named(name: str, folder: Path, tmp_path: Path) -> None:
+def test_a_faulty_plug_in_is_named(name: str, folder: Path, tmp_path: Path, monkeypatch) -> None:
     old, new, point, words = FAULTY[name]
-    done = run(installed(tmp_path, "casadical.trainers", point, MODULE.replace(old, new)), "calibrate", folder)
+    site = installed(tmp_path, "casadical.trainers", point, MODULE.replace(old, new))
+    done = run_here(monkeypatch, known_trainers, site, "calibrate", folder)
     assert done.returncode == 2, done.stderr
     assert words in done.stderr
 
 
-def test_without_the_plug_in_its_method_is_not_known(folder: Path, tmp_path: Path) -> None:
-    done = run(tmp_path, "calibrate", folder)
+def test_without_the_plug_in_its_method_is_not_known(folder: Path, tmp_path: Path, monkeypatch) -> None:
+    done = run_here(monkeypatch, known_trainers, tmp_path, "calibrate", folder)
     assert done.returncode == 2
     assert "RF-NN-SKCM" in done.stderr
     assert "GP-NN-SKCM" in done.stderr

@@ -10,6 +10,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from bench import ROOT, robot
+from plugin_site import installed, run_here
+
+from casadical.effects.plugins import known_effects
 
 NAME = "ur10e"
 MODULE = '''
@@ -38,13 +41,8 @@ class Cable(Effect):
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder as an installer leaves it: a module and its metadata."""
-    folder = tmp_path_factory.mktemp("site")
-    (folder / "toy_effects.py").write_text(MODULE)
-    about = folder / "toy_effects-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: toy-effects\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text("[casadical.effects]\ntoy_cable = toy_effects:Cable\n")
-    return folder
+    point = "toy_cable = toy_effects:Cable"
+    return installed(tmp_path_factory.mktemp("site"), "casadical.effects", point, MODULE)
 
 
 @pytest.fixture(scope="module")
@@ -117,8 +115,9 @@ def test_a_plug_in_is_kept_in_a_robot_file_and_exported(site: Path, campaign: Pa
     assert "effect[1].no effect 'toy_cable' is installed" in " ".join(gone.stderr.split())
 
 
-def test_without_the_package_its_name_is_unknown(campaign: Path) -> None:
-    done = run(Path("nowhere"), "diagnose", f"problems/{NAME}", campaign, "--effects", "toy_cable")
+def test_without_the_package_its_name_is_unknown(campaign: Path, tmp_path: Path, monkeypatch) -> None:
+    words = ("diagnose", f"problems/{NAME}", campaign, "--effects", "toy_cable")
+    done = run_here(monkeypatch, known_effects, tmp_path, *words)
     assert done.returncode == 2
     assert "no effect 'toy_cable'" in done.stderr
 
@@ -131,13 +130,10 @@ def test_without_the_package_its_name_is_unknown(campaign: Path) -> None:
         (MODULE.replace('"toy_cable"', '"backlash"'), "its class is named 'backlash'; both need the same name"),
     ],
 )
-def test_a_faulty_plug_in_is_named(site: Path, campaign: Path, tmp_path: Path, module: str, message: str) -> None:
-    about = tmp_path / "bad_effects-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: bad-effects\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text("[casadical.effects]\nbad = bad_effects:Cable\n")
-    (tmp_path / "bad_effects.py").write_text(module)
-    done = run(tmp_path, "diagnose", f"problems/{NAME}", campaign, "--effects", "backlash")
+def test_a_faulty_plug_in_is_named(campaign: Path, tmp_path: Path, monkeypatch, module: str, message: str) -> None:
+    bad = installed(tmp_path, "casadical.effects", "bad = bad_effects:Cable", module)
+    words = ("diagnose", f"problems/{NAME}", campaign, "--effects", "backlash")
+    done = run_here(monkeypatch, known_effects, bad, *words)
     assert done.returncode == 2
     assert "plug-in bad = 'bad_effects:Cable' of bad-effects" in done.stderr
     assert message in " ".join(done.stderr.split())

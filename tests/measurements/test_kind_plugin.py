@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from plugin_site import installed, run
+from plugin_site import installed, run, run_here
 
 from casadical import Joint, Placement, Robot, write_robot
 from casadical.core.transforms import frame
+from casadical.measurements.kinds.registry import kinds
 
 GROUP = "casadical.measurement_kinds"
 MODULE = '''
@@ -97,8 +98,8 @@ def test_a_plug_in_is_checked_before(site: Path, folder: Path) -> None:
     assert done.returncode == 0, done.stdout
 
 
-def test_without_the_plug_in_its_column_observes_nothing(folder: Path, tmp_path: Path) -> None:
-    done = run(tmp_path, "calibrate", folder)
+def test_without_the_plug_in_its_column_observes_nothing(folder: Path, tmp_path: Path, monkeypatch) -> None:
+    done = run_here(monkeypatch, kinds, tmp_path, "calibrate", folder)
     assert done.returncode == 2
     assert "no observation found" in done.stderr
 
@@ -114,9 +115,9 @@ FAULTY = {
 
 
 @pytest.mark.parametrize("name", FAULTY)
-def test_a_faulty_plug_in_is_named(name: str, folder: Path, tmp_path: Path) -> None:
+def test_a_faulty_plug_in_is_named(name: str, folder: Path, tmp_path: Path, monkeypatch) -> None:
     module, point, words = FAULTY[name]
-    done = run(installed(tmp_path, GROUP, point, module), "calibrate", folder)
+    done = run_here(monkeypatch, kinds, installed(tmp_path, GROUP, point, module), "calibrate", folder)
     assert done.returncode == 2, done.stderr
     assert words in done.stderr
     assert point.partition(" ")[0] in done.stderr
