@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from casadical.core.errors import InputError, shown
 from casadical.core.files import claimed, json_text, write_together
 from casadical.core.notebook import html
 from casadical.identification.accuracy import Accuracy
+from casadical.identification.error_bound import learn_bound
 from casadical.identification.identification import Identification, identify, without_poses
 from casadical.identification.plausibility import check_against
 from casadical.identification.residuals import Loss
@@ -254,7 +256,7 @@ class Calibration:
                 texts[folder / f"{name}.compensator.json"] = compensator_text(trained.compensator)
         for name, result in self.identifications.items():
             origin = f"Calibrated by casadical, method {name}, from {problem.title} ({problem.origin})."
-            texts[folder / f"{name}.robot.toml"] = to_toml(result.robot, f"{origin}\n{result.verdict}")
+            texts[folder / f"{name}.robot.toml"] = to_toml(with_bound(result), f"{origin}\n{result.verdict}")
             if problem.urdf:
                 texts[folder / f"{name}.robot.urdf"] = problem.calibrated_urdf(result.robot)
             texts[folder / f"{name}.parameters.csv"] = result.parameters.to_csv(index=False)
@@ -275,6 +277,13 @@ class Calibration:
         """
         with claimed([folder]):
             write_together(self.files(folder))
+
+
+def with_bound(found: Identification) -> Robot:
+    """The calibrated robot with the bound of the error that remains, where there are poses enough for one."""
+    with suppress(InputError):
+        return replace(found.robot, bound=learn_bound(found))
+    return found.robot
 
 
 def calibrate(

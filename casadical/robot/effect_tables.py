@@ -1,4 +1,4 @@
-"""Tables of a robot file that a robot with effects has: [[effect]], [learnt] and [[covariance]]; all in SI."""
+"""Tables of a robot file of version 2: [[effect]], [learnt], [[covariance]] and [bound]; all in SI."""
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -13,7 +13,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.schema import Pair, TomlTable
 from casadical.effects import Effect, find_effect
-from casadical.robot.knowledge import Covariance, Knowledge
+from casadical.robot.knowledge import Covariance, ErrorBound, Knowledge
 
 # A standard error and the variance of its parameter may differ by so much, relative.
 SAME = 1e-6
@@ -88,6 +88,22 @@ class LearntTable(TomlTable):
         return np.array([np.multiply(self.readings[key], factor) for key, factor in factors.items()])
 
 
+class BoundTable(TomlTable):
+    """Of the error that remains (see `ErrorBound`)."""
+
+    rest: float
+    times: float
+    poses: int = Field(default=0, ge=0)
+    names: list[str] = Field(min_length=1)
+    factor: list[list[float]] = Field(min_length=1)
+
+    def bound(self) -> ErrorBound:
+        """Raises InputError for rows of different lengths, and what `ErrorBound` raises."""
+        if len({len(row) for row in self.factor}) > 1:
+            raise InputError(f"bound.factor: rows of {sorted({len(row) for row in self.factor})} numbers; all alike")
+        return ErrorBound(tuple(self.names), np.array(self.factor), self.rest, self.times, self.poses)
+
+
 def knowledge_of(
     arm: Arm,
     names: Collection[str],
@@ -127,7 +143,11 @@ def knowledge_of(
 
 
 def text_of(
-    arm: Arm, effects: Sequence[Effect], values: Mapping[str, float], knowledge: Knowledge | None
+    arm: Arm,
+    effects: Sequence[Effect],
+    values: Mapping[str, float],
+    knowledge: Knowledge | None,
+    bound: ErrorBound | None = None,
 ) -> Iterator[str]:
     """The tables as lines of TOML. values : of all effects' parameters [SI]"""
     known = knowledge or Knowledge()
@@ -143,6 +163,11 @@ def text_of(
             for i, row in enumerate(block.matrix):
                 yield f"    {_text([float(f'{v:.{DIGITS}g}') for v in row[: i + 1]])},"
             yield "]"
+    if bound:
+        yield from ("", "[bound]", f"rest = {bound.rest!r}", f"times = {bound.times!r}", f"poses = {bound.poses}")
+        yield from (f"names = {_text(list(bound.names))}", "factor = [")
+        yield from (f"    {_text([float(f'{v:.{DIGITS}g}') for v in row])}," for row in bound.factor)
+        yield "]"
 
 
 def _effect_lines(effect: Effect, values: Mapping[str, float], errors: Mapping[str, float]) -> Iterator[str]:

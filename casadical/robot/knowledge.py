@@ -1,4 +1,4 @@
-"""Knowledge of a robot's parameters besides their values: covariances, and the range of the data."""
+"""Knowledge of a robot besides its values: covariances, the range of the data, a bound of the error that remains."""
 
 from __future__ import annotations
 
@@ -108,6 +108,34 @@ class Knowledge:
             conditions[name] = min(low, least), max(high, most)
         campaign = ", ".join(filter(None, (self.campaign, later.campaign)))
         return Knowledge(later.covariance, campaign, self.poses + later.poses, readings, conditions)
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorBound:
+    """Of the distance between the measured point of the real and of the calibrated robot; see `robot.error_bound`.
+
+    names : parameters of `doubted(robot)`; factor : root of their second moment M, shape (k, r) [SI], M = F F'
+    rest : root mean square of the distance that no parameter explains [m]
+    times : the 95 % quantile of distance / sqrt(rest^2 + tr(J M J')) at held-out poses
+    poses : how many there were
+
+    Raises InputError for numbers that are not finite, sizes that are not positive, and shapes that do not fit.
+    """
+
+    names: tuple[str, ...]
+    factor: Array
+    rest: float
+    times: float
+    poses: int
+
+    def __post_init__(self) -> None:
+        shape = self.factor.shape
+        if len(shape) != 2 or shape[0] != len(self.names) or not np.isfinite(self.factor).all():
+            raise InputError(f"bound: factor of shape {shape}; it must have a row of finite numbers for each name")
+        for name in ("rest", "times"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise InputError(f"bound: {name} = {value}; it must be a positive number")
 
 
 def blocks(names: Sequence[str], owners: Sequence[str], matrix: Array) -> tuple[Covariance, ...]:

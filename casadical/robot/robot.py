@@ -22,7 +22,7 @@ from casadical.core.parameters import Parameters
 from casadical.core.parts import FourBar, Joint
 from casadical.core.transforms import frame, small_frame, to_rpy
 from casadical.effects import Effect
-from casadical.robot.knowledge import Knowledge
+from casadical.robot.knowledge import ErrorBound, Knowledge
 from casadical.robot.model import Model, Structure, constants_of, expressions
 from casadical.robot.parameter_list import SIX, bar_names, parameters_of
 
@@ -67,6 +67,8 @@ class Robot(Arm):
         what a reader of results must know (assumed masses, sources)
     knowledge : Knowledge, optional
         how well the values are known, and on what range they were learnt
+    bound : ErrorBound, optional
+        of the error that remains with these values
 
     Raises
     ------
@@ -94,6 +96,7 @@ class Robot(Arm):
     effect_values: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     knowledge: Knowledge | None = None
+    bound: ErrorBound | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -234,10 +237,11 @@ class Robot(Arm):
         gone = {p.name for e in self.effects if e not in kept for p in e.parameters()}
         values = {name: value for name, value in self.effect_values.items() if name not in gone}
         known = self.knowledge and self.knowledge.without(gone)
-        return replace(self, effects=kept, effect_values=values, knowledge=known)
+        bound = None if gone else self.bound
+        return replace(self, effects=kept, effect_values=values, knowledge=known, bound=bound)
 
     def with_values(self, values: Mapping[str, float]) -> Robot:
-        """A robot whose nominal values are these, by parameter name [SI]; `knowledge` of the former ones is dropped.
+        """A robot whose nominal values are these, by parameter name [SI]; nothing is known of the new ones.
 
         Parameters
         ----------
@@ -267,6 +271,7 @@ class Robot(Arm):
             targets=tuple(replace(t, point=np.array([v[name] for name in t.parameters])) for t in self.targets),
             effect_values={n: v[n] for n in effect_names},
             knowledge=None,
+            bound=None,
         )
 
     def values_of(self, other: Robot) -> Array:

@@ -37,7 +37,8 @@ from casadical.core.schema import (
 )
 from casadical.core.transforms import frame, from_rpy
 from casadical.effects import Effect, find_effect
-from casadical.robot.effect_tables import CovarianceTable, EffectTable, LearntTable, knowledge_of, text_of
+from casadical.robot.effect_tables import BoundTable, CovarianceTable, EffectTable, LearntTable, knowledge_of, text_of
+from casadical.robot.error_bound import refuse_other
 from casadical.robot.robot import Robot
 from casadical.robot.robot_tables import body_table, frame_table, joint_table, loop_table, tool_tables, width_tables
 
@@ -188,10 +189,11 @@ class _RobotFile(TomlTable):
     effect: list[EffectTable] = Field(default=[])
     learnt: LearntTable = LearntTable()
     covariance: list[CovarianceTable] = Field(default=[])
+    bound: BoundTable | None = None
 
     @model_validator(mode="after")
     def _rows(self) -> _RobotFile:
-        for key in ("effect", "learnt", "covariance"):
+        for key in ("effect", "learnt", "covariance", "bound"):
             if self.casadical == 1 and key in self.model_fields_set:
                 raise FaultError(key, "belongs to files of version 2; write casadical = 2")
         for i, row in enumerate(self.joint):
@@ -232,7 +234,11 @@ class _RobotFile(TomlTable):
             notes=tuple(self.notes),
         )
         names = robot.parameters.names
-        return replace(robot, knowledge=knowledge_of(robot, names, self.learnt, self.covariance, errors))
+        known = knowledge_of(robot, names, self.learnt, self.covariance, errors)
+        bound = self.bound.bound() if self.bound else None
+        if bound:
+            refuse_other(robot, bound)
+        return replace(robot, knowledge=known, bound=bound)
 
     def _effects(self, own: Sequence[type[Effect]]) -> tuple[tuple[Effect, ...], dict[str, float], dict[str, float]]:
         """Effects, values and standard errors of their parameters. Raises InputError by key."""
@@ -369,12 +375,12 @@ def write_robot(robot: Robot, path: str | Path, comment: str = "", effects: Sequ
 def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = ()) -> str:
     """The robot as the text of a TOML file, in millimetres and degrees at full precision; effects in SI.
 
-    effects and errors as of `write_robot` (Raises InputError). A robot without effects is written as version 1.
+    effects and errors as of `write_robot` (Raises InputError). Without effects and bound it is version 1.
     """
     for effect in robot.effects:
         if find_effect(effect.name, effects) is not type(effect):
             raise InputError(f"{effect.label}: another effect of this name is installed; rename yours")
-    more = bool(robot.effects or robot.knowledge)
+    more = bool(robot.effects or robot.knowledge or robot.bound)
     document = tomlkit.document()
     for line in comment.splitlines():
         document.add(tomlkit.comment(shown(line)))
@@ -399,7 +405,8 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
     if known:  # of parameters that it had before a change, nothing is kept
         known = known.without(set(known.std_errors) - set(robot.parameters.names))
     return _readable(
-        "\n".join([text.rstrip("\n"), *text_of(robot, robot.effects, robot.effect_values, known), ""]), robot
+        "\n".join([text.rstrip("\n"), *text_of(robot, robot.effects, robot.effect_values, known, robot.bound), ""]),
+        robot,
     )
 
 

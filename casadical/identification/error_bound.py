@@ -1,0 +1,199 @@
+"""Learns the bound of the error that remains after an identification (see `casadical.robot.error_bound`).
+
+The second moment of the unknown errors is that of their posterior, mean included, given what the fit left: parameters
+have the robot's priors, the first harmonic of each joint a prior size that the residuals show (Tipping 2001, by
+expectation and maximisation). The factor is the quantile of held-out residuals, predicted by an identification (in one
+Gauss-Newton step) and a posterior of the other poses: of five folds at random, or of regions of the joints where that
+is greater. The form was chosen on splits of the UR10's series C and on simulated campaigns, and frozen before it was
+judged on the series A and B and on the UR5 (`docs/studies/correction_bound.txt`).
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.identification.identifiability import scaled_inverse
+from casadical.identification.identification import Identification
+from casadical.identification.residuals import make_block
+from casadical.measurements.measurements import Measurements, unmeasured
+from casadical.robot.error_bound import doubted
+from casadical.robot.knowledge import ErrorBound
+from casadical.robot.robot import Robot
+
+LEVEL = 0.95  # share of errors that the bound is to hold
+FOLDS = 5
+LEAST = 30  # poses, of which one held-out residual in twenty is to be known
+_ROUNDS = 12  # of expectation and maximisation: sizes that the poses do not determine are still of usual size then
+_DIRECTIONS, _END = 6, 0.3  # of the regions that are held out: how many, and the share of poses at each end
+_LOST = 0.05  # share of the mean square that may be lost at a pose where the factor of the moment is cut
+_SAMPLES = 500  # random poses at which that holds
+_MM = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Of poses: J'J, J'r, r'r and how many numbers; J in mm a unit of solver scale, r in mm."""
+
+    H: Array
+    g: Array
+    square: float
+    count: int
+
+    def less(self, other: "_Sums") -> "_Sums":
+        return _Sums(self.H - other.H, self.g - other.g, self.square - other.square, self.count - other.count)
+
+    def moved(self, d: Array) -> "_Sums":
+        """After departures d."""
+        return _Sums(self.H, self.g + self.H @ d, self.square + 2 * d @ self.g + d @ self.H @ d, self.count)
+
+
+@dataclass(frozen=True, eq=False)
+class _Doubts:
+    """What may be off: parameters by name, one sigma of each in solver units, indices of those that are identified.
+
+    joints : indices of the harmonics of each joint, whose size is estimated
+    """
+
+    names: tuple[str, ...]
+    sigma: Array
+    solved: Array
+    joints: tuple[Array, ...]
+
+
+def learn_bound(found: Identification) -> ErrorBound:
+    """The bound of the error that remains, from all poses with a measured position that were used.
+
+    Raises InputError where they are too few, nothing measured a position, or error curves were identified.
+    """
+    sets = [m.positions_alone() for m in found.used if m.position is not None]
+    poses = sum(map(len, sets))
+    if poses < LEAST:
+        raise InputError(
+            f"a bound of the remaining error needs {LEAST} poses with a measured position; there are {poses}"
+        )
+    robot = doubted(found.robot)
+    gone = [n for n in found.names if n not in robot.parameters.names]
+    if gone:
+        raise InputError(f"a bound of the remaining error cannot hold the curve that {gone[0]} is part of")
+    doubts = _doubts(robot, found.names)
+    folds = _folds(sets)
+    r, J = _evaluated(robot, [m for fold in folds for m in fold], doubts.names)
+    whole = _sums(r, J)
+    left_out = _at_random(folds), _by_region(np.concatenate([m.q for fold in folds for m in fold]))
+    scores = [np.concatenate([_scores(r, J, out, whole, doubts) for out in outs]) for outs in left_out]
+    times = max(float(np.quantile(s, min(1.0, LEVEL * (1 + 1 / len(s))))) for s in scores)
+    s2, M = _moment(whole, doubts)
+    factor = _cut(M, 3 * s2, np.concatenate([J, _anywhere(robot, doubts.names)]))
+    scale = np.array([robot.parameters[n].scale for n in doubts.names])
+    return ErrorBound(doubts.names, scale[:, None] * factor, float(_MM * np.sqrt(3 * s2)), times, poses)
+
+
+def _scores(r: Array, J: Array, out: Array, whole: _Sums, doubts: _Doubts) -> Array:
+    """Distances at poses that were left out, in units of what the others predict; out : boolean, shape (n,)."""
+    others = whole.less(_sums(r[out], J[out]))
+    d = _refitted(others, doubts)
+    s2, M = _moment(others.moved(d), doubts)
+    return np.asarray(np.linalg.norm(r[out] + J[out] @ d, axis=1) / np.sqrt(3 * s2 + _spread(J[out], M)))
+
+
+def _at_random(folds: list[list[Measurements]]) -> list[Array]:
+    """Masks of each fold's poses among those of all folds."""
+    label = np.concatenate([np.full(sum(map(len, fold)), k) for k, fold in enumerate(folds)])
+    return [label == k for k in range(len(folds))]
+
+
+def _by_region(q: Array) -> list[Array]:
+    """Masks of the 30 % of poses at both ends of six seeded directions of the joints."""
+    centred = q - q.mean(axis=0)
+    along = (
+        centred / np.maximum(q.std(axis=0), 1e-9) @ np.random.default_rng(0).normal(size=(_DIRECTIONS, q.shape[1])).T
+    )
+    low, high = np.quantile(along, [_END, 1 - _END], axis=0)
+    masks = [*(along <= low).T, *(along >= high).T]
+    return [mask for mask in masks if not mask.all()]
+
+
+def _doubts(robot: Robot, solved: Sequence[str]) -> _Doubts:
+    names = tuple(p.name for p in robot.parameters if p.prior > 0)
+    curve = robot.effects[-1]
+    own = [f"{curve.label}.{name}" for name in curve.sizes()]
+    return _Doubts(
+        names,
+        np.array([robot.parameters[n].prior / robot.parameters[n].scale for n in names]),
+        np.array([names.index(n) for n in solved], dtype=int),
+        tuple(np.array([names.index(own[k]) for k in part]) for part in curve.parts.values()),
+    )
+
+
+def _folds(sets: Sequence[Measurements]) -> list[list[Measurements]]:
+    """Poses in five seeded parts, those at the same readings together."""
+    cut = [m.split({str(k): 1 / FOLDS for k in range(FOLDS)}) for m in sets]
+    parts = [[c[str(k)] for c in cut if len(c[str(k)].q)] for k in range(FOLDS)]
+    return [part for part in parts if part]
+
+
+def _evaluated(robot: Robot, sets: Iterable[Measurements], names: tuple[str, ...]) -> tuple[Array, Array]:
+    """Residuals, shape (n, 3) [mm], and Jacobians, shape (n, 3, k) [mm a unit of solver scale]."""
+    found = []
+    for m in sets:
+        block = make_block(robot, m, names, _MM, 1.0, np.zeros((0, 3)), np.zeros(len(m), dtype=int))
+        found.append(block.evaluate(np.zeros(len(names)), np.zeros((0, 3))))
+    r, J = (np.concatenate(both) for both in zip(*found, strict=True))
+    return r, J
+
+
+def _anywhere(robot: Robot, names: tuple[str, ...]) -> Array:
+    """Jacobians at random poses within the joint limits, where the robot has a pose."""
+    lower, upper = np.array([(j.lower, j.upper) for j in robot.joints]).T
+    q = np.random.default_rng(0).uniform(lower, upper, (_SAMPLES, robot.n))
+    J = _evaluated(robot, [unmeasured(q)], names)[1]
+    return np.asarray(J[np.isfinite(J).all(axis=(1, 2))])
+
+
+def _sums(r: Array, J: Array) -> _Sums:
+    rows, y = J.reshape(-1, J.shape[2]), r.ravel()
+    return _Sums(rows.T @ rows, rows.T @ y, float(y @ y), len(y))
+
+
+def _refitted(sums: _Sums, doubts: _Doubts) -> Array:
+    """Departures at which the identified parameters fit these poses; zero for the others."""
+    at = doubts.solved
+    d = np.zeros(len(doubts.names))
+    weak = sums.square / sums.count * np.diag(doubts.sigma[at] ** -2.0)
+    d[at] = -scaled_inverse(sums.H[np.ix_(at, at)] + weak) @ sums.g[at]
+    return d
+
+
+def _moment(sums: _Sums, doubts: _Doubts) -> tuple[float, Array]:
+    """Variance of a coordinate that nothing explains [mm^2], second moment of the departures, shape (k, k)."""
+    s2: float = sums.square / sums.count
+    variance = doubts.sigma**2
+    mean, S = np.zeros(len(variance)), np.zeros((len(variance), len(variance)))
+    for _ in range(_ROUNDS):
+        S = scaled_inverse(sums.H / s2 + np.diag(1 / variance))
+        mean = -S @ sums.g / s2
+        known = len(variance) - float(np.sum(np.diag(S) / variance))
+        s2 = float(sums.square + 2 * mean @ sums.g + mean @ sums.H @ mean) / max(1.0, sums.count - known)
+        for joint in doubts.joints:
+            variance[joint] = np.mean(mean[joint] ** 2 + np.diag(S)[joint])
+    return s2, np.outer(mean, mean) + S
+
+
+def _spread(J: Array, M: Array) -> Array:
+    """tr(J M J') of each pose."""
+    return np.asarray(np.einsum("nip,pq,niq->n", J, M, J, optimize=True))
+
+
+def _cut(M: Array, rest: float, J: Array) -> Array:
+    """A factor of M with as few columns as keep all but five per cent of each pose's mean square."""
+    scale = np.sqrt(np.diag(M))
+    values, V = np.linalg.eigh(M / np.outer(scale, scale))
+    whole = scale[:, None] * V * np.sqrt(np.maximum(values, 0.0))
+    moved = J @ whole
+    _, _, turn = np.linalg.svd(np.linalg.qr(moved.reshape(-1, moved.shape[2]), mode="r"))
+    squares = np.cumsum(((moved @ turn.T) ** 2).sum(axis=1), axis=1)
+    enough = (squares[:, -1:] - squares <= _LOST * (rest + squares[:, -1:])).all(axis=0)
+    return np.asarray(whole @ turn.T[:, : int(np.argmax(enough)) + 1])
