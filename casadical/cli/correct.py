@@ -11,6 +11,7 @@ from casadical.cli.options import (
     Compensator,
     Json,
     LeaveOut,
+    Limit,
     Nominal,
     Overwrite,
     Payload,
@@ -65,6 +66,7 @@ def correct(
         int | None, typer.Option(min=1, max=10, help="Least-squares steps of the correction; default: 2.")
     ] = None,
     what: What = "position",
+    limit: Limit = None,
     payload: Payload = None,
     tool: Annotated[
         str | None, typer.Option(metavar="shared|own", help="As in `casadical export c`; default: shared.")
@@ -108,7 +110,7 @@ def correct(
 
     Exit codes: 0 written, with or without refused targets; 2 bad input; 70 a bug in casadical.
     """
-    from casadical.export.controller.commands import followed
+    from casadical.export.controller.commands import bound_of, followed
     from casadical.robot.robot_file import read_robot
 
     refuse_taken(out, overwrite)
@@ -124,6 +126,7 @@ def correct(
             "--payload": payload,
             "--steps": steps,
             "--correct": None if what == "position" else what,
+            "--limit": limit,
             "--tool": tool,
             "--leave-out": leave_out or None,
             "--root": root,
@@ -134,6 +137,7 @@ def correct(
         sources = _of_robot(model, nominal, compensator, payload, tool, leave_out, trust)
         lines = tuple(f"LEFT OUT {line}" for line in followed(sources)[1])
         lines += (poses_of(read_robot(model).n),) if oriented else ()
+        lines += tuple(f"NO BOUND of the error that remains: {why}" for why in [bound_of(sources)[1]] if why)
     of_language = {"--tcp": tcp, "--base": base, "--root": root, "--flange": flange, "--data": data}
     flags = {"--nearest": nearest, "--external-still": external_still, "--accuracy-off": accuracy_off}
     console = plain(quiet)
@@ -141,7 +145,7 @@ def correct(
         for option, value in {**of_language, **flags}.items():
             if value:
                 raise InputError(f"{option}: is for programs in a controller's language; {program} is a CSV")
-        texts = _correct_table(program, out, json_file, corrector, sources, steps or 2, oriented)
+        texts = _correct_table(program, out, json_file, corrector, sources, steps or 2, oriented, limit)
     else:
         from casadical.export.controller.programs.correction import Cell
 
@@ -150,6 +154,7 @@ def correct(
             sources,
             steps or 2,
             oriented,
+            limit,
             root=frames[0],
             flange=frames[1],
             nearest=nearest,
@@ -198,6 +203,7 @@ def _correct_table(
     sources: Sources | None,
     steps: int,
     oriented: bool,
+    limit: float | None,
 ) -> list[str]:
     """Write the corrected CSV; what to print."""
     from casadical.core.files import write_together
@@ -207,8 +213,8 @@ def _correct_table(
 
     if corrector is None:
         assert sources is not None
-        instead = model_corrector(command_of(sources, steps)) if oriented else None
-        corrector = model_corrector(command_of(sources, steps, orientation=oriented), instead)
+        instead = model_corrector(command_of(sources, steps, limit_mm=limit)) if oriented else None
+        corrector = model_corrector(command_of(sources, steps, orientation=oriented, limit_mm=limit), instead)
     result = corrected(corrector, read_program(program, corrector.joints))
     write_together(with_json({out: result.to_csv()}, json_file, result.to_json()))
     return [result.report()]

@@ -13,7 +13,19 @@ import typer
 from casadical.cli import completion as words
 from casadical.cli.export_driver import export_driver
 from casadical.cli.export_model import export_mjcf, export_urdf
-from casadical.cli.options import Compensator, Json, LeaveOut, Nominal, Payload, Quiet, Tool, What, poses_of, wants_pose
+from casadical.cli.options import (
+    Compensator,
+    Json,
+    LeaveOut,
+    Limit,
+    Nominal,
+    Payload,
+    Quiet,
+    Tool,
+    What,
+    poses_of,
+    wants_pose,
+)
 from casadical.cli.outputs import guarded
 from casadical.cli.terminal import plain, print_written, with_json
 from casadical.core.errors import InputError
@@ -64,6 +76,7 @@ def export_c(
         float | None,
         typer.Option(metavar="S", help="Time in which the correction is switched on and off [s]; default: 1."),
     ] = None,
+    limit: Limit = None,
     payload: Payload = None,
     tool: Tool = "shared",
     leave_out: LeaveOut = False,
@@ -112,9 +125,11 @@ def export_c(
     given = {key: value for key, value in timing.items() if value is not None}
     if given and what != "command":
         raise InputError(f"--cycle, --rate and --ramp have no part in {what} alone; remove them")
+    if limit is not None and what != "command":
+        raise InputError(f"--limit {limit:g}: is for --what command; {what} has no bound")
     sources = Sources(robot, nominal, compensator, payload, tool, leave_out)  # type: ignore[arg-type]
     product = (
-        command_of(sources, steps, orientation=oriented)
+        command_of(sources, steps, orientation=oriented, limit_mm=limit)
         if what == "command"
         else (curves_of if what == "curves" else network_of)(sources)
     )
@@ -167,7 +182,7 @@ def _sha256(path: Path) -> str:
 
 def _about(sources: Sources, what: str, networked: bool) -> list[str]:
     """The files that the export was made from, with hashes, and the effects that are not in it."""
-    from casadical.export.controller.commands import followed
+    from casadical.export.controller.commands import bound_of, followed
 
     files = {"robot": sources.robot, "nominal": sources.nominal, "compensator": sources.compensator}
     used = list(files) if what == "command" else ["robot", "compensator"]
@@ -183,6 +198,7 @@ def _about(sources: Sources, what: str, networked: bool) -> list[str]:
     if what == "command":
         mass = "as declared" if sources.payload_kg is None else f"{sources.payload_kg:g} kg"
         lines += [f"LEFT OUT {line}" for line in followed(sources)[1]]
+        lines += [f"NO BOUND of the error that remains: {why}" for why in [bound_of(sources)[1]] if why]
         lines.append(f"payload: {mass}; tool: {sources.tool}; positions in the robot's own base frame")
     return lines
 

@@ -49,6 +49,15 @@ What = Annotated[
         "orientation too, which needs six joints.",
     ),
 ]
+Limit = Annotated[
+    float | None,
+    typer.Option(
+        "--limit",
+        metavar="MM",
+        help="A correction is OK only where 95 % of the errors that remain are below so much, by the bound of the "
+        "robot file; default: any.",
+    ),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 Json = Annotated[
     Path | None,

@@ -24,9 +24,11 @@ def header(program: TapeProgram, label: Label) -> str:
     command, network = program.command, program.network
     parts = [template("network.h")] if network else []
     parts += [template("command.h")] if command else []
+    parts += [template("bound.h")] if command and command.bound else []
     values["prototypes"] = "".join(filled(part, values) for part in parts).rstrip("\n") + "\n"
     values["defines"] = filled(_COMMAND_DEFINES, values) if command else ""
-    values["command_statuses"] = filled(_COMMAND_STATUSES, values) if command else ""
+    statuses = _COMMAND_STATUSES + (_LIMIT_STATUS if command and command.limit_mm is not None else "")
+    values["command_statuses"] = filled(statuses, values) if command else ""
     values["not_finite_output"] = "; zeros are written"
     values["title"] = network.title if network and not command else "correction of joint commands"
     return filled(template("header.h"), values)
@@ -36,13 +38,23 @@ def source(program: TapeProgram, label: Label) -> str:
     """Text of NAME.c."""
     values = common_values(program, label)
     parts = [template("network.c")] if program.network else []
-    parts += [template("command.c")] if program.command else []
-    values["functions"] = "".join(filled(part, values) for part in parts)
+    texts = [filled(part, values) for part in parts]
+    if program.command:
+        bounded = program.command.bound is not None
+        values["within"] = filled(_WITHIN, values) if program.command.limit_mm is not None else ""
+        texts += [filled(template("network.c"), values | _bound_values(values))] if bounded else []
+        texts.append(filled(template("command.c"), values))
+    values["functions"] = "".join(texts)
     values["elementary"] = elementary_functions(list(program.tapes.values()), label.name, program.real)
     values["kernels"] = "\n".join(
         kernel(tape, label.name, f"{name}_values", program.real) for name, tape in sorted(program.tapes.items())
     )
     return filled(template("source.c"), values)
+
+
+def _bound_values(values: dict[str, str]) -> dict[str, str]:
+    """Placeholders of `network.c` for the bound."""
+    return {"function": "bound", "out": "bound_mm", "n_out": "1", "box_table:network": values["box_table:command"]}
 
 
 _COMMAND_DEFINES = """
@@ -55,6 +67,19 @@ _COMMAND_STATUSES = """\
  *   NOT_CONVERGED  more than @tolerance_mm@ mm is estimated to remain; the correction is the best so far
  *   LIMITED        the correction is at its limit, all joints scaled alike
  *   SINGULAR       the arm can hardly move its tool in some direction; the correction is damped and within its limit
+"""
+_LIMIT_STATUS = """\
+ *   ABOVE_LIMIT    corrected, but more than @limit_mm@ mm may remain: @name@_bound is above its limit here
+"""
+_WITHIN = """\
+        {
+            @name@_real bound_mm[1];
+            const uint32_t known = @name@_bound_values(x, bound_mm);
+            if ((status == @NAME@_OK) && ((known == 0U) || !(bound_mm[0] <= @bound_limit@)))
+            {
+                status = @NAME@_ABOVE_LIMIT;
+            }
+        }
 """
 
 
@@ -104,6 +129,7 @@ class CommandNumbers:
     ramp: float
     tolerance2: float
     weakness: float
+    bound_mm: float
 
 
 def command_numbers(command: Command) -> CommandNumbers:
@@ -116,6 +142,7 @@ def command_numbers(command: Command) -> CommandNumbers:
         ramp=min(limits.cycle_s / limits.ramp_s, 1.0),
         tolerance2=(1e-3 * limits.tolerance_mm) ** 2,
         weakness=1.0 / (limits.singular_m_per_rad**2 + limits.damping**2),
+        bound_mm=np.inf if command.limit_mm is None else command.limit_mm - limits.tolerance_mm,
     )
 
 
@@ -145,6 +172,8 @@ def _command_values(command: Command, program: TapeProgram, real: Real) -> dict[
         "delta_decimal": _decimal(numbers.delta, real),
         "change_decimal": _decimal(numbers.change, real),
         "tolerance_mm": f"{command.limits.tolerance_mm:.6g}",
+        "limit_mm": f"{command.limit_mm or 0.0:.6g}",
+        "bound_limit": literal(numbers.bound_mm, real) if command.limit_mm is not None else "",
     }
 
 

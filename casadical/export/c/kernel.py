@@ -65,7 +65,7 @@ class Kernel:
         Parameters
         ----------
         function : str
-            ``network``, ``curves``, ``forward`` or ``correct``, as the export has it
+            ``network``, ``curves``, ``forward``, ``correct`` or ``bound``, as the export has it
         q : Array, shape (k, n) [rad]
             joint readings, converted to the kernel's real type
 
@@ -170,6 +170,21 @@ class Kernel:
             corrections, shape (k, n) [rad], and status, shape (k,)
         """
         return self.rows("correct", q)
+
+    def bound(self, q: Array) -> tuple[Array, Array]:
+        """Bound of the error that remains, of an export that has one.
+
+        Parameters
+        ----------
+        q : Array, shape (k, n) [rad]
+            joint readings
+
+        Returns
+        -------
+        tuple[Array, Array]
+            bounds, shape (k, 1) [mm], and status, shape (k,)
+        """
+        return self.rows("bound", q)
 
     def steps(self, q: Array, enable: Array) -> tuple[Array, Array]:
         """``step`` for consecutive cycles from the zero state.

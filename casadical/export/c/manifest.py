@@ -19,7 +19,7 @@ class Facts(BaseModel):
     name: str = Field(pattern=NAME)
     real: Real
     joints: int = Field(ge=1, le=100)
-    outputs: dict[Literal["network", "curves", "forward", "correct"], Annotated[int, Field(ge=1, le=100)]]
+    outputs: dict[Literal["network", "curves", "forward", "correct", "bound"], Annotated[int, Field(ge=1, le=100)]]
 
 
 class Manifest(BaseModel):

@@ -193,6 +193,10 @@ class Command:
         extrapolates from the last two errors
     length_m : float, default 0.3
         for poses, the length by which an orientation error [rad] is weighted [m]
+    bound : Function, optional
+        q[n] -> b[1] [mm], below which 95 % of the errors of the calibrated robot are; None: not known
+    limit_mm : float, optional
+        the greatest bound, with what the steps may leave, at which a correction is OK [mm]; None: any
 
     Raises
     ------
@@ -216,6 +220,8 @@ class Command:
     limits: Limits = field(default_factory=Limits)
     steps: int = 2
     length_m: float = 0.3
+    bound: casadi.Function | None = None
+    limit_mm: float | None = None
 
     def __post_init__(self) -> None:
         _checked_box(self)
@@ -228,6 +234,9 @@ class Command:
                 raise AssertionError
         if self.jacobian_at is not None:
             _checked_signature(self.jacobian_at, n, (n,))
+        if self.bound is not None:
+            _checked_signature(self.bound, n, (1,))
+        _checked_limit(self)
         if self.network is not None and len(self.network.lower) != n:
             raise InputError(f"the network has {len(self.network.lower)} joints and the robot {n}; both must be equal")
 
@@ -243,6 +252,16 @@ def _checked_box(product: Any) -> None:
         raise InputError(f"the box {lower} to {upper} [rad] must be finite, below 100 rad, and not empty")
     object.__setattr__(product, "lower", lower)
     object.__setattr__(product, "upper", upper)
+
+
+def _checked_limit(command: Command) -> None:
+    limit, least = command.limit_mm, command.limits.tolerance_mm
+    if limit is None:
+        return
+    if command.bound is None:
+        raise InputError(f"a limit of {limit:g} mm needs the bound of the error that remains; it is not known here")
+    if not (np.isfinite(limit) and limit > least):
+        raise InputError(f"a limit of {limit:g} mm: it must be above {least:g} mm, which the steps alone may leave")
 
 
 def _checked_signature(function: casadi.Function, n: int, sizes: tuple[int, ...] | None) -> int:

@@ -20,6 +20,8 @@ from casadical.export.c.tape_program import TapeProgram, prepared_size
 class Status(IntEnum):
     """What every exported function returns; where several apply, the highest number wins.
 
+    ABOVE_LIMIT stands in the place of OK.
+
     Examples
     --------
     >>> casadical.export.Status(0).name
@@ -35,6 +37,7 @@ class Status(IntEnum):
     NOT_FINITE = 6
     NULL_ARG = 7
     SELF_TEST_FAILED = 8
+    ABOVE_LIMIT = 9
 
 
 def boxed(q: Array, box: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -63,6 +66,11 @@ def forward(program: TapeProgram, q: Array) -> tuple[Array, Array]:
     return _values(program, q, "forward", "reach")
 
 
+def bound(program: TapeProgram, q: Array) -> tuple[Array, Array]:
+    """Bound of the error that remains [mm], shape (k, 1), and status."""
+    return _values(program, q, "bound", "command")
+
+
 def _values(program: TapeProgram, q: Array, tape: str, box: str) -> tuple[Array, Array]:
     q = np.ascontiguousarray(q, DTYPE[program.real])
     x, status = boxed(q, boxes(program)[box])
@@ -80,7 +88,12 @@ def correct(program: TapeProgram, q: Array) -> tuple[Array, Array]:
     dq, chord_status = _chord(program, program.command, x)
     bad = status == Status.NOT_FINITE
     dq[bad] = 0
-    return dq, np.where(bad, status, np.maximum(status, chord_status))
+    status = np.where(bad, status, np.maximum(status, chord_status))
+    if program.command.limit_mm is not None:
+        limit = DTYPE[program.real](command_numbers(program.command).bound_mm)
+        mm, known = run(program.tapes["bound"], x, program.real)
+        status = np.where((status == Status.OK) & ~(known & (mm[:, 0] <= limit)), Status.ABOVE_LIMIT, status)
+    return dq, status
 
 
 def _limited(v: Array, limit: Any) -> tuple[Array, Array]:

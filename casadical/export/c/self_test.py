@@ -9,7 +9,7 @@ from casadical.export.c.c_source import common_values
 from casadical.export.c.coefficients import DTYPE, Real, literal
 from casadical.export.c.emit import filled, template
 from casadical.export.c.language import Label
-from casadical.export.c.reference import correct, forward, network, started, step
+from casadical.export.c.reference import bound, correct, forward, network, started, step
 from casadical.export.c.tape_program import TapeProgram
 
 _SEED = 20201  # of the vectors; any number does, the same one each time keeps the files the same
@@ -57,6 +57,7 @@ def functions(program: TapeProgram) -> dict[str, Any]:
         found[program.network.key] = network
     if program.command is not None:
         found |= {"forward": forward, "correct": correct}
+        found |= {"bound": bound} if "bound" in program.tapes else {}
     return found
 
 

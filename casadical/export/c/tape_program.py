@@ -103,7 +103,8 @@ def operations(program: TapeProgram) -> Operations:
 def tape_program(product: Product, real: Real) -> TapeProgram:
     """Tapes of a product.
 
-    ``network`` or ``curves`` of these, ``forward``, ``prepare``, ``advance`` and perhaps ``network`` of a command.
+    ``network`` or ``curves`` of these, ``forward``, ``prepare``, ``advance`` and perhaps ``network`` and ``bound`` of a
+    command.
     """
     tapes: dict[str, Tape] = {}
     network = product if isinstance(product, NetworkFunction) else product.network
@@ -129,6 +130,8 @@ def _command_tapes(command: Command, real: Real) -> dict[str, Tape]:
         "prepare": (_rounded(command.lower, real), _rounded(command.upper, real)),
     }
     tapes = {"forward": tape_of(command.calibrated), "prepare": tape_of(_prepare(command))}
+    if command.bound is not None:
+        boxes["bound"], tapes["bound"] = boxes["prepare"], tape_of(command.bound)
     tapes = {key: without_needless_guards(tape, *boxes[key], real) for key, tape in tapes.items()}
     anything = np.full(tape_of(_advance(command)).n_in, np.inf)
     return tapes | {"advance": without_needless_guards(tape_of(_advance(command)), -anything, anything, real)}

@@ -37,6 +37,7 @@ def shape_of(program: TapeProgram, name: str) -> Shape:
         sizes[program.network.key] = len(program.network_bounds)
     if program.command is not None:
         sizes |= {"forward": len(program.tapes["forward"].outputs), "correct": program.n}
+        sizes |= {"bound": 1} if "bound" in program.tapes else {}
     return Shape(name, program.real, program.n, sizes)
 
 
@@ -105,6 +106,8 @@ def accuracy(program: TapeProgram, count: int = 10_000) -> dict[str, float]:
         if key == "forward" and program.command is not None:
             error = abs(values - mapped(program.command.calibrated, exact))[known, :3].max()
             figures["forward_error_um"] = 1e6 * float(error)
+        if key == "bound":
+            figures |= {"bound_mm_median": float(np.median(values)), "bound_mm_worst": float(values.max())}
         if key == "correct" and program.command is not None:
             wanted, moved = mapped(program.command.nominal, exact), mapped(program.command.calibrated, exact + values)
             before = np.linalg.norm(mapped(program.command.calibrated, exact)[:, :3] - wanted[:, :3], axis=1)
@@ -120,7 +123,8 @@ def accuracy(program: TapeProgram, count: int = 10_000) -> dict[str, float]:
                         "rest_urad_median": 1e6 * float(np.median(turned)),
                         "rest_urad_worst": 1e6 * turned.max(),
                     }
-            figures["share_converged"] = float(fine[known].mean()) if known.any() else 0.0
+            reached = fine | (status == Status.ABOVE_LIMIT)
+            figures["share_converged"] = float(reached[known].mean()) if known.any() else 0.0
             if fine.any():
                 figures |= {"rest_um_median": 1e6 * float(np.median(rest)), "rest_um_worst": 1e6 * float(rest.max())}
     nodes = {node.table: node for tape in program.tapes.values() for node in tape.nodes if node.table}

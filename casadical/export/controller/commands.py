@@ -24,6 +24,7 @@ from casadical.export.controller.curves import joint_curves, pose_of, without_cu
 from casadical.export.controller.inverse import SINGULAR_POSE
 from casadical.export.omission import left_out
 from casadical.robot.axes import row_matrix
+from casadical.robot.error_bound import bound_function
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
@@ -77,7 +78,9 @@ class Sources:
             raise InputError(f"--tool {self.tool}: not known; allowed: {', '.join(get_args(Tool))}")
 
 
-def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -> Command:
+def command_of(
+    sources: Sources, steps: int = 2, *, orientation: bool = False, limit_mm: float | None = None
+) -> Command:
     """The correction that moves the real tool to the position of the nominal robot's, in the robot's own base frame.
 
     The nominal robot is rigid and without effects, as a controller computes. The box is the calibrated robot's joint
@@ -94,6 +97,8 @@ def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -
     orientation : bool, default False
         whether the tool's orientation is to be reached as well, by the least change of the joints; fewer than six
         joints reach the position only
+    limit_mm : float, optional
+        as of `Command`; the bound is that of the robot file (see `bound_of`)
 
     Returns
     -------
@@ -125,6 +130,8 @@ def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -
         jacobian_of=tool_function(_rigid(without_curves(real)), "chain", orientation),
         jacobian_at=_bent(real) if _compliant(real) else None,
         network=network,
+        bound=bound_of(sources)[0],
+        limit_mm=limit_mm,
         limits=Limits(singular_m_per_rad=SINGULAR_POSE) if orientation else Limits(),
         steps=steps,
     )
@@ -149,6 +156,21 @@ def own_robots(sources: Sources) -> tuple[Robot, Robot, Array]:
         nominal = replace(nominal, tool=real.tool)
     real, turn = in_own_frame(real, nominal)
     return real, in_own_frame(nominal, nominal)[0], turn
+
+
+def bound_of(sources: Sources) -> tuple[ca.Function | None, str]:
+    """bound:(q[n])->(b[1] mm) of the error that remains, None where it is not known, and why it is not."""
+    real = _loaded(robot_of(sources.robot), sources.payload_kg)
+    lost = [e for e in real.effects if not e.of_measurement and _not_followed(e)]
+    if real.bound is None:
+        why = f"{_word(sources.robot)} has no [bound]; calibrate --out writes it, from 30 poses with positions on"
+    elif sources.compensator is not None:
+        why = "the bound of the robot file is that of the model without the compensator"
+    elif lost:
+        why = f"the bound of the robot file is that of the model with {lost[0].label}, which is left out"
+    else:
+        return bound_function(real, real.bound), ""
+    return None, why
 
 
 def network_of(sources: Sources) -> NetworkFunction:

@@ -15,6 +15,7 @@ from casadical.core.errors import CasadicalError, InputError
 from casadical.export.c.kernel import load
 from casadical.export.c.products import Command, mapped
 from casadical.export.c.reference import Status
+from casadical.export.c.reference import bound as reference_bound
 from casadical.export.c.reference import correct as reference_correct
 from casadical.export.c.tape_program import tape_program
 from casadical.export.controller.offline_program import Program
@@ -29,6 +30,7 @@ MEANINGS = {
     LEAVES_BOX: "the corrected targets would be outside the joint ranges of the model",
     Status.NOT_CONVERGED.name: "an error above the tolerance would remain",
     Status.LIMITED.name: "the correction would exceed its limit",
+    Status.ABOVE_LIMIT.name: "the bound of the error that remains is above the limit that was asked for",
     Status.SINGULAR.name: "near a pose in which the tool cannot move in some direction",
     Status.NOT_FINITE.name: "the model has no value there; a four-bar cannot close, for instance",
 }
@@ -48,6 +50,8 @@ class Corrector:
         q -> calibrated tool positions [m], shape (k, 3)
     target : Callable[[Array], Array], optional
         q -> nominal tool positions [m], shape (k, 3); None where it is not known
+    bound : Callable[[Array], Array], optional
+        q -> below it 95 % of the errors are that remain [mm], shape (k,); None where it is not known
     instead : Corrector, optional
         of the position alone, for targets whose pose cannot be corrected; None: they are refused
 
@@ -63,6 +67,7 @@ class Corrector:
     correct: Callable[[Array], tuple[Array, Array]]
     position: Callable[[Array], Array]
     target: Callable[[Array], Array] | None = None
+    bound: Callable[[Array], Array] | None = None
     instead: "Corrector | None" = None
 
 
@@ -82,6 +87,8 @@ class Corrected:
         how far the correction moves the real tool
     rest_mm : Array | None, shape (rows, 2)
         distance of the real tool from the nominal one, before and after; None: not known
+    bound_mm : Array | None, shape (rows,)
+        below it 95 % of the errors are that remain; None: not known
 
     Examples
     --------
@@ -101,6 +108,7 @@ class Corrected:
     status: tuple[str, ...]
     moved_mm: Array
     rest_mm: Array | None
+    bound_mm: Array | None = None
 
     @property
     def fine(self) -> Array:
@@ -115,7 +123,7 @@ class Corrected:
         str
             CSV
         """
-        return self.program.text(self.q, self.fine, self.status)
+        return self.program.text(self.q, self.fine, self.status, self.bound_mm)
 
     def report(self) -> str:
         """The number of corrected rows, refused rows with their reasons, and how far joints and tool move.
@@ -143,6 +151,9 @@ class Corrected:
         if self.rest_mm is not None and len(moved):
             before, after = self.rest_mm[self.fine].max(axis=0)
             found["off_nominal_mm_max"] = {"before": float(before), "after": float(after)}
+        if self.bound_mm is not None and len(moved):
+            bound = self.bound_mm[self.fine]
+            found["bound_mm"] = {"mean": float(bound.mean()), "max": float(bound.max())}
         return found
 
 
@@ -190,7 +201,10 @@ def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
         dq, status = kernel.correct(q)
         return np.asarray(dq, dtype=float), status
 
-    return Corrector(kernel.shape.joints, correct, position)
+    def bound(q: Array) -> Array:
+        return np.asarray(kernel.bound(q)[0], dtype=float)[:, 0]
+
+    return Corrector(kernel.shape.joints, correct, position, bound=bound if "bound" in kernel.shape.outputs else None)
 
 
 def model_corrector(command: Command, instead: Corrector | None = None) -> Corrector:
@@ -222,6 +236,7 @@ def model_corrector(command: Command, instead: Corrector | None = None) -> Corre
         lambda q: reference_correct(made, q),
         lambda q: mapped(command.calibrated, q)[:, :3],
         lambda q: mapped(command.nominal, q)[:, :3],
+        (lambda q: reference_bound(made, q)[0][:, 0]) if command.bound else None,
         instead,
     )
 
@@ -257,7 +272,8 @@ def corrected(corrector: Corrector, program: Program) -> Corrected:
     if corrector.target is not None:
         target = corrector.target(program.q)
         rest = 1e3 * np.linalg.norm(np.stack([before, after], axis=1) - target[:, None], axis=2)
-    return Corrected(program, q, names, moved, rest)
+    bound = corrector.bound(program.q) if corrector.bound else None
+    return Corrected(program, q, names, moved, rest, bound)
 
 
 def corrected_joints(corrector: Corrector, q: Array) -> tuple[Array, tuple[str, ...]]:
@@ -310,4 +326,8 @@ def _moved(result: Corrected) -> list[str]:
         lines.append("distance of the tool from its nominal position, by the model")
         for label, unit, column in zip(("before [mm]", "after [um]"), (1, 1e3), result.rest_mm[fine].T, strict=True):
             lines.append(f"  {label:<20}{unit * column.mean():>10.4f}{unit * column.max():>10.4f}")
+    if result.bound_mm is not None:
+        bound = result.bound_mm[fine]
+        lines.append("95 % of the errors that remain are below, by what was measured (where the tool is alike)")
+        lines.append(f"  {'bound [mm]':<20}{bound.mean():>10.4f}{bound.max():>10.4f}")
     return lines

@@ -13,7 +13,7 @@ from casadical.core.errors import InputError
 from casadical.measurements.columns import Columns
 from casadical.measurements.raw_table import read_table
 
-STATUS = "correction_status"
+STATUS, BOUND = "correction_status", "correction_bound_mm"
 
 _TO_RAD = {"_deg": np.pi / 180, "_rad": 1.0}
 _DIGITS = {"_deg": 7, "_rad": 9}  # decimals: some nanometres at the tool
@@ -60,7 +60,7 @@ class Program:
     columns: tuple[int, ...]
     units: tuple[str, ...]
 
-    def text(self, q: Array, moved: Array, status: Sequence[str]) -> str:
+    def text(self, q: Array, moved: Array, status: Sequence[str], bound_mm: Array | None = None) -> str:
         """The table as CSV with new targets in some rows, and a column with each row's status.
 
         Parameters
@@ -71,6 +71,8 @@ class Program:
             which rows take them, boolean
         status : Sequence[str]
             of each row
+        bound_mm : Array | None, shape (rows,)
+            of the error that remains, a further column; empty where a row was not moved
 
         Returns
         -------
@@ -79,13 +81,14 @@ class Program:
         """
         out = io.StringIO()
         writer = csv.writer(out, lineterminator="\n")
-        writer.writerow([*self.header, STATUS])
+        writer.writerow([*self.header, STATUS, *([] if bound_mm is None else [BOUND])])
         for k, row in enumerate(self.rows):
             cells = list(row)
             for i, (column, unit) in enumerate(zip(self.columns, self.units, strict=True)):
                 if moved[k]:
                     cells[column] = f"{q[k, i] / _TO_RAD[unit]:.{_DIGITS[unit]}f}"
-            writer.writerow([*cells, status[k]])
+            bound = [] if bound_mm is None else [f"{bound_mm[k]:.4f}" if moved[k] else ""]
+            writer.writerow([*cells, status[k], *bound])
         return out.getvalue()
 
 

@@ -158,7 +158,7 @@ static @name@_status @name@_corrected(const @name@_real q[@NAME@_JOINTS], @name@
     else
     {
         status = @name@_worse(status, @name@_chord(x, dq));
-    }
+@within@    }
     return status;
 }
 

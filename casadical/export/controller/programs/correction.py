@@ -44,7 +44,7 @@ class Tooled:
 class Cell:
     """The robots that a program is corrected for, and what the program does not say of its frames.
 
-    sources, steps, orientation : as of `command_of`
+    sources, steps, orientation, limit_mm : as of `command_of`
     root : the controller's root frame in the robot file's base frame; flange : its flange in the last link's frame;
         each (4, 4) [m]
     nearest : a pose without a configuration is reached as near as possible to the target before it
@@ -55,6 +55,7 @@ class Cell:
     sources: Sources | None
     steps: int = 2
     orientation: bool = False
+    limit_mm: float | None = None
     root: Array = field(default_factory=lambda: np.eye(4))
     flange: Array = field(default_factory=lambda: np.eye(4))
     nearest: bool = False
@@ -86,22 +87,23 @@ class Cell:
         key = b"" if tool is None else tool.tobytes()
         if key not in self._made:
             self._made[key] = _tooled(
-                self.sources if tool is None else self._holding(tool), self.steps, self.orientation
+                self.sources if tool is None else self._holding(tool), self.steps, self.orientation, self.limit_mm
             )
         return self._made[key]
 
     def _holding(self, tool: Array) -> Sources:
-        held = Placement(self.flange @ tool)
+        held = self.flange @ tool
         files = self._files
         if files.nominal is None:
             return files
-        robots = [replace(robot_of(r), tool=held, knowledge=None) for r in (files.robot, files.nominal)]
+        given = (robot_of(r) for r in (files.robot, files.nominal))
+        robots = [replace(r, tool=replace(r.tool, T=held), knowledge=None) for r in given]
         return replace(files, robot=robots[0], nominal=robots[1], tool="shared")
 
 
-def _tooled(sources: Sources, steps: int, orientation: bool) -> Tooled:
-    command = command_of(sources, steps, orientation=orientation)
-    instead = model_corrector(command_of(sources, steps)) if orientation else None
+def _tooled(sources: Sources, steps: int, orientation: bool, limit_mm: float | None) -> Tooled:
+    command = command_of(sources, steps, orientation=orientation, limit_mm=limit_mm)
+    instead = model_corrector(command_of(sources, steps, limit_mm=limit_mm)) if orientation else None
     real, nominal, turn = own_robots(sources)
     return Tooled(
         model_corrector(command, instead),
@@ -118,6 +120,7 @@ class Result:
     texts : the new text of each number, and of each word that says the turns
     moved_mm : how far the real tool is moved; off_mm, off_deg : how far the real tool is from the nominal one's
         position and orientation, before and after, with the numbers as they are written; None: not known
+    bound_mm : below it 95 % of the errors are that remain in position; None: not known
     q : joints of the target, before and after [rad], each shape (n,); None: not known
     """
 
@@ -128,6 +131,7 @@ class Result:
     moved_mm: float | None = None
     off_mm: tuple[float, float] | None = None
     off_deg: tuple[float, float] | None = None
+    bound_mm: float | None = None
     q: tuple[Array, Array] | None = None
 
     @property
@@ -218,7 +222,8 @@ def _written(language: ProgramLanguage, target: Target, cell: Cell, made: Tooled
     q = reads if target.joints else _controller(language, target, cell, made, reads, new)
     if q is None or _beyond(cell, q):
         return Result(target, LEAVES_BOX if q is not None else UNREACHABLE)
-    result = Result(target, Status.OK.name, "", texts, q=(old, q))
+    bound = made.corrector.bound(old[None])[0] if made.corrector.bound else None
+    result = Result(target, Status.OK.name, "", texts, bound_mm=bound, q=(old, q))
     if made.real is None or made.nominal is None:
         return replace(result, moved_mm=_apart(*made.corrector.position(np.array([old, q]))))
     wanted, was, now = _pose(made.nominal, old), _pose(made.real, old), _pose(made.real, q)

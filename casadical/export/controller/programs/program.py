@@ -21,7 +21,7 @@ from casadical.export.controller.programs.target import Given, Target
 REPORT = ".correction.csv"  # after the name of a corrected program
 _HEADER = (
     "line", "target", "kind", "status", "why", "frames", "was", "is", "moved_mm", "off_mm_before", "off_mm_after",
-    "off_deg_before", "off_deg_after",
+    "off_deg_before", "off_deg_after", "bound_mm",
 )  # fmt: skip
 _MEANINGS = MEANINGS | {
     c.LEFT: "left as it is",
@@ -143,7 +143,7 @@ def _differs(old: str, new: str) -> bool:
 
 def _row(r: c.Result) -> list[str]:
     texts = [n.text if not _differs(n.text, t) else t for n, t in zip(r.target.numbers, r.texts, strict=False)]
-    figures = [r.moved_mm, *(r.off_mm or (None, None)), *(r.off_deg or (None, None))]
+    figures = [r.moved_mm, *(r.off_mm or (None, None)), *(r.off_deg or (None, None)), r.bound_mm]
     return [
         str(r.target.line), r.target.name, "joints" if r.target.joints else "pose", r.status,
         "" if r.fine else r.why or _MEANINGS[r.status], r.target.about, _numbers(r.target), " ".join(texts),
