@@ -18,10 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
-from casadical import Measurements, Robot, identify, read_problem_robot
+from casadical import Measurements, Robot, identify
 from casadical.identification.accuracy import errors
 from casadical.identification.error_bound import learn_bound
-from casadical.project.problem import read_campaign
+from casadical.project.problem import read_campaign, read_problem_robot
 from casadical.robot.error_bound import bound_at
 
 ROOT = Path(__file__).parents[2]

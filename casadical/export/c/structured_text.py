@@ -64,6 +64,15 @@ def structured_text(program: TapeProgram, label: Label) -> str:
         mine |= {"network_out": str(plan.places[f"{key}_out"])} | _span(plan, key, "network")
         parts.append(filled(template("network.st"), values | mine | _box(program, "network")))
     if program.command is not None:
+        if program.command.bound is not None:
+            mine = {
+                "function": "bound",
+                "out": "bound_mm",
+                "last_out": "0",
+                "network_out": str(plan.places["bound_out"]),
+            }
+            mine |= _span(plan, "bound", "network") | _box(program, "command")
+            parts.append(filled(template("network.st"), values | mine))
         parts.append(filled(template("command.st"), values | _command(program, program.command, plan)))
     return _wrapped("\n".join([*parts, _self_test(program, values)]))
 
@@ -175,6 +184,23 @@ def _span(plan: Plan, key: str, name: str) -> dict[str, str]:
     return {f"{name}_from": str(plan.spans[key][0]), f"{name}_to": str(plan.spans[key][1])}
 
 
+_WITHIN = """\
+values(from_run := @bound_from@, to_run := @bound_to@, v := v);
+IF status = 0 AND NOT (values.fine AND v[@bound_out@] <= @bound_limit@) THEN
+    status := 9;
+END_IF;
+"""
+
+
+def _within(program: TapeProgram, command: Command, plan: Plan) -> dict[str, str]:
+    """The comparison of the bound with its limit, where there is one."""
+    if command.limit_mm is None:
+        return {"within": ""}
+    mine = _span(plan, "bound", "bound") | {"bound_out": str(plan.places["bound_out"])}
+    mine["bound_limit"] = number(command_numbers(command).bound_mm, program.real)
+    return {"within": filled(_WITHIN, mine)}
+
+
 def _command(program: TapeProgram, command: Command, plan: Plan) -> dict[str, str]:
     numbers, n_p, prepared = command_numbers(command), len(program.tapes["forward"].outputs), prepared_size(command)
     limits = ("delta", "step", "change", "ramp", "tolerance2", "weakness")
@@ -193,7 +219,7 @@ def _command(program: TapeProgram, command: Command, plan: Plan) -> dict[str, st
         | {key: f"{getattr(command.limits, key):.6g}" for key in ("cycle_s", "ramp_s", "rate_rad_s")}
         | {"steps": str(command.steps), "last_p": str(n_p - 1)}
         | _span(plan, "prepare", "prepare") | _span(plan, "forward", "forward") | _span(plan, "advance", "advance")
-        | _box(program, "command")
+        | _box(program, "command") | _within(program, command, plan)
     )  # fmt: skip
 
 

@@ -89,6 +89,7 @@ def operations(program: TapeProgram) -> Operations:
     if program.command is not None:
         key, steps = "correct", program.command.steps
         calls = {"prepare": 1, "forward": steps - 1, "advance": steps}
+        calls |= {"bound": 1} if program.command.limit_mm is not None else {}
     count: dict[str, int] = {}
     for tape, times in calls.items():
         for node in program.tapes[tape].nodes:
