@@ -64,7 +64,7 @@ _COMMAND_DEFINES = """
 """
 _COMMAND_STATUSES = """\
  *   RATE_LIMITED   the correction is on its way, as fast as it may change
- *   NOT_CONVERGED  more than @tolerance_mm@ mm is estimated to remain; the correction is the best so far
+ *   NOT_CONVERGED  more than @tolerance_mm@ mm remained before the last step; the correction is the best so far
  *   LIMITED        the correction is at its limit, all joints scaled alike
  *   SINGULAR       the arm can hardly move its tool in some direction; the correction is damped and within its limit
 """
@@ -155,9 +155,8 @@ def _command_values(command: Command, program: TapeProgram, real: Real) -> dict[
         "n_prepared": prepared,
         "n_work": prepared + n_p,
         "i_weakness": prepared - 1,
-        "n_moved": n + 2,
+        "n_moved": n + 1,
         "i_error": n,
-        "i_rest": n + 1,
     }
     return {key: str(value) for key, value in integers.items()} | {
         "pose_text": pose,

@@ -53,7 +53,7 @@ class Limits:
     ramp_s: float = 1.0
     damping: float = 0.01
     singular_m_per_rad: float = 0.07
-    tolerance_mm: float = 0.05
+    tolerance_mm: float = 0.02
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -189,8 +189,8 @@ class Command:
     limits : Limits, optional
         of the correction, and of what is reported
     steps : int, default 2
-        least-squares steps, 1 to 10; with one, NOT_CONVERGED sees only what the damping leaves; with more it also
-        extrapolates from the last two errors
+        least-squares steps, 1 to 10. The robot is evaluated again after them: NOT_CONVERGED says that the tolerance is
+        passed there. One more step follows where the last one left a third or less of its error
     length_m : float, default 0.3
         for poses, the length by which an orientation error [rad] is weighted [m]
     bound : Function, optional
@@ -207,7 +207,7 @@ class Command:
     --------
     >>> command = casadical.export.command_of(casadical.export.Sources(found.robot, robot), steps=2)
     >>> command.steps, command.limits.tolerance_mm
-    (2, 0.05)
+    (2, 0.02)
     """
 
     nominal: casadi.Function

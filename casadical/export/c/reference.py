@@ -112,31 +112,32 @@ def _chord(program: TapeProgram, command: Command, x: Array) -> tuple[Array, Arr
     n, end = program.n, prepared_size(command)
     work, fine = run(program.tapes["prepare"], x, real)
     dq = np.zeros_like(x)
-    moved = np.zeros((len(x), n + 2), T)
+    moved = np.zeros((len(x), n + 1), T)
     before = np.full(len(x), np.finfo(T).max, T)
     wrong = work[:, end - 1] - work[:, end - 1]
     with np.errstate(all="ignore"):
-        for step in range(command.steps):
+        for step in range(command.steps + 1):
             if step > 0:
                 before = moved[:, n].copy()
                 work[:, end:], fine_now = run(program.tapes["forward"], x + dq, real)
                 fine &= fine_now
             moved, fine_now = run(program.tapes["advance"], work, real)
             fine &= fine_now
-            wrong = wrong + (moved[:, n:] - moved[:, n:]).sum(1)
+            wrong = wrong + (moved[:, n] - moved[:, n])
             moved[:, :n], step_clamped = _limited(moved[:, :n], T(numbers.step))
-            dq, limited = _limited(dq + moved[:, :n], T(numbers.delta))
+            there, limited = _limited(dq + moved[:, :n], T(numbers.delta))
+            taken = (step < command.steps) | (T(9) * moved[:, n] <= before)
+            dq = np.where(taken[:, None], there, dq)
         fine &= wrong >= 0
-        status = _chord_status(numbers, T, work[:, end - 1], moved[:, n:], before, limited, step_clamped)
+        status = _chord_status(numbers, T, work[:, end - 1], moved[:, n], limited, step_clamped)
     dq[~fine] = 0
     return dq, np.where(fine, status, Status.NOT_FINITE)
 
 
 def _chord_status(
-    numbers: CommandNumbers, T: Any, weakness: Array, ends: Array, before: Array, limited: Array, clamped: Array
+    numbers: CommandNumbers, T: Any, weakness: Array, left: Array, limited: Array, clamped: Array
 ) -> Array:
-    tolerance2 = T(numbers.tolerance2)
-    far = clamped | (ends[:, 1] > tolerance2) | (T(9) * (ends[:, 0] * ends[:, 0]) > tolerance2 * before)
+    far = clamped | (left > T(numbers.tolerance2))
     status = np.where(far, Status.NOT_CONVERGED, Status.OK)
     status = np.where(limited, Status.LIMITED, status)
     return np.where(weakness > T(numbers.weakness), Status.SINGULAR, status)

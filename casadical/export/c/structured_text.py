@@ -211,7 +211,6 @@ def _command(program: TapeProgram, command: Command, plan: Plan) -> dict[str, st
         "now": plan.places["prepare_out"] + prepared,
         "weakness_at": plan.places["prepare_out"] + prepared - 1,
         "error_at": plan.places["advance_out"] + program.n,
-        "rest_at": plan.places["advance_out"] + program.n + 1,
     }
     return (
         {key: str(value) for key, value in places.items()}

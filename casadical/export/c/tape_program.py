@@ -1,7 +1,8 @@
 """The tapes of a product. The least-squares algebra of a command is written here once, in SX, for all languages.
 
 The chord step: with J the Jacobian at the commanded joints, factored once as L D L^T = J J^T + lambda^2 I, each step
-solves for y in L D L^T y = r and moves the joints by J^T y. The damped rest lambda^2 y is what a step leaves of r.
+solves for y in L D L^T y = r and moves the joints by J^T y. After the last step the model is evaluated again, so that
+the status is the error that is left and no estimate; the step that follows from it costs next to nothing and is taken.
 """
 
 from dataclasses import dataclass
@@ -88,7 +89,7 @@ def operations(program: TapeProgram) -> Operations:
     calls = {key: 1}
     if program.command is not None:
         key, steps = "correct", program.command.steps
-        calls = {"prepare": 1, "forward": steps - 1, "advance": steps}
+        calls = {"prepare": 1, "forward": steps, "advance": steps + 1}
         calls |= {"bound": 1} if program.command.limit_mm is not None else {}
     count: dict[str, int] = {}
     for tape, times in calls.items():
@@ -236,7 +237,7 @@ def prepared_size(command: Command) -> int:
 
 
 def _advance(command: Command) -> casadi.Function:
-    """(prepared, where the calibrated robot is) -> joint step, squared error before it, squared rest after it."""
+    """(prepared, where the calibrated robot is) -> joint step, squared error before it."""
     n, m = len(command.lower), residual_size(command)
     size = 3 if m == 3 else 12
     prepared, now = SX.sym("prepared", prepared_size(command)), SX.sym("now", size)
@@ -250,6 +251,5 @@ def _advance(command: Command) -> casadi.Function:
     for i in reversed(range(m)):
         for k in range(i + 1, m):
             y[i] -= L[k, i] * y[k]
-    rest = command.limits.damping**4 * casadi.sumsqr(y)
-    outputs = casadi.vertcat(casadi.mtimes(J.T, y), casadi.sumsqr(r), rest)
+    outputs = casadi.vertcat(casadi.mtimes(J.T, y), casadi.sumsqr(r))
     return casadi.Function("advance", [prepared, now], [outputs], ["prepared", "now"], ["moved"])

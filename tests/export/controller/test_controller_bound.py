@@ -29,7 +29,7 @@ from casadical.robot.knowledge import ErrorBound
 sys.path.append(str(Path(__file__).parents[1] / "c"))
 from structured_text_in_c import Compiled
 
-LIMIT = 0.7  # mm
+LIMIT, LEFT = 0.7, 0.02  # mm; what the steps alone may leave
 needs_compiler = pytest.mark.skipif(not compilers(), reason="no C compiler (gcc, clang, cc) on this machine")
 
 
@@ -75,7 +75,7 @@ def test_it_is_the_spread_of_positions_and_says_where_the_limit_is_passed(robot)
     free = correct(tape_program(command_of(sources(robot)), "double"), q)
     held = correct(program, q)
     assert (held[0] == free[0]).all()
-    above = (free[1] == Status.OK) & (mm[:, 0] > LIMIT - 0.05)
+    above = (free[1] == Status.OK) & (mm[:, 0] > LIMIT - LEFT)
     assert (held[1] == np.where(above, Status.ABOVE_LIMIT, free[1])).all()
     assert 0.1 < above.mean() < 0.9
 
@@ -118,11 +118,11 @@ def test_correct_refuses_what_is_above_the_limit_and_reports_the_bound(
     expected = by_differences(robot, q)
     for row, mm in zip(rows, expected, strict=True):
         if row["correction_status"] != "SINGULAR":
-            assert row["correction_status"] == ("OK" if mm <= LIMIT - 0.05 else "ABOVE_LIMIT")
+            assert row["correction_status"] == ("OK" if mm <= LIMIT - LEFT else "ABOVE_LIMIT")
         assert float(row["correction_bound_mm"] or mm) == pytest.approx(mm, rel=1e-3)
         assert bool(row["correction_bound_mm"]) == (row["correction_status"] == "OK")
     said = json.loads(facts.read_text())["bound_mm"]
-    assert said["max"] == pytest.approx(expected[expected <= LIMIT - 0.05].max(), rel=1e-3)
+    assert said["max"] == pytest.approx(expected[expected <= LIMIT - LEFT].max(), rel=1e-3)
 
 
 def test_a_program_of_a_controller_has_a_bound_for_each_target_with_its_own_tool(robot, tmp_path) -> None:
@@ -149,9 +149,9 @@ def test_without_a_bound_it_is_said_why_and_a_limit_is_refused(robot, case) -> N
         command_of(given, limit_mm=LIMIT)
 
 
-@pytest.mark.parametrize("limit", [0.05, -1.0, float("nan")])
+@pytest.mark.parametrize("limit", [0.02, -1.0, float("nan")])
 def test_a_limit_below_what_the_steps_may_leave_is_refused(robot, limit) -> None:
-    with pytest.raises(InputError, match=r"must be above 0.05 mm, which the steps alone may leave"):
+    with pytest.raises(InputError, match=r"must be above 0.02 mm, which the steps alone may leave"):
         command_of(sources(robot), limit_mm=limit)
 
 

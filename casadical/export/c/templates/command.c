@@ -78,7 +78,7 @@ static @name@_status @name@_chord(const @name@_real x[@NAME@_JOINTS], @name@_rea
     @name@_status status = @NAME@_OK;
     @name@_real work[@n_work@]; /* what prepare gives; where the calibrated robot is comes last */
     @name@_real at[@NAME@_JOINTS];
-    @name@_real moved[@n_moved@]; /* joint step, squared error before it, squared rest after it */
+    @name@_real moved[@n_moved@]; /* joint step, squared error before it */
     @name@_real before = @largest@;
     @name@_real wrong = @0@;
     uint32_t clamped = 0U;
@@ -91,8 +91,7 @@ static @name@_status @name@_chord(const @name@_real x[@NAME@_JOINTS], @name@_rea
         moved[i] = @0@;
     }
     moved[@i_error@] = @0@;
-    moved[@i_rest@] = @0@;
-    for (step = 0U; step < @steps@U; step++)
+    for (step = 0U; step <= @steps@U; step++)
     {
         if (step > 0U)
         {
@@ -104,13 +103,18 @@ static @name@_status @name@_chord(const @name@_real x[@NAME@_JOINTS], @name@_rea
             fine = fine & @name@_forward_values(at, &work[@n_prepared@]);
         }
         fine = fine & @name@_advance_values(work, moved);
-        wrong = wrong + ((moved[@i_error@] - moved[@i_error@]) + (moved[@i_rest@] - moved[@i_rest@]));
+        wrong = wrong + (moved[@i_error@] - moved[@i_error@]);
         clamped = @name@_limited(moved, @step_limit@);
         for (i = 0U; i < @NAME@_JOINTS; i++)
         {
-            dq[i] = dq[i] + moved[i];
+            moved[i] = dq[i] + moved[i];
         }
-        clamped = clamped | (@name@_limited(dq, @NAME@_DELTA_LIMIT) << 1U);
+        clamped = clamped | (@name@_limited(moved, @NAME@_DELTA_LIMIT) << 1U);
+        /* the look at what the last step left gives one more, where that one left a third or less */
+        for (i = 0U; i < @NAME@_JOINTS; i++)
+        {
+            dq[i] = ((step < @steps@U) || ((@9@ * moved[@i_error@]) <= before)) ? moved[i] : dq[i];
+        }
     }
     wrong = wrong + (work[@i_weakness@] - work[@i_weakness@]);
     if ((fine == 0U) || !(wrong >= @0@))
@@ -129,8 +133,7 @@ static @name@_status @name@_chord(const @name@_real x[@NAME@_JOINTS], @name@_rea
     {
         status = @NAME@_LIMITED;
     }
-    else if ((clamped != 0U) || (moved[@i_rest@] > @tolerance2@)
-             || ((@9@ * (moved[@i_error@] * moved[@i_error@])) > (@tolerance2@ * before)))
+    else if ((clamped != 0U) || (moved[@i_error@] > @tolerance2@))
     {
         status = @NAME@_NOT_CONVERGED;
     }

@@ -14,7 +14,8 @@ typedef struct
 
 /*
  * The joint correction dq [rad]: sent q + dq, the real tool is where the nominal model has it at q.
- * @steps@ least-squares steps with the Jacobian at q, damped by lambda^2 = @damping2@ m^2/rad^2.
+ * @steps@ least-squares steps with the Jacobian at q, damped by lambda^2 = @damping2@ m^2/rad^2. Then the model is looked
+ * at again: the status says what is left, and a further step is taken where the last one left a third or less.
  * |dq[i]| never exceeds @NAME@_DELTA_LIMIT. Zeros and NOT_FINITE for an input that is not finite.
  */
 @name@_status @name@_correct(const @name@_real q[@NAME@_JOINTS], @name@_real dq[@NAME@_JOINTS]);
