@@ -30,7 +30,7 @@ class Limits:
         lambda of the least squares [m/rad]
     singular_m_per_rad : float, default 0.07
         a pose whose weakest direction moves the tool by less than about this is reported [m/rad]
-    tolerance_mm : float, default 0.05
+    tolerance_mm : float, default 0.02
         a larger remaining error is reported [mm]
 
     Raises
