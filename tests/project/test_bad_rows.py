@@ -19,6 +19,7 @@ from casadical.identification.accuracy import Accuracy
 from casadical.project.check import precheck
 from casadical.project.new import new_problem
 from casadical.project.outcome import methods_worse
+from casadical.project.problem import read_campaign
 from casadical.report.calibration import calibration_part
 
 # Rows of the file (headings in line 4), as they are in the set that is fitted with seed 0.
@@ -95,6 +96,9 @@ def test_rows_without_numbers_are_left_out_by_new_and_named(tmp_path: Path) -> N
     table = first_hour.write(tmp_path, "messung.csv", q, p)
     problem = new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=table)
     assert {12, 35}.isdisjoint(int(row) for parts in problem.sets.values() for m in parts for row in m.row)
+    # The table that was given is the problem's own, whatever its name: its rows are left out there, too.
+    read = read_campaign(tmp_path / "arm", table.rename(tmp_path / "given.csv"), problem.robot)
+    assert {12, 35}.isdisjoint(read.row.tolist())
     text = (tmp_path / "arm" / "problem.toml").read_text()
     assert "12, # a cell is no number" in text
     assert json.dumps("Messwert X [mm]") in text

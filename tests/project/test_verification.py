@@ -14,6 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "cli"))
 import first_hour
 
 from casadical import InputError, calibrate
+from casadical.project.check import precheck
 from casadical.project.new import new_problem
 from casadical.project.verification import verify
 
@@ -120,6 +121,8 @@ def test_bad_rows_neither_loosen_the_promise_nor_hide(
     held = new_problem(arm, dh=tmp_path / "dh.csv", data=data).sets["report"][0].row[:2]
     p[held - 5] += [30.0, 40.0, 0.0]  # the first row stands in line 5 of the file
     (arm / "poses.csv").write_bytes(first_hour.write(tmp_path, "messung.csv", q[:90], p[:90]).read_bytes())
+    (warning,) = precheck(arm).of("warning")
+    assert f"{held[0]} (" in warning.text
     assert main(monkeypatch, "calibrate", arm, "--out", out) == 0
     printed = " ".join(capfd.readouterr().out.split())
     assert "Held-out poses far off, in the figures above: row " in printed
