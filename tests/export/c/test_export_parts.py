@@ -14,10 +14,12 @@ from casadical.export.c.c_language import _cross_check
 from casadical.export.c.c_source import command_numbers
 from casadical.export.c.intervals import bounds
 from casadical.export.c.manifest import Facts
+from casadical.export.c.numpy_evaluation import NumpyFunctions
 from casadical.export.c.periodic_table import spline_errors, spline_table
 from casadical.export.c.products import Limits
+from casadical.export.c.structured_text import _tables
 from casadical.export.c.tape import Node, Tape, tape_of
-from casadical.export.c.tape_program import residual_size, tape_program
+from casadical.export.c.tape_program import operations, residual_size, tape_program
 from casadical.export.c.toolchain import compilers
 from casadical.export.c.verification import accuracy
 
@@ -131,3 +133,30 @@ def test_a_compilers_version_is_the_first_line_that_it_prints() -> None:
     for found in compilers():
         said = subprocess.run([found.command, "--version"], capture_output=True, text=True, check=True).stdout
         assert said.startswith(found.version + "\n")
+
+
+@pytest.mark.parametrize(("real", "kind"), [("float", np.float32), ("double", np.float64)])
+def test_roots_are_exact_to_the_last_digits(real: Any, kind: Any) -> None:
+    x = np.geomspace(1e-30, 1e30, 4001).astype(kind)
+    with np.errstate(over="ignore"):  # of the branch that is not taken
+        found = NumpyFunctions(real).sqrt(x)
+    assert np.abs(found / np.sqrt(x.astype(np.float64)) - 1).max() < 2 * np.finfo(kind).eps
+
+
+def test_tables_of_structured_text_end_at_their_last_entry() -> None:
+    tables = tuple(spline_table(np.cos(np.arange(n) * 2 * np.pi / n)) for n in (8, 16, 8))
+    plan: Any = type("Of", (), {"tables": tables})
+    told = _tables(plan, "double")
+    assert (told["last_table"], told["last_entry"]) == ("2", str(11 + 19 + 11 - 1))
+    assert told["begins"] == "0, 11, 30"
+    assert told["points"] == "8, 16, 8"
+
+
+def test_a_network_alone_is_called_once(network: Any) -> None:
+    """Five neurons of six joints, three outputs of them."""
+    program = tape_program(network, "double")
+    count = operations(program).count
+    nodes = [node.op for node in program.tapes["network"].nodes]
+    assert count["tansig"] == 5
+    assert count["multiplications"] == nodes.count("mul")
+    assert count["additions"] == nodes.count("add") + nodes.count("sub")

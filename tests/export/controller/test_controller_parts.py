@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from casadical.core.transforms import frame
 from casadical.export.controller.drivers import _row, _standard
 from casadical.export.controller.postures import _about
-from casadical.export.controller.programs.target import DEG, MM, Number
+from casadical.export.controller.programs.fanuc import Fanuc
+from casadical.export.controller.programs.target import DEG, MM, Given, Number
 from casadical.export.controller.programs.urscript import UrScript
 
 
@@ -55,3 +56,32 @@ def test_digits_of_a_number_are_its_own_or_the_finest_of_its_unit(
     text: str, unit: float, value: float, written: str
 ) -> None:
     assert Number(0, len(text), text, unit).written(value) == written
+
+
+LISTING = """/PROG T
+/MN
+   1:J P[1] 100% FINE ;
+   2:L P[2] 100mm/sec FINE ;
+/POS
+P[1]{
+   GP1:
+\tUF : 0, UT : 1,
+\tJ1=  10.000 deg,\tJ2= -20.000 deg,\tJ3=  30.000 deg,
+\tJ4=  40.000 deg,\tJ5=  50.000 deg,\tJ6=  60.000 deg
+};
+P[2]{
+   GP1:
+\tUF : 0, UT : 1,\tCONFIG : 'N U T, 0, 0, 0',
+\tX =  100.000  mm,\tY =  200.000  mm,\tZ =  300.000  mm,
+\tW =   10.000 deg,\tP =   20.000 deg,\tR =   30.000 deg
+};
+/END
+"""
+
+
+def test_positions_of_a_listing_are_joints_or_a_pose() -> None:
+    given = Given(tools={"1": np.eye(4)}, bases={"0": np.eye(4)})
+    joints, pose = Fanuc().targets("t.ls", LISTING, given, 6)
+    assert (joints.name, joints.left, pose.name, pose.left) == ("P[1]", "", "P[2]", "")
+    np.testing.assert_allclose([n.si for n in joints.numbers], np.deg2rad([10, -20, 30, 40, 50, 60]))
+    np.testing.assert_allclose([n.si for n in pose.numbers], [0.1, 0.2, 0.3, *np.deg2rad([10, 20, 30])])
