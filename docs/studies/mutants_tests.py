@@ -12,7 +12,7 @@ import os
 import resource
 import signal
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = f"{ROOT / 'casadical'}{os.sep}"
 # A test that takes longer than so many times what it took, and than so many seconds, hangs.
 LONGER, AT_LEAST = 20, 30
-FOREIGN = 60
+FIRST, FOREIGN = 20, 60
 
 _called: list[set[CodeType]] = [set()]
 _by_fixture: dict[int, set[CodeType]] = {}
@@ -55,7 +55,7 @@ def pytest_runtest_protocol(item: Any) -> Iterator[None]:
         sys.settrace(None)
     used = (one for found in item._fixtureinfo.name2fixturedefs.values() for one in found)
     called = _called[0].union(*(_by_fixture.get(id(one), set()) for one in used))
-    names = {f"{c.co_filename}:{c.co_firstlineno}" for c in called if c.co_filename.startswith(PACKAGE)}
+    names = {f"{c.co_filename}:{c.co_qualname}" for c in called if c.co_filename.startswith(PACKAGE)}
     line = {
         "test": item.nodeid,
         "seconds": round(sum(os.times()[:4]) - spent, 3),
@@ -68,7 +68,7 @@ def pytest_runtest_protocol(item: Any) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Known:
-    """Of each test: seconds, and `file:line` of the functions that it calls."""
+    """Of each test: seconds, and `file:function` (its qualified name) of the functions that it calls."""
 
     seconds: Mapping[str, float]
     calls: Mapping[str, frozenset[str]]
@@ -80,42 +80,52 @@ def read_map(path: Path) -> Known:
     return Known({x["test"]: x["seconds"] for x in lines}, {x["test"]: frozenset(x["calls"]) for x in lines})
 
 
-def chosen(known: Known, room: str, path: str, line: int) -> list[str]:
-    """Tests that run on a mutant: of its room those that call the function of this line, or where it is in none, any of
-    its file; then the others of the same files, and of files that name the module; then those of other rooms that call
-    it, as many as FOREIGN. The quickest of each first."""
-    wanted = {f"{path}:{first}" for first in _functions_at(path, line)}
+def chosen(known: Known, room: str, path: str, line: int, before: str) -> list[str]:
+    """Tests that run on a mutant: the one that killed it before; of its room those that call the function of this line,
+    or where it is in none, any of its file; then the others of the same files, and of files that name the module; then
+    those of other rooms that call it, as many as FOREIGN. The quickest of each first."""
+    wanted = {f"{path}:{name}" for name in _functions_at(path, line)}
     direct = {t for t, made in known.calls.items() if (made & wanted if wanted else any(_in(path, c) for c in made))}
     own = {test for test in known.calls if test.startswith(f"tests/{room}/")}
     if not direct:  # a file of constants
         direct = own
     files = {test.partition("::")[0] for test in own}
-    named = {f for f in files if Path(path).stem in (ROOT / f).read_text(encoding="utf-8")}
+    named = {f for f in files if (ROOT / f).exists() and Path(path).stem in (ROOT / f).read_text(encoding="utf-8")}
     named |= {test.partition("::")[0] for test in own & direct}
     others = {test for test in own - direct if test.partition("::")[0] in named}
     first, second, third = (
         sorted(part, key=lambda t: (known.seconds[t], t)) for part in (own & direct, others, direct - own)
     )
-    return [*first, *second, *third[:FOREIGN]]
+    tests = dict.fromkeys([*([before] if "::" in before else []), *first, *second, *third[:FOREIGN]])
+    return [test for test in tests if (ROOT / test.partition("::")[0]).exists()]
 
 
 def _in(path: str, call: str) -> bool:
     return call.startswith(f"{path}:")
 
 
-def _functions_at(path: str, line: int) -> list[int]:
-    """First lines, decorators included, of the innermost function that holds a line; lambdas and such count for it."""
-    held = []
-    for node in ast.walk(ast.parse((ROOT / "casadical" / path).read_text(encoding="utf-8"))):
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            first = min([node.lineno, *(d.lineno for d in node.decorator_list)])
-            if node.body[0].lineno <= line <= (node.end_lineno or 0):
-                held.append(first)
-    return [max(held)] if held else []
+def _functions_at(path: str, line: int) -> list[str]:
+    """Qualified name of the innermost function that holds a line; lambdas and such count for it."""
+    found: list[str] = []
+
+    def visit(node: ast.AST, within: str) -> None:
+        for child in ast.iter_child_nodes(node):
+            name = within
+            if isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+                name = f"{within}{child.name}"
+                if not isinstance(child, ast.ClassDef):
+                    if child.body[0].lineno <= line <= (child.end_lineno or 0):
+                        found.append(name)
+                    name += ".<locals>"
+                name += "."
+            visit(child, name)
+
+    visit(ast.parse((ROOT / "casadical" / path).read_text(encoding="utf-8")), "")
+    return found[-1:]
 
 
 class Ordered:
-    """Plugin that runs the chosen tests only, in their order, writes the first that fails, and ends one that hangs."""
+    """Plugin that runs chosen tests, or files, in their order, writes the first that fails, and ends one that hangs."""
 
     def __init__(self, tests: list[str], seconds: Mapping[str, float], failed: Path) -> None:
         self.place = {test: k for k, test in enumerate(tests)}
@@ -123,7 +133,9 @@ class Ordered:
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        items[:] = sorted((i for i in items if i.nodeid in self.place), key=lambda i: self.place[i.nodeid])
+        places = {item.nodeid: self.place.get(item.nodeid, self.place.get(item.location[0])) for item in items}
+        kept = [item for item in items if places[item.nodeid] is not None]
+        items[:] = sorted(kept, key=lambda item: places[item.nodeid] or 0)
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> None:
@@ -152,14 +164,22 @@ class Bench:
         return self.root / "failed"
 
 
-def run_tests(tests: list[str], bench: Bench) -> int:
-    """Status of a child process that runs these tests in their order until one fails."""
+def run_tests(tests: Sequence[str], bench: Bench, limit: int = 0) -> int:
+    """Status of a child process that runs these tests in their order until one fails; limit : as the bench's.
+
+    The first few in a process of their own: their files alone are imported for what they notice.
+    """
+    status = _run(list(tests[:FIRST]), bench, limit or bench.seconds)
+    return status if status or len(tests) <= FIRST else _run(list(tests[FIRST:]), bench, limit or bench.seconds)
+
+
+def _run(tests: list[str], bench: Bench, limit: int) -> int:
     bench.failed.write_text("", encoding="utf-8")
     child = os.fork()
     if not child:
         code = 70
         try:
-            code = _in_child(tests, bench)
+            code = _in_child(tests, bench, limit)
         finally:
             os._exit(code)
     _, status = os.waitpid(child, 0)
@@ -168,7 +188,7 @@ def run_tests(tests: list[str], bench: Bench) -> int:
     return status
 
 
-def _in_child(tests: list[str], bench: Bench) -> int:
+def _in_child(tests: list[str], bench: Bench, limit: int) -> int:
     os.setsid()
     os.chdir(bench.root)
     sys.path.insert(0, str(bench.root))
@@ -177,8 +197,8 @@ def _in_child(tests: list[str], bench: Bench) -> int:
         os.dup2(said.fileno(), 1)
         os.dup2(said.fileno(), 2)
     spent = int(resource.getrusage(resource.RUSAGE_SELF).ru_utime)
-    signal.alarm(10 * bench.seconds)
-    resource.setrlimit(resource.RLIMIT_CPU, (spent + bench.seconds, spent + 3 * bench.seconds))
+    signal.alarm(10 * limit)
+    resource.setrlimit(resource.RLIMIT_CPU, (spent + limit, spent + 3 * limit))
     order = Ordered(tests, bench.known.seconds, bench.failed)
     files = list(dict.fromkeys(test.partition("::")[0] for test in tests))
     options = ["-x", "-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"]  # loaded before
