@@ -104,24 +104,24 @@ LISTED = (
 
 # Mutants that do not differ from the original, and why: "file what".
 EQUIVALENT: dict[str, str] = {
-    "core/compile_cache.py 1e-12 -> 1.3000000000000001e-12": "two ways to compute numbers of the size of one are compared; "
-    "they differ by 1e-16 if the library is right, and by far more if it is not",
+    "core/compile_cache.py 1e-12 -> 1.3000000000000001e-12": "a library is right to 1e-16 of numbers near one, or "
+    "wrong by far more",
     "core/casadi_buffers.py 0 -> 1": "an empty array, of which only the size, zero, is read",
-    "core/plain_values.py and -> or": "finite floats alone come there: infinite ones and large integers are answered "
-    "before, and other integers have no fault",
-    "effects/thermal_growth.py 4 -> 5": "of the identity only the first three rows of the fourth column are read: zeros",
+    "core/plain_values.py and -> or [6]": "only finite floats come there: infinite ones and large integers are "
+    "answered before, and other integers have no fault",
+    "effects/thermal_growth.py 4 -> 5": "of the identity three rows of the fourth column are read: zeros",
     "measurements/vocabulary.py > -> >=": "U+2E7F is no character, so no word begins with it",
     "pose_selection/experimental_design.py 1e4 -> 13000.0": "when a determinant is computed again and not updated; "
     "updates lose about log10 of it in digits, 4 or 4.1 of 16",
-    "compensator/trainers/distilled.py 0 -> 1": "of a row of ones the second in place of the first",
-    "project/check/table_faults.py 1 -> 2": "how many near names are asked for; the first alone is read",
-    "diagnosis/isolability.py 1.0 -> 1.3": "a share of energy in the span of orthonormal columns is one at most, but for "
-    "round-off",
-    "diagnosis/text.py 0 -> 1": "all rows have as many cells; the table is shown only where it has rows",
-    "diagnosis/components.py 40 -> 41": "the size at which the halving of a matrix ends; its inverse is the same",
-    "export/controller/inverse.py 1e-12 -> 1.3000000000000001e-12": "joints are solved to 1e-10 rad or so: a limit that "
-    "is missed by so little is met",
+    "compensator/trainers/distilled.py 0 -> 1 [3]": "of a row of ones the second in place of the first",
+    "project/check/table_faults.py 1 -> 2 [4]": "how many near names are asked for; the first alone is read",
+    "diagnosis/isolability.py 1.0 -> 1.3": "a share of energy in the span of orthonormal columns is one at most, but "
+    "for round-off",
+    "diagnosis/text.py 0 -> 1": "all rows have as many cells, and the table is shown only where it has rows",
+    "diagnosis/components.py 40 -> 41 [2]": "the size at which the halving of a matrix ends; its inverse is the same",
+    "export/controller/inverse.py 1e-12 -> 1.3000000000000001e-12": "room for round-off at a joint's limit, 3e-13 rad "
+    "more of it",
     "export/c/c_language.py False -> True": "CasADi writes the header in `generate`; the text that `dump` gives is the "
-    "same, character by character",
-    "export/mjcf/balancer.py 0.3 -> 0.39": "stiffness and pull are divided by the lever's length: the torque is the same",
+    "same, compared to the last letter",
+    "export/mjcf/balancer.py 0.3 -> 0.39": "stiffness and pull are divided by the lever: the torque is the same",
 }
