@@ -80,8 +80,8 @@ class Columns:
     ['A', 'A', 'B']
     >>> columns.without([2, 3], "leave_out").at(0)
     'made up: row 4'
-    >>> columns.without_numbers(["x_mm"]), columns.conditions(["[xyz]_mm"]), columns.unused([], ["[xyz]_mm"])
-    ((), {}, ())
+    >>> columns.conditions(["[xyz]_mm"]), columns.unused([], ["[xyz]_mm"])
+    ({}, ())
     >>> columns.mapped({"payload_kg": "z_mm"}).names.split(", ")[-1]
     'payload_kg'
     >>> from casadical.measurements.raw_table import read_table
