@@ -51,6 +51,9 @@ class Kernel:
     >>> dq.shape, status
     ((3, 2), array([5, 5, 5], dtype=int32))
     >>> p, status = kernel.forward(poses.q[:3])
+    >>> kernel.bound(poses.q[:3])  # of an export with a limit
+    Traceback (most recent call last):
+    casadical.core.errors.InputError: the export 'arm' has no function 'bound'; it has ['correct', 'forward']
     >>> kernel.rows("forward", poses.q[:3])[0].shape, kernel.steps(poses.q[:3], np.ones(3))[0].shape
     ((3, 3), (3, 2))
     """
