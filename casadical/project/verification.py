@@ -16,6 +16,7 @@ from casadical.core.errors import InputError
 from casadical.identification.accuracy import errors
 from casadical.identification.identification import LeftOut, identify, rows_in_words
 from casadical.measurements.raw_table import read_table
+from casadical.project.check.targets import recognised
 from casadical.project.problem import read_campaign
 from casadical.project.target_names import names_in
 from casadical.robot.robot_file import read_robot
@@ -107,6 +108,8 @@ def verify(robot: str | Path, table: str | Path, promised_mm: float | None = Non
     m = read_campaign(place, table, arm, later=True)
     if arm.targets and not names_in(m):  # the tool is fitted again, whichever it was
         arm = replace(arm, targets=(), tool_name="")
+    if (several := recognised(arm, m)) and several.turning:
+        raise InputError(several.in_words(m.source))
     lost = tuple(row for row in read_table(table).line if row not in {*m.row.tolist(), *m.copies})
     if m.position is None:
         raise InputError(f"{table}: kind {m.kind}; a check needs measured positions")

@@ -137,6 +137,9 @@ def test_reflectors_that_nobody_named_are_recognised_from_repeats(
     assert main(monkeypatch, "calibrate", arm, "--out", tmp_path / "results") == 0
     robot = read_robot(tmp_path / "results" / "KM.robot.toml")
     np.testing.assert_allclose(distances([robot.tool.T[:3, 3], *(t.point for t in robot.targets)]), NEST, atol=0.15)
+    capfd.readouterr()
+    assert main(monkeypatch, "verify", tmp_path / "results" / "KM.robot.toml", data) == 2
+    assert said[:43] in capfd.readouterr().err
 
 
 def test_a_station_that_moved_is_no_second_target(tmp_path: Path) -> None:
