@@ -38,8 +38,9 @@ LONGEST = (
     *("diagnosis/test_diagnosis_refit.py", "blind_check/test_prediction.py", "project/check/test_slips.py"),
     *("export/controller/test_controller_commands.py", "report/test_report_page.py"),
     *("effects/test_effects_against_physics.py", "diagnosis/test_diagnosis_laws.py", "cli/test_cli_degraded.py"),
-    *("effects/test_effects_plugin.py", "docs/test_docs_architecture.py", "cli/test_cli_effects.py"),
-    *("cli/test_cli_diagnose.py", "effects/test_effects_signatures.py", "project/check/test_project_check.py"),
+    *("effects/test_effects_plugin.py", "docs/test_docs_architecture.py", "docs/test_docs_reference.py"),
+    *("cli/test_cli_effects.py", "cli/test_cli_diagnose.py", "effects/test_effects_signatures.py"),
+    "project/check/test_project_check.py",
 )
 one_thread()  # processes that share the processors gain nothing by more
 
