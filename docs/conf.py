@@ -28,7 +28,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["README.md", "tutorials/*"]
+exclude_patterns = ["README.md", "tutorials/*", "gallery/front.md"]
 default_role = "code"
 templates_path: list[str] = []
 
@@ -38,7 +38,7 @@ html_show_copyright = False
 pygments_dark_style = "github-dark"
 
 myst_heading_anchors = 3
-myst_enable_extensions = ["dollarmath"]
+myst_enable_extensions = ["dollarmath", "attrs_inline"]
 suppress_warnings = ["config.cache"]
 
 autosummary_generate = True
@@ -110,9 +110,22 @@ def _plain(text: str) -> str:
 
 
 def _to_gallery(*arguments: Any) -> None:
-    """Links to a tutorial's file, which is what there is on a code host, lead to its page here."""
+    """Links to a tutorial's file, which is what there is on a code host, lead to its page; pictures lead there, too."""
     source: list[str] = arguments[-1]
     source[0] = re.sub(r"\(tutorials/(tutorial_\w+)\.py\)", r"(gallery/\1.rst)", source[0])
+    names = sorted(path.stem for path in Path(__file__).parent.glob("tutorials/tutorial_*.py"))
+    thumb = '[![{0}](gallery/images/thumb/sphx_glr_{0}_thumb.png){{width="30%"}}](gallery/{0}.rst)'
+    shown = [thumb.format(name) for name in names]
+    source[0] = source[0].replace("<!-- thumbnails -->", "\n".join(shown))
+
+
+def _front(app: Any) -> None:
+    """README.md as the front page takes it, for what an include reads is seen by no other event."""
+    text = [(Path(app.srcdir) / "README.md").read_text(encoding="utf-8")]
+    _to_gallery(text)
+    path = Path(app.srcdir) / "gallery" / "front.md"
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(text[0], encoding="utf-8")
 
 
 def _all_pages(_app: Any, name: str, source: list[str]) -> None:
@@ -135,5 +148,5 @@ def setup(app: Any) -> None:
     app.connect("env-updated", _short_sidebar)
     app.connect("source-read", _to_gallery)
     app.connect("source-read", _all_pages)
-    app.connect("include-read", _to_gallery)
+    app.connect("builder-inited", _front)
     app.connect("autodoc-process-docstring", _as_lists, priority=100)

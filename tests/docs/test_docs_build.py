@@ -60,8 +60,12 @@ def test_every_page_is_reached_from_the_index(site) -> None:
 
 def test_links_to_tutorials_lead_to_their_pages(site) -> None:
     """On a code host they lead to the file."""
-    links = site.pages[site.folder / "index.html"].links
-    assert "gallery/tutorial_5_diagnose_a_gap.html" in links
+    page = site.pages[site.folder / "index.html"]
+    assert "gallery/tutorial_5_diagnose_a_gap.html" in page.links
+    assert [link for link in page.links if link.endswith(".py")] == []
+    assert [
+        n for n in TUTORIALS if not any(n.removesuffix(".py") in image for image in page.loaded)
+    ] == []  # thumbnails
     assert (site.folder / "gallery" / "images").is_dir() or list((site.folder / "_images").glob("sphx_glr_tutorial_*"))
 
 
