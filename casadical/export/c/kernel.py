@@ -56,6 +56,11 @@ class Kernel:
     casadical.core.errors.InputError: the export 'arm' has no function 'bound'; it has ['correct', 'forward']
     >>> kernel.rows("forward", poses.q[:3])[0].shape, kernel.steps(poses.q[:3], np.ones(3))[0].shape
     ((3, 3), (3, 2))
+    >>> try:
+    ...     kernel.bound(poses.q[:3])
+    ... except casadical.InputError as error:  # an export with limit_mm has it
+    ...     print(error)
+    the export 'arm' has no function 'bound'; it has ['correct', 'forward']
     """
 
     def __init__(self, shape: Shape, library: Path) -> None:
