@@ -89,7 +89,8 @@ def understand(raw: RawTable, joints: Sequence[str], given: Collection[str] = ()
     joints : kind of each ("revolute", "prismatic"); given : our names that are known already
     """
     ours = {*raw.header, *given}
-    joints_missing = bool(set(range(1, len(joints) + 1)) - {int(m[1]) for h in ours if (m := _OURS.fullmatch(h))})
+    own = {int(m[1]) for h in ours if (m := _OURS.fullmatch(h))}
+    joints_missing = bool(set(range(1, len(joints) + 1)) - own)
     named = not joints_missing and _has_observation(ours)
     frame = raw.frame()
     headings = [
@@ -106,7 +107,9 @@ def understand(raw: RawTable, joints: Sequence[str], given: Collection[str] = ()
     questions: list[Question] = []
     taken: list[_Heading] = []
     if joints_missing:
-        chosen = _joints(headings, len(joints), questions) or _numbered(raw, frame, len(joints), questions)
+        chosen = _joints(headings, len(joints), questions)
+        if not (chosen or own):  # where some readings are named, the others are missing
+            chosen = _numbered(raw, frame, len(joints), questions)
         taken += chosen
         for kind in dict.fromkeys(joints):
             members = [h for h, k in zip(chosen, joints, strict=False) if k == kind]

@@ -15,6 +15,7 @@ import pytest
 from repository import ROOT, tracked
 
 import casadical
+from casadical.core.version import NEXT, of_tree
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 BASE = [Path(p) for p in map(str, tracked()) if p.startswith("casadical/")]
@@ -75,16 +76,38 @@ def test_the_wheel_alone_takes_a_new_user_to_a_calibrated_robot(built, tmp_path)
     assert "pip install 'casadical[report]'" in " ".join(done.stderr.split())
 
 
-def test_there_is_one_version() -> None:
+def git(folder: Path, *command: str) -> None:
+    who = ("-c", "user.name=t", "-c", "user.email=t@example.org", "-c", "safe.directory=*")
+    subprocess.run(["git", *who, *command], cwd=folder, check=True, capture_output=True)
+
+
+def test_a_checkout_has_the_version_of_its_last_tag(tmp_path) -> None:
+    assert of_tree(tmp_path) == NEXT
+    git(tmp_path, "init", "-q")
+    git(tmp_path, "commit", "-q", "--allow-empty", "-m", "first")
+    git(tmp_path, "tag", "other")
+    assert of_tree(tmp_path) == NEXT
+    git(tmp_path, "tag", "v1.2.0")
+    assert of_tree(tmp_path) == "1.2.0"
+    git(tmp_path, "commit", "-q", "--allow-empty", "-m", "second")
+    assert re.fullmatch(r"1\.2\.0\.post1\+g[0-9a-f]{7,}", of_tree(tmp_path))
+
+
+def test_an_sdist_keeps_the_version_that_it_was_built_with(built, tmp_path) -> None:
+    (sdist,) = built.glob("*.tar.gz")
+    with tarfile.open(sdist) as t:
+        t.extractall(tmp_path, filter="data")
+    (tree,) = tmp_path.iterdir()
+    assert of_tree(tree) == of_tree(ROOT) == tree.name.removeprefix("casadical-")
+
+
+def test_citation_and_changelog_have_the_version() -> None:
     assert "version" in PROJECT["dynamic"]
+    release = casadical.__version__.partition(".post")[0]
+    assert release in (NEXT, of_tree(ROOT).partition(".post")[0])
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    assert f"\nversion: {casadical.__version__}\n" in citation
-    assert f"\n## {casadical.__version__} " in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    tags = subprocess.run(
-        ["git", "-c", "safe.directory=*", "tag", "--points-at", "HEAD"], cwd=ROOT, capture_output=True, text=True,
-        check=True,
-    ).stdout.split()  # fmt: skip
-    assert [t for t in tags if re.match(r"v\d", t)] in ([], [f"v{casadical.__version__}"])
+    assert f"\nversion: {release}\n" in citation
+    assert f"\n## {release} " in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
 def requirements() -> dict[str, tuple[tuple[int, ...], tuple[int, ...]]]:
