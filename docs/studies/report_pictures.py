@@ -1,7 +1,7 @@
 """Pictures of reports for docs/report.md: python docs/studies/report_pictures.py (a minute)
 
-Makes the two reports of that page by its commands, opens them in Chromium by playwright, and draws the sections that
-the pictures show, with few colours.
+Makes the two reports of that page by its commands, opens them in Chromium by playwright, and draws the beginning of
+some sections, with few colours.
 """
 
 import io
@@ -24,9 +24,12 @@ PICTURES = {
         ("Verdict", "Which causes, and how sure", "Replayed in a simulator"),
     ),
 }
-WIDTH, COLOURS = 860, 64
+WIDTH, COLOURS = 1000, 64
+# Of the sections that are kept, the first figure and two tables.
 HIDE = """kept => document.querySelectorAll('section').forEach(s => {
-    const h = s.querySelector('h2'); if (h && !kept.includes(h.textContent.trim())) s.style.display = 'none'; })"""
+    const h = s.querySelector('h2'); if (h && !kept.includes(h.textContent.trim())) s.style.display = 'none';
+    s.querySelectorAll('figure').forEach((f, i) => { if (i > 0) f.style.display = 'none'; });
+    s.querySelectorAll('.table').forEach((t, i) => { if (i > 1) t.style.display = 'none'; }); })"""
 
 
 def main() -> None:
