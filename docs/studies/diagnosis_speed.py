@@ -3,7 +3,7 @@
 Parts, all by default: command (a minute), series-b (half a minute), command-b (two minutes), series-a (two minutes),
 simulated-1000, simulated-10000 (half a minute), simulated-100000 (ten minutes). Each row is a process of its own with
 one thread: seconds of CPU, seconds of wall time, peak of its memory. On a busy machine both times are longer. The print
-has the parts that were run so far, on a machine with five to seven other processes on each core.
+has the parts that were run so far, and what else ran on the machine.
 
 command: `casadical diagnose` of 100 poses. First: nothing is in the cache. Again: formulas are. Next: each further
 campaign of the same command. series-b and series-a: all poses of two series of the real UR10, by `diagnose` of Python;
