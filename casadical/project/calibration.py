@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
@@ -118,6 +119,7 @@ class Calibration:
             *_prior_words(self),
             *_held_effects(problem),
             *_payload_not_in_the_model(problem),
+            *_made_readings(problem),
             *list(verdict(problem, self.accuracies))[:1],
             *error_tables(self.accuracies, self.networks)[:1],
             *methods_worse(self.accuracies),
@@ -140,6 +142,7 @@ class Calibration:
             *_prior_words(self),
             *_held_effects(problem),
             *_payload_not_in_the_model(problem),
+            *_made_readings(problem),
             *_unused_columns(problem),
             *verdict(problem, self.accuracies),
             *(Words(result.verdict) for result in self.identifications.values()),
@@ -451,6 +454,25 @@ def _payload_not_in_the_model(problem: Problem) -> list[Words]:
         return []
     text = "The tables log a payload (payload_kg), but the robot file has no [payload] with its mass centre (com_mm): "
     return [Words(f"{text}its weight is not in the model. Add it to the robot file.", "warning")]
+
+
+def _made_readings(problem: Problem) -> list[Words]:
+    """Joint readings that problem.toml turns round or shifts: the controller's own are others than the model's."""
+    columns = {name: made for table in problem.tables for name, made in dict(table.get("columns", {})).items()}
+    changed = []
+    for name, made in sorted(columns.items()):
+        if re.fullmatch(r"q\d+(_\w+)?", name) and isinstance(made, Mapping):
+            times, plus = float(made.get("times", 1.0)), float(made.get("plus", 0.0))
+            if times < 0 or plus or made.get("add"):
+                of = f"{'-' if times < 0 else ''}'{shown(made['from'])}'"
+                more = "".join(
+                    f" {factor:+g} x '{shown(other)}'" for other, factor in dict(made.get("add", {})).items()
+                )
+                changed.append(f"{name.partition('_')[0]} = {of}{more}{f' {plus:+g}' if plus else ''}")
+    if not changed:
+        return []
+    text = f"The model's readings are made by problem.toml: {', '.join(changed)}. The robot file, the C and programs"
+    return [Words(f"{text} take the model's, not the controller's.", "warning")]
 
 
 def _unused_columns(problem: Problem) -> list[Words]:

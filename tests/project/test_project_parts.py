@@ -13,6 +13,7 @@ import pytest
 from casadical.diagnosis.localisation import Localisation
 from casadical.measurements.columns import Source
 from casadical.measurements.headings import Question
+from casadical.project.calibration import _made_readings
 from casadical.project.check.check import LACKS, Precheck, _outlook_findings
 from casadical.project.check.information import outlook
 from casadical.project.check.report import as_json
@@ -114,3 +115,16 @@ def test_an_error_is_localised_in_positions_of_one_set_only(calibrated: Any) -> 
         assert where_left(cast("Any", other)) is None
     # It was made ten times better, so no data are asked for.
     assert list(_no_better(planar.problem, result, planar.accuracies)) == []
+
+
+def test_readings_that_problem_toml_makes_are_said_with_the_result(planar: Problem) -> None:
+    made = {
+        "q1_deg": {"from": "Achse 1", "times": -1.0},
+        "q2_deg": {"from": "Achse 2", "plus": 90.0},
+        "q3_deg": {"from": "Achse 3", "times": 57.29577951},
+        "x_mm": {"from": "X", "times": -1.0},
+    }
+    (words,) = _made_readings(replace(planar, tables=({"file": "poses.csv", "columns": made},)))
+    assert "q1 = -'Achse 1', q2 = 'Achse 2' +90. " in words.text
+    assert "Achse 3" not in words.text
+    assert _made_readings(planar) == []
