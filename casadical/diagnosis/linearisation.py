@@ -76,7 +76,9 @@ class Factors:
             which = np.searchsorted(starts, own, side="right") - 1
             parts = [(k, own[which == k], values[which == k]) for k in np.unique(which).tolist()]
             more = [every.factors(k, columns, part) for k, columns, part in parts]
-            found.append((seam, np.concatenate([c for c, _ in more]), np.concatenate([v for _, v in more])))
+            places, factors = (np.concatenate(a) for a in zip(*more, strict=True))
+            if len(places):  # a joint that moves no pose has no combinations
+                found.append((seam, places, factors))
         return Factors(tuple(found), every.width)
 
     def products(self, S: Array) -> Array:

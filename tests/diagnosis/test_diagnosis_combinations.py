@@ -4,16 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cases import case
+from cases import case, robot, simulated
 
 from casadical.core.arrays import Array
+from casadical.core.parts import Placement
 from casadical.diagnosis.combinations import combined, directions_of
 from casadical.diagnosis.cross_validation import Fit, estimates, fold_errors, random_folds
+from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.learnt_sizes import learnt_sizes
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.linearisation import Columns
+from casadical.diagnosis.linearisation import Columns, Factors
 from casadical.diagnosis.noise_evidence import Form, Problem
+from casadical.identification.accuracy import predicted
 from casadical.measurements.noise import Noise
 
 NOISE = Noise(2e-5, 4e-6)
@@ -114,3 +117,29 @@ def test_columns_stay_as_they_are_unless_a_whole_part_is_there() -> None:
 def test_directions_that_move_nothing_are_left_out() -> None:
     C = np.diag([1e-3, 1e-6, 1e-9, 0.0])
     assert np.abs(directions_of(C @ C)).max(axis=1).tolist() == pytest.approx([1, 1, 0, 0])
+
+
+def test_a_joint_that_moves_no_pose_has_no_combinations() -> None:
+    """As the last joint of a robot whose measured point lies on its axis."""
+    idle, other = np.arange(4), np.arange(4, 6)
+    every = combined(np.arange(6), [(idle, np.zeros((4, 0))), (other, np.eye(2))])
+    rng = np.random.default_rng(0)
+    factors = Factors(((0, idle, rng.normal(size=(4, 5))), (1, other, rng.normal(size=(2, 5)))), 6)
+    S = rng.normal(size=(5, 3, 2))
+    assert factors.combined(every).columns_at(S) == pytest.approx(factors.columns_at(S)[:, :, 4:])
+    assert every.places(idle).tolist() == []
+    assert every.values(np.array([7.0, 8.0])).tolist() == [0, 0, 0, 0, 7, 8]
+    assert combined(idle, [(idle, np.zeros((4, 0)))]).of(np.ones(4)).shape == (0,)
+
+
+def test_a_diagnosis_ends_where_the_last_joint_moves_no_pose() -> None:
+    m = simulated("kr210", 3, n=60)
+    r = robot("kr210")
+    T = r.tool.T.copy()
+    T[:2, 3] = 0.0
+    on_axis = replace(r, tool=Placement(T, r.tool.unknown))
+    noise = 2e-5 * np.random.default_rng(4).standard_normal((len(m), 3))
+    found = diagnose(on_axis, replace(m, position=predicted(on_axis, m)[0] + noise), ["joint_error_curve"])
+    assert found.verdict == "none"
+    (curve,) = (c for c in found.case.candidates if c.label == "joint_error_curve")
+    assert found.rankings[0].log_factor[curve.label] < 0
