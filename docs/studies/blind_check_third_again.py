@@ -1,0 +1,31 @@
+"""The third blind run once more, by today's rules: python docs/studies/blind_check_third_again.py (15 minutes)
+
+Makes the 320 campaigns with the seed of that run, answers and scores them by the three commands of docs/blind-check.md.
+The keys of this run are known: it tells whether anything became worse, and is no blind figure.
+"""
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+COMMAND = [sys.executable, "-c", "from casadical.cli import main; main()", "withheld"]
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as scratch:
+        run, key = Path(scratch) / "third", Path(scratch) / "key"
+        steps = (
+            ("make", "--n", "320", "--seed", "20261125", "--out", run, "--key", key),
+            ("predict", run, "--workers", "1"),
+            ("score", run, key, run / "answers.diagnosis.jsonl"),
+        )
+        for k, step in enumerate(steps, 1):
+            said = subprocess.run([*COMMAND, *map(str, step)], cwd=ROOT, check=True, capture_output=True, text=True)
+            if k == len(steps):
+                print(said.stdout)
+
+
+if __name__ == "__main__":
+    main()
