@@ -133,11 +133,11 @@ def test_a_joint_that_moves_no_pose_has_no_combinations() -> None:
 
 
 def test_a_diagnosis_ends_where_the_last_joint_moves_no_pose() -> None:
-    m = simulated("kr210", 3, n=60)
+    m = simulated("kr210", 3, n=150)  # more numbers than combinations
     r = robot("kr210")
     T = r.tool.T.copy()
     T[:2, 3] = 0.0
-    on_axis = replace(r, tool=Placement(T, r.tool.unknown))
+    on_axis = replace(r, tool=Placement(T))  # not identified, so that the calibrated point is on the axis, too
     noise = 2e-5 * np.random.default_rng(4).standard_normal((len(m), 3))
     found = diagnose(on_axis, replace(m, position=predicted(on_axis, m)[0] + noise), ["joint_error_curve"])
     assert found.verdict == "none"
