@@ -25,6 +25,7 @@ _SET = (
 _OURS = (
     {"problem", "robot"}, {"campaign"}, {"forecast"}, {"rows", "corrected"}, {"folder", "files", "verified"},
     {"file", "robot", "left_out"}, {"key_sha256"}, {"answers", "by"}, {"by", "figures"},
+    {"changed", "changes", "campaigns"},
 )  # fmt: skip
 _MEASURED = {"x_mm", "x_m", "y_mm", "y_m", "z_mm", "z_m"}
 

@@ -7,6 +7,7 @@ import typer
 from casadical import __version__
 from casadical.cli.calibrate import calibrate
 from casadical.cli.check import check
+from casadical.cli.compare import compare
 from casadical.cli.correct import correct
 from casadical.cli.diagnose import diagnose
 from casadical.cli.discover import discover
@@ -48,7 +49,7 @@ def _root(
     pass
 
 
-for command in (new, check, calibrate, verify, diagnose, discover, plan, replay, correct):
+for command in (new, check, calibrate, verify, compare, diagnose, discover, plan, replay, correct):
     app.command()(guarded(command, also=("folder",) if command is new else ()))
 app.add_typer(export_app, name="export")
 app.add_typer(withheld_app, name="withheld")

@@ -34,7 +34,7 @@ _MM = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class _Sums:
+class Sums:
     """Of poses: J'J, J'r, r'r and how many numbers; J in mm a unit of solver scale, r in mm."""
 
     H: Array
@@ -42,16 +42,16 @@ class _Sums:
     square: float
     count: int
 
-    def less(self, other: "_Sums") -> "_Sums":
-        return _Sums(self.H - other.H, self.g - other.g, self.square - other.square, self.count - other.count)
+    def less(self, other: "Sums") -> "Sums":
+        return Sums(self.H - other.H, self.g - other.g, self.square - other.square, self.count - other.count)
 
-    def moved(self, d: Array) -> "_Sums":
+    def moved(self, d: Array) -> "Sums":
         """After departures d."""
-        return _Sums(self.H, self.g + self.H @ d, self.square + 2 * d @ self.g + d @ self.H @ d, self.count)
+        return Sums(self.H, self.g + self.H @ d, self.square + 2 * d @ self.g + d @ self.H @ d, self.count)
 
 
 @dataclass(frozen=True, eq=False)
-class _Doubts:
+class Doubts:
     """What may be off: parameters by name, one sigma of each in solver units, indices of those that are identified.
 
     joints : indices of the harmonics of each joint, whose size is estimated
@@ -78,10 +78,10 @@ def learn_bound(found: Identification) -> ErrorBound:
     gone = [n for n in found.names if n not in robot.parameters.names]
     if gone:
         raise InputError(f"a bound of the remaining error cannot hold the curve that {gone[0]} is part of")
-    doubts = _doubts(robot, found.names)
+    doubts = doubts_of(robot, found.names)
     folds = _folds(sets)
-    r, J = _evaluated(robot, [m for fold in folds for m in fold], doubts.names)
-    whole = _sums(r, J)
+    r, J = evaluated(robot, [m for fold in folds for m in fold], doubts.names)
+    whole = sums_of(r, J)
     left_out = _at_random(folds), _by_region(np.concatenate([m.q for fold in folds for m in fold]))
     scores = [np.concatenate([_scores(r, J, out, whole, doubts) for out in outs]) for outs in left_out]
     times = max(float(np.quantile(s, min(1.0, LEVEL * (1 + 1 / len(s))))) for s in scores)
@@ -91,9 +91,9 @@ def learn_bound(found: Identification) -> ErrorBound:
     return ErrorBound(doubts.names, scale[:, None] * factor, float(_MM * np.sqrt(3 * s2)), times, poses)
 
 
-def _scores(r: Array, J: Array, out: Array, whole: _Sums, doubts: _Doubts) -> Array:
+def _scores(r: Array, J: Array, out: Array, whole: Sums, doubts: Doubts) -> Array:
     """Distances at poses that were left out, in units of what the others predict; out : boolean, shape (n,)."""
-    others = whole.less(_sums(r[out], J[out]))
+    others = whole.less(sums_of(r[out], J[out]))
     d = _refitted(others, doubts)
     s2, M = _moment(others.moved(d), doubts)
     return np.asarray(np.linalg.norm(r[out] + J[out] @ d, axis=1) / np.sqrt(3 * s2 + _spread(J[out], M)))
@@ -116,11 +116,11 @@ def _by_region(q: Array) -> list[Array]:
     return [mask for mask in masks if not mask.all()]
 
 
-def _doubts(robot: Robot, solved: Sequence[str]) -> _Doubts:
+def doubts_of(robot: Robot, solved: Sequence[str]) -> Doubts:
     names = tuple(p.name for p in robot.parameters if p.prior > 0)
     curve = robot.effects[-1]
     own = [f"{curve.label}.{name}" for name in curve.sizes()]
-    return _Doubts(
+    return Doubts(
         names,
         np.array([robot.parameters[n].prior / robot.parameters[n].scale for n in names]),
         np.array([names.index(n) for n in solved], dtype=int),
@@ -135,7 +135,7 @@ def _folds(sets: Sequence[Measurements]) -> list[list[Measurements]]:
     return [part for part in parts if part]
 
 
-def _evaluated(robot: Robot, sets: Iterable[Measurements], names: tuple[str, ...]) -> tuple[Array, Array]:
+def evaluated(robot: Robot, sets: Iterable[Measurements], names: tuple[str, ...]) -> tuple[Array, Array]:
     """Residuals, shape (n, 3) [mm], and Jacobians, shape (n, 3, k) [mm a unit of solver scale]."""
     found = []
     for m in sets:
@@ -149,16 +149,16 @@ def _anywhere(robot: Robot, names: tuple[str, ...]) -> Array:
     """Jacobians at random poses within the joint limits, where the robot has a pose."""
     lower, upper = np.array([(j.lower, j.upper) for j in robot.joints]).T
     q = np.random.default_rng(0).uniform(lower, upper, (_SAMPLES, robot.n))
-    J = _evaluated(robot, [unmeasured(q)], names)[1]
+    J = evaluated(robot, [unmeasured(q)], names)[1]
     return np.asarray(J[np.isfinite(J).all(axis=(1, 2))])
 
 
-def _sums(r: Array, J: Array) -> _Sums:
+def sums_of(r: Array, J: Array) -> Sums:
     rows, y = J.reshape(-1, J.shape[2]), r.ravel()
-    return _Sums(rows.T @ rows, rows.T @ y, float(y @ y), len(y))
+    return Sums(rows.T @ rows, rows.T @ y, float(y @ y), len(y))
 
 
-def _refitted(sums: _Sums, doubts: _Doubts) -> Array:
+def _refitted(sums: Sums, doubts: Doubts) -> Array:
     """Departures at which the identified parameters fit these poses; zero for the others."""
     at = doubts.solved
     d = np.zeros(len(doubts.names))
@@ -167,8 +167,14 @@ def _refitted(sums: _Sums, doubts: _Doubts) -> Array:
     return d
 
 
-def _moment(sums: _Sums, doubts: _Doubts) -> tuple[float, Array]:
+def _moment(sums: Sums, doubts: Doubts) -> tuple[float, Array]:
     """Variance of a coordinate that nothing explains [mm^2], second moment of the departures, shape (k, k)."""
+    s2, mean, S, _ = posterior_of(sums, doubts)
+    return s2, np.outer(mean, mean) + S
+
+
+def posterior_of(sums: Sums, doubts: Doubts) -> tuple[float, Array, Array, Array]:
+    """Variance of a coordinate that nothing explains [mm^2]; mean, shape (k,), covariance, and prior variances."""
     s2: float = sums.square / sums.count
     variance = doubts.sigma**2
     mean, S = np.zeros(len(variance)), np.zeros((len(variance), len(variance)))
@@ -179,7 +185,7 @@ def _moment(sums: _Sums, doubts: _Doubts) -> tuple[float, Array]:
         s2 = float(sums.square + 2 * mean @ sums.g + mean @ sums.H @ mean) / max(1.0, sums.count - known)
         for joint in doubts.joints:
             variance[joint] = np.mean(mean[joint] ** 2 + np.diag(S)[joint])
-    return s2, np.outer(mean, mean) + S
+    return s2, mean, S, variance
 
 
 def _spread(J: Array, M: Array) -> Array:

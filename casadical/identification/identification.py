@@ -159,6 +159,11 @@ class Identification:
         """Of `estimate`, shape (p,) [SI]; NaN for parameters at a bound."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
+    @cached_property
+    def knowledge(self) -> Knowledge:
+        """Covariance of the calibrated robot, and where it was learnt, as a robot file keeps it."""
+        return _learnt(self, self.given.knowledge or Knowledge())
+
     @property
     def at_bounds(self) -> tuple[str, ...]:
         """Identified parameters that stopped at a bound."""
@@ -458,7 +463,7 @@ def _learnt(found: Identification, before: Knowledge) -> Knowledge:
     owners = [group if group in labels else "" for group in groups]
     kept = before.without(found.names)
     own = blocks(found.names, owners, found.covariance)
-    if not any(owners):
+    if labels and not any(owners):
         return replace(kept, covariance=(*own, *kept.covariance))
     sets = found.problem.sets
     q = np.concatenate([m.q for m in sets])

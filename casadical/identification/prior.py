@@ -138,7 +138,7 @@ def carry_over(
 
     Raises InputError for another robot, names that are not there, and what has no covariance.
     """
-    _refuse_another(robot, other)
+    refuse_another(robot, other, "prior")
     effects = _chosen(other, parts)
     labels = tuple(e.label for e in effects)
     whole = "all" in parts
@@ -199,15 +199,18 @@ def _chosen(other: Robot, parts: Collection[str]) -> tuple[Effect, ...]:
     return tuple(found)
 
 
-def _refuse_another(robot: Robot, other: Robot) -> None:
-    """Raises InputError where the other one cannot be the same robot in the same convention and units."""
+def refuse_another(robot: Robot, other: Robot, what: str) -> None:
+    """Raises InputError where the other one cannot be the same robot in the same convention and units.
+
+    what : word for the other one in messages
+    """
     if other.n != robot.n:
         raise InputError(
-            f"prior {other.name!r} has {other.n} joints, robot {robot.name!r} has {robot.n}; it must be the same robot"
+            f"{what} {other.name!r} has {other.n} joints, robot {robot.name!r} has {robot.n}; it must be the same robot"
         )
     for i, (ours, kind) in enumerate(zip(robot.joints, (j.kind for j in other.joints), strict=True), 1):
         if ours.kind != kind:
-            raise InputError(f"prior {other.name!r}: joint {i} is {kind}, of robot {robot.name!r} {ours.kind}")
+            raise InputError(f"{what} {other.name!r}: joint {i} is {kind}, of robot {robot.name!r} {ours.kind}")
     same = [p for p in robot.parameters if p.group in ("geometry", "loop")]
     values = {p.name: p.value for p in other.parameters}
     lengths = [p.value / values[p.name] for p in same if p.unit == "m" and values.get(p.name) and p.value]
@@ -220,7 +223,7 @@ def _refuse_another(robot: Robot, other: Robot) -> None:
                 why = f"its lengths differ by a factor of {max(ratio, 1 / ratio):.3g}: its units are wrong"
             allowed = p.readable(p.upper - p.value)
             raise InputError(
-                f"prior {other.name!r}: {p.name} is {theirs} {p.readable_unit}, of robot {robot.name!r} "
+                f"{what} {other.name!r}: {p.name} is {theirs} {p.readable_unit}, of robot {robot.name!r} "
                 f"{p.readable(p.value):.6g}; they may differ by {allowed:.6g}: {why}"
             )
 

@@ -259,7 +259,7 @@ class Calibration:
                 texts[folder / f"{name}.compensator.json"] = compensator_text(trained.compensator)
         for name, result in self.identifications.items():
             origin = f"Calibrated by casadical, method {name}, from {problem.title} ({problem.origin})."
-            texts[folder / f"{name}.robot.toml"] = to_toml(with_bound(result), f"{origin}\n{result.verdict}")
+            texts[folder / f"{name}.robot.toml"] = to_toml(with_knowledge(result), f"{origin}\n{result.verdict}")
             if problem.urdf:
                 texts[folder / f"{name}.robot.urdf"] = problem.calibrated_urdf(result.robot)
             texts[folder / f"{name}.parameters.csv"] = result.parameters.to_csv(index=False)
@@ -282,11 +282,12 @@ class Calibration:
             write_together(self.files(folder))
 
 
-def with_bound(found: Identification) -> Robot:
-    """The calibrated robot with the bound of the error that remains, where there are poses enough for one."""
+def with_knowledge(found: Identification) -> Robot:
+    """The calibrated robot with its covariance, and the bound of the error that remains, where poses are enough."""
+    robot = found.robot if found.robot.effects else replace(found.robot, knowledge=found.knowledge)
     with suppress(InputError):
-        return replace(found.robot, bound=learn_bound(found))
-    return found.robot
+        return replace(robot, bound=learn_bound(found))
+    return robot
 
 
 def calibrate(

@@ -19,11 +19,11 @@ from casadical.robot.knowledge import ErrorBound
 from casadical.robot.robot import Robot
 
 
-def doubted(robot: Robot) -> Robot:
-    """The robot with what a bound doubts beside its parameters: the first harmonic of each turning joint's error."""
+def doubted(robot: Robot, orders: int = 1) -> Robot:
+    """The robot with what a bound doubts beside its parameters: the first harmonics of each turning joint's error."""
     spread = tuple(USUAL * (j in robot.revolute) for j in robot.numbers)
     bare = robot.with_only(e for e in robot.effects if not isinstance(e, JointErrorCurve))
-    return bare.with_effect(JointErrorCurve(None, spread, orders=1))
+    return bare.with_effect(JointErrorCurve(None, spread, orders=orders))
 
 
 def refuse_other(robot: Robot, bound: ErrorBound) -> None:

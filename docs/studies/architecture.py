@@ -35,6 +35,7 @@ REPEATED = 6  # lines
 PURPOSE = {
     "cli": "commands, exit codes",
     "report": "HTML reports, figures",
+    "fleet": "changes, many campaigns, many robots",
     "project": "problem folders, Calibration",
     "blind_check": "diagnosis judged by simulators",
     "export": "C, MJCF, corrected programs",

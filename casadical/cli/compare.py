@@ -1,0 +1,55 @@
+"""The command `casadical compare`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from casadical.cli.options import Json, Quiet
+from casadical.cli.progress import working
+from casadical.cli.terminal import NOT_VALID, keep_json, wrapped
+from casadical.core.blocks import terminal
+
+
+def compare(
+    campaigns: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="OLD NEW...",
+            help="Two campaigns of one robot or more: robot files as `casadical calibrate --out` writes them, folders "
+            "of results, problem folders, or tables of measured positions (with --robot).",
+        ),
+    ],
+    robot: Annotated[
+        Path | None,
+        typer.Option(metavar="PROBLEM_DIR", help="Problem folder or robot file by which tables are understood."),
+    ] = None,
+    same_tool: Annotated[
+        bool,
+        typer.Option("--same-tool", help="The same point of the same tool was measured: one that moved is a change."),
+    ] = False,
+    same_frame: Annotated[
+        bool,
+        typer.Option("--same-frame", help="All positions are in one frame: a base that moved is a change of the foot."),
+    ] = False,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Say what changed in a robot since an earlier campaign: which parameter or effect, since when, by how much.
+
+    Base and tool are fitted again in each campaign, because the instrument stands elsewhere. Of many campaigns it says
+    whether a change is a jump or a drift, and since when. Dates are read from names (2026-03-14).
+
+    Example: casadical compare results-2025/SKCM.robot.toml results-2026/SKCM.robot.toml
+
+    Exit codes: 0 nothing changed, 2 bad input, 3 no optimum found, 5 something changed, 70 a bug in casadical.
+    """
+    from casadical.fleet.campaigns import compare_files
+
+    console = wrapped(quiet)
+    with working(quiet, "reading") as show:
+        found = compare_files(campaigns, robot, same_tool=same_tool, same_frame=same_frame, show=show)
+    console.print(terminal(found.blocks()))
+    keep_json(json_file, found.to_json(), console)
+    if found.changed:
+        raise typer.Exit(NOT_VALID)

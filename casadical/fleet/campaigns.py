@@ -1,0 +1,157 @@
+"""Campaigns of one robot as they lie in files: robot files, results, problem folders, tables; and their order."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from datetime import date
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from casadical.core.errors import CasadicalError, InputError, shown
+from casadical.fleet.comparison import Comparison, compare
+from casadical.fleet.estimates import Estimate, estimate, estimate_of_file
+from casadical.identification.identification import identify
+from casadical.identification.prior import refuse_another
+from casadical.project.problem import read_campaign, read_campaign_robot, read_problem
+from casadical.robot.robot_file import read_robot
+
+# A date in a name: 2026-03-14, 2026_03_14, 20260314, 2026-03.
+_DATE = re.compile(r"(?<!\d)(20\d\d)[-_.]?([01]\d)(?:[-_.]?([0-3]\d))?(?!\d)")
+# Between two campaigns some are missing where the gap is so many times the usual one.
+GAP = 1.75
+EPOCH = date(1970, 1, 1).toordinal()
+
+
+def compare_files(
+    paths: Sequence[str | Path],
+    robot: str | Path | None = None,
+    *,
+    same_tool: bool = False,
+    same_frame: bool = False,
+    show: Callable[[str], None] = lambda _text: None,
+) -> Comparison:
+    """What changed in a robot over campaigns in files, in the order of their days or else as they are given.
+
+    Parameters
+    ----------
+    paths : Sequence[str | Path]
+        robot files with a covariance, folders of results, problem folders, or tables of measured positions
+    robot : str | Path, optional
+        problem folder or robot file by which tables are understood
+    same_tool : bool, default False
+        whether the same point of the same tool was measured
+    same_frame : bool, default False
+        whether all positions are in one frame
+    show : Callable[[str], None], optional
+        called with a line of progress
+
+    Returns
+    -------
+    Comparison
+        what changed; of three campaigns or more, those that cannot be used are left out and named in its notes
+
+    Raises
+    ------
+    InputError
+        fewer than two campaigns that can be used, with what is wrong in them
+
+    Examples
+    --------
+    >>> casadical.fleet.compare_files(["problems/planar", "problems/planar"]).changed
+    False
+    """
+    found: list[Estimate] = []
+    faults: list[str] = []
+    for k, path in enumerate(map(Path, paths), 1):
+        show(f"campaign {k} of {len(paths)}")
+        try:
+            told = _read(path, None if robot is None else Path(robot))
+            if found:
+                refuse_another(found[0].robot, told.robot, "campaign")
+            found.append(told)
+        except CasadicalError as error:
+            if len(paths) == 2:
+                raise
+            faults.append(f"{shown(path)} is left out: {error}")
+    if len(found) < 2:
+        raise InputError(f"{len(found)} of {len(paths)} campaigns can be used; two are needed. {'; '.join(faults)}")
+    ordered, said = in_order(found)
+    show("what changed")
+    return compare(ordered, same_tool=same_tool, same_frame=same_frame, notes=(*faults, *said))
+
+
+def _read(path: Path, robot: Path | None) -> Estimate:
+    label, day = path.name.removesuffix(".robot.toml").removesuffix(".csv"), day_of(path)
+    if path.suffix == ".toml":
+        label = path.parent.name if label in ("KM", "SKCM", "diagnosed", "discovered") else label
+        return estimate_of_file(read_robot(path), label or path.name, day)
+    if (path / "problem.toml").exists():
+        problem = read_problem(path)
+        sets = [m for _, m in problem.parts()]
+        return estimate(identify(problem.robot, sets, loss="huber"), label, day)
+    if path.is_dir():
+        return estimate_of_file(read_robot(result_in(path)), label, day)
+    if robot is None:
+        raise InputError(f"{shown(path)}: a table needs --robot, the problem folder by which it is understood")
+    arm = read_campaign_robot(robot)
+    return estimate((arm, read_campaign(robot, path, arm, later=True)), label, day)
+
+
+def result_in(folder: Path) -> Path:
+    """The robot file of the method that counts in a folder of results. Raises InputError."""
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        methods = list(json.loads((folder / "result.json").read_text(encoding="utf-8"))["methods"])
+        return folder / f"{methods[-1]}.robot.toml"
+    files = sorted(folder.glob("*.robot.toml"))
+    if len(files) == 1:
+        return files[0]
+    raise InputError(
+        f"{shown(folder)}: neither a problem folder nor results of a calibration; {len(files)} robot files are in it: "
+        "name one"
+    )
+
+
+def day_of(path: Path) -> float | None:
+    """Days since 1970 by a date in the name of a file, or of its folder; None where there is none."""
+    for name in (path.name, path.parent.name):
+        for year, month, day in _DATE.findall(name):
+            with suppress(ValueError):
+                return float(date(int(year), int(month), int(day or 1)).toordinal() - EPOCH)
+    return None
+
+
+def in_order(campaigns: Sequence[Estimate]) -> tuple[list[Estimate], list[str]]:
+    """Campaigns by their days, and what is odd about these; as they are given where a day is not known."""
+    said: list[str] = []
+    names = {c.robot.name for c in campaigns}
+    if len(names) > 1:
+        said.append(f"the robot is called {' and '.join(sorted(map(repr, names)))}: taken for one, renamed")
+    days = [c.day for c in campaigns]
+    known = [d for d in days if d is not None]
+    if not known:
+        return list(campaigns), [*said, "no dates in the names: the campaigns are in the order given"]
+    if len(known) < len(days):
+        lost = ", ".join(c.label for c in campaigns if c.day is None)
+        said.append(f"no date in the name of {lost}: the campaigns are in the order given, and dates are not used")
+        return [replace(c, day=None) for c in campaigns], said
+    if known != sorted(known):
+        back = [f"{a.label}, then {b.label}" for a, b in pairwise(campaigns) if (a.day or 0) > (b.day or 0)]
+        said.append(f"dates go back ({'; '.join(back[:3])}): the campaigns are put in the order of their dates")
+    ordered = sorted(campaigns, key=lambda c: c.day or 0.0)
+    steps = np.diff(sorted(known))
+    twice = [b.label for b, step in zip(ordered[1:], steps, strict=True) if step == 0]
+    if twice:
+        said.append(f"two campaigns of one day, both used: {', '.join(twice)}")
+    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    far = (step > GAP * usual > 0 for step in steps)
+    gaps = [(a.label, b.label) for (a, b), gap in zip(pairwise(ordered), far, strict=True) if gap]
+    if len(ordered) > 3 and gaps:
+        listed = ", ".join(f"{a} and {b}" for a, b in gaps[:3])
+        said.append(f"campaigns seem to be missing between {listed}; a change there is dated to the later one")
+    return ordered, said

@@ -1,0 +1,156 @@
+"""What may change in a robot between two campaigns, as columns of the parameters that move together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.parameters import Parameter
+from casadical.fleet.estimates import ORDERS
+from casadical.robot.parameter_list import SIX
+from casadical.robot.robot import Robot
+
+# Usual sizes: of a length, of an angle, of a harmonic of a joint's error; of a compliance as a share; of all lengths.
+LENGTH, ANGLE, HARMONIC, SHARE, THERMAL = 3e-4, 3e-4, 5e-5, 0.3, 1e-4
+# Tool and foot are moved by more.
+MOVED = 1e-3
+# How often each kind of change is met, relative to the others; the joints share it.
+FREQUENCY = {
+    "joint_zero": 4, "joint_stiffness": 2, "joint_curve": 2, "gear": 1, "link": 1, "loop": 1, "lengths": 1, "tool": 2,
+    "foot": 2, "effect": 1,
+}  # fmt: skip
+# What a robot does gradually, and what comes and goes with the seasons; all may jump.
+GRADUAL = frozenset({"joint_zero", "joint_stiffness", "joint_curve", "lengths", "foot"})
+SEASONAL = frozenset({"lengths"})
+WORDS = {
+    "joint_zero": "the zero of joint {joint} is another: a crash, a slipped belt or a lost reference",
+    "joint_stiffness": "joint {joint} bends by another amount under load: wear, a loose belt or screw",
+    "joint_curve": "the error curve of joint {joint} over its own angle is another: wear or damage of the gear",
+    "gear": "zero, stiffness and error curve of joint {joint} changed together: another gear",
+    "link": "the geometry before joint {joint} is another: a bent link or a screw joint that slipped",
+    "loop": "bars of four-bar {joint} have other lengths",
+    "lengths": "all lengths grew or shrank by one share: temperature, or the scale of the instrument",
+    "tool": "the measured point on the flange is elsewhere: another tool, or the same one mounted again",
+    "foot": "the robot's foot moved in the measuring frame",
+    "effect": "{label} has other values",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One thing that may change in a robot.
+
+    Parameters
+    ----------
+    kind : str
+        joint_zero, joint_stiffness, joint_curve, gear, link, loop, lengths, tool, foot or effect
+    joint : int | None
+        of a joint or four-bar, 1-based
+    names : tuple[str, ...]
+        parameters that change
+    columns : Array, shape (p, m)
+        how they move the p shared parameters, in units of their scale
+    sizes : Array, shape (m,)
+        usual sizes of the columns
+    effect : str, default ""
+        label of an effect of the robot file
+
+    Examples
+    --------
+    >>> cause = comparison.changes[0].cause
+    >>> cause.label, cause.joint
+    ('lengths', None)
+    >>> cause.words
+    'all lengths grew or shrank by one share: temperature, or the scale of the instrument'
+    """
+
+    kind: str
+    joint: int | None
+    names: tuple[str, ...]
+    columns: Array
+    sizes: Array
+    effect: str = ""
+
+    @property
+    def label(self) -> str:
+        """kind, or kind@joint."""
+        return self.effect or (self.kind if self.joint is None else f"{self.kind}@{self.joint}")
+
+    @property
+    def words(self) -> str:
+        """What it means."""
+        return WORDS[self.kind].format(joint=self.joint, label=self.effect)
+
+
+def shared_names(robot: Robot, names: Sequence[str], *, same_tool: bool, same_frame: bool) -> tuple[str, ...]:
+    """Those parameters that two campaigns share; tool and base are fitted again unless they are said to be the same."""
+    group = {p.name: p.group for p in robot.parameters}
+    gone = {*(() if same_tool else ("tool",)), *(() if same_frame else ("base",))}
+    return tuple(n for n in names if group[n] not in gone)
+
+
+def candidates_of(robot: Robot, names: Sequence[str]) -> tuple[Candidate, ...]:
+    """Everything that may change, by the shared parameters of a robot with harmonics as its last effect."""
+    chosen = [robot.parameters[n] for n in names]
+    found = [*_joints(robot, chosen), *_whole(chosen), *_effects(robot, chosen)]
+    return tuple(c for c in found if c.names)
+
+
+def _candidate(
+    kind: str, joint: int | None, names: Iterable[str], all_: Sequence[Parameter], effect: str = ""
+) -> Candidate:
+    """Of parameters that change independently of each other."""
+    place = {p.name: k for k, p in enumerate(all_)}
+    own = tuple(n for n in names if n in place)
+    E = np.zeros((len(all_), len(own)))
+    E[[place[n] for n in own], range(len(own))] = 1.0
+    sizes = np.array([_size(kind, all_[place[n]]) / all_[place[n]].scale for n in own])
+    return Candidate(kind, joint, own, E, sizes, effect)
+
+
+def _size(kind: str, p: Parameter) -> float:
+    if p.group == "compliance":
+        return max(SHARE * abs(p.value), 0.1 * p.prior)
+    if p.group == "joint_error_curve":
+        return HARMONIC
+    if kind == "effect":
+        return p.prior
+    if kind in ("tool", "foot"):
+        return MOVED
+    return LENGTH if p.unit == "m" else ANGLE
+
+
+def _joints(robot: Robot, chosen: Sequence[Parameter]) -> Iterable[Candidate]:
+    for j, joint in enumerate(robot.joints, 1):
+        zero = f"theta{j}" if joint.kind == "revolute" else f"d{j}"
+        curve = [f"joint_error_curve.{w}{k}_q{j}" for k in range(1, ORDERS + 1) for w in "sc"]
+        row = {f"alpha{j - 1}", f"a{j - 1}", f"beta{j - 1}", f"b{j - 1}", f"d{j}", f"theta{j}"} - {zero}
+        yield _candidate("joint_zero", j, [zero], chosen)
+        yield _candidate("joint_stiffness", j, [f"c{j}"], chosen)
+        yield _candidate("joint_curve", j, curve, chosen)
+        if joint.compliance is not None:
+            yield _candidate("gear", j, [zero, f"c{j}", *curve], chosen)
+        geometry = [p.name for p in chosen if p.name in row and p.group == "geometry"]
+        if j > 1 or robot.base.unknown == "none":  # the first row is where the foot stands
+            yield _candidate("link", j, geometry, chosen)
+    for k in range(1, len(robot.loops) + 1):
+        tail = "" if k == 1 else f"_{k}"
+        yield _candidate("loop", k, [f"L{n}{tail}" for n in (3, 4, 5)], chosen)
+
+
+def _whole(chosen: Sequence[Parameter]) -> Iterable[Candidate]:
+    lengths = [(k, p) for k, p in enumerate(chosen) if p.unit == "m" and p.group in ("geometry", "loop", "tool")]
+    E = np.zeros((len(chosen), 1))
+    for k, p in lengths:
+        E[k] = p.value / p.scale
+    yield Candidate("lengths", None, tuple(p.name for _, p in lengths if p.value), E, np.array([THERMAL]))
+    yield _candidate("tool", None, [p.name for p in chosen if p.group == "tool"], chosen)
+    yield _candidate("foot", None, [p.name for p in chosen if p.name in SIX["base"]], chosen)
+
+
+def _effects(robot: Robot, chosen: Sequence[Parameter]) -> Iterable[Candidate]:
+    for effect in robot.effects[:-1]:
+        yield _candidate("effect", effect.joint, [p.name for p in effect.parameters()], chosen, effect.label)

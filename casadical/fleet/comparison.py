@@ -1,0 +1,478 @@
+"""What changed in a robot between campaigns: which parameter or effect, when, by how much, and how sure that is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.blocks import Table, Words
+from casadical.core.errors import InputError
+from casadical.diagnosis.changes import USUAL_CHANGE
+from casadical.diagnosis.evidence import log_sum
+from casadical.fleet.candidates import FREQUENCY, GRADUAL, SEASONAL, Candidate, candidates_of, shared_names
+from casadical.fleet.estimates import Estimate
+from casadical.fleet.evidence import (
+    Known,
+    Model,
+    Told,
+    amplitude,
+    averaged,
+    drifts,
+    jumps,
+    log_evidence,
+    season,
+    solve,
+    visible,
+)
+from casadical.fleet.placements import placements_of, seen_from
+from casadical.identification.prior import refuse_another
+
+Course = Literal["jump", "drift", "season"]
+# A change is said to be there where the data are so many times more probable with one; by chance that happens once in
+# so many lives at most.
+SURE = 100.0
+# One cause is named where it is so probable among all.
+NAMED = 0.95
+# Before the data: how the change goes on; how probable it begins at each campaign (see `_onsets`).
+COURSES: dict[Course, float] = {"jump": 0.6, "drift": 0.4, "season": 0.4}
+HAZARD = 0.03
+MOST = 4
+# A drift's unit of time: a year, or so many campaigns without a date.
+YEAR, CAMPAIGNS = 365.25, 12.0
+
+
+@dataclass(frozen=True, eq=False)
+class Amount:
+    """How far one parameter moved.
+
+    Parameters
+    ----------
+    name : str
+        of the parameter
+    value : float
+        change; of a drift, in a year or in 12 campaigns [unit]
+    std_error : float
+        of the change [unit]
+    unit : str
+        of reports: mm, deg, urad/(N m)
+
+    Examples
+    --------
+    >>> amount = comparison.changes[0].amounts[0]
+    >>> round(float(amount.value), -2), amount.unit
+    (500.0, 'um/m')
+    """
+
+    name: str
+    value: float
+    std_error: float
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """One cause that explains a change.
+
+    Parameters
+    ----------
+    label : str
+        of the cause, as joint_zero@2
+    course : {"jump", "drift", "season"}
+        how it goes on, the most probable
+    since : int
+        first campaign that shows it, from 0
+    probability : float
+        of the cause, if something changed
+
+    Examples
+    --------
+    >>> [rival.label for rival in comparison.changes[0].rivals if rival.probability > 0.5]
+    ['lengths']
+    """
+
+    label: str
+    course: Course
+    since: int
+    probability: float
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """One change between campaigns.
+
+    Parameters
+    ----------
+    cause : Candidate
+        the most probable one
+    course : {"jump", "drift", "season"}
+        how it goes on
+    since : int
+        first campaign that shows it, from 0
+    between : tuple[int, int]
+        first and last campaign at which it may have begun, with 95 % probability
+    probability : float
+        of the cause, if something changed
+    p_course : float
+        of the course, given the cause
+    log_odds : float
+        of the data with some change against none
+    rivals : tuple[Rival, ...]
+        causes in the order of their probability, the first one included
+    amounts : tuple[Amount, ...]
+        how far each parameter moved
+    course_of : Array, shape (n, 2)
+        what each campaign alone says of the size, in units of the whole change, with standard error
+
+    Examples
+    --------
+    >>> change = comparison.changes[0]
+    >>> change.cause.label, change.course, change.since
+    ('lengths', 'jump', 1)
+    """
+
+    cause: Candidate
+    course: Course
+    since: int
+    between: tuple[int, int]
+    probability: float
+    p_course: float
+    log_odds: float
+    rivals: tuple[Rival, ...]
+    amounts: tuple[Amount, ...]
+    course_of: Array
+
+    @property
+    def named(self) -> bool:
+        """Whether the data distinguish this cause from all others."""
+        return self.probability >= NAMED
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Several campaigns of one robot, and what changed between them.
+
+    Parameters
+    ----------
+    campaigns : tuple[Estimate, ...]
+        in the order of time
+    names : tuple[str, ...]
+        parameters that they share
+    changes : tuple[Change, ...]
+        what changed, the surest first
+    log_odds : float
+        how much more probable the data are with one change more than with these; of the first change if there is none
+    seen_from : tuple[tuple[str, float, str], ...]
+        (cause, size, unit): what a change between the last two campaigns would have to be to be seen
+    placements : tuple[tuple[str, str], ...]
+        (what, how) of base and tool, which were fitted again
+    notes : tuple[str, ...], default ()
+        what was assumed of the campaigns
+
+    Examples
+    --------
+    >>> comparison
+    <Comparison of 2 campaigns of 'Planar arm of two links': lengths>
+    >>> print(casadical.core.blocks.plain_text(comparison.blocks()))  # doctest: +ELLIPSIS
+    CHANGED: lengths...
+    >>> comparison.to_json()["changes"][0]["since"]
+    'March'
+    """
+
+    campaigns: tuple[Estimate, ...]
+    names: tuple[str, ...]
+    changes: tuple[Change, ...]
+    log_odds: float
+    seen_from: tuple[tuple[str, float, str], ...]
+    placements: tuple[tuple[str, str], ...]
+    notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        found = ", ".join(c.cause.label for c in self.changes) or "nothing changed"
+        return f"<Comparison of {len(self.campaigns)} campaigns of {self.campaigns[0].robot.name!r}: {found}>"
+
+    @property
+    def changed(self) -> bool:
+        """Whether anything changed."""
+        return bool(self.changes)
+
+    def blocks(self) -> list[Words | Table]:
+        """All that `casadical compare` prints.
+
+        Returns
+        -------
+        list[Words | Table]
+            words and tables, see `casadical.core.blocks`
+        """
+        from casadical.fleet.tables import blocks_of
+
+        return blocks_of(self)
+
+    def to_json(self) -> dict[str, Any]:
+        """The same as plain data.
+
+        Returns
+        -------
+        dict[str, Any]
+            what `casadical compare --json` writes
+        """
+        from casadical.fleet.tables import json_of
+
+        return json_of(self)
+
+
+@dataclass(frozen=True, eq=False)
+class _Hypotheses:
+    """All changes of one candidate with one course: logs : evidence x weight, shape (onsets, kappas)."""
+
+    candidate: Candidate
+    course: Course
+    since: Array
+    courses: Array
+    H: Array
+    b: Array
+    logs: Array
+
+
+def compare(
+    campaigns: Sequence[Estimate],
+    *,
+    same_tool: bool = False,
+    same_frame: bool = False,
+    notes: Iterable[str] = (),
+) -> Comparison:
+    """What changed in a robot over two or more campaigns.
+
+    Parameters
+    ----------
+    campaigns : Sequence[Estimate]
+        in the order of time
+    same_tool : bool, default False
+        whether the same point of the same tool was measured, so that a moved one is a change
+    same_frame : bool, default False
+        whether all positions are in one frame, so that a moved foot is a change
+    notes : Iterable[str], optional
+        what a reader must know of the campaigns
+
+    Returns
+    -------
+    Comparison
+        changes, each with its cause, time, size and probability
+
+    Raises
+    ------
+    InputError
+        fewer than two campaigns, or of robots that cannot be the same one
+
+    Examples
+    --------
+    >>> same = casadical.fleet.compare([casadical.fleet.estimate(found)] * 2)
+    >>> same.changed
+    False
+    """
+    if len(campaigns) < 2:
+        raise InputError(f"{len(campaigns)} campaign; a comparison needs two or more")
+    first = campaigns[0]
+    for other in campaigns[1:]:
+        refuse_another(first.robot, other.robot, "campaign")
+    names, told = told_by(campaigns, same_tool=same_tool, same_frame=same_frame)
+    times = times_of(campaigns)
+    candidates = candidates_of(first.robot, names)
+    accepted, left = found_in(told, candidates, times, dated=first.day is not None)
+    model = solve(told, _known([a[:3] for a in accepted], len(told.score[0]), len(campaigns)))
+    changes = tuple(_change(told, accepted, k, first) for k in range(len(accepted)))
+    return Comparison(
+        tuple(campaigns),
+        names,
+        changes,
+        left,
+        seen_from(model, candidates, first),
+        placements_of(campaigns, names, model),
+        tuple(dict.fromkeys(notes)),
+    )
+
+
+def told_by(campaigns: Sequence[Estimate], *, same_tool: bool, same_frame: bool) -> tuple[tuple[str, ...], Told]:
+    """Shared parameters, and what the campaigns tell of them about the values of the first one."""
+    first = campaigns[0]
+    common = set.intersection(*(set(c.names) for c in campaigns))
+    names = shared_names(
+        first.robot, [n for n in first.names if n in common], same_tool=same_tool, same_frame=same_frame
+    )
+    at = [first.names.index(n) for n in names]
+    values = first.values[at]
+    if same_frame:
+        campaigns = [_in_frame_of(first, c) for c in campaigns]
+    both = [c.about(names, values) for c in campaigns]
+    spread = np.sqrt(np.mean([c.spread[[c.names.index(n) for n in names]] ** 2 for c in campaigns], axis=0))
+    return names, Told(np.array([H for H, _ in both]), np.array([b for _, b in both]), spread**-2.0)
+
+
+def _in_frame_of(first: Estimate, other: Estimate) -> Estimate:
+    """The other one with its base as departures from the base of the first; small ones, else it is clear anyway."""
+    values = dict(zip(first.robot.parameters.names, first.robot.values_of(other.robot), strict=True))
+    moved = [values.get(n, v) if n.startswith("base_") else v for n, v in zip(other.names, other.values, strict=True)]
+    return replace(other, values=np.array(moved))
+
+
+def times_of(campaigns: Sequence[Estimate]) -> Array:
+    """Time of each campaign in units of a drift, the first at zero; by number where a day is not known."""
+    days = [c.day for c in campaigns]
+    if any(d is None for d in days):
+        return np.arange(len(days)) / CAMPAIGNS
+    return np.asarray((np.array(days, dtype=float) - np.array(days[0], dtype=float)) / YEAR)
+
+
+_Accepted = tuple[Candidate, Array, float, _Hypotheses, float, list[_Hypotheses]]
+
+
+def found_in(
+    told: Told, candidates: Sequence[Candidate], times: Array, *, dated: bool
+) -> tuple[list[_Accepted], float]:
+    """Changes one by one, and the log odds of one more.
+
+    Each with its course over the campaigns, shape (n, k), kappa, hypotheses, log odds, and those of all rivals.
+    """
+    accepted: list[_Accepted] = []
+    while True:
+        best = _best(told, candidates, times, dated, [a[:3] for a in accepted])
+        if best[4] < np.log(SURE) or len(accepted) == MOST:
+            break
+        accepted.append(best)
+    if len(accepted) > 1:  # each again, beside the others
+        for k in range(len(accepted)):
+            others = [a[:3] for i, a in enumerate(accepted) if i != k]
+            accepted[k] = _best(told, candidates, times, dated, others)
+        accepted = [a for a in accepted if a[4] >= np.log(SURE)]
+        accepted = list({a[0].label: a for a in accepted}.values())
+    return accepted, best[4]
+
+
+def _known(changes: Sequence[tuple[Candidate, Array, float]], p: int, n: int) -> Known:
+    columns = [np.einsum("nk,pm->npkm", s, c.columns).reshape(n, p, -1) for c, s, _ in changes]
+    sizes = [np.tile(kappa * c.sizes, s.shape[1]) for c, s, kappa in changes]
+    return Known(np.concatenate([np.zeros((n, p, 0)), *columns], axis=2), np.concatenate([np.zeros(0), *sizes]))
+
+
+def _best(
+    told: Told,
+    candidates: Sequence[Candidate],
+    times: Array,
+    dated: bool,
+    known: Sequence[tuple[Candidate, Array, float]],
+) -> _Accepted:
+    """The most probable further change."""
+    n, p = told.score.shape
+    model = solve(told, _known(known, p, n))
+    kinds = [c.kind for c in candidates]
+    whole = sum(FREQUENCY[kind] for kind in set(kinds))
+    found: list[_Hypotheses] = []
+    prior = 0.0
+    for candidate in candidates:
+        share = FREQUENCY[candidate.kind] / whole / kinds.count(candidate.kind)
+        for course, weight, since, courses in _courses(candidate.kind, times, dated):
+            H, b = visible(model, candidate.columns, courses)
+            m = courses.shape[2]
+            logs = log_evidence(H, b, np.tile(candidate.sizes, m)) + np.log(share * weight)[:, None]
+            prior += share * float(weight.sum())
+            found.append(_Hypotheses(candidate, course, since, courses, H, b, logs))
+    total = float(log_sum(np.concatenate([averaged(h.logs) for h in found])))
+    odds = float(np.logaddexp(total, np.log(max(1e-12, 1 - prior))))
+    by_label: dict[str, list[float]] = {}
+    for h in found:
+        by_label.setdefault(h.candidate.label, []).extend(averaged(h.logs))
+    label = max(by_label, key=lambda name: float(log_sum(np.array(by_label[name]))))
+    top = max((h for h in found if h.candidate.label == label), key=lambda h: float(log_sum(averaged(h.logs))))
+    k = int(np.argmax(averaged(top.logs)))
+    _, _, kappa = amplitude(top.H[k], top.b[k], np.tile(top.candidate.sizes, top.courses.shape[2]), top.logs[k])
+    return top.candidate, top.courses[k], kappa, top, odds, found
+
+
+def _courses(kind: str, times: Array, dated: bool) -> Iterable[tuple[Course, Array, Array, Array]]:
+    """Each course that a kind of change may have: its name, weights, first campaigns that show it, and factors."""
+    n = len(times)
+    onset, since = _onsets(n), np.arange(1, n)
+    kinds: list[Course] = ["jump", *(["drift"] if kind in GRADUAL else [])]  # type: ignore[list-item]
+    if kind in SEASONAL and dated:
+        kinds.append("season")
+    whole = sum(COURSES[c] for c in kinds)
+    for course in kinds:
+        share = COURSES[course] / whole
+        if course == "season":
+            yield course, np.array([share]), np.array([1]), season(times)
+        else:
+            yield course, share * onset, since, jumps(n) if course == "jump" else drifts(times)
+
+
+def _onsets(n: int) -> Array:
+    """Probability that a change begins between each two campaigns, fixed whatever their number is, shape (n - 1,)."""
+    k = np.arange(1, n)
+    return np.asarray(0.5 / (k * (k + 1)) + 0.5 * HAZARD * (1 - HAZARD) ** (k - 1))
+
+
+def _change(told: Told, accepted: Sequence[_Accepted], k: int, first: Estimate) -> Change:
+    candidate, _, _, top, odds, found = accepted[k]
+    every = np.concatenate([averaged(h.logs) for h in found])
+    total = float(log_sum(every))
+    share = [(h, np.exp(averaged(h.logs) - total)) for h in found]
+    own = [(h, s) for h, s in share if h.candidate.label == candidate.label]
+    probability = float(sum(s.sum() for _, s in own))
+    at = int(np.argmax(averaged(top.logs)))
+    begun = np.exp(averaged(top.logs) - log_sum(averaged(top.logs)))
+    likely = top.since[np.sort(np.argsort(-begun)[: int(np.searchsorted(np.cumsum(np.sort(begun)[::-1]), 0.95)) + 1])]
+    rivals: dict[str, Rival] = {}
+    for h, s in share:
+        label, best = h.candidate.label, int(np.argmax(s))
+        old = rivals.get(label)
+        more = (old.probability if old else 0.0) + float(s.sum())
+        if old and old.probability > s.sum():
+            rivals[label] = replace(old, probability=more)
+        else:
+            rivals[label] = Rival(label, h.course, int(h.since[best]), more)
+    m = top.courses.shape[2]
+    a, C, _ = amplitude(top.H[at], top.b[at], np.tile(candidate.sizes, m), top.logs[at])
+    others = [other[:3] for i, other in enumerate(accepted) if i != k]
+    return Change(
+        candidate,
+        top.course,
+        int(top.since[at]),
+        (int(likely.min()), int(likely.max())),
+        probability,
+        float(sum(s.sum() for h, s in own if h.course == top.course)) / probability,
+        odds,
+        tuple(sorted(rivals.values(), key=lambda r: -r.probability)),
+        tuple(_amounts(candidate, first, a, C, m)),
+        _course_of(solve(told, _known(others, *told.score.shape[::-1])), candidate, a[: len(candidate.sizes)]),
+    )
+
+
+def _amounts(candidate: Candidate, first: Estimate, a: Array, C: Array, waves: int) -> Iterable[Amount]:
+    width = len(candidate.sizes)
+    if candidate.kind == "lengths":
+        for w in range(waves):
+            name = "lengths" if waves == 1 else f"lengths, {('sine', 'cosine')[w]}"
+            yield Amount(name, 1e6 * a[w], 1e6 * float(np.sqrt(C[w, w])), "um/m")
+        return
+    for k, name in enumerate(candidate.names[:width]):
+        p = first.robot.parameters[name]
+        yield Amount(name, p.readable(a[k] * p.scale), p.readable(float(np.sqrt(C[k, k])) * p.scale), p.readable_unit)
+
+
+def _course_of(model: Model, candidate: Candidate, a: Array) -> Array:
+    """Size of the change in each campaign along its own direction, 1 where it is whole, with standard errors."""
+    n = len(model.told.score)
+    E = (candidate.columns @ a)[:, None]
+    one = np.eye(n)[:, 1:][None]
+    H, b = visible(model, E, one)
+    wide = np.diag(np.full(n - 1, 1e-4))
+    C = np.linalg.inv(H[0] + wide)
+    return np.vstack([[0.0, 0.0], np.column_stack([C @ b[0], np.sqrt(np.diag(C))])])
+
+
+def usual_probability(log_odds: float) -> float:
+    """That something changed, where that is the case in one of ten comparisons."""
+    prior = USUAL_CHANGE / (1 - USUAL_CHANGE)
+    return float(1 / (1 + np.exp(-np.clip(log_odds + np.log(prior), -500, 500))))

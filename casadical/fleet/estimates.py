@@ -1,0 +1,302 @@
+"""What one campaign tells of a robot, as information on all its parameters: enough to compare it with other campaigns.
+
+The log likelihood is a parabola about the campaign's own values, with information J'J / s^2 and a score. Parameters
+that the campaign did not identify have a place in it too, so that campaigns which identified different ones can be
+compared; so have the first harmonics of each turning joint's error, which are in no base model and bend the estimates
+of two campaigns differently where their poses differ.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.identification.error_bound import Doubts, doubts_of, evaluated, posterior_of, sums_of
+from casadical.identification.identifiability import scaled_inverse
+from casadical.identification.identification import Identification, identify
+from casadical.measurements.measurements import Measurements, unmeasured
+from casadical.robot.error_bound import doubted
+from casadical.robot.robot import Robot
+
+# Harmonics of each joint's error.
+ORDERS = 2
+# Residuals are summed up over so many parts of the poses, by their order and by the region of the joints.
+PARTS = 12
+# So many standard deviations of the misfit factor are taken for chance.
+CHANCE = 2.0
+# Poses that stand for those of a robot file, which does not say which they were.
+DRAWN = 200
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What one campaign tells of a robot's parameters.
+
+    Parameters
+    ----------
+    robot : Robot
+        as the campaign found it, with harmonics of zero size
+    names : tuple[str, ...]
+        parameters that are not known exactly, base and tool among them, k of them
+    values : Array, shape (k,) [SI]
+        about which it is a parabola
+    information : Array, shape (k, k)
+        in units of each parameter's scale
+    score : Array, shape (k,)
+        slope of the log likelihood at the values
+    spread : Array, shape (k,)
+        one sigma before the data, in units of the scale; of the harmonics as the residuals show it
+    label : str
+        of the campaign
+    day : float, optional
+        when it was measured [d]
+    poses : int, default 0
+        how many were used
+    sigma : float, optional
+        of a coordinate that nothing explains [m]; None of a robot file
+    misfit : float, default 1.0
+        how many times wider than independent noise says
+    notes : tuple[str, ...], default ()
+        what was assumed
+
+    Examples
+    --------
+    >>> told = casadical.fleet.estimate(found)
+    >>> told.poses, told.information.shape == (len(told.names),) * 2
+    (40, True)
+    >>> H, b = told.about(("a1", "theta2"), np.array([0.4, 0.0]))
+    >>> H.shape, b.shape
+    ((2, 2), (2,))
+    """
+
+    robot: Robot
+    names: tuple[str, ...]
+    values: Array
+    information: Array
+    score: Array
+    spread: Array
+    label: str = ""
+    day: float | None = None
+    poses: int = 0
+    sigma: float | None = None
+    misfit: float = 1.0
+    notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        noise = "" if self.sigma is None else f", {1e3 * self.sigma:.3g} mm a coordinate left"
+        return f"<Estimate {self.label!r}: {len(self.names)} parameters from {self.poses} poses{noise}>"
+
+    @property
+    def scale(self) -> Array:
+        """Unit of each parameter, shape (k,) [SI]."""
+        return np.array([self.robot.parameters[n].scale for n in self.names])
+
+    def about(self, names: tuple[str, ...], values: Array) -> tuple[Array, Array]:
+        """Information and score of some parameters at other values, all others fitted again with wide priors.
+
+        Parameters
+        ----------
+        names : tuple[str, ...]
+            the parameters, p of them
+        values : Array, shape (p,) [SI]
+            at which the score is taken
+
+        Returns
+        -------
+        tuple[Array, Array]
+            information, shape (p, p), and score, shape (p,), in units of the scale
+        """
+        place = {name: k for k, name in enumerate(self.names)}
+        kept = np.array([place[n] for n in names])
+        rest = np.array([k for k in range(len(self.names)) if k not in set(kept.tolist())], dtype=int)
+        H, b = self.information, self.score
+        inverse = scaled_inverse(H[np.ix_(rest, rest)] + np.diag(self.spread[rest] ** -2.0)) @ H[np.ix_(rest, kept)]
+        own = H[np.ix_(kept, kept)] - H[np.ix_(kept, rest)] @ inverse
+        score = b[kept] - inverse.T @ b[rest]
+        return own, score + own @ ((self.values[kept] - values) / self.scale[kept])
+
+
+def estimate(
+    campaign: Identification | tuple[Robot, Measurements], label: str = "", day: float | None = None
+) -> Estimate:
+    """What measured positions tell of all parameters.
+
+    Parameters
+    ----------
+    campaign : Identification | tuple[Robot, Measurements]
+        an identification, or a nominal robot and measurements, by which it is identified first
+    label : str, default ""
+        of the campaign; empty: the source of its measurements
+    day : float, optional
+        when it was measured [d]
+
+    Returns
+    -------
+    Estimate
+        information on all parameters
+
+    Raises
+    ------
+    InputError
+        nothing measured a position
+    ConvergenceError
+        Ipopt finds no optimum
+
+    Examples
+    --------
+    >>> casadical.fleet.estimate(found, "May").label
+    'May'
+    """
+    found = campaign if isinstance(campaign, Identification) else identify(*campaign, loss="huber")
+    sets = [m.positions_alone() for m in found.used if m.position is not None]
+    if not sets:
+        raise InputError(f"{found.measurements[0].source}: nothing measured a position; a comparison needs positions")
+    robot = doubted(found.robot, ORDERS)
+    doubts = doubts_of(robot, found.names)
+    r, J = evaluated(robot, sets, doubts.names)
+    sums = sums_of(r, J)
+    s2, mean, _, variance = posterior_of(sums, doubts)
+    misfit = _misfit(r + J @ mean, J, np.concatenate([m.q for m in sets]), s2, variance)
+    unit = s2 * misfit
+    held = len(found.left_out)
+    return Estimate(
+        robot,
+        doubts.names,
+        _values(robot, doubts),
+        sums.H / unit,
+        -sums.g / unit,
+        np.sqrt(variance),
+        label or found.measurements[0].source,
+        day,
+        len(r),
+        1e-3 * float(np.sqrt(s2)),
+        misfit,
+        (f"{held} pose{'s' * (held > 1)} left out as outliers",) if held else (),
+    )
+
+
+def _values(robot: Robot, doubts: Doubts) -> Array:
+    return np.array([robot.parameters[n].value for n in doubts.names])
+
+
+def _misfit(e: Array, J: Array, q: Array, s2: float, variance: Array) -> float:
+    """How many times more than independent noise the residuals of similar poses push the parameters.
+
+    e : residuals of the fit, shape (n, 3) [mm]; J : shape (n, 3, k). The sums J'e over parts of the poses, which follow
+    each other or have similar readings, are compared with what independent noise of variance s2 would give; at least 1.
+    """
+    H = np.einsum("nip,niq->pq", J, J, optimize=True)
+    inverse = scaled_inverse(H + s2 * np.diag(1 / variance))
+    freedom = max(1.0, e.size - float(np.sum(inverse * H)))
+    chance = CHANCE * np.sqrt(2 / freedom)
+    found = 1.0
+    for part in (_by_order(len(e)), _by_region(q)):
+        pushed = usual = 0.0
+        for k in range(part.max() + 1):
+            own = J[part == k].reshape(-1, J.shape[2])
+            push, seen = own.T @ e[part == k].ravel(), own.T @ own
+            pushed += float(push @ inverse @ push) / s2
+            seen = inverse @ seen
+            usual += float(np.trace(seen) - np.sum(seen * seen.T))
+        if usual > 0:
+            found = max(found, pushed / usual - chance)
+    return found
+
+
+def _by_order(n: int) -> Array:
+    return np.arange(n) * min(PARTS, n) // n
+
+
+def _by_region(q: Array) -> Array:
+    """A number for the region of the joints in which each pose lies: cells of equal count along two directions."""
+    centred = (q - q.mean(axis=0)) / np.maximum(q.std(axis=0), 1e-9)
+    along = centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T
+    rank = along.argsort(axis=0).argsort(axis=0) / len(q)
+    across = rank[:, 1] if rank.shape[1] > 1 else np.zeros(len(q))
+    return np.asarray((4 * rank[:, 0]).astype(int) * 3 + (3 * across).astype(int))
+
+
+def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) -> Estimate:
+    """What a robot file with a covariance tells of all parameters.
+
+    The file does not say which poses were measured. How parameters that were not identified bend those that were is
+    therefore computed at poses drawn from the readings on which it was learnt.
+
+    Parameters
+    ----------
+    robot : Robot
+        calibrated robot with a covariance of its geometry, as `casadical calibrate --out` writes it
+    label : str, default ""
+        of the campaign; empty: that of the file
+    day : float, optional
+        when it was measured [d]
+
+    Returns
+    -------
+    Estimate
+        information on all parameters
+
+    Raises
+    ------
+    InputError
+        a robot without a covariance of its geometry
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> known = replace(found.robot, knowledge=found.knowledge)
+    >>> casadical.fleet.estimate_of_file(known).poses
+    40
+    """
+    known = robot.knowledge
+    geometry = {p.name for p in robot.parameters if p.group in ("geometry", "loop")}
+    if known is None or geometry.isdisjoint(known.std_errors):
+        raise InputError(
+            f"robot {robot.name!r}: its file has no covariance of the geometry; write it with `casadical calibrate "
+            "--out`, or give the folder of the problem"
+        )
+    if len(known.readings):
+        low, high = known.readings.T
+        drawn = "the learnt range of each joint"
+    else:
+        low, high = np.array([(j.lower, j.upper) for j in robot.joints]).T
+        drawn = "the limits of each joint"
+    q = np.random.default_rng(0).uniform(low, high, (DRAWN, robot.n))
+    wide = doubted(robot, ORDERS)
+    solved = [n for n in robot.parameters.names if n in known.std_errors]
+    doubts = doubts_of(wide, [n for n in solved if n in wide.parameters.names])
+    J = _seen(wide, unmeasured(q), doubts.names)
+    at, rest = doubts.solved, np.setdiff1d(np.arange(len(doubts.names)), doubts.solved)
+    A = scaled_inverse(J[:, at].T @ J[:, at]) @ (J[:, at].T @ J[:, rest])
+    B = np.zeros((len(at), len(doubts.names)))
+    B[:, at], B[:, rest] = np.eye(len(at)), A
+    names = [doubts.names[k] for k in at]
+    scale = np.array([wide.parameters[n].scale for n in names])
+    C = np.zeros((len(names), len(names)))
+    for block in known.covariance:
+        own = block.of(names)
+        places = [names.index(n) for n in own.names]
+        C[np.ix_(places, places)] = own.matrix
+    H = B.T @ scaled_inverse(C / np.outer(scale, scale)) @ B
+    note = f"poses are not known: drawn from {drawn}"
+    return Estimate(
+        wide,
+        doubts.names,
+        _values(wide, doubts),
+        (H + H.T) / 2,
+        np.zeros(len(H)),
+        doubts.sigma,
+        label or known.campaign,
+        day,
+        known.poses,
+        notes=(note,),
+    )
+
+
+def _seen(robot: Robot, m: Measurements, names: tuple[str, ...]) -> Array:
+    """Jacobian in rows at poses that the robot can take, shape (numbers, k)."""
+    J = evaluated(robot, [m], names)[1]
+    return np.asarray(J[np.isfinite(J).all(axis=(1, 2))].reshape(-1, J.shape[2]))

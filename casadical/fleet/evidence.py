@@ -1,0 +1,145 @@
+"""Evidence that something changed between campaigns: Gaussian changes of realistic size, all else integrated.
+
+Campaign i tells of its parameters theta_i = theta + sum of s_ji E_j a_j: what the robot is, and changes of size a_j
+along columns E_j with a course s_ji over the campaigns (a jump, a drift, a season). With information H_i and score b_i
+of each campaign, all is linear and Gaussian. Integrating theta projects it out, where the data determine it, and the
+amplitudes a ~ N(0, (kappa size)^2) have closed form; kappa is on a grid.
+
+The evidence of a change, averaged over candidates, courses and times by weights that were fixed before the data, is a
+martingale as campaigns come in while nothing changes: it ever reaches 1 / p with probability p at most (Ville 1939).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.diagnosis.evidence import log_sum
+
+# Sizes of a change in units of its usual one.
+KAPPAS = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
+# A change is not searched where its direction is seen less than this, in squared units of its size.
+UNSEEN = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """Campaigns about common values, in units of the scale: what they tell of p parameters that they share.
+
+    information : shape (n, p, p); score : shape (n, p); precision : of theta before the data, shape (p,)
+    """
+
+    information: Array
+    score: Array
+    precision: Array
+
+    def first(self, n: int) -> Told:
+        """Of the first campaigns alone."""
+        return Told(self.information[:n], self.score[:n], self.precision)
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """Changes that are in the model already: columns over all campaigns, shape (n, p, m), and sizes, shape (m,)."""
+
+    columns: Array
+    sizes: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """Theta and known changes, solved for: what is left for a further change.
+
+    inverse : covariance of u = (theta, known amplitudes); mean : of u
+    """
+
+    told: Told
+    known: Known
+    inverse: Array = field(repr=False)
+    mean: Array = field(repr=False)
+
+    @property
+    def p(self) -> int:
+        """How many parameters."""
+        return int(self.told.score.shape[1])
+
+
+def solve(told: Told, known: Known | None = None) -> Model:
+    """Theta and the known changes, given all campaigns."""
+    n, p = told.score.shape
+    known = known or Known(np.zeros((n, p, 0)), np.zeros(0))
+    X = np.concatenate([np.broadcast_to(np.eye(p), (n, p, p)), known.columns], axis=2)
+    HX = told.information @ X
+    Lambda = np.einsum("npi,npj->ij", X, HX, optimize=True)
+    Lambda += np.diag(np.concatenate([told.precision, known.sizes**-2.0]))
+    root = np.sqrt(np.diag(Lambda))
+    L = np.linalg.inv(np.linalg.cholesky(Lambda / np.outer(root, root)))
+    inverse = L.T @ L / np.outer(root, root)
+    return Model(told, known, inverse, inverse @ np.einsum("npi,np->i", X, told.score))
+
+
+def visible(model: Model, E: Array, courses: Array) -> tuple[Array, Array]:
+    """Information and score of a change along columns E with each of several courses.
+
+    E : shape (p, m); courses : shape (c, n, k), of each campaign k factors. Returns shapes (c, km, km) and (c, km).
+    """
+    told = model.told
+    c, _, k = courses.shape
+    HE = told.information @ E
+    EHE = np.einsum("pi,npj->nij", E, HE, optimize=True)
+    m = E.shape[1]
+    H = np.einsum("cnk,cnl,nij->ckilj", courses, courses, EHE, optimize=True).reshape(c, k * m, k * m)
+    C = np.einsum("cnk,npi->cpki", courses, HE, optimize=True).reshape(c, told.score.shape[1], k * m)
+    if model.known.sizes.size:
+        more = np.einsum("npq,npi->nqi", model.known.columns, HE, optimize=True)
+        C = np.concatenate([C, np.einsum("cnk,nqi->cqki", courses, more, optimize=True).reshape(c, -1, k * m)], axis=1)
+    b = np.einsum("cnk,np,pi->cki", courses, told.score, E, optimize=True).reshape(c, k * m)
+    H = H - C.transpose(0, 2, 1) @ (model.inverse @ C)
+    return H, b - np.einsum("cqi,q->ci", C, model.mean)
+
+
+def log_evidence(H: Array, b: Array, sizes: Array) -> Array:
+    """Log of how many times more probable the data are with changes than without, shape (c, kappas).
+
+    H, b : as of `visible`; sizes : usual one of each column, shape (m,)
+    """
+    values, V = np.linalg.eigh(sizes[:, None] * H * sizes)
+    values = np.maximum(values, 0.0)
+    turned = np.einsum("cij,ci->cj", V, sizes * b) ** 2
+    k2 = KAPPAS[:, None] ** 2
+    grown = 1 + k2 * values[:, None, :]
+    return np.asarray(0.5 * (k2 * turned[:, None, :] / grown - np.log(grown)).sum(axis=2))
+
+
+def averaged(logs: Array) -> Array:
+    """Mean evidence over the sizes, as a logarithm; logs : shape (..., kappas)."""
+    return np.asarray(log_sum(logs, axis=-1) - np.log(len(KAPPAS)))
+
+
+def amplitude(H: Array, b: Array, sizes: Array, logs: Array) -> tuple[Array, Array, float]:
+    """Mean, shape (m,), and covariance of one change's amplitudes, at its most probable size, which is returned too."""
+    kappa = float(KAPPAS[int(np.argmax(logs))])
+    precision = H + np.diag((kappa * sizes) ** -2.0)
+    root = np.sqrt(np.diag(precision))
+    C = np.linalg.inv(precision / np.outer(root, root)) / np.outer(root, root)
+    return C @ b, C, kappa
+
+
+def jumps(n: int) -> Array:
+    """Courses of a change at each campaign but the first, shape (n - 1, n, 1)."""
+    return (np.arange(n) >= np.arange(1, n)[:, None]).astype(float)[:, :, None]
+
+
+def drifts(times: Sequence[float] | Array) -> Array:
+    """Courses of a drift that begins after each campaign but the last, shape (n - 1, n, 1), a unit of time one."""
+    t = np.asarray(times, dtype=float)
+    return np.asarray(np.maximum(0.0, t - t[:-1, None])[:, :, None])
+
+
+def season(times: Sequence[float] | Array) -> Array:
+    """Course of what comes again every unit of time, shape (1, n, 2)."""
+    turn = 2 * np.pi * np.asarray(times, dtype=float)
+    return np.stack([np.sin(turn), np.cos(turn)], axis=-1)[None]

@@ -1,0 +1,93 @@
+"""Base and tool, which are fitted again in each campaign; and how large a change must be to be seen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.transforms import small_frame
+from casadical.fleet.candidates import Candidate
+from casadical.fleet.estimates import Estimate
+from casadical.fleet.evidence import Model, jumps, visible
+from casadical.identification.identifiability import scaled_inverse
+from casadical.robot.parameter_list import SIX
+
+# Standard errors that a change must have to be seen, roughly: what one of a hundred candidates needs.
+SEEN = 5.0
+# A tool is another one from so many standard errors on.
+OTHER_TOOL = 4.0
+# A change that is seen only from so many times its usual size is not seen.
+FAR = 30.0
+
+
+def seen_from(model: Model, candidates: Sequence[Candidate], first: Estimate) -> tuple[tuple[str, float, str], ...]:
+    """(cause, size, unit) of single parameters: the least change since the campaign before last that would be seen."""
+    n = len(model.told.score)
+    found = []
+    for c in candidates:
+        if c.columns.shape[1] == 1 and c.kind in ("joint_zero", "joint_stiffness"):
+            H, _ = visible(model, c.columns, jumps(n)[-1:])
+            p = first.robot.parameters[c.names[0]]
+            size = SEEN / np.sqrt(max(float(H[0, 0, 0]), 1e-30))
+            seen = size < FAR * float(c.sizes[0])
+            found.append((c.label, p.readable(float(size) * p.scale) if seen else float("inf"), p.readable_unit))
+    return tuple(found)
+
+
+def placements_of(campaigns: Sequence[Estimate], names: Sequence[str], model: Model) -> tuple[tuple[str, str], ...]:
+    """How base and tool of the last campaign differ from those of the one before, where they were fitted again."""
+    before, after = campaigns[-2], campaigns[-1]
+    return (*_tool(campaigns[0], before, after, names, model), *_base(before, after, names))
+
+
+def _tool(
+    first: Estimate, before: Estimate, after: Estimate, names: Sequence[str], model: Model
+) -> Iterable[tuple[str, str]]:
+    own = [n for n in SIX["tool"][:3] if n in before.names and n in after.names and n not in names]
+    if len(own) < 3:
+        return
+    theta = model.mean[: model.p]
+    C = model.inverse[: model.p, : model.p]
+    (a, A, V), (b, B, W) = (_given(c, own, names, first, theta) for c in (before, after))
+    apart = b - a
+    cov = V + W + (B - A) @ C @ (B - A).T
+    scale = np.array([after.robot.parameters[n].scale for n in own])
+    size = float(np.linalg.norm(apart * scale))
+    error = float(np.sqrt(np.trace(cov * np.outer(scale, scale)) / 3))
+    distance = float(np.sqrt(apart @ np.linalg.solve(cov, apart) / 3))
+    far = distance > OTHER_TOOL
+    words = "another tool, or mounted again" if far else "the same point, as far as these poses show"
+    yield "tool", f"{1e3 * size:.3g} mm from where it was, +/- {1e3 * error:.2g} mm a coordinate: {words}"
+
+
+def _given(
+    c: Estimate, own: Sequence[str], names: Sequence[str], first: Estimate, theta: Array
+) -> tuple[Array, Array, Array]:
+    """Of parameters that are fitted again: mean in units of scale given theta, its slope by theta, and covariance."""
+    place = {n: k for k, n in enumerate(c.names)}
+    shared = [place[n] for n in names]
+    rest = [k for k in range(len(c.names)) if k not in set(shared)]
+    V = scaled_inverse(c.information[np.ix_(rest, rest)] + np.diag(c.spread[rest] ** -2.0))
+    G = -V @ c.information[np.ix_(rest, shared)]
+    from_first = np.array([first.values[first.names.index(n)] for n in names])
+    departure = (from_first - c.values[shared]) / c.scale[shared] + theta
+    mean = c.values[rest] / c.scale[rest] + V @ c.score[rest] + G @ departure
+    at = [rest.index(place[n]) for n in own]
+    return mean[at], G[at], V[np.ix_(at, at)]
+
+
+def _base(before: Estimate, after: Estimate, names: Sequence[str]) -> Iterable[tuple[str, str]]:
+    if any(n in names for n in SIX["base"]) or not any(n in after.names for n in SIX["base"]):
+        return
+    T = np.linalg.solve(_placed(before), _placed(after))
+    turn = float(np.rad2deg(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1))))
+    far = f"{1e3 * np.linalg.norm(T[:3, 3]):.4g} mm and {turn:.3g} deg"
+    words = "the instrument stands elsewhere, or the robot's foot moved"
+    yield "base", f"{far} from where it stood in the instrument's frame: {words}"
+
+
+def _placed(c: Estimate) -> Array:
+    values = [c.values[c.names.index(n)] if n in c.names else 0.0 for n in SIX["base"]]
+    return np.asarray(c.robot.base.T @ np.array(small_frame(*values)))

@@ -1,0 +1,207 @@
+"""What changed between campaigns: planted changes are named, nothing is named where nothing changed."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import run
+from lives import as_built, changed, measured, write_table
+from scipy.stats import multivariate_normal
+
+from casadical import InputError, Robot, calibrate, identify, read_robot, write_robot
+from casadical.core.blocks import plain_text
+from casadical.fleet import Estimate, compare, estimate, estimate_of_file
+from casadical.fleet.campaigns import compare_files, day_of, in_order
+from casadical.fleet.evidence import KAPPAS, Told, drifts, jumps, log_evidence, solve, visible
+
+
+@pytest.fixture(scope="module")
+def arm() -> tuple[Robot, Robot]:
+    return as_built(np.random.default_rng(1))
+
+
+@pytest.fixture(scope="module")
+def before(arm: tuple[Robot, Robot]) -> Estimate:
+    return estimate((arm[0], measured(arm[1], 1)), "before")
+
+
+def after(arm: tuple[Robot, Robot], seed: int = 3, **by: float) -> Estimate:
+    return estimate((arm[0], measured(changed(arm[1], **by), seed)), "after")
+
+
+def test_the_evidence_is_that_of_the_difference_of_two_estimates() -> None:
+    """With nothing known of theta, log N(difference; C1 + C2 + W) - log N(difference; C1 + C2), by scipy."""
+    rng = np.random.default_rng(0)
+    A, B = (rng.normal(size=(4, 4)) for _ in range(2))
+    C1, C2 = A @ A.T + np.eye(4), B @ B.T + np.eye(4)
+    x1, x2 = rng.normal(size=(2, 4))
+    E, sizes = rng.normal(size=(4, 2)), np.array([0.5, 2.0])
+    H = np.linalg.inv([C1, C2])
+    told = Told(H, np.array([H[0] @ x1, H[1] @ x2]), np.full(4, 1e-9))
+    logs = log_evidence(*visible(solve(told), E, jumps(2)), sizes)
+    for kappa, found in zip(KAPPAS, logs[0], strict=True):
+        wide = C1 + C2 + E @ np.diag((kappa * sizes) ** 2) @ E.T
+        by_scipy = multivariate_normal(cov=wide).logpdf(x2 - x1) - multivariate_normal(cov=C1 + C2).logpdf(x2 - x1)
+        assert found == pytest.approx(by_scipy, abs=1e-6)
+
+
+def test_the_directions_of_what_is_anew_are_projected_out() -> None:
+    """A change along a parameter that is fitted anew in each campaign leaves no evidence."""
+    rng = np.random.default_rng(1)
+    J = rng.normal(size=(30, 4))
+    robot = read_robot(Path(__file__).parents[2] / "problems/ur10e/robot.toml")
+    names = ("base_x", "a1", "a2", "a3")
+    told = Estimate(robot, names, np.zeros(4), J.T @ J, J.T @ J[:, 0] * 0.7, np.full(4, 1e4))
+    H, b = told.about(names[1:], np.zeros(3))
+    assert np.abs(b).max() < 1e-4 * np.abs(J.T @ J[:, 0]).max()
+    Q = np.eye(30) - np.outer(J[:, 0], J[:, 0]) / (J[:, 0] @ J[:, 0])
+    assert pytest.approx(J[:, 1:].T @ Q @ J[:, 1:], rel=1e-5) == H
+
+
+def test_courses() -> None:
+    assert jumps(3)[:, :, 0].tolist() == [[0, 1, 1], [0, 0, 1]]
+    assert drifts([0.0, 0.5, 2.0])[:, :, 0].tolist() == [[0, 0.5, 2.0], [0, 0, 1.5]]
+
+
+@pytest.mark.parametrize("seed", [2, 7])
+def test_where_nothing_changed_nothing_is_named(arm: tuple[Robot, Robot], before: Estimate, seed: int) -> None:
+    found = compare([before, after(arm, seed)])
+    assert not found.changed
+    assert "NOTHING CHANGED" in plain_text(found.blocks())
+    assert dict(found.placements)["base"].endswith("the instrument stands elsewhere, or the robot's foot moved")
+
+
+@pytest.mark.parametrize(
+    ("by", "label", "parameter", "size"),
+    [
+        ({"theta2": 3e-4}, "joint_zero@2", "theta2", np.rad2deg(3e-4)),
+        ({"c2": 1.5}, "joint_stiffness@2", "c2", None),
+        ({"a2": 3e-4}, "link@3", "a2", 0.3),
+    ],
+)
+def test_a_change_is_named_with_its_size(
+    arm: tuple[Robot, Robot], before: Estimate, by: dict[str, float], label: str, parameter: str, size: float | None
+) -> None:
+    found = compare([before, after(arm, **by)])
+    (change,) = found.changes
+    assert (change.cause.label, change.named, change.course) == (label, True, "jump")
+    amount = next(a for a in change.amounts if a.name == parameter)
+    true = 0.5e6 * arm[1].parameters[parameter].value if size is None else size
+    assert abs(amount.value - true) < 4 * amount.std_error
+    assert 0 < amount.std_error < 0.2 * abs(true)
+
+
+def test_another_tool_is_said_and_is_no_change_of_the_robot(arm: tuple[Robot, Robot], before: Estimate) -> None:
+    moved = after(arm, tool_x=0.05)
+    found = compare([before, moved])
+    assert not found.changed
+    assert "another tool" in dict(found.placements)["tool"]
+    assert dict(found.placements)["tool"].startswith("50 mm")
+    (change,) = compare([before, moved], same_tool=True).changes
+    assert change.cause.label == "tool"
+
+
+def test_a_moved_foot_is_a_change_in_one_frame(arm: tuple[Robot, Robot]) -> None:
+    robot, built = arm
+    first = estimate((robot, measured(built, 5)), "before")
+    m = measured(built, 5)
+    assert m.position is not None
+    noise = 3e-5 * np.random.default_rng(5).normal(size=m.position.shape)
+    lifted = estimate((robot, replace(m, position=m.position + np.array([2e-4, 0, 1e-4]) + noise)), "later")
+    assert [c.cause.label for c in compare([first, lifted], same_frame=True).changes] == ["foot"]
+    assert not compare([first, lifted]).changed
+
+
+def test_robot_files_of_calibrate_are_compared(
+    arm: tuple[Robot, Robot], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file has the covariance; of two files the change is named as from the measurements themselves."""
+    robot, built = arm
+    problem = Path(__file__).parents[2] / "problems/ur10e"
+    assert calibrate(problem).files(tmp_path / "out")[tmp_path / "out" / "SKCM.robot.toml"].count("[[covariance]]") == 1
+    for name, truth in (("2026-01", built), ("2026-02", changed(built, theta2=5e-4))):
+        result = identify(robot, measured(truth, 10 + len(name) + int(name[-1])))
+        (tmp_path / name).mkdir()
+        write_robot(replace(result.robot, knowledge=result.knowledge), tmp_path / name / "SKCM.robot.toml")
+    old, new = tmp_path / "2026-01" / "SKCM.robot.toml", tmp_path / "2026-02"
+    done = run("compare", old, new, "--json", tmp_path / "out.json", width=100)
+    assert done.returncode == 5, done.stderr
+    assert "CHANGED: joint_zero@2, a jump since 2026-02: theta2 +0.02" in done.stdout
+    (change,) = json.loads((tmp_path / "out.json").read_text())["changes"]
+    assert change["cause"] == "joint_zero@2"
+    assert change["probability"] > 0.95
+    same = run("compare", old, old, "--quiet")
+    assert (same.returncode, same.stdout) == (0, "")
+
+
+def test_a_robot_file_without_covariance_is_refused() -> None:
+    robot = read_robot(Path(__file__).parents[2] / "problems/ur10e/robot.toml")
+    with pytest.raises(InputError, match="no covariance of the geometry; write it with"):
+        estimate_of_file(robot)
+
+
+@pytest.fixture(scope="module")
+def tables(arm: tuple[Robot, Robot], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five monthly tables, joint 5 turned before the fourth; one in metres under the heading of millimetres."""
+    folder = tmp_path_factory.mktemp("months")
+    for k in range(5):
+        truth = changed(arm[1], theta5=5e-4) if k >= 3 else arm[1]
+        m = measured(truth, 20 + k)
+        assert m.position is not None
+        wrong = replace(m, position=1e-3 * m.position) if k == 1 else m
+        write_table(wrong, folder / f"2026-{(k + 1):02d}-01.csv")
+    return folder
+
+
+def test_a_life_in_tables_with_units_that_changed_midway(tables: Path) -> None:
+    problem = Path(__file__).parents[2] / "problems/ur10e"
+    files = sorted(tables.glob("*.csv"))
+    found = compare_files([files[2], *files[:2], *files[3:]], problem)
+    assert [c.label for c in found.campaigns] == ["2026-01-01", "2026-03-01", "2026-04-01", "2026-05-01"]
+    (change,) = found.changes
+    assert change.cause.label == "joint_zero@5"
+    assert found.campaigns[change.since].label == "2026-04-01"
+    assert any("2026-02-01.csv is left out" in note for note in found.notes)
+    assert any("dates go back (2026-03-01, then 2026-01-01)" in note for note in found.notes)
+    with pytest.raises(InputError):
+        compare_files(files[:2], problem)
+
+
+def test_days_in_names_and_what_is_odd_about_them(before: Estimate) -> None:
+    assert day_of(Path("a/2026-03-14.csv")) == day_of(Path("2026_03_14/KM.robot.toml"))
+    assert day_of(Path("x/20260314-ur10.csv")) == day_of(Path("2026-03-14"))
+    assert day_of(Path("run7/ur10.csv")) is None
+
+    def on(*days: float | None, names: dict[int, str] | None = None) -> tuple[list[str], str]:
+        given = [
+            replace(before, label=str(k), day=d, robot=replace(before.robot, name=(names or {}).get(k, "arm")))
+            for k, d in enumerate(days)
+        ]
+        ordered, said = in_order(given)
+        return [c.label for c in ordered], " | ".join(said)
+
+    assert on(0, 30, 60, 120, 150) == (
+        list("01234"), "campaigns seem to be missing between 2 and 3; a change there is dated to the later one"
+    )  # fmt: skip
+    assert on(0, 30, 30) == (list("012"), "two campaigns of one day, both used: 2")
+    order, said = on(30, 0, 60)
+    assert order == list("102")
+    assert said.startswith("dates go back (0, then 1)")
+    assert on(0, None, 60)[1].startswith("no date in the name of 1: the campaigns are in the order given")
+    assert on(0, 30, names={1: "left arm"})[1] == "the robot is called 'arm' and 'left arm': taken for one, renamed"
+
+
+def test_another_robot_and_one_campaign_are_refused(before: Estimate, tables: Path) -> None:
+    with pytest.raises(InputError, match="1 campaign; a comparison needs two or more"):
+        compare([before])
+    other = read_robot(Path(__file__).parents[2] / "problems/hh800/robot.toml")
+    with pytest.raises(InputError, match="campaign 'Hyundai HH800'"):
+        compare([before, replace(before, robot=other)])
+    with pytest.raises(InputError, match="a table needs --robot"):
+        compare_files(sorted(tables.glob("*.csv"))[:2])
+    with pytest.raises(InputError, match="neither a problem folder nor results"):
+        compare_files([tables, tables])
