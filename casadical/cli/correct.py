@@ -18,6 +18,7 @@ from casadical.cli.options import (
     Quiet,
     What,
     poses_of,
+    unreached,
     wants_pose,
 )
 from casadical.cli.terminal import plain, refuse_taken, with_json
@@ -55,8 +56,8 @@ def correct(
         Path,
         typer.Argument(
             metavar="PROGRAM",
-            help="A CSV with joint targets q1_deg .. (or q1_rad ..), or a program of KUKA (.src, .dat), ABB (.mod), "
-            "Universal Robots (.script) or FANUC (.ls).",
+            help="A CSV with joint targets q1_deg .. (or q1_rad ..; q1_mm or q1_m of a linear joint), or a program of "
+            "KUKA (.src, .dat), ABB (.mod), Universal Robots (.script) or FANUC (.ls).",
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="Where the corrected program goes.")],
@@ -136,7 +137,8 @@ def correct(
     else:
         sources = _of_robot(model, nominal, compensator, payload, tool, leave_out, trust)
         lines = tuple(f"LEFT OUT {line}" for line in followed(sources)[1])
-        lines += (poses_of(read_robot(model).n),) if oriented else ()
+        lines += (poses_of(read_robot(model)),) if oriented else ()
+        lines += tuple(filter(None, [unreached(read_robot(model))]))
         lines += tuple(f"NO BOUND of the error that remains: {why}" for why in [bound_of(sources)[1]] if why)
     of_language = {"--tcp": tcp, "--base": base, "--root": root, "--flange": flange, "--data": data}
     flags = {"--nearest": nearest, "--external-still": external_still, "--accuracy-off": accuracy_off}
@@ -149,7 +151,7 @@ def correct(
     else:
         from casadical.export.controller.programs.correction import Cell
 
-        read, frames = _read(program, Cell(sources, folder=corrector).joints, tcp, base, root, flange, data)
+        read, frames = _read(program, Cell(sources, folder=corrector).units, tcp, base, root, flange, data)
         cell = Cell(
             sources,
             steps or 2,
@@ -215,14 +217,14 @@ def _correct_table(
         assert sources is not None
         instead = model_corrector(command_of(sources, steps, limit_mm=limit)) if oriented else None
         corrector = model_corrector(command_of(sources, steps, orientation=oriented, limit_mm=limit), instead)
-    result = corrected(corrector, read_program(program, corrector.joints))
+    result = corrected(corrector, read_program(program, corrector.joints, corrector.units))
     write_together(with_json({out: result.to_csv()}, json_file, result.to_json()))
     return [result.report()]
 
 
 def _read(
     program: Path,
-    joints: int,
+    units: tuple[str, ...],
     tcp: list[str] | None,
     base: list[str] | None,
     root: str | None,
@@ -245,7 +247,8 @@ def _read(
         return {name.strip(): language.transform(option, numbers) for name, numbers in pairs}
 
     texts = {str(path): text_of(str(path), read_bytes(path)) for path in data or []}
-    read = read_target_program(program, Given(named("--tcp", tcp), named("--base", base), texts), joints)
+    given = Given(named("--tcp", tcp), named("--base", base), texts, units)
+    read = read_target_program(program, given, len(units))
     poses = (("--root", root), ("--flange", flange))
     return read, [np.eye(4) if text is None else language.transform(option, text) for option, text in poses]
 

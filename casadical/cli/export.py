@@ -24,6 +24,7 @@ from casadical.cli.options import (
     Tool,
     What,
     poses_of,
+    unreached,
     wants_pose,
 )
 from casadical.cli.outputs import guarded
@@ -152,7 +153,9 @@ def export_c(
     console = plain(quiet)
     console.print(f"{what} of {robot}, {real}")
     if oriented:
-        console.print(poses_of(read_robot(robot).n))
+        console.print(poses_of(read_robot(robot)))
+    if what == "command" and (lost := unreached(read_robot(robot))):
+        console.print(lost)
     for line in _about(sources, what, getattr(product, "network", product) is not None):
         console.print(line)
     if isinstance(product, Command):

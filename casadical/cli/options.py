@@ -11,6 +11,7 @@ from casadical.core.errors import InputError
 if TYPE_CHECKING:
     from casadical.effects import Effect
     from casadical.project.problem import Carried
+    from casadical.robot.robot import Robot
 
 NOMINAL = typer.Option(
     metavar="NOMINAL.toml", help="The controller's model of the robot: the robot file from before the calibration."
@@ -46,7 +47,7 @@ What = Annotated[
         "--correct",
         metavar="position|pose",
         help="What the real tool reaches: the nominal tool's position by the least change of the joints, or its "
-        "orientation too, which needs six joints.",
+        "orientation too, as far as the joints reach it.",
     ),
 ]
 Limit = Annotated[
@@ -139,10 +140,25 @@ def wants_pose(word: str) -> bool:
     return word == "pose"
 
 
-def poses_of(joints: int) -> str:
+def poses_of(robot: "Robot") -> str:
     """What --correct pose does for an arm, in words."""
-    from casadical.export.controller.commands import POSE_JOINTS
+    from casadical.export.controller.inverse import freedom_of
 
-    if joints < POSE_JOINTS:
-        return f"--correct pose: {joints} joints cannot reach every orientation; the position alone is corrected"
-    return "position and orientation are corrected, by the least change of the joints"
+    moved, turned = freedom_of(robot)
+    if (moved, turned) == (3, 3):
+        return "position and orientation are corrected, by the least change of the joints"
+    position = "the position" if moved == 3 else f"the position in {moved} of 3 directions"
+    if not turned:
+        return f"--correct pose: {robot.n} joints cannot turn the tool beside moving it; {position} alone is corrected"
+    return (
+        f"--correct pose: {robot.n} joints reach {position} and, beside it, the orientation in {turned} of 3 "
+        "directions; what is left of it stays"
+    )
+
+
+def unreached(robot: "Robot") -> str:
+    """What the joints of an arm cannot move at all, in words; empty for most arms."""
+    from casadical.export.controller.inverse import freedom_of
+
+    moved = freedom_of(robot)[0]
+    return "" if moved == 3 else f"NOT REACHED: the joints move the tool in {moved} of 3 directions; errors across stay"

@@ -259,7 +259,10 @@ class Calibration:
                 texts[folder / f"{name}.compensator.json"] = compensator_text(trained.compensator)
         for name, result in self.identifications.items():
             origin = f"Calibrated by casadical, method {name}, from {problem.title} ({problem.origin})."
-            texts[folder / f"{name}.robot.toml"] = to_toml(with_knowledge(result), f"{origin}\n{result.verdict}")
+            robot = with_knowledge(result)
+            said = [words.text for words in _made_readings(problem) if words.text not in robot.notes]
+            noted = replace(robot, notes=(*robot.notes, *said))
+            texts[folder / f"{name}.robot.toml"] = to_toml(noted, f"{origin}\n{result.verdict}")
             if problem.urdf:
                 texts[folder / f"{name}.robot.urdf"] = problem.calibrated_urdf(result.robot)
             texts[folder / f"{name}.parameters.csv"] = result.parameters.to_csv(index=False)

@@ -1,15 +1,18 @@
 """The text of the exported header and source: templates filled with a program's tapes, box and limits."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from textwrap import wrap
 
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.export.c.chord import prepared_size, residual_size
 from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, Real, literal
 from casadical.export.c.emit import elementary_functions, filled, kernel, template
 from casadical.export.c.language import Label
-from casadical.export.c.products import Command
-from casadical.export.c.tape_program import TapeProgram, prepared_size
+from casadical.export.c.products import Command, Product
+from casadical.export.c.tape_program import TapeProgram
 
 SCHEMA = 1
 _METHODS = {
@@ -58,7 +61,7 @@ def _bound_values(values: dict[str, str]) -> dict[str, str]:
 
 
 _COMMAND_DEFINES = """
-/* Largest correction of a joint [rad], and its largest change in one call of @name@_step [rad] */
+/* Largest correction of a joint [rad or m], and its largest change in one call of @name@_step */
 #define @NAME@_DELTA_LIMIT @delta_decimal@
 #define @NAME@_CHANGE_LIMIT @change_decimal@
 """
@@ -97,7 +100,9 @@ def common_values(program: TapeProgram, label: Label) -> dict[str, str]:
         "bits": "binary32" if real == "float" else "binary64",
         "n": str(program.n),
         "steps": str(command.steps if command else 0),
-        "box": _box_text(program.product.lower, program.product.upper),
+        "box": _box_text(program.product),
+        "joint_units": joint_units(program.product),
+        "notes": _notes(command.notes) if command else "",
         "wider": " && ".join(f"(FLT_EVAL_METHOD != {m})" for m in _METHODS[real]),
         "MANT_DIG": "FLT_MANT_DIG" if real == "float" else "DBL_MANT_DIG",
         "mant_dig": "24" if real == "float" else "53",
@@ -160,6 +165,7 @@ def _command_values(command: Command, program: TapeProgram, real: Real) -> dict[
     }
     return {key: str(value) for key, value in integers.items()} | {
         "pose_text": pose,
+        "freedom": _freedom(command),
         "damping2": f"{command.limits.damping**2:.6g}",
         "cycle_s": repr(command.limits.cycle_s),
         "ramp_s": repr(command.limits.ramp_s),
@@ -176,16 +182,39 @@ def _command_values(command: Command, program: TapeProgram, real: Real) -> dict[
     }
 
 
+def _freedom(command: Command) -> str:
+    """What the joints cannot move, in words."""
+    moved, turned = command.freedom
+    words = [f"in {moved} of 3 directions"] if moved < 3 else []
+    if residual_size(command) == 6:
+        words += [f"turned in {turned} of 3 directions as near as can be, the position first"] if turned < 3 else []
+    return f",\n * {', '.join(words)}: the joints reach no more, and the status is of these" if words else ""
+
+
 def _decimal(value: float, real: Real) -> str:
     """A constant for the header, where C++ before 17 takes no hexadecimal one; read back it is the same number."""
     return repr(float(DTYPE[real](value))) + ("F" if real == "float" else "")
 
 
-def _box_text(lower: Array, upper: Array) -> str:
-    return "".join(
-        f" *   q[{i}]  {low:.9g} to {high:.9g}  ({np.rad2deg(low):.6g} to {np.rad2deg(high):.6g} deg)\n"
-        for i, (low, high) in enumerate(zip(lower, upper, strict=True))
-    )
+def joint_units(product: Product) -> str:
+    """Of the joints' readings, in words."""
+    linear = [f"q[{i}]" for i, unit in enumerate(product.units) if unit == "m"]
+    return f"radians, {', '.join(linear)} in metres" if linear else "radians"
+
+
+def _box_text(product: Product) -> str:
+    lines = []
+    for i, (low, high, unit) in enumerate(zip(product.lower, product.upper, product.units, strict=True)):
+        degrees = f"  ({np.rad2deg(low):.6g} to {np.rad2deg(high):.6g} deg)" if unit == "rad" else " m"
+        lines.append(f" *   q[{i}]  {low:.9g} to {high:.9g}{degrees}\n")
+    return "".join(lines)
+
+
+def _notes(notes: Sequence[str]) -> str:
+    """Sentences as lines of a comment, which they cannot end."""
+    safe = (note.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *") for note in notes)
+    lines = [line for note in safe for line in wrap(note, 110, initial_indent="  - ", subsequent_indent="    ")]
+    return "".join(f" *{line}\n" for line in (" Notes of the robot file:", *lines)) + " *\n" if notes else ""
 
 
 def box_share(n: int) -> float:

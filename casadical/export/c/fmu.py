@@ -91,16 +91,17 @@ def _description(program: TapeProgram, label: Label, digest: str) -> str:
     guid = f"{{{digest[:8]}-{digest[8:12]}-{digest[12:16]}-{digest[16:20]}-{digest[20:32]}}}"
     variables = [
         f'    <ScalarVariable name="q[{i + 1}]" valueReference="{i}" causality="input" variability="continuous" '
-        f'description="commanded joint angle"><Real unit="rad" start="{v!r}"/></ScalarVariable>'
-        for i, v in enumerate(_box_middle(program))
+        f'description="commanded joint reading"><Real unit="{unit}" start="{v!r}"/></ScalarVariable>'
+        for i, (v, unit) in enumerate(zip(_box_middle(program), program.product.units, strict=True))
     ]
-    out, unit, what = ("dq", "rad", "joint correction")
+    out, units, what = ("dq", program.product.units, "joint correction")
     if program.network is not None and command is None:
-        out, unit, what = program.network.out, program.network.unit, program.network.title
+        out, what = program.network.out, program.network.title
+        units = (program.network.unit,) * _output_count(program)
     variables += [
         f'    <ScalarVariable name="{out}[{i + 1}]" valueReference="{program.n + i}" causality="output" '
         f'variability="continuous" initial="calculated" description="{what}"><Real unit="{unit}"/></ScalarVariable>'
-        for i in range(_output_count(program))
+        for i, unit in enumerate(units)
     ]
     first = program.n + 1
     outputs = list(range(first, first + _output_count(program) + 1))

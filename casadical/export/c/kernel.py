@@ -26,6 +26,7 @@ class Shape:
     real: Real
     joints: int
     outputs: dict[str, int]
+    units: tuple[str, ...] = ()  # of the joints' readings, rad where there are none
 
 
 class Kernel:
@@ -49,7 +50,7 @@ class Kernel:
     0
     >>> dq, status = kernel.correct(poses.q[:3])
     >>> dq.shape, status
-    ((3, 2), array([5, 5, 5], dtype=int32))
+    ((3, 2), array([0, 0, 5], dtype=int32))
     >>> p, status = kernel.forward(poses.q[:3])
     >>> kernel.bound(poses.q[:3])  # of an export with a limit
     Traceback (most recent call last):
@@ -74,7 +75,7 @@ class Kernel:
         ----------
         function : str
             ``network``, ``curves``, ``forward``, ``correct`` or ``bound``, as the export has it
-        q : Array, shape (k, n) [rad]
+        q : Array, shape (k, n) [rad or m]
             joint readings, converted to the kernel's real type
 
         Returns
@@ -92,7 +93,9 @@ class Kernel:
             raise InputError(f"the export {shape.name!r} has no function {function!r}; it has {sorted(shape.outputs)}")
         table = np.ascontiguousarray(q, DTYPE[shape.real])
         if table.ndim != 2 or table.shape[1] != shape.joints:
-            raise InputError(f"joints have shape {table.shape}; expected (rows, {shape.joints}) in rad")
+            raise InputError(
+                f"joints have shape {table.shape}; expected (rows, {shape.joints}) in rad, or m of a linear joint"
+            )
         out = np.empty((len(table), shape.outputs[function]), table.dtype)
         status = np.empty(len(table), np.int32)
         call = getattr(self._library, f"{shape.name}_{function}_rows")
@@ -104,7 +107,7 @@ class Kernel:
 
         Parameters
         ----------
-        q : Array, shape (k, n) [rad]
+        q : Array, shape (k, n) [rad or m]
             joint readings
 
         Returns
@@ -129,13 +132,13 @@ class Kernel:
 
         Parameters
         ----------
-        q : Array, shape (k, n) [rad]
+        q : Array, shape (k, n) [rad or m]
             joint readings
 
         Returns
         -------
         tuple[Array, Array]
-            what each joint turns beyond its reading, shape (k, n) [rad], and status, shape (k,)
+            what each joint turns beyond its reading, shape (k, n) [rad or m], and status, shape (k,)
 
         Examples
         --------
@@ -154,7 +157,7 @@ class Kernel:
 
         Parameters
         ----------
-        q : Array, shape (k, n) [rad]
+        q : Array, shape (k, n) [rad or m]
             joint readings
 
         Returns
@@ -169,13 +172,13 @@ class Kernel:
 
         Parameters
         ----------
-        q : Array, shape (k, n) [rad]
+        q : Array, shape (k, n) [rad or m]
             joint readings
 
         Returns
         -------
         tuple[Array, Array]
-            corrections, shape (k, n) [rad], and status, shape (k,)
+            corrections, shape (k, n) [rad or m], and status, shape (k,)
         """
         return self.rows("correct", q)
 
@@ -184,7 +187,7 @@ class Kernel:
 
         Parameters
         ----------
-        q : Array, shape (k, n) [rad]
+        q : Array, shape (k, n) [rad or m]
             joint readings
 
         Returns
@@ -199,7 +202,7 @@ class Kernel:
 
         Parameters
         ----------
-        q : Array, shape (k, n) [rad]
+        q : Array, shape (k, n) [rad or m]
             joint readings of consecutive cycles
         enable : Array, shape (k,)
             whether the correction is on
@@ -207,7 +210,7 @@ class Kernel:
         Returns
         -------
         tuple[Array, Array]
-            corrections, shape (k, n) [rad], and status, shape (k,)
+            corrections, shape (k, n) [rad or m], and status, shape (k,)
         """
         table = np.ascontiguousarray(q, DTYPE[self.shape.real])
         on = np.ascontiguousarray(enable, np.uint32)
@@ -297,7 +300,8 @@ def load(export: str | Path, *, trust: bool = False) -> Kernel:
             "(trust=True), or export again from the robot file"
         )
     facts = manifest.kernel
-    shape = Shape(facts.name, facts.real, facts.joints, {str(key): size for key, size in facts.outputs.items()})
+    outputs = {str(key): size for key, size in facts.outputs.items()}
+    shape = Shape(facts.name, facts.real, facts.joints, outputs, tuple(facts.units))
     contents = {}
     for name in (f"{shape.name}.h", f"{shape.name}.c", f"{shape.name}_self_test.c"):
         blob = read_bytes(export / name) if (export / name).is_file() else b""

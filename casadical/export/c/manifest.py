@@ -1,9 +1,9 @@
 """The manifest of an export folder as it is read again, every entry checked."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from casadical.core.errors import InputError
 from casadical.core.files import read_bytes
@@ -19,7 +19,14 @@ class Facts(BaseModel):
     name: str = Field(pattern=NAME)
     real: Real
     joints: int = Field(ge=1, le=100)
+    units: list[Literal["rad", "m"]] = []
     outputs: dict[Literal["network", "curves", "forward", "correct", "bound"], Annotated[int, Field(ge=1, le=100)]]
+
+    @model_validator(mode="after")
+    def _of_each_joint(self) -> Self:
+        if self.units and len(self.units) != self.joints:
+            raise ValueError(f"{len(self.units)} units of {self.joints} joints")
+        return self
 
 
 class Manifest(BaseModel):

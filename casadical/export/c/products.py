@@ -17,11 +17,11 @@ class Limits:
     Parameters
     ----------
     delta_rad : float, default 0.15
-        of each joint's correction [rad]
+        of each joint's correction [rad, of a linear joint m]
     step_rad : float, default 0.1
-        of each of its least-squares steps [rad]
+        of each of its least-squares steps [rad or m]
     rate_rad_s : float, default 0.5
-        rate at which a correction may change [rad/s]
+        rate at which a correction may change [rad/s or m/s]
     cycle_s : float, default 0.004
         of the controller [s]
     ramp_s : float, default 1.0
@@ -82,10 +82,12 @@ class NetworkFunction:
     ----------
     function : Function
         q[n] [rad] -> dp[m] [mm]
-    lower : Array, shape (n,) [rad]
-        box of joint angles it was trained in
-    upper : Array, shape (n,) [rad]
+    lower : Array, shape (n,) [rad or m]
+        box of joint readings it was trained in
+    upper : Array, shape (n,) [rad or m]
         its other end
+    units : tuple[str, ...], optional
+        "rad" or "m" of each joint's reading; default: all rad
 
     Attributes
     ----------
@@ -115,6 +117,7 @@ class NetworkFunction:
     function: casadi.Function
     lower: Array
     upper: Array
+    units: tuple[str, ...] = ()
 
     key: ClassVar[str] = "network"
     out: ClassVar[str] = "dp_mm"
@@ -134,10 +137,12 @@ class CurveFunction(NetworkFunction):
     ----------
     function : Function
         q[n] [rad] -> dq[n] [rad]
-    lower : Array, shape (n,) [rad]
-        box of joint angles
-    upper : Array, shape (n,) [rad]
+    lower : Array, shape (n,) [rad or m]
+        box of joint readings
+    upper : Array, shape (n,) [rad or m]
         its other end
+    units : tuple[str, ...], optional
+        "rad" or "m" of each joint's reading; default: all rad
 
     Raises
     ------
@@ -175,9 +180,9 @@ class Command:
     calibrated : Function
         q[n] -> p[3] [m], or q[n] -> (p[3], R[3x3]) for position and orientation; the calibrated one is the whole
         model of the real robot (loop, compliance, network)
-    lower : Array, shape (n,) [rad]
-        box of joint angles in which the model was identified
-    upper : Array, shape (n,) [rad]
+    lower : Array, shape (n,) [rad or m]
+        box of joint readings that are corrected; of `command_of` the robot's limits, not the range that was measured
+    upper : Array, shape (n,) [rad or m]
         its other end
     jacobian_of : Function, optional
         robot whose Jacobian the chord steps take, a function like ``calibrated``; None: that one. The chain without
@@ -197,6 +202,13 @@ class Command:
         q[n] -> b[1] [mm], below which 95 % of the errors of the calibrated robot are; None: not known
     limit_mm : float, optional
         the greatest bound, with what the steps may leave, at which a correction is OK [mm]; None: any
+    units : tuple[str, ...], optional
+        "rad" or "m" of each joint's reading; default: all rad
+    freedom : tuple[int, int], default (3, 3)
+        in how many directions the joints move the tool, and in how many they turn it beside that. Fewer than six of a
+        pose: the position goes first, and of the orientation the joints do what they can
+    notes : tuple[str, ...], default ()
+        sentences for the reader of the header
 
     Raises
     ------
@@ -222,6 +234,9 @@ class Command:
     length_m: float = 0.3
     bound: casadi.Function | None = None
     limit_mm: float | None = None
+    units: tuple[str, ...] = ()
+    freedom: tuple[int, int] = (3, 3)
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         _checked_box(self)
@@ -249,9 +264,13 @@ def _checked_box(product: Any) -> None:
     if lower.shape != upper.shape or len(lower) == 0:
         raise InputError(f"the box has {len(lower)} lower and {len(upper)} upper bounds; give one of each per joint")
     if not (np.isfinite(lower) & np.isfinite(upper) & (lower < upper) & (abs(lower) < 100) & (abs(upper) < 100)).all():
-        raise InputError(f"the box {lower} to {upper} [rad] must be finite, below 100 rad, and not empty")
+        raise InputError(f"the box {lower} to {upper} must be finite, below 100 rad or m, and not empty")
+    units = product.units or ("rad",) * len(lower)
+    if len(units) != len(lower) or set(units) - {"rad", "m"}:
+        raise InputError(f"units {units}; give rad or m for each of the {len(lower)} joints")
     object.__setattr__(product, "lower", lower)
     object.__setattr__(product, "upper", upper)
+    object.__setattr__(product, "units", units)
 
 
 def _checked_limit(command: Command) -> None:
@@ -277,7 +296,7 @@ def _checked_signature(function: casadi.Function, n: int, sizes: tuple[int, ...]
 
 
 def mapped(function: casadi.Function, q: Array) -> Array:
-    """A function's outputs, matrices column by column, in a row for each row of q, shape (k, n) [rad]."""
+    """A function's outputs, matrices column by column, in a row for each row of q, shape (k, n)."""
     out = function.map(len(q)).call([casadi.DM(q.T)])
     columns = [np.array(o).reshape(o.shape[0], -1, len(q), order="F") for o in out]
     return np.hstack([c.transpose(2, 1, 0).reshape(len(q), -1) for c in columns])

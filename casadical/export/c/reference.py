@@ -11,10 +11,11 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.export.c.c_source import CommandNumbers, box_share, boxes, command_numbers
+from casadical.export.c.chord import prepared_size
 from casadical.export.c.coefficients import DTYPE
 from casadical.export.c.numpy_evaluation import run
 from casadical.export.c.products import Command
-from casadical.export.c.tape_program import TapeProgram, prepared_size
+from casadical.export.c.tape_program import TapeProgram
 
 
 class Status(IntEnum):

@@ -7,7 +7,8 @@ operation is that of the C, so that the results are the same bits.
 import textwrap
 from collections.abc import Iterable
 
-from casadical.export.c.c_source import box_share, boxes, command_numbers
+from casadical.export.c.c_source import box_share, boxes, command_numbers, joint_units
+from casadical.export.c.chord import prepared_size
 from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, Real, turn_parts
 from casadical.export.c.emit import constants, filled, template
 from casadical.export.c.language import Label, Language
@@ -16,7 +17,7 @@ from casadical.export.c.products import Command
 from casadical.export.c.reference import correct, network
 from casadical.export.c.runs import WIDTH, Plan, plan_of
 from casadical.export.c.self_test import self_test_inputs
-from casadical.export.c.tape_program import TapeProgram, operations, prepared_size
+from casadical.export.c.tape_program import TapeProgram, operations
 
 _ROWS = (0, 9, 10, 25)  # of the C's self-test: the middle, two random points, one outside the box
 _PAIR = "x := v[first[k]];\nv[k] := SEL({}, {}, {});"
@@ -98,6 +99,7 @@ def _common(program: TapeProgram, plan: Plan, label: Label) -> dict[str, str]:
         "index": "INT" if plan.size < 2**15 else "DINT",
         "model_sha256": label.model_sha256,
         "data_sha256": label.data_sha256,
+        "joint_units": joint_units(program.product),
         "cost": textwrap.fill(operations(program).text(), 116, initial_indent="   ", subsequent_indent="   "),
         "n": str(program.n),
         "last": str(program.n - 1),

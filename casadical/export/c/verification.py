@@ -38,7 +38,7 @@ def shape_of(program: TapeProgram, name: str) -> Shape:
     if program.command is not None:
         sizes |= {"forward": len(program.tapes["forward"].outputs), "correct": program.n}
         sizes |= {"bound": 1} if "bound" in program.tapes else {}
-    return Shape(name, program.real, program.n, sizes)
+    return Shape(name, program.real, program.n, sizes, program.product.units)
 
 
 def compared(

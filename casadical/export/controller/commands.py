@@ -21,7 +21,7 @@ from casadical.effects import Effect
 from casadical.effects.counterparts import Omission
 from casadical.export.c.products import Command, CurveFunction, Limits, NetworkFunction, mapped
 from casadical.export.controller.curves import joint_curves, pose_of, without_curves
-from casadical.export.controller.inverse import SINGULAR_POSE
+from casadical.export.controller.inverse import SINGULAR_POSE, freedom_of
 from casadical.export.omission import left_out
 from casadical.robot.axes import row_matrix
 from casadical.robot.error_bound import bound_function
@@ -30,7 +30,6 @@ from casadical.robot.robot_file import read_robot
 
 Tool = Literal["shared", "own"]
 
-POSE_JOINTS = 6  # an arm with fewer cannot reach every orientation
 SAME_ROBOT = 0.1  # m between nominal and calibrated tool, median: above it the files are not of one robot
 
 
@@ -84,9 +83,10 @@ def command_of(
     """The correction that moves the real tool to the position of the nominal robot's, in the robot's own base frame.
 
     The nominal robot is rigid and without effects, as a controller computes. The box is the calibrated robot's joint
-    limits [rad], within the angles that the compensator's training saw.
+    limits [rad or m], within the readings that the compensator's training saw; the measured poses may cover less of it.
 
-    Without it the joints change by the least that reaches the position.
+    Joints change by the least that is needed; a metre of a linear joint counts as a radian of the others. What the
+    joints cannot move (`freedom_of`) is left.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def command_of(
         least-squares steps, 1 to 10
     orientation : bool, default False
         whether the tool's orientation is to be reached as well, by the least change of the joints; fewer than six
-        joints reach the position only
+        joints reach the position, and of the orientation what they can beside it
     limit_mm : float, optional
         as of `Command`; the bound is that of the robot file (see `bound_of`)
 
@@ -117,7 +117,8 @@ def command_of(
     array([-3.14, -3.14])
     """
     real, nominal, turn = own_robots(sources)
-    orientation = orientation and real.n >= POSE_JOINTS
+    freedom = freedom_of(nominal)
+    orientation = orientation and freedom[1] > 0
     network = _network(sources, real.n)
     lower, upper = np.array([(j.lower, j.upper) for j in real.joints]).T
     if network is not None:
@@ -134,6 +135,9 @@ def command_of(
         limit_mm=limit_mm,
         limits=Limits(singular_m_per_rad=SINGULAR_POSE) if orientation else Limits(),
         steps=steps,
+        units=units_of(real),
+        freedom=freedom,
+        notes=real.notes,
     )
     _refuse_far_apart(command, sources)
     return command
@@ -201,13 +205,14 @@ def network_of(sources: Sources) -> NetworkFunction:
     """
     if sources.compensator is None:
         raise InputError("a network needs its file: give --compensator NET.json, as calibrate --out wrote it")
-    network = _network(sources, robot_of(sources.robot).n)
+    robot = robot_of(sources.robot)
+    network = _network(sources, robot.n)
     if network is None:
         raise InputError(
             f"{_word(sources.compensator)}: this network does not help and was refused when it was trained; there is "
             "nothing to export"
         )
-    return network
+    return replace(network, units=units_of(robot))
 
 
 def curves_of(sources: Sources) -> CurveFunction:
@@ -247,7 +252,7 @@ def curves_of(sources: Sources) -> CurveFunction:
         )
     q = ca.SX.sym("q", robot.n)
     lower, upper = np.array([(j.lower, j.upper) for j in robot.joints]).T
-    return CurveFunction(ca.Function("curves", [q], [curves(q)], ["q"], ["dq"]), lower, upper)
+    return CurveFunction(ca.Function("curves", [q], [curves(q)], ["q"], ["dq"]), lower, upper, units_of(robot))
 
 
 def in_own_frame(robot: Robot, nominal: Robot) -> tuple[Robot, Array]:
@@ -268,6 +273,11 @@ def in_own_frame(robot: Robot, nominal: Robot) -> tuple[Robot, Array]:
         robot, joints=joints, base=Placement(np.eye(4)), gravity=gravity, gravity_frame="base", knowledge=None
     )
     return own, turn
+
+
+def units_of(robot: Robot) -> tuple[str, ...]:
+    """Of each joint's reading, rad or m."""
+    return tuple("rad" if j.kind == "revolute" else "m" for j in robot.joints)
 
 
 def robot_of(source: Path | Robot) -> Robot:
@@ -324,11 +334,14 @@ def _compliant(robot: Robot) -> bool:
 
 
 def _refuse_other_robot(real: Robot, nominal: Robot, sources: Sources) -> None:
-    for robot, path in ((real, _word(sources.robot)), (nominal, _word(sources.nominal))):
-        slides = [i for i, j in enumerate(robot.joints, 1) if j.kind != "revolute"]
-        if slides:
-            raise InputError(f"{path}: joint {slides[0]} is prismatic; only arms of revolute joints can be exported")
     loops = [[(loop.driven, loop.carrier) for loop in robot.loops] for robot in (real, nominal)]
+    for i, (a, b) in enumerate(zip(units_of(real), units_of(nominal), strict=False), 1):
+        if a != b:
+            kinds = {"rad": "revolute", "m": "prismatic"}
+            raise InputError(
+                f"{_word(sources.nominal)}: joint {i} is {kinds[b]}, in {_word(sources.robot)} {kinds[a]}: both files "
+                "must be of one robot"
+            )
     if real.n != nominal.n or loops[0] != loops[1]:
         raise InputError(
             f"{_word(sources.nominal)}: {nominal.n} joints, {len(nominal.loops)} four-bars; {_word(sources.robot)} has "
@@ -368,7 +381,7 @@ def _network(sources: Sources, joints: int) -> NetworkFunction | None:
 def tool_function(
     robot: Robot, name: str, orientation: bool, turn: Array | None = None, network: NetworkFunction | None = None
 ) -> ca.Function:
-    """NAME:(q[n])->(p[3] m) or (p[3] m, R[3x3]).
+    """NAME:(q[n] rad or m)->(p[3] m) or (p[3] m, R[3x3]).
 
     turn : rotation from the measuring frame, in which the network learned, into the robot's, shape (3, 3); None: none
     """
@@ -380,7 +393,7 @@ def tool_function(
 
 
 def _bent(robot: Robot) -> ca.Function:
-    """bent:(q[n])->(joints with their deflections [rad])."""
+    """bent:(q[n])->(joints with their deflections [rad or m])."""
     q = ca.SX.sym("q", robot.n)
     soft = ca.DM([j.compliance or 0.0 for j in robot.joints])
     return ca.Function("bent", [q], [q + soft * robot.torque(q, ca.DM(robot.parameters.values))], ["q"], ["bent"])

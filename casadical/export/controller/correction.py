@@ -45,7 +45,7 @@ class Corrector:
     joints : int
         number of joints
     correct : Callable[[Array], tuple[Array, Array]]
-        q, shape (k, joints) [rad] -> corrections [rad] of the same shape, and status, shape (k,)
+        q, shape (k, joints) [rad or m] -> corrections of the same shape, and status, shape (k,)
     position : Callable[[Array], Array]
         q -> calibrated tool positions [m], shape (k, 3)
     target : Callable[[Array], Array], optional
@@ -54,6 +54,8 @@ class Corrector:
         q -> below it 95 % of the errors are that remain [mm], shape (k,); None where it is not known
     instead : Corrector, optional
         of the position alone, for targets whose pose cannot be corrected; None: they are refused
+    units : tuple[str, ...], default ()
+        "rad" or "m" of each joint's reading; none: all rad
 
     Examples
     --------
@@ -69,6 +71,7 @@ class Corrector:
     target: Callable[[Array], Array] | None = None
     bound: Callable[[Array], Array] | None = None
     instead: "Corrector | None" = None
+    units: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +82,7 @@ class Corrected:
     ----------
     program : Program
         as it was read
-    q : Array, shape (rows, joints) [rad]
+    q : Array, shape (rows, joints) [rad or m]
         corrected targets; refused rows keep theirs
     status : tuple[str, ...]
         name of each row's status
@@ -98,7 +101,7 @@ class Corrected:
     >>> corrector = casadical.export.model_corrector(command)
     >>> done = casadical.export.corrected(corrector, casadical.export.read_program("program.csv", 2))
     >>> done.fine, done.to_csv().splitlines()[0]
-    (array([False, False]), 'q1_deg,q2_deg,speed,correction_status')
+    (array([False,  True]), 'q1_deg,q2_deg,speed,correction_status')
     >>> done.to_json()["rows"], len(done.report()) > 0
     (2, True)
     """
@@ -204,7 +207,10 @@ def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
     def bound(q: Array) -> Array:
         return np.asarray(kernel.bound(q)[0], dtype=float)[:, 0]
 
-    return Corrector(kernel.shape.joints, correct, position, bound=bound if "bound" in kernel.shape.outputs else None)
+    shape = kernel.shape
+    return Corrector(
+        shape.joints, correct, position, bound=bound if "bound" in shape.outputs else None, units=shape.units
+    )
 
 
 def model_corrector(command: Command, instead: Corrector | None = None) -> Corrector:
@@ -228,7 +234,7 @@ def model_corrector(command: Command, instead: Corrector | None = None) -> Corre
     >>> corrector = casadical.export.model_corrector(command)
     >>> dq, status = corrector.correct(poses.q[:3])
     >>> dq.shape, status
-    ((3, 2), array([5, 5, 5]))
+    ((3, 2), array([0, 0, 5]))
     """
     made = tape_program(command, "double")
     return Corrector(
@@ -238,6 +244,7 @@ def model_corrector(command: Command, instead: Corrector | None = None) -> Corre
         lambda q: mapped(command.nominal, q)[:, :3],
         (lambda q: reference_bound(made, q)[0][:, 0]) if command.bound else None,
         instead,
+        command.units,
     )
 
 
@@ -263,7 +270,7 @@ def corrected(corrector: Corrector, program: Program) -> Corrected:
     >>> command = casadical.export.command_of(casadical.export.Sources(found.robot, robot))
     >>> corrector = casadical.export.model_corrector(command)
     >>> casadical.export.corrected(corrector, casadical.export.read_program("program.csv", 2)).status
-    ('SINGULAR', 'SINGULAR')
+    ('SINGULAR', 'OK')
     """
     q, names = corrected_joints(corrector, program.q)
     before, after = corrector.position(program.q), corrector.position(q)
@@ -277,7 +284,7 @@ def corrected(corrector: Corrector, program: Program) -> Corrected:
 
 
 def corrected_joints(corrector: Corrector, q: Array) -> tuple[Array, tuple[str, ...]]:
-    """Corrected joints, shape (k, n) [rad], and the names of the statuses; joints without one of `FINE` stay."""
+    """Corrected joints, shape (k, n) [rad or m], and the names of the statuses; joints without one of `FINE` stay."""
     dq, status = corrector.correct(q)
     names = [Status(int(s)).name for s in status]
     beyond = corrector.correct(q + dq)[1] == Status.CLAMPED
@@ -317,15 +324,16 @@ def _moved(result: Corrected) -> list[str]:
     fine = result.fine
     if not fine.any():
         return ["nothing moved"]
-    change = np.rad2deg(abs(result.q - result.program.q))[fine]
+    change = abs(result.q - result.program.q)[fine]
     lines = [f"{'moved by':<22}{'mean':>10}{'max':>10}"]
-    for i, column in enumerate(change.T, 1):
-        lines.append(f"  {f'joint {i} [deg]':<20}{column.mean():>10.4f}{column.max():>10.4f}")
+    for i, (column, unit) in enumerate(zip(change.T, result.program.units, strict=True), 1):
+        word, factor = ("mm", 1e3) if unit in ("_mm", "_m") else ("deg", 180 / np.pi)
+        lines.append(f"  {f'joint {i} [{word}]':<20}{factor * column.mean():>10.4f}{factor * column.max():>10.4f}")
     lines.append(f"  {'tool [mm]':<20}{result.moved_mm[fine].mean():>10.4f}{result.moved_mm[fine].max():>10.4f}")
     if result.rest_mm is not None:
         lines.append("distance of the tool from its nominal position, by the model")
-        for label, unit, column in zip(("before [mm]", "after [um]"), (1, 1e3), result.rest_mm[fine].T, strict=True):
-            lines.append(f"  {label:<20}{unit * column.mean():>10.4f}{unit * column.max():>10.4f}")
+        for label, scale, column in zip(("before [mm]", "after [um]"), (1, 1e3), result.rest_mm[fine].T, strict=True):
+            lines.append(f"  {label:<20}{scale * column.mean():>10.4f}{scale * column.max():>10.4f}")
     if result.bound_mm is not None:
         bound = result.bound_mm[fine]
         lines.append("95 % of the errors that remain are below, by what was measured (where the tool is alike)")

@@ -101,6 +101,24 @@ def inverse_kinematics(robot: Robot, p: Array, R: Array | None, start: Array) ->
     return solved(ca.Function("pose", [q], pose_of(robot, q)), p, R, start, limits_of(robot))
 
 
+def freedom_of(robot: Robot) -> tuple[int, int]:
+    """In how many directions the joints move the tool, and in how many they turn it beside that: 3 and 3 of most arms.
+
+    A direction counts where the joints move the tool in it by more than a singular pose's, somewhere in their ranges.
+    """
+    q, (lower, upper) = ca.SX.sym("q", robot.n), limits_of(robot)
+    poses = np.random.default_rng(0).uniform(lower, upper, (50, robot.n))
+    function = _residual_and_jacobian(ca.Function("pose", [q], pose_of(robot, q)), robot.n, True)
+    J = np.nan_to_num(_evaluated(function, poses, np.zeros((len(poses), 12)))[1])
+    moved, both = (int((_strengths(part) > SINGULAR_POSE).sum()) for part in (J[:, :3], J))
+    return moved, both - moved
+
+
+def _strengths(J: Array) -> Array:
+    """The greatest singular values of all poses, J : (k, m, n)."""
+    return np.asarray(np.linalg.svd(J, compute_uv=False).max(axis=0))
+
+
 def limits_of(robot: Robot) -> tuple[Array, Array]:
     """Lower and upper ends of the joints' ranges, each shape (n,) [rad or m]."""
     lower, upper = np.array([(j.lower, j.upper) for j in robot.joints]).T

@@ -15,8 +15,9 @@ from casadical.measurements.raw_table import read_table
 
 STATUS, BOUND = "correction_status", "correction_bound_mm"
 
-_TO_RAD = {"_deg": np.pi / 180, "_rad": 1.0}
-_DIGITS = {"_deg": 7, "_rad": 9}  # decimals: some nanometres at the tool
+_TO_SI = {"rad": {"_deg": np.pi / 180, "_rad": 1.0}, "m": {"_mm": 1e-3, "_m": 1.0}}
+_FACTOR = {unit: factor for units in _TO_SI.values() for unit, factor in units.items()}
+_DIGITS = {"_deg": 7, "_rad": 9, "_mm": 6, "_m": 9}  # decimals: some nanometres at the tool
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,7 @@ class Program:
     columns : tuple[int, ...]
         indices of the joints' columns
     units : tuple[str, ...]
-        "_deg" or "_rad" of each
+        "_deg" or "_rad" of each, "_mm" or "_m" of a linear joint
 
     Examples
     --------
@@ -86,13 +87,13 @@ class Program:
             cells = list(row)
             for i, (column, unit) in enumerate(zip(self.columns, self.units, strict=True)):
                 if moved[k]:
-                    cells[column] = f"{q[k, i] / _TO_RAD[unit]:.{_DIGITS[unit]}f}"
+                    cells[column] = f"{q[k, i] / _FACTOR[unit]:.{_DIGITS[unit]}f}"
             bound = [] if bound_mm is None else [f"{bound_mm[k]:.4f}" if moved[k] else ""]
             writer.writerow([*cells, status[k], *bound])
         return out.getvalue()
 
 
-def read_program(path: str | Path, joints: int) -> Program:
+def read_program(path: str | Path, joints: int, units: Sequence[str] = ()) -> Program:
     r"""Joint targets q1_deg .. (or q1_rad ..) from a CSV file with commas and a header.
 
     Parameters
@@ -101,6 +102,8 @@ def read_program(path: str | Path, joints: int) -> Program:
         CSV file with commas and a header
     joints : int
         number of joints
+    units : Sequence[str], default ()
+        "rad" or "m" of each joint's reading: of a linear joint the column is q1_mm or q1_m; default: all rad
 
     Returns
     -------
@@ -134,7 +137,8 @@ def read_program(path: str | Path, joints: int) -> Program:
     if extra := [name for name in header if name.startswith(f"q{joints + 1}_")]:
         raise InputError(f"{path}: column {extra[0]!r}: this robot has only {joints} joints")
     columns, names = Columns.of_file(table), [f"q{i}" for i in range(1, joints + 1)]
-    q = np.stack([columns.si(name, tuple(_TO_RAD)) for name in names], axis=1)
-    units = tuple(next(u for u in _TO_RAD if f"{name}{u}" in header) for name in names)
-    places = tuple(header.index(f"{name}{u}") for name, u in zip(names, units, strict=True))
-    return Program(str(path), q, header, rows, line, places, units)
+    allowed = [tuple(_TO_SI[unit]) for unit in units or ("rad",) * joints]
+    q = np.stack([columns.si(name, fit) for name, fit in zip(names, allowed, strict=True)], axis=1)
+    used = tuple(next(u for u in fit if f"{name}{u}" in header) for name, fit in zip(names, allowed, strict=True))
+    places = tuple(header.index(f"{name}{u}") for name, u in zip(names, used, strict=True))
+    return Program(str(path), q, header, rows, line, places, used)

@@ -45,8 +45,8 @@ class Postures:
     @cached_property
     def why_not(self) -> str:
         """Why this robot has no postures; empty if it has."""
-        if self.nominal.n != 6:
-            return f"a configuration is defined for six joints; this robot has {self.nominal.n}"
+        if self.nominal.n != 6 or len(self.nominal.revolute) != 6:
+            return f"a configuration is defined for six turning joints; this robot has {len(self.nominal.revolute)}"
         q = np.random.default_rng(0).uniform(*self._box, (20, 6))
         off = self._signs.map(len(q))(q.T).full()[3]
         if np.nanmax(off) > SPHERICAL:
@@ -82,10 +82,18 @@ class Postures:
 
     @cached_property
     def _box(self) -> tuple[Array, Array]:
-        """One turn of each joint within its range."""
+        """One turn of each joint within its range, all of a linear joint's."""
         lower, upper = limits_of(self.nominal)
         middle = np.clip(0.0, lower, upper)
-        return np.maximum(lower, middle - np.pi), np.minimum(upper, middle + np.pi)
+        return (
+            np.where(self._turns, np.maximum(lower, middle - np.pi), lower),
+            np.where(self._turns, np.minimum(upper, middle + np.pi), upper),
+        )
+
+    @property
+    def _turns(self) -> Array:
+        """Which joints turn, boolean, shape (n,)."""
+        return np.array([j.kind == "revolute" for j in self.nominal.joints])
 
     @cached_property
     def _samples(self) -> tuple[Array, Array, Array]:
@@ -137,7 +145,9 @@ class Postures:
         lower, upper = limits_of(self.nominal)
         most, least = np.floor((upper - found + 1e-9) / _TURN), np.ceil((lower - found - 1e-9) / _TURN)
         turned = found + _TURN * np.clip(np.round((near - found) / _TURN), least, most)
-        return [q for q, fits in zip(turned, np.all(least <= most, axis=1).tolist(), strict=True) if fits]
+        inside = (lower - 1e-9 <= found) & (found <= upper + 1e-9)
+        turned, fits = np.where(self._turns, turned, found), np.where(self._turns, least <= most, inside)
+        return [q for q, fine in zip(turned, np.all(fits, axis=1).tolist(), strict=True) if fine]
 
     def _turned(self, q: Array, turns: Turns, wanted: tuple[int, ...] | None) -> list[Array]:
         """The same arm with whole turns added to joints, in their ranges, where the turns are the wanted ones."""

@@ -12,6 +12,7 @@ import pytest
 from casadical.export import Command
 from casadical.export.c.c_language import _cross_check
 from casadical.export.c.c_source import command_numbers
+from casadical.export.c.chord import residual_size
 from casadical.export.c.intervals import bounds
 from casadical.export.c.manifest import Facts
 from casadical.export.c.numpy_evaluation import NumpyFunctions
@@ -19,7 +20,7 @@ from casadical.export.c.periodic_table import spline_errors, spline_table
 from casadical.export.c.products import Limits
 from casadical.export.c.structured_text import _tables
 from casadical.export.c.tape import Node, Tape, tape_of
-from casadical.export.c.tape_program import operations, residual_size, tape_program
+from casadical.export.c.tape_program import operations, tape_program
 from casadical.export.c.toolchain import compilers
 from casadical.export.c.verification import accuracy
 

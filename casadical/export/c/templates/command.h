@@ -1,19 +1,19 @@
 /* What a caller of @name@_step keeps between two cycles. Start from all zeros. */
 typedef struct
 {
-    @name@_real dq[@NAME@_JOINTS];   /* correction given in the last cycle [rad] */
+    @name@_real dq[@NAME@_JOINTS];   /* correction given in the last cycle [rad or m] */
     @name@_real gain;    /* 0: off, 1: all of the correction */
 } @name@_state;
 
 /*
- * Where the calibrated robot is at the joints q [rad]: @pose_text@.
+ * Where the calibrated robot is at the joints q: @pose_text@.
  * CLAMPED here means further than @NAME@_DELTA_LIMIT outside the box, so that q + dq can be asked.
  * Zeros and NOT_FINITE for an input that is not finite.
  */
 @name@_status @name@_forward(const @name@_real q[@NAME@_JOINTS], @name@_real p[@n_p@]);
 
 /*
- * The joint correction dq [rad]: sent q + dq, the real tool is where the nominal model has it at q.
+ * The joint correction dq, in the units of q: sent q + dq, the real tool is where the nominal model has it at q@freedom@.
  * @steps@ least-squares steps with the Jacobian at q, damped by lambda^2 = @damping2@ m^2/rad^2. Then the model is looked
  * at again: the status says what is left, and a further step is taken where the last one left a third or less.
  * |dq[i]| never exceeds @NAME@_DELTA_LIMIT. Zeros and NOT_FINITE for an input that is not finite.

@@ -8,7 +8,7 @@
 int main(void)
 {
     const @name@_facts *const facts = @name@_info();
-    const @name@_real q[@NAME@_JOINTS] = { @centre@ }; /* rad: the middle of the box */
+    const @name@_real q[@NAME@_JOINTS] = { @centre@ }; /* the middle of the box */
     @name@_status status = @name@_self_test();
     uint32_t i;
 

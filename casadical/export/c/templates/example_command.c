@@ -10,7 +10,7 @@
         (void)printf("correction after %u cycles, status %d:", (unsigned int)cycle, (int)status);
         for (i = 0U; i < @NAME@_JOINTS; i++)
         {
-            (void)printf(" %.9g rad", (double)dq[i]);
+            (void)printf(" %.9g", (double)dq[i]);
         }
         (void)printf("\n");
     }

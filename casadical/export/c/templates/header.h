@@ -14,9 +14,11 @@
  * the compiler neither reorders (-ffast-math) nor contracts to fused multiply-adds. Call @name@_self_test() once
  * at start: it recomputes known answers, bit for bit, and notices such a build.
  *
- * Joint angles are in radians, in the order of the model. Box in which the model was identified [rad]:
+ * Joint readings are those of the model, in its order, in @joint_units@. Box of readings that are accepted; from
+ * `casadical export c` these are the joint limits of the robot file (and where the network was trained), which may be
+ * wider than what was measured:
 @box@ *
- * Status: when several apply, the highest number is returned.
+@notes@ * Status: when several apply, the highest number is returned.
  *   OK             the result is what the model says
  *   CLAMPED        a joint is outside the box; the result is the one of the nearest point of the box
 @command_statuses@ *   NOT_FINITE     an input is NaN or infinite, or the model has no real value there@not_finite_output@

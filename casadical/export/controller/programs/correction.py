@@ -18,7 +18,7 @@ from casadical.core.errors import InputError
 from casadical.core.parts import Placement
 from casadical.core.transforms import frame
 from casadical.export.c.reference import Status
-from casadical.export.controller.commands import Sources, command_of, own_robots, robot_of, tool_function
+from casadical.export.controller.commands import Sources, command_of, own_robots, robot_of, tool_function, units_of
 from casadical.export.controller.correction import FINE, LEAVES_BOX, Corrector, corrected_joints, model_corrector
 from casadical.export.controller.inverse import limits_of, solved
 from casadical.export.controller.postures import Postures
@@ -64,9 +64,11 @@ class Cell:
     _made: dict[bytes, Tooled] = field(default_factory=dict, repr=False)
 
     @property
-    def joints(self) -> int:
-        """Number of joints."""
-        return self.folder.joints if self.sources is None and self.folder else robot_of(self._files.robot).n
+    def units(self) -> tuple[str, ...]:
+        """Of each joint's reading, rad or m."""
+        if self.sources is None and self.folder:
+            return self.folder.units or ("rad",) * self.folder.joints
+        return units_of(robot_of(self._files.robot))
 
     @property
     def _files(self) -> Sources:
@@ -121,7 +123,7 @@ class Result:
     moved_mm : how far the real tool is moved; off_mm, off_deg : how far the real tool is from the nominal one's
         position and orientation, before and after, with the numbers as they are written; None: not known
     bound_mm : below it 95 % of the errors are that remain in position; None: not known
-    q : joints of the target, before and after [rad], each shape (n,); None: not known
+    q : joints of the target, before and after [rad or m], each shape (n,); None: not known
     """
 
     target: Target
@@ -170,7 +172,7 @@ def _key(target: Target) -> bytes:
 
 
 def _joints(target: Target, cell: Cell, language: ProgramLanguage, before: Array | None) -> Array | Result:
-    """Joints [rad] of a target, shape (n,), or the result that says why there are none."""
+    """Joints [rad or m] of a target, shape (n,), or the result that says why there are none."""
     if target.left:
         return Result(target, LEFT, target.left)
     if target.joints:

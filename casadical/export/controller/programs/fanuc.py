@@ -58,7 +58,7 @@ class Fanuc(ProgramLanguage):
         for k in heads:
             line = line_of(text, _place(tokens[k]))
             if _place(tokens[k]) in read:
-                targets.append(_target(source, line, read[_place(tokens[k])], joints))
+                targets.append(_target(source, line, read[_place(tokens[k])], given.joint_units(joints)))
             else:
                 targets.append((Target(line, f"P[{tokens[k + 2]}]", False, (), left="cannot be read"), ("?", "?")))
         steps = {number: line_of(text, m.start()) for m in _INCREMENT.finditer(text) for number in [m[1]]}
@@ -107,7 +107,10 @@ def _frame(pick: str, known: dict[str, Array]) -> Array | None:
     return known[pick] if pick in known else np.eye(4) if pick == "0" else known.get("")
 
 
-def _target(source: str, line: int, position: Tree[Token], joints: int) -> tuple[Target, tuple[str, str]]:
+def _target(
+    source: str, line: int, position: Tree[Token], axis_units: tuple[float, ...]
+) -> tuple[Target, tuple[str, str]]:
+    joints = len(axis_units)
     name = f"P[{words(position, 'NUMBER')[0]}]"
     group = parts(position, "group")[0]
     items = {str(i.children[0]): i for i in parts(group, "item")}
@@ -120,7 +123,8 @@ def _target(source: str, line: int, position: Tree[Token], joints: int) -> tuple
     if not all(isinstance(t, Token) and t.type == "NUMBER" for t in tokens):
         return Target(line, name, "J1" in items, (), left="has a coordinate without a number"), frames
     units = {"mm": MM, "deg": DEG}
-    wanted = ("deg",) * joints if "J1" in items else ("mm",) * 3 + ("deg",) * 3
+    own = tuple("mm" if unit == MM else "deg" for unit in axis_units)
+    wanted = own if "J1" in items else ("mm",) * 3 + ("deg",) * 3
     for key, unit in zip(keys, wanted, strict=True):
         said = str(items[key].children[-1]).lower()
         if said != unit:

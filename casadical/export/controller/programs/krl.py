@@ -51,7 +51,10 @@ class Krl(ProgramLanguage):
         elsewhere = {name: file for file, module in zip(given.texts, others, strict=True) for name in module.assigned}
         frames = _Frames(self, source, [own, *others], given)
         used = {name for module in (own, *others) for name in module.moves}
-        targets = [(t, name, elsewhere.get(name.partition("[")[0])) for t, name in own.targets(source, joints, used)]
+        targets = [
+            (t, name, elsewhere.get(name.partition("[")[0]))
+            for t, name in own.targets(source, given.joint_units(joints), used)
+        ]
         return [
             frames.placed(t if file is None else t.leave(f"{file} gives it another value"), name)
             for t, name, file in targets
@@ -93,7 +96,7 @@ class _Module:
         made = [(a.children[0], a.children[1]) for island in self.islands for a in parts(island, "assign")]
         return [(_name(left), left, right) for left, right in made]  # type: ignore[arg-type, misc]
 
-    def targets(self, source: str, joints: int, used: set[str]) -> list[tuple[Target, str]]:
+    def targets(self, source: str, units: tuple[float, ...], used: set[str]) -> list[tuple[Target, str]]:
         """Each target and the name of its variable, empty for one inside of a motion."""
         here = [(_name(left), left, right) for _, left, right in self.assignments()]
         listed = [(r.meta.start_pos, n, r, "") for n, _, r in here if _is_target(n, r, used)]
@@ -104,7 +107,7 @@ class _Module:
                 listed += [(a.meta.start_pos, "", a, why) for a in parts(move, "aggregate")]
         targets = []
         for _, name, aggregate, why in sorted(listed, key=lambda entry: entry[0]):
-            target = _target(source, name, aggregate, joints).leave(why)
+            target = _target(source, name, aggregate, units).leave(why)
             lines = self.assigned.get(name.partition("[")[0], []) if "[" not in name else []
             if len(lines) > 1:
                 target = target.leave(f"line {lines[1]} gives it another value")
@@ -196,11 +199,12 @@ def _is_target(name: str, right: Tree[Token], used: set[str]) -> bool:
     return "A1" in values or (posed and ("S" in values or name in used)) or (name in used and bool(values))
 
 
-def _target(source: str, name: str, aggregate: Tree[Token], joints: int) -> Target:
+def _target(source: str, name: str, aggregate: Tree[Token], units: tuple[float, ...]) -> Target:
+    joints = len(units)
     values = _pairs(aggregate)
     line, shown = aggregate.meta.line, name or "in the motion"
     axes = tuple(f"A{i}" for i in range(1, joints + 1))
-    keys, unit = (axes, (DEG,) * joints) if "A1" in values else (_POSE, (MM,) * 3 + (DEG,) * 3)
+    keys, unit = (axes, units) if "A1" in values else (_POSE, (MM,) * 3 + (DEG,) * 3)
     tokens = [values.get(key) for key in keys]
     if not all(isinstance(t, Token) and t.type == "NUMBER" for t in tokens):
         lost = ", ".join(k for k, t in zip(keys, tokens, strict=True) if not isinstance(t, Token) or t.type != "NUMBER")

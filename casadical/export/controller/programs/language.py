@@ -30,7 +30,8 @@ class ProgramLanguage(ABC):
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
         """Every target of a program, those that must be left as they are included, in their order.
 
-        text : one character for each byte. Raises InputError that names the line where the program cannot be corrected.
+        text : one character for each byte; joints : their number, `given` says their units. Raises InputError that
+        names the line where the program cannot be corrected.
         """
 
     @abstractmethod

@@ -14,7 +14,7 @@ from casadical.core.errors import InputError
 from casadical.core.transforms import frame
 from casadical.export.controller.programs.language import ProgramLanguage
 from casadical.export.controller.programs.scan import found, parts, tokens_of
-from casadical.export.controller.programs.target import DEG, MM, Given, Number, Posture, Target
+from casadical.export.controller.programs.target import MM, Given, Number, Posture, Target
 
 GRAMMAR = r"""
 start: declaration | motion | assignment | _other
@@ -174,7 +174,9 @@ class _Module:
             return Target(line, name, kind == "jointtarget", (), left="is not made of numbers alone")
         external = any(float(str(t)) not in (0.0, _NO_AXIS) for t in flat[-1])
         if kind == "jointtarget":
-            return Target(line, name, True, tuple(Number.of(t, DEG) for t in flat[0]), external=external)
+            return Target(
+                line, name, True, tuple(map(Number.of, flat[0], self.given.joint_units(6))), external=external
+            )
         numbers = tuple(Number.of(t, MM) for t in flat[0]) + tuple(Number.of(t, 1.0) for t in flat[1])
         *turns, cfx = (float(str(t)) for t in flat[2])
         posture = Posture(bool(int(cfx) & 4), bool(int(cfx) & 2), bool(int(cfx) & 1))

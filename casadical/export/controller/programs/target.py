@@ -102,11 +102,17 @@ class Given:
 
     tools, bases : transforms (4, 4) [m] by the name or number that the program uses; "" for the only one
     texts : other files of the program in which tools and bases are looked up, by file name
+    units : rad or m of each joint's reading in the robot file; none: all rad
     """
 
     tools: dict[str, Array] = field(default_factory=dict)
     bases: dict[str, Array] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)
+    units: tuple[str, ...] = ()
+
+    def joint_units(self, joints: int) -> tuple[float, ...]:
+        """Degrees, millimetres of a linear axis, each as a factor to SI."""
+        return tuple(MM if unit == "m" else DEG for unit in self.units or ("rad",) * joints)
 
 
 def line_of(text: str, place: int) -> int:

@@ -49,6 +49,8 @@ class UrScript(ProgramLanguage):
     pose = "x, y, z in m and the rotation vector rx, ry, rz in rad"
 
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
+        if "m" in given.units:
+            raise InputError(f"{source}: URScript has no linear axes; joint {given.units.index('m') + 1} is one")
         program = _Program(source, text, joints)
         tools = {
             line: None if pose is None else self.frame(f"{source}: line {line}", pose)

@@ -1,0 +1,220 @@
+"""The least-squares algebra of a command, in SX: written here once, for all languages.
+
+The chord step: with J the Jacobian at the commanded joints, factored once as L D L^T = J J^T + lambda^2 I, each step
+solves for y in L D L^T y = r and moves the joints by J^T y. After the last step the model is evaluated again, so that
+the status is the error that is left and no estimate; the step that follows from it costs next to nothing and is taken.
+
+Where the joints cannot reach every orientation, the position goes first: P = I - J^T (J J^T + lambda^2 I)^-1 J leaves
+the joints their motions that keep the position, and a second least-squares problem takes of the orientation what those
+reach (task priority; Nakamura, Hanafusa and Yoshikawa 1987). The error is then how far the next step would still go.
+"""
+
+import casadi
+from casadi import SX
+
+from casadical.export.c.products import Command
+
+
+def prepare(command: Command) -> casadi.Function:
+    """q -> nominal position or pose, the factored steps (see `_Step`), weakness, calibrated position or pose."""
+    q = SX.sym("q", len(command.lower))
+    step = _step(command)
+    factors, weakness = step.factored(_jacobian(command, q))
+    out = [_flat(command.nominal, q), factors, weakness, _flat(command.calibrated, q)]
+    return casadi.Function("prepare", [q], [casadi.densify(casadi.vertcat(*out))], ["q"], ["prepared"])
+
+
+def prepared_size(command: Command) -> int:
+    """How many numbers ``prepare`` gives before the calibrated position or pose."""
+    return _pose_size(command) + _step(command).size + 1
+
+
+def advance(command: Command) -> casadi.Function:
+    """(prepared, where the calibrated robot is) -> joint step, squared error before it."""
+    size, step = _pose_size(command), _step(command)
+    prepared, now = SX.sym("prepared", prepared_size(command)), SX.sym("now", size)
+    target, factors, _ = casadi.vertsplit(prepared, [0, size, size + step.size, size + step.size + 1])
+    moved, error = step.solved(factors, _residual(target, now, command.length_m))
+    return casadi.Function("advance", [prepared, now], [casadi.vertcat(moved, error)], ["prepared", "now"], ["moved"])
+
+
+def residual_size(command: Command) -> int:
+    """3 for positions, 6 for poses."""
+    return 3 if command.calibrated.numel_out(0) == 3 and command.calibrated.n_out() == 1 else 6
+
+
+def _pose_size(command: Command) -> int:
+    return 3 if residual_size(command) == 3 else 12
+
+
+def _step(command: Command) -> "_Step":
+    n, damping, (position, orientation) = len(command.lower), command.limits.damping**2, command.freedom
+    if residual_size(command) == 6 and position + orientation < 6:
+        return _PositionFirst(n, 6, damping, position, orientation)
+    return _Step(n, residual_size(command), damping, position)
+
+
+class _Step:
+    """Damped least squares of m numbers in n joints. reached : how many of three directions the joints move."""
+
+    def __init__(self, n: int, m: int, damping: float, reached: int) -> None:
+        self.n, self.m, self.damping, self.reached = n, m, damping, reached
+
+    @property
+    def size(self) -> int:
+        """How many numbers `factored` gives: J, L below its diagonal, inverted pivots."""
+        return self.m * self.n + _factor_size(self.m)
+
+    def factored(self, J: SX) -> tuple[SX, SX]:
+        """J (m, n) and what of it is the same in each step; weakness: of at least 1 / (least singular value)^2."""
+        L, inverse = _factored(_damped(casadi.mtimes(J, J.T), self.damping), self.damping / 2)
+        lost = 3 - self.reached
+        weakness = _weakness(L, inverse)
+        return casadi.vertcat(casadi.vec(J), _packed(L, inverse)), weakness - lost / self.damping if lost else weakness
+
+    def solved(self, factors: SX, r: SX) -> tuple[SX, SX]:
+        """Joint step (n,) for a residual r (m,), and the squared error."""
+        J, L, inverse = self._unpacked(factors)
+        moved = casadi.mtimes(J.T, _solved(L, inverse, r))
+        return moved, casadi.sumsqr(r if self.reached == 3 else casadi.mtimes(J, moved))
+
+    def _unpacked(self, factors: SX) -> tuple[SX, SX, SX]:
+        J = casadi.reshape(factors[: self.m * self.n], self.m, self.n)
+        return J, *_factors_of(factors[self.m * self.n :], self.m)
+
+
+class _PositionFirst(_Step):
+    """Position, and of the orientation what the joints reach beside it. turned : in how many directions."""
+
+    def __init__(self, n: int, m: int, damping: float, reached: int, turned: int) -> None:
+        super().__init__(n, m, damping, reached)
+        self.turned = turned
+
+    @property
+    def size(self) -> int:
+        """J, two factors of three rows, and P G^T with G = J_o P."""
+        return 6 * self.n + 2 * _factor_size(3) + 3 * self.n
+
+    def factored(self, J: SX) -> tuple[SX, SX]:
+        Jp, Jo = J[:3, :], J[3:, :]
+        L, inverse = _factored(_damped(casadi.mtimes(Jp, Jp.T), self.damping), self.damping / 2)
+        G = self._kept(Jp, L, inverse, Jo.T).T
+        M, inverse_o = _factored(_damped(casadi.mtimes(G, G.T), self.damping), self.damping / 2)
+        back = self._kept(Jp, L, inverse, G.T)
+        lost = 6 - self.reached - self.turned
+        weakness = _weakness(L, inverse) + _weakness(M, inverse_o) - lost / self.damping
+        return casadi.vertcat(casadi.vec(J), _packed(L, inverse), _packed(M, inverse_o), casadi.vec(back)), weakness
+
+    def solved(self, factors: SX, r: SX) -> tuple[SX, SX]:
+        n, f = self.n, _factor_size(3)
+        parts = casadi.vertsplit(factors, [0, 6 * n, 6 * n + f, 6 * n + 2 * f, 9 * n + 2 * f])
+        J = casadi.reshape(parts[0], 6, n)
+        (L, inverse), (M, inverse_o) = _factors_of(parts[1], 3), _factors_of(parts[2], 3)
+        first = casadi.mtimes(J[:3, :].T, _solved(L, inverse, r[:3]))
+        rest = r[3:] - casadi.mtimes(J[3:, :], first)
+        moved = first + casadi.mtimes(casadi.reshape(parts[3], n, 3), _solved(M, inverse_o, rest))
+        left = r[:3] if self.reached == 3 else casadi.mtimes(J[:3, :], moved)
+        return moved, casadi.sumsqr(casadi.vertcat(left, casadi.mtimes(J[3:, :], moved)))
+
+    @staticmethod
+    def _kept(Jp: SX, L: SX, inverse: SX, v: SX) -> SX:
+        """P v, shape (n, 3): motions without those that the position is corrected with."""
+        y = casadi.horzcat(*[_solved(L, inverse, casadi.mtimes(Jp, v[:, k])) for k in range(v.shape[1])])
+        return v - casadi.mtimes(Jp.T, y)
+
+
+def _flat(function: casadi.Function, q: SX) -> SX:
+    out = function.call([q])
+    return casadi.vertcat(*[casadi.vec(o) for o in out])
+
+
+def _residual(target: SX, now: SX, length: float) -> SX:
+    """Position error [m], and for poses the rotation from now to target times a length."""
+    if target.numel() == 3:
+        return target - now
+    turn = SX.zeros(3)
+    for k in range(3):
+        i = slice(3 + 3 * k, 6 + 3 * k)
+        turn += casadi.cross(now[i], target[i])
+    return casadi.vertcat(target[:3] - now[:3], 0.5 * length * turn)
+
+
+def _jacobian(command: Command, q: SX) -> SX:
+    """The mean of the calibrated and the nominal robot's Jacobian at the commanded joints.
+
+    The corrected robot will have its tool where the nominal one has it now: the mean of the two slopes is, nearly, the
+    trapezoidal rule along the step, and leaves about half of the calibrated Jacobian's error.
+    """
+    function = command.jacobian_of if command.jacobian_of is not None else command.calibrated
+    at = q if command.jacobian_at is None else _flat(command.jacobian_at, q)
+    return 0.5 * (_slope(command, function, at) + _slope(command, command.nominal, q))
+
+
+def _slope(command: Command, function: casadi.Function, at: SX) -> SX:
+    """Jacobian of minus the residual with respect to the function's joints."""
+    x, fixed = SX.sym("x", len(command.lower)), SX.sym("fixed", _pose_size(command))
+    now = _flat(function, x)
+    slope = casadi.jacobian(-_residual(fixed, now, command.length_m), x)
+    return casadi.Function("slope", [x, fixed], [slope])(at, _flat(function, at))
+
+
+def _damped(A: SX, damping: float) -> SX:
+    return A + damping * SX.eye(A.shape[0])
+
+
+def _factored(A: SX, floor: float) -> tuple[SX, SX]:
+    """Unit lower L and the inverted pivots of A = L D L^T, no pivot below the floor."""
+    m = A.shape[0]
+    L, d, inverse = SX.eye(m), SX.zeros(m), SX.zeros(m)
+    for j in range(m):
+        scaled = [L[j, k] * d[k] for k in range(j)]
+        d[j] = casadi.fmax(A[j, j] - sum((L[j, k] * scaled[k] for k in range(j)), SX(0)), floor)
+        inverse[j] = 1 / d[j]
+        for i in range(j + 1, m):
+            L[i, j] = (A[i, j] - sum((L[i, k] * scaled[k] for k in range(j)), SX(0))) * inverse[j]
+    return L, inverse
+
+
+def _weakness(L: SX, inverse: SX) -> SX:
+    """Trace of A^-1, at least one over its smallest eigenvalue."""
+    m = L.shape[0]
+    columns = [_forward_solve(L, SX.eye(m)[:, j]) for j in range(m)]
+    return sum((c[i] * c[i] * inverse[i] for j, c in enumerate(columns) for i in range(j, m)), SX(0))
+
+
+def _forward_solve(L: SX, b: SX) -> SX:
+    y = SX(b)
+    for i in range(b.numel()):
+        for k in range(i):
+            y[i] -= L[i, k] * y[k]
+    return y
+
+
+def _solved(L: SX, inverse: SX, r: SX) -> SX:
+    """y of L D L^T y = r."""
+    y = _forward_solve(L, r) * inverse
+    m = L.shape[0]
+    for i in reversed(range(m)):
+        for k in range(i + 1, m):
+            y[i] -= L[k, i] * y[k]
+    return y
+
+
+def _below(m: int) -> list[tuple[int, int]]:
+    return [(i, j) for j in range(m) for i in range(j + 1, m)]
+
+
+def _factor_size(m: int) -> int:
+    return m * (m - 1) // 2 + m
+
+
+def _packed(L: SX, inverse: SX) -> SX:
+    """L below its diagonal, and the inverted pivots."""
+    return casadi.vertcat(*[L[i, j] for i, j in _below(L.shape[0])], inverse)
+
+
+def _factors_of(packed: SX, m: int) -> tuple[SX, SX]:
+    L = SX.eye(m)
+    for value, (i, j) in zip(casadi.vertsplit(packed)[: len(_below(m))], _below(m), strict=True):
+        L[i, j] = value
+    return L, packed[len(_below(m)) :]
