@@ -62,8 +62,14 @@ def inverse(T: Symbolic) -> Symbolic:
 
 def from_rpy(rpy: Array) -> Array:
     """Rotation, shape (3, 3), from fixed-axis roll, pitch, yaw [rad]: Rz(yaw) Ry(pitch) Rx(roll), as URDF has it."""
-    roll, pitch, yaw = (float(v) for v in rpy)
-    return np.array(rot_z(yaw) @ rot_y(pitch) @ rot_x(roll))[:3, :3]
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
 
 
 def to_rpy(R: Array) -> Array:
@@ -74,6 +80,11 @@ def to_rpy(R: Array) -> Array:
     c, s = np.cos(yaw), np.sin(yaw)
     roll = np.arctan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
     return np.array([roll, np.arctan2(-R[2, 0], horizontal), yaw])
+
+
+def from_xyz(xyz: Array) -> Array:
+    """Rotation, shape (3, 3), about x, y, z in this order (intrinsic) [rad]: that of `small_frame`, in numbers."""
+    return from_rpy(-np.asarray(xyz)).T
 
 
 def to_xyz(R: Array) -> Array:

@@ -87,9 +87,11 @@ def predicted(robot: Robot, m: Measurements, values: Mapping[str, float] | None 
     >>> p.shape, R.shape
     ((40, 3), (40, 3, 3))
     """
-    parameters = robot.parameters.with_values(dict(values)) if values else robot.parameters
+    phi = robot.parameters.values
+    for name, value in (values or {}).items():
+        phi[robot.parameters.index_of(name)] = value
     w = m.condition_matrix(robot.conditions, robot.declared)
-    p, R = robot.model.evaluate(("p", "R"), m.q, w, parameters.values)
+    p, R = robot.model.evaluate(("p", "R"), m.q, w, phi)
     return p.T, R.reshape(3, len(m), 3).transpose(1, 0, 2)
 
 

@@ -5,6 +5,7 @@ identifiable; the columns that reproduce it are named. Exact dependences come ou
 parameters far above, so one tolerance serves where the columns are scaled (compare Khalil and Dombre 2002, ch. 5).
 """
 
+import math
 import re
 from collections.abc import Sequence
 from contextlib import suppress
@@ -17,6 +18,8 @@ from casadical.core.parameters import Parameter
 
 DEPENDENT = 1e-6
 INVISIBLE = 1e-9
+# A rest below this has lost digits: it is made orthogonal a second time (Daniel et al. 1976).
+CANCELLED = 0.7
 # Condition number from which on some parameters are nearly confounded.
 CONFOUNDED = 1000
 # From so many parameters on, Cholesky's factors give the inverse faster, if no scaled variance is greater than this.
@@ -86,32 +89,49 @@ def analyse(J: Array, names: Sequence[str], always: int, held: dict[str, str]) -
     names : of the further columns, the preferred ones first
     held : name -> reason, for those that are not to be identified whatever the data
     """
-    R: Array = np.asarray(np.linalg.qr(J, mode="r"))
+    R: Array = np.asarray(np.linalg.qr(J, mode="r")) if len(J) > J.shape[1] else J
     length = np.linalg.norm(R, axis=0)
     unit = R / np.where(length > 0, length, 1.0)
-    basis = np.linalg.qr(unit[:, :always])[0] if always else np.zeros((R.shape[0], 0))
+    invisible = length <= INVISIBLE * length.max(initial=0.0)
+    first = np.linalg.qr(unit[:, :always])[0].T
+    basis, size = np.zeros((len(first) + len(names), len(R))), len(first)
+    basis[:size] = first
     kept: list[int] = []
-    dropped: list[Unidentifiable] = []
-    for k, name in enumerate(names, always):
-        if length[k] <= INVISIBLE * length.max():
-            dropped.append(Unidentifiable(name, "it has no effect on what was measured"))
+    reasons: dict[int, str] = {}
+    for k, (name, column) in enumerate(zip(names, unit.T[always:], strict=True), always):
+        if invisible[k]:
+            reasons[k] = "it has no effect on what was measured"
             continue
-        rest = unit[:, k] - basis @ (basis.T @ unit[:, k])
-        rest -= basis @ (basis.T @ rest)
+        left, rest = _without(basis[:size], column)
         if name in held:
-            dropped.append(Unidentifiable(name, held[name]))
-        elif np.linalg.norm(rest) <= DEPENDENT:
-            alike = _alike(unit, k, kept, names, always)
-            dropped.append(Unidentifiable(name, _in_words(alike), alike))
+            reasons[k] = held[name]
+        elif left <= DEPENDENT:
+            reasons[k] = ""
         else:
-            basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
+            basis[size] = rest / left
+            size += 1
             kept.append(k)
-    dropped = [
-        _carried(u, _alike(unit, always + names.index(u.name), kept, names, always)) if u.name in held else u
-        for u in dropped
-    ]
-    condition = float(np.linalg.cond(unit[:, [*range(always), *kept]])) if kept else 1.0
-    return Identifiability(tuple(names[k - always] for k in kept), tuple(dropped), condition)
+    columns = [*range(always), *kept]
+    shares, _, _, singular = np.linalg.lstsq(unit[:, columns], unit[:, list(reasons)], rcond=None)
+    alike = [_strongest(share, [names[j - always] for j in kept]) for share in np.abs(shares[always:]).T]
+    dropped = tuple(
+        _carried(Unidentifiable(names[k - always], why), those)
+        if names[k - always] in held
+        else Unidentifiable(names[k - always], why or _in_words(those), () if why else those)
+        for (k, why), those in zip(reasons.items(), alike, strict=True)
+    )
+    condition = float(singular[0] / max(singular[-1], 1e-300)) if kept else 1.0
+    return Identifiability(tuple(names[k - always] for k in kept), dropped, condition)
+
+
+def _without(basis: Array, column: Array) -> tuple[float, Array]:
+    """Length and rest of a column of unit length less its part in an orthonormal basis, shape (size, rows)."""
+    rest = column - (basis @ column) @ basis
+    left = math.sqrt(rest @ rest)
+    if left < CANCELLED:
+        rest -= (basis @ rest) @ basis
+        left = math.sqrt(rest @ rest)
+    return left, rest
 
 
 def _carried(u: Unidentifiable, alike: tuple[str, ...]) -> Unidentifiable:
@@ -121,14 +141,10 @@ def _carried(u: Unidentifiable, alike: tuple[str, ...]) -> Unidentifiable:
     return replace(u, reason=u.reason + (more if alike else ""), confounded_with=alike)
 
 
-def _alike(unit: Array, k: int, kept: list[int], names: Sequence[str], always: int) -> tuple[str, ...]:
-    """The kept parameters that together reproduce column k, the strongest first."""
-    columns = [*range(always), *kept]
-    if not kept:
-        return ()
-    share = np.abs(np.linalg.lstsq(unit[:, columns], unit[:, k], rcond=None)[0][always:])
-    strong = [j for j in np.argsort(-share) if share[j] > max(0.05 * share.max(), 1e-6)]
-    return tuple(names[kept[j] - always] for j in strong[:6])
+def _strongest(share: Array, names: Sequence[str]) -> tuple[str, ...]:
+    """The names that together reproduce a column, the strongest first; share : of each."""
+    least = max(0.05 * share.max(initial=0.0), 1e-6)
+    return tuple(names[j] for j in np.argsort(-share)[:6] if share[j] > least)
 
 
 def _in_words(alike: tuple[str, ...]) -> str:

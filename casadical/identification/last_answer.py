@@ -29,6 +29,11 @@ class Last:
         """Whether v is that point."""
         return self.point is not None and np.array_equal(self.point, v)
 
+    @property
+    def at_zero(self) -> Any:
+        """The answer, if it is that at zero; else None."""
+        return None if self.point is None or self.point.any() else self.answer
+
     def __call__(self, v: Array, compute: Callable[[Array], Any]) -> Any:
         """Its answer at v, computed where v is another point."""
         if not self.holds(v):

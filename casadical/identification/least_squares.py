@@ -305,7 +305,7 @@ class LeastSquares:
         problem = self if loaded == self.fixed_loads else replace(self, fixed_loads=loaded)
         J = np.zeros((0, self.size))  # its triangular factor: as good as the whole, and as small as the parameters are
         for _, _, part in problem._parts(v):
-            J = np.asarray(np.linalg.qr(np.concatenate([J, part]), mode="r"))
+            J = np.asarray(np.linalg.qr(np.concatenate([J, part]) if len(J) else part, mode="r"))
         p = len(self.names)
         held = {n: self.robot.parameters[n].held for n in self.names if self.robot.parameters[n].held}
         if not any(find_kind(m.kind).at_rest(m.arrays) for m in self.sets):
@@ -374,7 +374,13 @@ class LeastSquares:
             yield np.repeat(loss_slope(self._loss_of(k), r), r.shape[1]), J
 
     def with_names(self, names: Sequence[str]) -> LeastSquares:
-        return replace(self, names=tuple(names))
+        """With some of the names, in their order: what was evaluated at the start is used again."""
+        other = replace(self, names=tuple(names))
+        at = [self.names.index(n) for n in other.names if n in self.names]
+        if len(at) == len(names) and (parts := self._last_parts.at_zero):
+            columns = [*at, *range(len(self.names), self.size)]
+            other._last_parts(np.zeros(other.size), lambda _: tuple((k, r, J[:, columns]) for k, r, J in parts))
+        return other
 
 
 def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float:

@@ -27,8 +27,9 @@ def place_frames(robot: Robot, m: Measurements) -> Robot:
     Only positions and full poses carry this information; other kinds, and robots whose base is known or is
     row 1 of the table, are left as they are. Source: Kabsch (1976) for the rotation.
     """
-    m = m[m.weight > 0]
-    m = m[:: max(1, len(m) // START_POSES)]
+    used = np.flatnonzero(m.weight > 0)
+    used = used[:: max(1, len(used) // START_POSES)]
+    m = m if len(used) == len(m) else m[used]
     if robot.base.unknown != "pose" or m.position is None or len(m) < 6:
         return robot
     if robot.targets:
@@ -78,8 +79,11 @@ def _flange(robot: Robot, m: Measurements, T_M0: Array) -> tuple[Array, Array]:
     values = dict(zip(("base_x", "base_y", "base_z"), turn[:3, 3], strict=True))
     values |= dict(zip(("base_rx", "base_ry", "base_rz"), to_xyz(turn[:3, :3]), strict=True))
     p, R = predicted(robot, m, values)
-    R = T_M0[:3, :3].T @ R @ robot.tool.T[:3, :3].T
-    return (p - T_M0[:3, 3]) @ T_M0[:3, :3] - R @ robot.tool.T[:3, 3], R
+    # The base's rotation back, then the tool's: one product for all poses, of matrices as rows of nine numbers.
+    turned = R.reshape(-1, 9) @ np.kron(T_M0[:3, :3], robot.tool.T[:3, :3].T)
+    R = turned.reshape(-1, 3, 3)
+    shift = turned @ np.kron(np.eye(3), robot.tool.T[:3, 3:])
+    return (p - T_M0[:3, 3]) @ T_M0[:3, :3] - shift, R
 
 
 def solve_placement(
@@ -90,7 +94,7 @@ def solve_placement(
     centre = y.mean(axis=0)
     c = y - centre
     # Sums over the poses, from which all that follows is made: time does not grow with the rounds below.
-    cp, S, Rp = c.T @ p, R.sum(axis=0), np.einsum("nik,ni->k", R, p)
+    cp, S, Rp = c.T @ p, R.sum(axis=0), p.ravel() @ R.reshape(-1, 3)
     cR = (c.T @ R.reshape(n, 9)).reshape(3, 3, 3)
     R_B = T_M0[:3, :3]
     G, h = np.zeros((15, 15)), np.concatenate([cp.T.ravel(), p.sum(axis=0), -Rp])
@@ -102,21 +106,24 @@ def solve_placement(
     before = np.concatenate([R_B.T.ravel(), R_B.T @ (centre - T_M0[:3, 3]), t])
     if known_tool is not None:
         G, h, before = G[:12, :12], h[:12] - G[:12, 12:] @ known_tool, before[:12]
-    found = _nearest(G, h, before)
+    found = before + _seen_inverse(G) @ (h - G @ before)
     R_B = nearest_rotation(found[:9].reshape(3, 3)).T
     t = found[12:] if known_tool is None else known_tool
+    # R t + s = R_B' y - p, with s the base's origin as the base sees it
+    yR = (cR + np.multiply.outer(centre, S)).reshape(9, 3)
+    G = np.block([[n * np.eye(3), S.T], [S, n * np.eye(3)]])
+    inverse, p_sum = _seen_inverse(G), p.sum(axis=0)
     for _ in range(5):
-        if known_tool is None:  # R t + s = R_B' y - p, with s the base's origin as the base sees it
-            e = n * centre @ R_B - p.sum(axis=0)
-            Re = np.einsum("ji,jik->k", R_B, cR + np.multiply.outer(centre, S)) - Rp
-            G = np.block([[n * np.eye(3), S.T], [S, n * np.eye(3)]])
-            t = _nearest(G, np.concatenate([Re, e]), np.concatenate([t, (e - S @ t) / n]))[:3]
+        if known_tool is None:
+            e = n * centre @ R_B - p_sum
+            before = np.concatenate([t, (e - S @ t) / n])
+            t = t + (inverse @ (np.concatenate([R_B.ravel() @ yR - Rp, e]) - G @ before))[:3]
         R_B = nearest_rotation(cp + cR @ t + n * TIE * R_B)
     return frame(R_B, centre - R_B @ (p.mean(axis=0) + S @ t / n)), t
 
 
-def _nearest(G: Array, h: Array, before: Array) -> Array:
-    """The solution of the normal equations G x = h next to `before` in the directions that G does not determine."""
+def _seen_inverse(G: Array) -> Array:
+    """Inverse of a normal matrix in the directions that it determines; a solution stays as it was in the others."""
     values, V = np.linalg.eigh(G)
     seen = values > UNDETERMINED**2 * values[-1]
-    return np.asarray(before + V[:, seen] @ ((V[:, seen].T @ (h - G @ before)) / values[seen]))
+    return np.asarray((V[:, seen] / values[seen]) @ V[:, seen].T)

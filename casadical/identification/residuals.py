@@ -2,21 +2,20 @@
 
 A kernel sees one pose. Its variables z = (x, u) are the departures x of the chosen parameters from the robot's nominal
 values in units of their scale (mm, mrad) and, where the kind has an unknown point, that point's departure u [mm]. Its
-residual is in units of sigma. `Function.map` takes it over some poses at a time: graphs do not grow with them.
+residual is in units of sigma.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Literal
 
 import casadi as ca
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.casadi_buffers import call
-from casadical.core.compile_cache import compiled
 from casadical.core.errors import InputError
+from casadical.core.mapped_function import MappedFunction
 from casadical.measurements.kinds.base import MeasurementKind, PoseExpression
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
@@ -59,14 +58,14 @@ _LOSS: dict[Loss, Callable[[Array, float], tuple[Array, Array]]] = {
 }
 
 
-_Which = Literal["residual", "value", "machine_code"]
-
-
 class PoseFunctions:
     """The residual of one pose and its Jacobian; shared by all robots of one structure.
 
-    robot : the numbers that differ between them: nominal parameters, constants, scales (see `robot_numbers`)
-    residual : (z, data, robot)->(r[m], J[m, z]), in units of sigma, without the loss; value : r alone, a tenth of it
+    A pose's numbers are its data (see `data_columns`) and u; those shared by all are x and the robot's (see
+    `robot_numbers`).
+
+    residual : the residual r, shape (m,), in units of sigma, without the loss, and the transpose of its Jacobian by z,
+        shape (z, m); value : r alone, a fifth of it
     point : whether z ends with an unknown point; observed : names of the observed arrays in data, in their order
     """
 
@@ -91,26 +90,11 @@ class PoseFunctions:
         inverse, root = ca.SX.sym("inverse", 2 if kind.angles else 1), ca.SX.sym("root")
         sigmas = [inverse[0]] * kind.lengths + [inverse[-1]] * kind.angles
         self.observed = tuple(pose.observed)
-        r, z = r * ca.vertcat(*sigmas) * root, ca.vertcat(x, u)
-        data = ca.vertcat(q, w, *pose.observed.values(), inverse, root)
-        outputs = [r, ca.densify(ca.jacobian(r, z))]
-        inputs = [z, data, ca.vertcat(nominal, constants, scale)]
-        self.residual = ca.Function("residual", inputs, outputs)
-        self.value = ca.Function("value", inputs, outputs[:1])
-        self._mapped: dict[tuple[int, _Which], ca.Function] = {}
-
-    def mapped(self, n: int, which: _Which) -> ca.Function:
-        """One of the functions over n poses, z and robot shared; outputs side by side."""
-        key = (n, which)
-        if key not in self._mapped:
-            f: ca.Function = getattr(self, which)
-            self._mapped[key] = f.map("poses", "serial", n, [2] if self.point else [0, 2], [])
-        return self._mapped[key]
-
-    @cached_property
-    def machine_code(self) -> ca.Function:
-        """The residual through the C compiler, where there is one."""
-        return compiled(self.residual)
+        r = r * ca.vertcat(*sigmas) * root
+        of_pose = ca.vertcat(q, w, *pose.observed.values(), inverse, root, u)
+        shared = ca.vertcat(x, nominal, constants, scale)
+        self.residual = MappedFunction("residual", of_pose, shared, [r, ca.jacobian(r, ca.vertcat(x, u)).T])
+        self.value = MappedFunction("value", of_pose, shared, [r])
 
 
 _kernel = lru_cache(maxsize=64)(PoseFunctions)
@@ -169,22 +153,24 @@ class Block:
 
     def parts(self, x: Array, u: Array) -> Iterator[tuple[slice, Array, Array]]:
         """As `evaluate`, some poses at a time: which, their residuals and their Jacobians."""
-        for some, (r, J) in self._called("machine_code" if self.data.shape[1] >= COMPILE_FROM else "residual", x, u):
-            yield some, r.T, J.T.reshape(r.shape[1], -1, len(r)).transpose(0, 2, 1)
+        for some, (r, J) in self._called(self.kernel.residual, x, u, self.data.shape[1] >= COMPILE_FROM):
+            yield some, r.T, J.T.reshape(*r.T.shape, -1)
 
     def residuals(self, x: Array, u: Array) -> Iterator[Array]:
         """As `parts`, the residuals alone."""
-        for _, (r,) in self._called("value", x, u):
+        for _, (r,) in self._called(self.kernel.value, x, u, machine_code=False):
             yield r.T
 
-    def _called(self, which: _Which, x: Array, u: Array) -> Iterator[tuple[slice, list[Array]]]:
+    def _called(
+        self, function: MappedFunction, x: Array, u: Array, machine_code: bool
+    ) -> Iterator[tuple[slice, list[Array]]]:
         """Outputs of one of the kernel's functions, some poses at a time."""
-        n = self.data.shape[1]
-        for start in range(0, n, CHUNK):
-            some = slice(start, min(start + CHUNK, n))
+        shared = np.concatenate([x, self.robot])
+        for start in range(0, self.data.shape[1], CHUNK):
+            some = slice(start, min(start + CHUNK, self.data.shape[1]))
             data = self.data[:, some]
-            z = np.concatenate([np.tile(x[:, None], data.shape[1]), u[self.group[some]].T]) if self.kernel.point else x
-            yield some, call(self.kernel.mapped(data.shape[1], which), z, data, self.robot)
+            points = np.concatenate([data, u[self.group[some]].T]) if self.kernel.point else data
+            yield some, function(points, shared, machine_code)
 
 
 def make_block(

@@ -14,12 +14,15 @@ import numpy as np
 
 from casadical.core.arm import Arm
 from casadical.core.arrays import Array
-from casadical.core.casadi_buffers import call
+from casadical.core.mapped_function import MappedFunction
 from casadical.core.parameters import Parameters
 from casadical.core.transforms import Symbolic, carry, product, rot_x, rot_y, rot_z, small_frame, translate
 from casadical.effects import Context, Effect
 from casadical.robot.kinematics import Values, assembly_sides, chain_factors, link_frames, loop_margins
 from casadical.robot.statics import deflections, gravity_torques
+
+# From this many poses on, compiling saves more time than it takes.
+COMPILE_FROM = 20_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +54,11 @@ class Expressions:
         return self.functions[outputs]
 
     @lru_cache(maxsize=64)  # noqa: B019 - expressions live in a cache themselves
-    def mapped(self, outputs: tuple[str, ...], n: int) -> ca.Function:
-        """The same over n poses, parameters and constants shared."""
-        return self.function(*outputs).map("poses", "serial", n, [2, 3, 4], [])
+    def mapped(self, *outputs: str) -> MappedFunction:
+        """The same over many poses, (q, w) of each, (phi, constants) shared; loads are those of phi."""
+        of_pose, shared = ca.vertcat(self.q, self.w), ca.vertcat(self.phi, self.constants)
+        results = self.function(*outputs).call([self.q, self.w, self.phi, self.constants, self.phi])
+        return MappedFunction("model", of_pose, shared, results)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,8 +116,8 @@ class Model:
 
     def evaluate(self, outputs: tuple[str, ...], q: Array, w: Array, phi: Array) -> list[Array]:
         """Outputs at many poses, one array each, poses side by side; q : (n, joints), w : (n, k), phi : (P,) [SI]."""
-        mapped = self.shared.mapped(outputs, len(q))
-        return call(mapped, q.T, w.T, phi, self.constants, phi)
+        points, shared = np.concatenate([q, w], axis=1).T, np.concatenate([phi, self.constants])
+        return self.shared.mapped(*outputs)(points, shared, len(q) >= COMPILE_FROM)
 
 
 def constants_of(arm: Arm, torque_scale: Array) -> Array:

@@ -20,7 +20,7 @@ from casadical.core.blocks import Table, Words
 from casadical.core.notebook import html
 from casadical.core.parameters import Parameters
 from casadical.core.parts import FourBar, Joint
-from casadical.core.transforms import frame, small_frame, to_rpy
+from casadical.core.transforms import frame, from_xyz, to_rpy
 from casadical.effects import Effect
 from casadical.robot.knowledge import ErrorBound, Knowledge
 from casadical.robot.model import Model, Structure, constants_of, expressions
@@ -262,11 +262,12 @@ class Robot(Arm):
             self.parameters.index_of(name)
         v = {p.name: float(values.get(p.name, p.value)) for p in self.parameters}
         effect_names = {p.name for e in self.effects for p in e.parameters()}
+        moved = np.array([v.get(n, 0.0) for n in SIX["base"]])
         return replace(
             self,
             joints=tuple(_joint_with(j, i, v) for i, j in enumerate(self.joints, 1)),
             loops=tuple(_loop_with(loop, k, v) for k, loop in enumerate(self.loops, 1)),
-            base=replace(self.base, T=self.base.T @ np.array(small_frame(*(v.get(n, 0.0) for n in SIX["base"])))),
+            base=replace(self.base, T=self.base.T @ frame(from_xyz(moved[3:]), moved[:3])),
             tool=replace(self.tool, T=_tool_with(self.tool.T, v)),
             targets=tuple(replace(t, point=np.array([v[name] for name in t.parameters])) for t in self.targets),
             effect_values={n: v[n] for n in effect_names},
@@ -313,9 +314,8 @@ def _loop_with(loop: FourBar, k: int, v: Mapping[str, float]) -> FourBar:
 
 
 def _tool_with(T: Array, v: Mapping[str, float]) -> Array:
-    x, y, z, rx, ry, rz = (v.get(n, default) for n, default in zip(SIX["tool"], (*T[:3, 3], 0, 0, 0), strict=True))
-    turned = np.array(small_frame(0, 0, 0, rx, ry, rz))[:3, :3]
-    return frame(T[:3, :3] @ turned, np.array([x, y, z]))
+    six = np.array([v.get(n, default) for n, default in zip(SIX["tool"], (*T[:3, 3], 0, 0, 0), strict=True)])
+    return frame(T[:3, :3] @ from_xyz(six[3:]), six[:3])
 
 
 def modified_dh(robot: Robot) -> list[dict[str, float | str | None]]:

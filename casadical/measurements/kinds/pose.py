@@ -7,7 +7,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Symbolic, from_rpy
+from casadical.core.transforms import Symbolic, from_xyz
 from casadical.measurements.columns import Columns
 from casadical.measurements.kinds.base import PoseExpression
 from casadical.measurements.kinds.position import Position
@@ -56,7 +56,7 @@ def _orientation(columns: Columns) -> Array:
     else:
         angles = columns.vector("r", ("_deg", "_rad"))
         # Rx(a) Ry(b) Rz(c) is the transpose of Rz(-c) Ry(-b) Rx(-a).
-        R = np.stack([from_rpy(-xyz).T for xyz in angles])
+        R = np.stack([from_xyz(xyz) for xyz in angles])
     off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0)
     if off.max() > 1e-3:
         row = int(off.argmax())

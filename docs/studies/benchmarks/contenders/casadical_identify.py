@@ -1,8 +1,8 @@
 """casadical as its users call it: nominal rows in, everything else decided by `identify`.
 
 Its solve holds everything: checks, closed-form start, choice of the identifiable parameters, Ipopt, the second look at
-poorly determined ones. "compiled" lets the kernels go through the C compiler at any size; what was compiled is kept on
-disk, so "first" pays for the compiler and later runs do not.
+poorly determined ones. "compiled" lets kernels and model go through the C compiler at any size; what was compiled stays
+on disk, so "first" pays for the compiler and later runs do not.
 """
 
 import numpy as np
@@ -15,8 +15,9 @@ def contend(data, clock, compile_from):
     import casadical
     from casadical.identification import residuals
     from casadical.identification.accuracy import predicted
+    from casadical.robot import model
 
-    residuals.COMPILE_FROM = compile_from
+    residuals.COMPILE_FROM = model.COMPILE_FROM = compile_from
     with clock("build"):
         joints = tuple(casadical.Joint(*row, lower=-7.0, upper=7.0) for row in data.dh)
         unknown = casadical.Placement(np.eye(4), "pose"), casadical.Placement(np.eye(4), "position")
