@@ -23,13 +23,15 @@ from casadical.identification.identifiability import (
 )
 from casadical.identification.last_answer import Last, Sums
 from casadical.identification.residuals import POINT_SCALE, Block, Loss, loss_slope, loss_value, make_block
-from casadical.identification.solver import Progress, Solution, minimise
+from casadical.identification.solver import ACCEPTABLE, OPTIMUM, Progress, Solution, minimise
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
 # Taken where no sigma is given, until it is estimated from the residuals.
 SIGMA_GUESS, SIGMA_ANGLE_GUESS = 1e-4, 1e-4
+# What one more step gains at an optimum [chi-squared]: a ten-thousandth of a standard error.
+ROUND_OFF = 1e-8
 # More parameters than this, held back by priors, are not all tested for independence.
 WIDE = 200
 # Numbers of a Jacobian that are kept from one question to the next.
@@ -172,8 +174,14 @@ class LeastSquares:
         return dict(zip(self.names, self._parameter("value") + self.scale * x, strict=True))
 
     def solve(self, progress: Progress | None = None) -> Solution:
-        """The bounded optimum. Raises ConvergenceError."""
-        return minimise(self.cost, self.gradient, *self.bounds, scale=0.5 * self.residual_count, progress=progress)
+        """The bounded optimum. Raises ConvergenceError.
+
+        Where the cost's round-off stops Ipopt's line search, the solver cannot know that it stands at an optimum.
+        """
+        scale = 0.5 * self.residual_count
+        found = minimise(self.cost, self.gradient, *self.bounds, scale=scale, progress=progress)
+        sharp = found.status == ACCEPTABLE and self.decrement(found.v) < ROUND_OFF
+        return replace(found, message=OPTIMUM) if sharp else found
 
     def cost(self, v: Array) -> float:
         """Half the sum of squares at v, through the robust loss, with the priors.
@@ -297,7 +305,7 @@ class LeastSquares:
         # A bound that the cost pushes away from holds nothing back.
         inward = np.where(v - lower < upper - v, g < 0, g > 0)
         free = ~self.at_bounds(v) | inward
-        return float(0.5 * g[free] @ np.linalg.solve(H[np.ix_(free, free)], g[free]))
+        return float(0.5 * g[free] @ scaled_inverse(H[np.ix_(free, free)]) @ g[free])
 
     def identifiability(self, v: Array) -> Identifiability:
         """Which of the names the data determine, by the Jacobian at v, with fixed loads if joints are compliant."""

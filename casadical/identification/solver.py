@@ -19,9 +19,10 @@ TOLERANCE = 1e-6
 MAX_ITERATIONS = 200
 TINY_STEP = 1e-6
 
+OPTIMUM, ACCEPTABLE = "Ipopt found an optimum.", "Solved_To_Acceptable_Level"
 _SENTENCES = {
-    "Solve_Succeeded": "Ipopt found an optimum.",
-    "Solved_To_Acceptable_Level": "Ipopt stopped at an acceptable, not a sharp optimum; look at the condition number.",
+    "Solve_Succeeded": OPTIMUM,
+    ACCEPTABLE: "Ipopt stopped at an acceptable, not a sharp optimum; look at the condition number.",
     "Maximum_Iterations_Exceeded": (
         "Ipopt ran out of iterations; the start may be far off (check units, joint signs and zero offsets), "
         "or parameters nearly confounded: free fewer of them, or use priors."
@@ -197,6 +198,6 @@ def minimise(
     found = ipopt.solve(x0=np.zeros(len(lower)), lbx=lower, ubx=upper)
     status = str(ipopt.solve.stats()["return_status"])
     message = _SENTENCES.get(status, f"Ipopt stopped with {status}; see its documentation for this status.")
-    if status not in ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Search_Direction_Becomes_Too_Small"):
+    if status not in ("Solve_Succeeded", ACCEPTABLE, "Search_Direction_Becomes_Too_Small"):
         raise ConvergenceError(f"{message} ({status} after {len(ipopt.history)} iterations)")
     return Solution(found["x"].full().ravel(), status, message, tuple(ipopt.history))
