@@ -15,7 +15,7 @@ LONGEST = 230
 _DOUBTS = ("CANNOT", "AFTER")
 # What a reader must know besides the verdict, the most important first, in words where a sentence needs its subject.
 _ABOUT = {
-    "PRIOR": "Prior: ", "CANNOT": "These data cannot ", "UNKNOWN": "Left: ", "AFTER": "", "OUT": "",
+    "PRIOR": "Prior: ", "CANNOT": "These data cannot ", "UNKNOWN": "Left: ", "LAW": "Law: ", "AFTER": "", "OUT": "",
     "WHERE": "Where: ", "NEXT": "Next: ", "MISSING": "", "ASSUMED": "Assumed: ",
 }  # fmt: skip
 

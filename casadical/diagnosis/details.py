@@ -7,6 +7,7 @@ import pandas as pd
 
 from casadical.diagnosis.held_out_gap import Check, NetworkGap, check_refit, network_gaps
 from casadical.diagnosis.isolability import Isolability, isolability
+from casadical.diagnosis.laws.discovery import Discovery, laws_beside
 from casadical.diagnosis.localisation import Localisation, localise
 from casadical.diagnosis.next_poses import next_poses
 from casadical.diagnosis.result import Diagnosis, Unlisted
@@ -36,6 +37,8 @@ class Details:
         see `network_gaps`
     curves : Spectrum, optional
         see `spectrum`
+    laws : Discovery, optional
+        see `casadical.discover`; only where the verdict is unknown
     poses : DataFrame, optional
         see `next_poses`
     file : str, default ""
@@ -54,6 +57,7 @@ class Details:
     check: Check | None = None
     networks: tuple[NetworkGap, NetworkGap] | None = None
     curves: Spectrum | None = None
+    laws: Discovery | None = None
     poses: pd.DataFrame | None = None
     file: str = ""
 
@@ -110,7 +114,8 @@ def analyse(
     if curve_of(found.causes):
         show("joint error curves")
     curves = spectrum(found, highest_line) if curve_of(found.causes) else None
+    laws = laws_beside(found, show) if found.verdict == "unknown" else None
     show("poses to measure next")
     chosen = next_poses(found, poses, workspace=workspace)
     show("what these poses can show")
-    return Details(where, isolability(found), describe_unlisted(found), check, gaps, curves, chosen, file)
+    return Details(where, isolability(found), describe_unlisted(found), check, gaps, curves, laws, chosen, file)

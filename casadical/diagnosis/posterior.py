@@ -65,11 +65,12 @@ class Rival:
     noise: Noise
 
 
-# The rivals at a ranking: of a case and the columns of the causes that are in the model already.
-Rivals = Callable[[Case, Array], Sequence[Rival]]
+# The rivals at a ranking: of a case, the columns of the causes that are in the model already, and the most likely
+# settings of each candidate beside them, by label.
+Rivals = Callable[[Case, Array, Mapping[str, int]], Sequence[Rival]]
 
 
-def no_rivals(_case: Case, _chosen: Array) -> Sequence[Rival]:
+def no_rivals(_case: Case, _chosen: Array, _variant: Mapping[str, int]) -> Sequence[Rival]:
     """The candidates of the case alone."""
     return ()
 
@@ -107,7 +108,7 @@ def rank(
             best = int(own[np.argmax(log_variant[own])])
             variant[candidate.label] = case.variants[judged[best]][1]
             noise[candidate.label] = likely_noise(grids[best], case.evidence.sigmas)
-    for rival in rivals(case, chosen):
+    for rival in rivals(case, chosen, variant):
         weights[rival.label] = prior["unknown"]
         factor[rival.label], noise[rival.label] = rival.log_factor, rival.noise
     mass = {k: float(np.log(weights[k])) + f for k, f in factor.items()}

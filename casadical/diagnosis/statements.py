@@ -10,6 +10,7 @@ from casadical.diagnosis.cause_table import mm
 from casadical.diagnosis.changes import NEW
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import Check, NetworkGap, of_time
+from casadical.diagnosis.laws.answer import law_in_words
 from casadical.diagnosis.next_poses import discrimination_probability, kinds_of_poses
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.thresholds import CLAIM, SET_CLAIM
@@ -29,7 +30,7 @@ class Statement:
     """One statement.
 
     about : VERDICT, PRIOR, GAP, ASSUMED, WHERE, WHICH (then come the causes, see `cause_rows`), SET, AFTER, LAYERS
-        (then come these, see `layer_rows`), CANNOT, UNKNOWN, OUT, MISSING, NEXT
+        (then come these, see `layer_rows`), CANNOT, UNKNOWN, LAW, OUT, MISSING, NEXT
     doubtful : whether it is a warning
     """
 
@@ -52,6 +53,7 @@ def statements(d: Diagnosis, more: Details | None = None) -> list[Statement]:
         _layered(d),
         _cannot(d, more),
         _unknown(d, more),
+        _law(more),
     ]
     return [s for part in (*parts, _outliers(d), _missing(d), _next(d, more)) for s in part]
 
@@ -307,6 +309,12 @@ def _unknown(d: Diagnosis, more: Details) -> Iterator[Statement]:
                 "poses would tell the instrument's"
             )
         yield Statement("UNKNOWN", "; ".join(w for w in words if w), doubtful=True)
+
+
+def _law(more: Details) -> Iterator[Statement]:
+    """The missing law, where something unknown is there."""
+    if more.laws:
+        yield Statement("LAW" if more.laws.laws else "UNKNOWN", law_in_words(more.laws))
 
 
 def _resembles(d: Diagnosis, more: Details) -> str:

@@ -18,6 +18,7 @@ from casadical.diagnosis.thresholds import PARTITIONS
 from casadical.identification.tables import correlated, held_table, parameter_tables
 from casadical.report.figures_of_diagnosis import diagnosis_figures, held_out_poses
 from casadical.report.fit_figures import fit_drawings
+from casadical.report.laws import law_section
 from casadical.report.page import Block, Drawing, Part, Section, Tile, report_html
 from casadical.report.provenance import campaign_files, provenance_of
 from casadical.report.replay_blocks import replay_blocks
@@ -74,7 +75,7 @@ def diagnosis_part(d: Diagnosis, name: str, more: Details | None = None) -> Part
     said = statements(d, more)
     rows = cause_rows(d)
     sections = [
-        Section("Verdict", [*_said(said, "VERDICT", "PRIOR", "GAP", "ASSUMED", "UNKNOWN", "OUT")]),
+        Section("Verdict", [*_said(said, "VERDICT", "PRIOR", "GAP", "ASSUMED", "UNKNOWN", "LAW", "OUT")]),
         Section(
             "Errors before and after",
             [Drawing("gap", figures["gap"], _GAP), *_layers(d), _error_table(d), *_said(said, "AFTER")],
@@ -87,6 +88,7 @@ def diagnosis_part(d: Diagnosis, name: str, more: Details | None = None) -> Part
             [*_said(said, "WHICH"), *_cause_tables(rows), *_said(said, "SET"), *_cause_figures(figures)],
         ),
         *_curve_sections(more, figures),
+        *([law_section(more.laws)] if more and more.laws else []),
         Section("What these poses cannot tell", [*_said(said, "CANNOT", "MISSING")]),
         Section("Replayed in a simulator", [*replay_blocks(d)]),
         Section("Parameters of the base model", [*_parameter_blocks(d, figures)]),

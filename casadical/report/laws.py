@@ -28,10 +28,14 @@ _CAPTION = (
 
 def discovery_report(folder: Path, campaign: Path, found: Discovery, command: Sequence[str] = ()) -> str:
     """One HTML file. Raises InputError where plotly or jinja2 is not installed, or a file is gone."""
-    drawings = [Drawing(f"law{k}", f, _CAPTION) for k, f in enumerate(law_figures(found))]
-    sections = [Section("The missing law", blocks_of(found)), Section("The law over its driver", drawings)]
-    part = Part(f"Laws of {campaign.stem}", found.diagnosis.identification.given.name, sections)
+    part = Part(f"Laws of {campaign.stem}", found.diagnosis.identification.given.name, [law_section(found)])
     return report_html("Discovery", [part], provenance_of(campaign_files(folder, [campaign]), command))
+
+
+def law_section(found: Discovery) -> Section:
+    """The section of a diagnosis: laws with all that competes, and each over its driver."""
+    drawings = [Drawing(f"law{k}", f, _CAPTION) for k, f in enumerate(law_figures(found))]
+    return Section("The missing law", [*drawings, *blocks_of(found)])
 
 
 def law_figures(found: Discovery) -> list[Figure]:

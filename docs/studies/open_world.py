@@ -4,11 +4,14 @@ Synthetic campaigns of the blind check's two simulators (numpy and MuJoCo, in tu
 candidates; robots, joints, sizes and poses by chance. Each effect is scaled to a signal: rms of a coordinate that the
 base model cannot absorb, over the instrument's noise. Declared masses are wrong in the robot that is given; noise is
 made here. Rules were developed on seeds "develop" and "develop 2", and judged on "judge" and, after the changes that
-followed, on "judge 2", which nobody had seen before the commit that froze them. The same script, run with PYTHONPATH
-at an earlier commit, gives the figures before.
+followed, on "judge 2" and "judge 3", which nobody had seen before the commit that froze them. The same script, run with
+PYTHONPATH at an earlier commit, gives the figures before. The part "foreign" has effects (foreign_effects.py) written
+by somebody who has read neither the diagnosis nor its effects.
 
 --share 4 makes four times as many campaigns; --keep DIR keeps finished ones, to go on after a break; --masses nuisance
-has the masses of links in the base model (one process; some 5 s a campaign).
+has the masses of links in the base model; --laws asks, too, whether a law would be claimed in place of all causes (one
+process; some 5 s a campaign). "Limit" is the power of a test that knows each effect's signature, all others and the
+noise, at the false alarms that are allowed (diagnosis_scores.power).
 """
 
 import argparse
@@ -25,6 +28,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import pandas as pd
+from diagnosis_scores import power
+from foreign_effects import FOREIGN, draw_foreign
 from scipy import signal
 
 from casadical.blind_check import mujoco_physics, numpy_physics
@@ -37,13 +42,14 @@ from casadical.blind_check.synthetic.stops import Stops, only
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.diagnosis.diagnose import diagnose
+from casadical.diagnosis.laws.discovery import instead, laws_beside
 from casadical.measurements.reading import from_table
 from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot import Robot
 
 ROOT = Path(__file__).parents[2]
 ROBOTS = ("hh800", "kr210", "ur10e")
-SEEDS = {"develop": 1501, "judge": 1502, "develop 2": 1503, "judge 2": 1504}
+SEEDS = {"develop": 1501, "judge": 1502, "develop 2": 1503, "judge 2": 1504, "judge 3": 1505}
 NOISE_MM, REPEATABILITY_URAD = 0.02, 4.0
 # Campaigns of each part.
 PARTS = {
@@ -64,9 +70,11 @@ PARTS = {
     "clutter": 8,
     "unlisted": 36,
     "noise of another size": 9,
+    "foreign": 32,
 }
-# Those that hide nothing.
+# Those that hide nothing, and those that hide what is on no list.
 CLEAN = (*tuple(PARTS)[:8], "noise of another size")
+OFF = ("unlisted", "foreign")
 IMPERFECT = ("noise that follows itself", "one scattering joint", "heavy tails", "copied rows", "missing column")
 COLUMNS = {"approach": "approach", "temperature": "temperature", "payload": "payload", "time": "time_s"}
 
@@ -167,11 +175,13 @@ class Session:
             found = mujoco_physics.draw_effect(self.plant, word, rng, poses=self.poses)
             joint = found.joint
         else:
-            kind = (OWN | disturbances.LISTED | disturbances.UNLISTED)[word]
+            kind = (OWN | FOREIGN | disturbances.LISTED | disturbances.UNLISTED)[word]
             names = {f.name for f in fields(kind)}
             joint = int(rng.integers(2, 7)) if "joint" in names else None
             seed = int(rng.integers(1 << 30))
-            if word in OWN:
+            if word in FOREIGN:
+                found = draw_foreign(word, seed, self.plant)
+            elif word in OWN:
                 found = kind(**{k: v for k, v in (("joint", joint), ("seed", seed)) if k in names})
             else:
                 found = draw_disturbance(word, seed, joint=joint)
@@ -212,7 +222,7 @@ def wrong_masses(robot: Robot, low: float, high: float, centre: float, rng: np.r
 def signals(part: str, rng: np.random.Generator) -> list[float]:
     """Of the effects that a part hides."""
     counts = {"one": 1, "two": 2, "three": 3, "four": 4}
-    if part == "unlisted":
+    if part in OFF:
         return [float(rng.uniform(0.8, 2.5))]
     if part == "one":
         return [float(np.exp(rng.uniform(np.log(0.35), np.log(2.5))))]
@@ -221,8 +231,8 @@ def signals(part: str, rng: np.random.Generator) -> list[float]:
     return list(rng.uniform(0.8, 2.5, counts.get(part.split(",")[0], 0)))
 
 
-def trial(part: str, number: int, seeds: str, options: dict[str, Any]) -> dict[str, Any]:
-    """One campaign, hidden, measured and diagnosed."""
+def trial(part: str, number: int, seeds: str, options: dict[str, Any], *, laws: bool = False) -> dict[str, Any]:
+    """One campaign, hidden, measured and diagnosed; laws : whether one would be claimed in place of all causes."""
     rng = np.random.default_rng([SEEDS[seeds], list(PARTS).index(part), number])
     robot, nominal = machine(ROBOTS[number % 3])
     physics = "mujoco" if number % 2 else "numpy"
@@ -230,6 +240,8 @@ def trial(part: str, number: int, seeds: str, options: dict[str, Any]) -> dict[s
     if part == "unlisted":
         physics, word = UNLISTED[int(np.random.default_rng(SEEDS[seeds]).permutation(len(UNLISTED))[number % 22])]
         words = [word]
+    if part == "foreign":
+        physics, words = "numpy", [list(FOREIGN)[number % len(FOREIGN)]]
     kind = str(rng.choice(IMPERFECT)) if part == "one, imperfect" else part
     physics = "numpy" if kind == "one scattering joint" else physics
     session = Session(physics, perturb(nominal, int(rng.integers(1 << 30))), int(rng.choice([60, 100])), number + 7)
@@ -264,6 +276,8 @@ def trial(part: str, number: int, seeds: str, options: dict[str, Any]) -> dict[s
     except InputError as error:
         return answer | {"verdict": "refused", "named": [], "why": str(error), "seconds": 0.0}
     first = found.rankings[0]
+    if laws:
+        answer["law"] = instead(found, laws_beside(found).rounds[0])
     return answer | {
         "verdict": found.verdict,
         "named": [c.label for c in found.causes],
@@ -283,7 +297,7 @@ def trial(part: str, number: int, seeds: str, options: dict[str, Any]) -> dict[s
 
 def right(t: dict[str, Any]) -> set[str]:
     """Labels that a right answer may name: what is hidden; wrong masses; poses that the instrument got wrong."""
-    found = set() if t["part"] == "unlisted" else set(t["truth"])
+    found = set() if t["part"] in OFF else set(t["truth"])
     if "masses" in t["part"]:
         found.add("link_masses")
     return found | {"outliers"}
@@ -312,6 +326,12 @@ def recall(part: Sequence[dict[str, Any]]) -> Estimate:
     return share([k in t["named"] for t in part for k, s in zip(t["truth"], t["signals"], strict=True) if s >= 0.35])
 
 
+def limit(part: Sequence[dict[str, Any]], least: float = 0.35) -> Estimate:
+    """How many a test would find that knows all but the size."""
+    found = [power(s, t["poses"]) for t in part for s in t["signals"] if s >= least]
+    return mean(found) if found else share([])
+
+
 def precision(part: Sequence[dict[str, Any]]) -> Estimate:
     return share([k in right(t) for t in part for k in t["named"]])
 
@@ -337,20 +357,30 @@ def table(trials: Sequence[dict[str, Any]]) -> str:
         rows.append((f"{name}: a wrong cause named", share([wrong(t) for t in part])))
         sets = [t for t in part if t.get("alike")]
         rows.append((f"{name}: truth in the set", share([t["truth"][0] in (t["named"][0], *t["alike"]) for t in sets])))
+    seen = [t for t in singles if t["signals"][0] >= 0.35]
+    rows.append(("all single, signal >= .35: claims made", share([t["verdict"] == "explained" for t in seen])))
+    for low, high in ((0.35, 0.5), (0.5, np.inf)):
+        band = [t for t in singles if low <= t["signals"][0] < high]
+        name = f"all single, signal {low:g} to {high:g}"
+        rows += [(f"{name}: detected", share([t["verdict"] != "none" for t in band])), (f"{name}: limit", limit(band))]
     for part in ("two", "three", "four", "clutter"):
-        rows.append((f"{part}: recall", recall(of[part])))
+        rows += [(f"{part}: recall", recall(of[part])), (f"{part}: recall, limit", limit(of[part]))]
         rows.append((f"{part}: precision", precision(of[part])))
         rows.append((f"{part}: verdict unknown", share([t["verdict"] == "unknown" for t in of[part]])))
     named = [t for t in trials if set(t["named"]) - {"outliers"}]
     for verdict in ("explained", "ambiguous"):
         whole = [t for t in named if t["verdict"] == verdict and not t["alike"]]
         rows.append((f"{verdict}, causes certain: wrong or incomplete", share([flawed(t) for t in whole])))
-    off = of["unlisted"]
-    rows.append(
-        ("on no list, claimed as listed", share([t["verdict"] == "explained" and bool(causes(t)) for t in off]))
-    )
-    rows.append(("on no list, any listed cause named", share([bool(causes(t)) for t in off])))
-    rows.append(("on no list, detected", share([t["verdict"] != "none" for t in off])))
+    for name, off in {"on no list": of["unlisted"], "foreign": of["foreign"]}.items():
+        rows.append(
+            (f"{name}, claimed as listed", share([t["verdict"] == "explained" and bool(causes(t)) for t in off]))
+        )
+        rows.append((f"{name}, any listed cause named", share([bool(causes(t)) for t in off])))
+        rows.append((f"{name}, detected", share([t["verdict"] != "none" for t in off])))
+    claims = [t for t in trials if t["verdict"] == "explained" and causes(t) and "law" in t]
+    for name, some in {"right claims": False, "other claims": True}.items():
+        lost = [t["law"] for t in claims if (t["part"] in OFF or wrong(t)) == some]
+        rows.append((f"{name}: a law would take their place", share(lost)))
     rows.append(("seconds of one core a campaign", mean([t["seconds"] for t in trials if t["seconds"]])))
     return "\n".join(f"{name:<58} {estimate}" for name, estimate in rows if estimate.n)
 
@@ -362,6 +392,7 @@ def main() -> None:
     parser.add_argument("--parts", default=";".join(PARTS), help="by semicolons")
     parser.add_argument("--keep", type=Path, required=True, help="folder of finished campaigns")
     parser.add_argument("--masses", default="", help="candidate (default) or nuisance")
+    parser.add_argument("--laws", action="store_true")
     parser.add_argument("--minutes", type=float, default=1e9, help="no campaign is begun after so many")
     options = parser.parse_args()
     chosen = {"masses": options.masses} if options.masses else {}
@@ -372,7 +403,7 @@ def main() -> None:
     for _, part, k in tasks:
         file = options.keep / f"{part.replace(' ', '_').replace('%', '')}-{k}.json"
         if not file.exists() and time.monotonic() - began < 60 * options.minutes:
-            file.write_text(json.dumps(trial(part, k, options.seeds, chosen)))
+            file.write_text(json.dumps(trial(part, k, options.seeds, chosen, laws=options.laws)))
         if file.exists():
             trials.append(json.loads(file.read_text()))
     print(f"{len(trials)} of {len(tasks)} campaigns, seeds {options.seeds}, {options.masses or 'default'} masses\n")

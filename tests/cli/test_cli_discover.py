@@ -37,7 +37,7 @@ def test_a_law_is_printed_written_and_taken_again(
     assert f"LAW  {line}" in said
     assert line.startswith("joint 2 += ")
     assert kept["laws"][0]["driver"] == "q2"
-    assert "The law over its driver" in page.read_text()
+    assert "The missing law" in page.read_text()
     assert read_robot(out / "discovered.robot.toml").effects[-1].label.startswith("law at joint 2 by q2")
     assert main(monkeypatch, "diagnose", PROBLEM, stepped, "--effects", out / "law.effect.toml") == 0
     assert "Explained: law@2" in capsys.readouterr().out

@@ -14,18 +14,24 @@ from casadical.blind_check.numpy_physics import campaign, perturb
 from casadical.blind_check.numpy_physics.disturbance import Disturbance
 from casadical.blind_check.numpy_physics.disturbances_drive import GearEccentricity
 from casadical.blind_check.numpy_physics.disturbances_rare import CableStop
+from casadical.core.blocks import Words
 from casadical.core.errors import InputError
+from casadical.diagnosis.brief import brief
+from casadical.diagnosis.details import Details
 from casadical.diagnosis.evidence import RHOS, log_sum
+from casadical.diagnosis.json_answer import as_json as diagnosis_json
+from casadical.diagnosis.laws import discovery
 from casadical.diagnosis.laws.answer import as_json, files_of, line_of, page_of
-from casadical.diagnosis.laws.discovery import with_law
+from casadical.diagnosis.laws.discovery import laws_beside, with_law
 from casadical.diagnosis.laws.drivers import drivers_of, values_of, variables, with_columns
 from casadical.diagnosis.laws.forms import FINE_WAVE, FORMS, LINEAR, WAVE, wave_by
-from casadical.diagnosis.laws.rivals import law_rivals
+from casadical.diagnosis.laws.rivals import aliases, law_rivals
 from casadical.diagnosis.laws.screening import Screen
 from casadical.diagnosis.laws.seams import with_columns as seams_with_columns
 from casadical.diagnosis.laws.search import SCREENED, Problem, Tried, scale_of, search_laws
 from casadical.diagnosis.linearisation import linearise
 from casadical.diagnosis.posterior import no_rivals, rank
+from casadical.diagnosis.text import page_of as diagnosis_page
 from casadical.effects import Law
 from casadical.effects.formula import NUMERIC, parse
 from casadical.identification.accuracy import predicted
@@ -183,6 +189,47 @@ def test_a_law_among_the_rivals_stops_a_wrong_cause() -> None:
     assert among.order[0] == "law at joint 3 by q4"
     assert among.probability[among.order[0]] > 0.95
     assert among.variant.keys() == alone.variant.keys()
+
+
+def test_a_law_that_is_a_listed_effect_by_another_name_is_no_rival() -> None:
+    case = discovered(7, GearEccentricity(2, 90e-6)).diagnosis.case
+    alone, among = (rank(case, NONE, rivals=r) for r in (no_rivals, law_rivals))
+    assert alone.order[0] == among.order[0] == "gear_eccentricity@2"
+    first = search_laws(case, NONE)[0]
+    assert "gear_eccentricity@2" in aliases(case, NONE, first, alone.variant)
+    assert first.law.label not in among.probability
+
+
+def test_noise_is_a_rival_of_every_law() -> None:
+    (first, *_) = discovered(5, STOP).rounds
+    assert first.claimed
+    assert first.noise[0] in ("noise that follows itself", "noise with heavy tails", "scatter of joint 3")
+    assert not replace(first, noise=("noise that follows itself", first.best.score)).claimed
+
+
+def test_laws_of_a_large_campaign_are_searched_on_some_of_its_poses(monkeypatch: pytest.MonkeyPatch) -> None:
+    diagnosis = discovered(5, STOP).diagnosis
+    monkeypatch.setattr(discovery, "MOST_POSES", 60)
+    found = laws_beside(diagnosis)
+    assert found.thinned == (60, 80)
+    assert found.case.kept.sum() == 60
+    assert [s.law.place for s in found.laws] == ["joint 3"]
+    assert "Laws were searched on 60 of 80 poses." in page_of(found)
+    assert as_json(found, "stop")["poses"] == {"searched": 60, "all": 80}
+    assert len(found.refit().measurements[0]) == 80
+
+
+def test_a_diagnosis_that_is_unknown_says_the_law() -> None:
+    found = discovered(5, STOP)
+    assert found.diagnosis.verdict == "unknown"
+    more = Details(laws=found)
+    assert "LAW     joint 3 += " in diagnosis_page(found.diagnosis, more)
+    assert any(
+        b.text.startswith("Law: joint 3 += ") for b in brief("stop", found.diagnosis, more) if isinstance(b, Words)
+    )
+    assert diagnosis_json(found.diagnosis, "stop", more)["laws"]["laws"][0]["driver"] == "q4"
+    nothing = Details(laws=replace(found, laws=()))
+    assert "no law is claimed: " in diagnosis_page(found.diagnosis, nothing)
 
 
 def test_nothing_is_claimed_where_there_is_nothing() -> None:

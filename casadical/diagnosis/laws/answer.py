@@ -9,7 +9,8 @@ from typing import Any
 
 from casadical.core.blocks import Table, Words, mm, plain_text
 from casadical.core.files import json_text
-from casadical.diagnosis.laws.discovery import ABOVE, ALIKE, CLAIMED, CORRELATION, Discovery, Round
+from casadical.diagnosis.laws.discovery import ABOVE, ALIKE, CLAIMED, Discovery, Round
+from casadical.diagnosis.laws.rivals import CORRELATION
 from casadical.diagnosis.laws.search import Scored
 from casadical.effects.law import SEAMS, Law
 from casadical.robot.effect_file import effects_toml
@@ -71,6 +72,8 @@ def blocks_of(d: Discovery) -> list[Words | Table]:
         found.append(Words(f"Listed effects in the model: {causes}."))
     for number, r in enumerate(d.rounds, 1):
         found.append(_table(r, "Laws that compete" if len(d.rounds) == 1 else f"Laws that compete, round {number}"))
+    if d.thinned:
+        found.append(Words("Laws were searched on {} of {} poses.".format(*d.thinned), "note"))
     found.append(Words(NATS, "note"))
     found.append(_gaps(d))
     if d.shrink:
@@ -84,6 +87,15 @@ def blocks_of(d: Discovery) -> list[Words | Table]:
 def page_of(d: Discovery, width: int = 100) -> str:
     """The same as text."""
     return plain_text(blocks_of(d), width)
+
+
+def law_in_words(d: Discovery) -> str:
+    """The laws that were claimed and what they leave, in a sentence; why there is none, else."""
+    if not d.laws:
+        why = _why_not(d.rounds[0])
+        return f"no law is claimed: {why[0].lower()}{why[1:]}"
+    left = f"{mm(d.gap['base'])} -> {mm(d.gap['law'])} mm on poses held out"
+    return f"{'; '.join(lines_of(d))}; {left} (casadical discover --out DIR has it in a robot file)"
 
 
 def _share(value: float) -> str:
@@ -107,15 +119,15 @@ def _settings(s: Scored) -> str:
 def _why_not(r: Round) -> str:
     if r.alias and r.best.score >= CLAIMED:
         return f"The best one is {', '.join(r.alias)} by another name (correlation above {CORRELATION})."
-    rival = max(r.listed, r.smooth, key=lambda x: x[1])
     if r.best.score >= CLAIMED:
-        return f"The best one has {r.best.score:.1f} nats, {rival[0]} {rival[1]:.1f}; {ABOVE:g} more are needed."
+        name, score = r.rival
+        return f"The best one has {r.best.score:.1f} nats, {name} {score:.1f}; {ABOVE:g} more are needed."
     return f"The best one has {r.best.score:.1f} nats after the price of the search; {CLAIMED:g} are needed."
 
 
 def _table(r: Round, title: str) -> Table:
     rows = [(f"{s.score:.1f}", line_of(s.law), s.tried.form.name) for s in (r.best, *r.alike)]
-    rivals = (("listed", r.listed), ("on no list", r.smooth))
+    rivals = (("listed", r.listed), ("on no list", r.smooth), ("noise", r.noise))
     rows += [(f"{score:.1f}", f"{kind}: {label}", "") for kind, (label, score) in rivals]
     count = 1 + len(r.alike)
     return Table(
@@ -124,7 +136,7 @@ def _table(r: Round, title: str) -> Table:
         rows,
         frozenset({0}),
         frozenset({0}) if r.claimed else frozenset(),
-        faint=frozenset(range(count, count + 2)),
+        faint=frozenset(range(count, len(rows))),
     )
 
 
@@ -137,17 +149,25 @@ def as_json(d: Discovery, name: str) -> dict[str, Any]:
     """All figures; name : of the campaign. Angles in rad, lengths in m, gaps in mm, scores in nats."""
     first = d.rounds[0]
     verdict = "law" if d.laws else "alias" if first.alias and first.best.score >= CLAIMED else "none"
-    shrink = d.shrink and {"share": round(d.shrink[0], 4), "interval": [round(x, 4) for x in d.shrink[1]]}
     return {
         "campaign": name,
         "verdict": verdict,
-        "laws": [_law(d, s, line) for s, line in zip(d.laws, lines_of(d), strict=True)],
+        **laws_as_json(d),
         "causes": [e.label for e in (d.causes if d.laws else d.diagnosis.effects())],
         "diagnosis": d.diagnosis.verdict,
         "rounds": [_round(r) for r in d.rounds],
+    }
+
+
+def laws_as_json(d: Discovery) -> dict[str, Any]:
+    """The laws that were claimed, what each model leaves [mm], and the model that is kept."""
+    shrink = d.shrink and {"share": round(d.shrink[0], 4), "interval": [round(x, 4) for x in d.shrink[1]]}
+    return {
+        "laws": [_law(d, s, line) for s, line in zip(d.laws, lines_of(d), strict=True)],
         "gap_mm": {model: round(1e3 * value, 5) for model, value in d.gap.items()},
         "shrink": shrink,
         "kept": d.kept,
+        **({"poses": {"searched": d.thinned[0], "all": d.thinned[1]}} if d.thinned else {}),
     }
 
 
@@ -177,6 +197,7 @@ def _round(r: Round) -> dict[str, Any]:
         "within": ALIKE,
         "listed": {"label": r.listed[0], "score": round(r.listed[1], 2)},
         "smooth": {"label": r.smooth[0], "score": round(r.smooth[1], 2)},
+        "noise": {"label": r.noise[0], "score": round(r.noise[1], 2)},
         "alias_of": list(r.alias),
     }
 

@@ -1,8 +1,8 @@
 """Discover the law of what is left: laws beside listed causes and smooth forms, claimed where the data distinguish it.
 
-A law is claimed if its score (see `search`) is 12 or more and 3 above that of the best listed effect and of the best
-form on no list, these with their settings refined as the law's are. Where its columns are those of a listed effect, it
-is that effect under another name. Laws that score nearly as much are named with it.
+A law is claimed if its score (see `search`) is 12 or more and 3 above that of the best listed effect, of the best form
+on no list, these with their settings refined as the law's are, and of noise that is not the model's. Where its columns
+are those of a listed effect, it is that effect under another name. Laws that score nearly as much are named with it.
 """
 
 from __future__ import annotations
@@ -17,10 +17,12 @@ from casadical.core.arrays import Array
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import estimates, shrink_interval
 from casadical.diagnosis.diagnose import diagnose
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, RHOS, log_sum
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
 from casadical.diagnosis.laws.held_out import held_out
+from casadical.diagnosis.laws.rivals import aliases
 from casadical.diagnosis.laws.search import Scored, search_laws
 from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.noise_forms import noise_forms
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, rank
 from casadical.diagnosis.refit import refit
 from casadical.diagnosis.result import Diagnosis, Unlisted
@@ -37,8 +39,8 @@ from casadical.robot.robot import Robot
 
 # Nats of a claim: of the score, and above rivals; of laws that are not distinguished.
 CLAIMED, ABOVE, ALIKE = 12.0, 3.0, 5.0
-# A law is a listed effect by another name if their columns correlate by more; so many listed ones are compared.
-CORRELATION, COMPARED = 0.95, 8
+# Laws are searched on so many poses at most, spread over the campaign: its time grows with the poses.
+MOST_POSES = 600
 MOST_LAWS, MOST_ALIKE, MOST_ROUNDS = 2, 6, 4
 Kept = Literal["law", "smooth", "causes", "base"]
 
@@ -48,12 +50,14 @@ class Round:
     """One comparison of laws with everything else.
 
     laws : the most probable, the best first; listed, smooth : label and score of the best rivals, refined
-    alias : labels of listed effects whose columns are the best law's; claimed : whether it is claimed
+    noise : the same of the best form of noise; alias : labels of listed effects whose columns are the best law's
+    claimed : whether the best law is claimed
     """
 
     laws: tuple[Scored, ...]
     listed: tuple[str, float]
     smooth: tuple[str, float]
+    noise: tuple[str, float]
     alias: tuple[str, ...]
 
     @property
@@ -69,8 +73,12 @@ class Round:
     @property
     def claimed(self) -> bool:
         """Whether the best law is claimed."""
-        rival = max(self.listed[1], self.smooth[1])
-        return self.best.score >= CLAIMED and self.best.score >= rival + ABOVE and not self.alias
+        return self.best.score >= CLAIMED and self.best.score >= self.rival[1] + ABOVE and not self.alias
+
+    @property
+    def rival(self) -> tuple[str, float]:
+        """Label and score of the best of all rivals."""
+        return max(self.listed, self.smooth, self.noise, key=lambda found: found[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +159,13 @@ class Discovery:
             Ipopt finds no optimum
         """
         noise = self.noise if self.kept == "law" else self.diagnosis.noise
-        return refit(self.case, self.effects, noise)
+        return refit(self.case.with_kept(self.diagnosis.case.kept), self.effects, noise)
+
+    @property
+    def thinned(self) -> tuple[int, int] | None:
+        """On how many poses laws were searched, and of how many; None where these are all."""
+        some, whole = (int(c.kept.sum()) for c in (self.case, self.diagnosis.case))
+        return None if some == whole else (some, whole)
 
     def apply(self) -> Robot:
         """The calibrated robot with laws or smooth forms in its model, whichever predict better.
@@ -207,14 +221,18 @@ def discover(
 
 
 def laws_beside(found: Diagnosis, show: Show = lambda _text: None) -> Discovery:
-    """The laws of a diagnosed campaign: first instead of all its causes, which stay if they win, then beside these."""
-    case = found.case
+    """The laws of a diagnosed campaign: first instead of all its causes, which stay if they win, then beside these.
+
+    Of a large campaign, on some of its poses.
+    """
+    case = found.case.with_kept(_spread(found.case.kept))
     show("laws beside nothing")
     none = np.zeros(0, dtype=np.int64)
-    first = _round(case, none, found.rankings[0], frozenset())
+    beside_nothing = found.rankings[0] if case is found.case else rank(case, none)
+    first = _round(case, none, beside_nothing, frozenset())
     rounds, laws, causes = [first], [], found.effects()
     columns = found.columns
-    if first.claimed and first.best.score + np.log(PRIOR_FIRST["unknown"]) >= _set_mass(found) + ABOVE:
+    if instead(found, first):
         laws, causes = [first.best], ()
         case = with_law(case, first.best.law)
         columns = case.group((first.best.law,))
@@ -239,6 +257,19 @@ def laws_beside(found: Diagnosis, show: Show = lambda _text: None) -> Discovery:
         case = with_law(case, further.best.law)
         columns = np.unique(np.concatenate([columns, case.group((further.best.law,))]))
     return _concluded(found, rounds, case, laws, causes, columns)
+
+
+def instead(found: Diagnosis, first: Round) -> bool:
+    """Whether the best law beside nothing is claimed in place of all causes of a diagnosis together."""
+    return first.claimed and first.best.score + np.log(PRIOR_FIRST["unknown"]) >= _set_mass(found) + ABOVE
+
+
+def _spread(kept: Array) -> Array:
+    """The poses on which laws are searched, shape (N,): at most so many of those that are kept."""
+    at = np.flatnonzero(kept)
+    some = np.zeros_like(kept)
+    some[at[np.linspace(0, len(at) - 1, min(len(at), MOST_POSES)).round().astype(int)]] = True
+    return some
 
 
 def _set_mass(found: Diagnosis) -> float:
@@ -273,8 +304,9 @@ def _round(case: Case, chosen: Array, ranking: Ranking, without: frozenset[str])
     rivals = [_refined_rival(case, by_label[k], ranking, chosen) for k in listed[:2]]
     best = max(rivals, key=lambda r: r[1], default=("", -np.inf))
     other = max((_refined_rival(case, by_label[k], ranking, chosen) for k in smooth[:2]), key=lambda r: r[1])
-    alias = _aliases(case, chosen, laws[0], [by_label[k] for k in listed[:COMPARED]], ranking)
-    return Round(tuple(laws), best, other, alias)
+    noise = max(((f.label, f.log_factor) for f in noise_forms(case, chosen)), key=lambda r: r[1])
+    alias = aliases(case, chosen, laws[0], ranking.variant)
+    return Round(tuple(laws), best, other, noise, alias)
 
 
 def _refined_rival(case: Case, candidate: Candidate, ranking: Ranking, chosen: Array) -> tuple[str, float]:
@@ -289,26 +321,6 @@ def _refined_rival(case: Case, candidate: Candidate, ranking: Ranking, chosen: A
     grids = more.evidence.log_grids([more.group(variant), more.group(better)], chosen) + np.log(KAPPA_WEIGHTS)
     before, after = log_sum(grids.reshape(2, -1), axis=1)
     return label, score + float(after - before)
-
-
-def _aliases(case: Case, chosen: Array, law: Scored, listed: Sequence[Candidate], ranking: Ranking) -> tuple[str, ...]:
-    """Labels of the listed effects that can do what the law does: its fit correlates with what they make of it."""
-    base = case.evidence.with_base(chosen)
-    rho = int(np.argmin(np.abs(RHOS - law.noise.repeatability / law.noise.sigma)))
-    groups = [case.group(c.variants[ranking.variant[c.label]]) for c in listed]
-    E = np.concatenate([law.columns, *(case.evidence.take(g) for g in groups)], axis=2)
-    white = base.white(float(RHOS[rho]), E)
-    w = law.columns.shape[2]
-    own = white.E[:, :w]
-    fit = own @ np.linalg.lstsq(own, white.y, rcond=None)[0]
-    found, at = [], w
-    for candidate, group in zip(listed, groups, strict=True):
-        other = white.E[:, at : at + len(group)]
-        at += len(group)
-        same = other @ np.linalg.lstsq(other, fit, rcond=None)[0]
-        if np.linalg.norm(same) > CORRELATION * np.linalg.norm(fit):
-            found.append(candidate.label)
-    return tuple(found)
 
 
 def _concluded(

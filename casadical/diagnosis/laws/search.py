@@ -148,8 +148,11 @@ class Problem:
 
     def evidences(self, columns: Sequence[Array]) -> Array:
         """Exact log evidence over none of each law, shape (laws,)."""
-        grids = self.grids(columns)
-        return log_sum(grids.reshape(len(grids), -1), axis=1) - float(log_sum(self.log_base))
+        return self.over_none(self.grids(columns))
+
+    def over_none(self, grids: Array) -> Array:
+        """Log evidence over none, shape (laws,); grids : as of `grids`."""
+        return np.asarray(log_sum(grids.reshape(len(grids), -1), axis=1) - float(log_sum(self.log_base)))
 
     @cached_property
     def screens(self) -> list[tuple[float, Screen]]:
@@ -316,26 +319,35 @@ def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset()
     order = np.argsort([-(r.mean - price) for r, price in zip(rough, prices, strict=True)])
     some = [rough[k] for k in order[:EXACT]]
     made = [r.tried.column(r.seam, r.settings) for r in some]
-    exact = problem.evidences([columns for _, columns in made])
+    grids = problem.grids([columns for _, columns in made])
+    exact = problem.over_none(grids)
     scored = [float(e - r.best + r.mean - prices[k]) for e, r, k in zip(exact, some, order, strict=False)]
     found = []
     for rank, k in enumerate(np.argsort([-s for s in scored])):
         if made[k][0].label not in without:
-            found.append(_finished(problem, some[k], scored[k], float(exact[k]), refine=rank < REFINED))
+            r, (law, columns) = some[k], made[k]
+            errors, noise = np.full(len(r.settings), np.nan), likely_noise(grids[k])
+            s = Scored(law, r.tried, r.seam, r.settings, scored[k], float(exact[k]), columns, noise, errors)
+            found.append(_refined(problem, s) if rank < REFINED else s)
     return sorted(found, key=lambda s: -s.score)
 
 
-def _finished(problem: Problem, rough: _Rough, score: float, evidence: float, refine: bool) -> Scored:
+def _refined(problem: Problem, found: Scored) -> Scored:
     """The law with its settings refined, which raises the score as much as the evidence."""
-    tried, settings = rough.tried, rough.settings
-    errors = np.full(len(settings), np.nan)
-    if refine and len(settings):
-        settings, better = refined_settings(problem, tried, rough.seam, settings)
-        errors = _sigmas(problem, tried, rough.seam, settings, better)
-        score, evidence = score + better - evidence, better
-    law, columns = tried.column(rough.seam, settings)
-    noise = likely_noise(problem.grids([columns])[0])
-    return Scored(law, tried, rough.seam, settings, score, evidence, columns, noise, errors)
+    if not len(found.settings):
+        return found
+    settings, better = refined_settings(problem, found.tried, found.seam, found.settings)
+    law, columns = found.tried.column(found.seam, settings)
+    return replace(
+        found,
+        law=law,
+        settings=settings,
+        score=found.score + better - found.evidence,
+        evidence=better,
+        columns=columns,
+        noise=likely_noise(problem.grids([columns])[0]),
+        errors=_sigmas(problem, found.tried, found.seam, settings, better),
+    )
 
 
 def _moved(tried: Tried, seam: int, settings: Array, k: int, step: float) -> Array:
