@@ -98,6 +98,14 @@ def diagnose(
         ),
     ] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Of all chance.")] = 0,
+    together: Annotated[
+        bool,
+        typer.Option(
+            "--together",
+            help="The tables are of one robot as it stood, by one or several instruments, and are diagnosed as one; "
+            "each has noise of its own.",
+        ),
+    ] = False,
     isolability: Annotated[
         bool,
         typer.Option(
@@ -153,15 +161,16 @@ def diagnose(
     workspace = read_workspace(room, robot) if room else None
     answers, answered = [], []
     texts: dict[Path, str] = {}
-    for path in campaigns:
-        m = read_campaign(problem, path, robot)
+    tables = {path: read_campaign(problem, path, robot) for path in campaigns}
+    sets = {campaigns[0]: [*tables.values()]} if together else {path: [m] for path, m in tables.items()}
+    for path, m in sets.items():
         with working(quiet, "diagnosing", path.stem, DIAGNOSIS) as show:
             masses: Masses = "nuisance" if nuisance_masses else "candidate"
             chosen = effects_of(effects)
             found = run(
                 robot, m, chosen, seed=seed, bootstrap=bootstrap, prior=known, masses=masses, rivals=rivals, show=show
             )
-            file = measure_next if len(campaigns) == 1 else None
+            file = measure_next if len(sets) == 1 else None
             name_of_file = file.name if file else ""
             more = analyse(
                 found,
@@ -174,7 +183,7 @@ def diagnose(
             )
             if out:
                 show("the robot with its causes")
-                folder = out if len(campaigns) == 1 else out / path.stem
+                folder = out if len(sets) == 1 else out / path.stem
                 texts |= diagnosis_files(folder, found, more, path.stem, unlisted=unlisted)
         answers.append(as_json(found, path.stem, more))
         answered.append((path, found, more))

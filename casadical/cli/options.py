@@ -73,7 +73,7 @@ Report = Annotated[
 Details = Annotated[bool, typer.Option("--details", help="Print all figures, parameters and findings.")]
 Problems = Annotated[list[Path], typer.Argument(metavar="PROBLEM_DIR...", help="One or more problem folders.")]
 Problem = Annotated[Path, typer.Argument(metavar="PROBLEM_DIR", help="Folder with the robot, or a robot file.")]
-Campaigns = Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.csv...", help="Measured positions.")]
+Campaigns = Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.csv...", help="Measured poses, of any kind.")]
 Effects = Annotated[
     str | None,
     typer.Option(

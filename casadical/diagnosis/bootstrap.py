@@ -70,7 +70,10 @@ def _noise(e: Evidence, share: Array, count: int, rng: np.random.Generator) -> A
     """Noise alone as columns, shape (n, 3, count) [m]; its size by chance as probable as the data make it."""
     rho, sigma = np.unravel_index(rng.choice(share.size, count, p=share.ravel()), share.shape)
     joints = RHOS[rho] * rng.standard_normal((len(e.r), e.Jq.shape[2], count))
-    return np.asarray(e.sigmas[sigma] * (rng.standard_normal((*e.r.shape, count)) + e.Jq @ joints))
+    white = rng.standard_normal((*e.r.shape, count))
+    if e.measured is not None:
+        white *= e.measured[:, :, None]
+    return np.asarray(e.sigmas[sigma] * (white + e.Jq @ joints))
 
 
 def _groups(case: Case, w: Whitened) -> list[_Group]:

@@ -86,4 +86,4 @@ def _log_evidence(case: Case, fit: Fit, sigma: float, prior: Prior) -> float:
     square = float(fit.y @ fit.y + mean @ precision @ mean - solved @ solved)
     log_norm = 0.5 * log_det - float(np.log(np.diag(L)).sum() + np.log(scale).sum())
     grid = case.evidence.sigmas / sigma
-    return float(log_sum(log_norm - len(fit.y) * np.log(grid) - 0.5 * square / grid**2))
+    return float(log_sum(log_norm - case.evidence.count * np.log(grid) - 0.5 * square / grid**2))

@@ -23,7 +23,7 @@ def conclude(
     state, end = named(state, end, seed)
     case, columns = state.case, state.columns()
     before = partitioned_errors(case.evidence, columns[:0], state.rankings[0].noise[""], seed)
-    repeated = replicates(case.m, case.whole.r, case.kept)
+    repeated = replicates(case.m, case.whole.r, case.kept, case.apart, case.whole.measured)
     noise = _final_noise(state, end)
     floor = noise_floor(case.evidence, noise, repeated, seed)
     richer = None if repeated.enough or end != "claimed" else _with_richer_form(state, floor, seed)
@@ -36,7 +36,7 @@ def conclude(
     before_all, outliers = _outliers_as_cause(case, before, left, distance, seed)
     gap = Gap(float(before_all.mean()), float(after.mean()), floor, float(before.mean()))
     causes = sorted([*causes, *outliers], key=lambda c: -c.shrink)
-    shrinks = course(case, _stages(state, noise), partitions(int(case.kept.sum()), seed), noise, seed)
+    shrinks = course(case, _stages(state, noise), partitions(case.evidence, seed), noise, seed)
     verdict, rest = _verdict(state, end, gap, bool(causes), shrinks)
     exactly = cause_set(state)
     if verdict == "explained" and exactly and exactly.probability < SET_CLAIM and _remainder(state) > MISMATCH:

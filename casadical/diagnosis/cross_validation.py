@@ -47,6 +47,7 @@ class Fit:
 
     def __init__(self, e: Evidence, columns: Array, noise: Noise, *, combined: bool = True) -> None:
         self._J, self._E, self._columns = e.J, e.E, columns
+        self.numbers, self.size = e.r.shape[1], e.size
         self.combined = e.combined(columns) if combined else Combined(((0, len(columns), None),))
         self.W = np.linalg.inv(np.linalg.cholesky(covariance(e, noise)))
         self.y = (self.W @ e.r[:, :, None]).ravel()
@@ -59,9 +60,20 @@ class Fit:
         for some in self._parts():
             A = self._white(some)
             if self._kept is not None:
-                self._kept[3 * some.start : 3 * some.stop] = A
+                self._kept[self._rows_of(some)] = A
             self.H += A.T @ A
-            self.g += A.T @ self.y[3 * some.start : 3 * some.stop]
+            self.g += A.T @ self.y[self._rows_of(some)]
+
+    def _rows(self, poses: Array) -> Array:
+        """Rows of some poses."""
+        return np.asarray((self.numbers * poses[:, None] + np.arange(self.numbers)).ravel())
+
+    def _rows_of(self, poses: slice) -> slice:
+        return slice(self.numbers * poses.start, self.numbers * poses.stop)
+
+    def _by_pose(self, rows: Array) -> Array:
+        """Rows as columns of numbers, shape (poses, numbers, 1)."""
+        return rows.reshape(-1, self.numbers, 1)
 
     def _parts(self) -> list[slice]:
         """The poses in parts whose columns take little memory."""
@@ -79,8 +91,8 @@ class Fit:
         if self._kept is None:
             return self._white(poses)
         if isinstance(poses, slice):
-            return np.asarray(self._kept[3 * poses.start : 3 * poses.stop])
-        return np.asarray(self._kept[_rows(poses)])
+            return np.asarray(self._kept[self._rows_of(poses)])
+        return np.asarray(self._kept[self._rows(poses)])
 
     @property
     def A(self) -> Array:
@@ -95,7 +107,7 @@ class Fit:
         for some in np.array_split(fewer, 1 + len(fewer) // len(self.prior)):
             A = self._of(some)
             H += A.T @ A
-            g += A.T @ self.y[_rows(some)]
+            g += A.T @ self.y[self._rows(some)]
         return (self.H - H, self.g - g) if fewer is out else (H, g)
 
     def _solution(self, H: Array, g: Array) -> Array:
@@ -142,22 +154,28 @@ class Fit:
 
     def left(self, x: Array) -> Array:
         """What a fit leaves at every pose, shape (n, 3) [m]; x : its parameters, shape (p,)."""
-        return np.asarray(np.linalg.solve(self.W, self._left(x).reshape(-1, 3, 1))[:, :, 0])
+        return np.asarray(np.linalg.solve(self.W, self._by_pose(self._left(x)))[:, :, 0])
+
+    def lengths(self, left: Array, poses: Array | slice = EVERY) -> Array:
+        """The reported error of what is left at some poses, shape (poses,) [m]."""
+        return np.asarray(np.linalg.norm(left if self.size is None else left * self.size[poses], axis=1))
 
     def distance(self, x: Array, spread: Array) -> Array:
         """Squared Mahalanobis distance of what a fit leaves at each pose, shape (n,); spread : shape (n, 3, 3)."""
-        white = self._left(x).reshape(-1, 3, 1)
+        white = self._by_pose(self._left(x))
         return np.asarray((white * np.linalg.solve(spread, white)).sum(axis=(1, 2)))
 
     def pull(self, poses: Array) -> Array:
         """Covariance of the fit to some poses at each pose, in units of its noise, shape (n, 3, 3)."""
         if len(poses) == len(self.W):
             if self._pulled is not None:
-                return _blocks(self._pulled.reshape(len(self.W), 3, -1))
+                return _blocks(self._pulled.reshape(len(self.W), self.numbers, -1))
             root = self._root
         else:
             root = root_of_inverse(self._products(poses)[0] + np.diag(self.prior**-2))
-        return np.concatenate([_blocks((self._of(s) @ root.T).reshape(-1, 3, len(root))) for s in self._parts()])
+        return np.concatenate(
+            [_blocks((self._of(s) @ root.T).reshape(-1, self.numbers, len(root))) for s in self._parts()]
+        )
 
     @cached_property
     def _left_of(self) -> Array | None:
@@ -182,7 +200,7 @@ class Fit:
 
     def without(self, poses: Array) -> Array:
         """What is left at some poses by a fit to all others, shape (len(poses), 3) [m]."""
-        rows = _rows(poses)
+        rows = self._rows(poses)
         whole = self._left_of
         if whole is not None:  # what all poses leave, freed of these poses' own pull on the fit
             left = np.linalg.solve(whole[np.ix_(rows, rows)], whole[rows] @ self._missed)
@@ -192,14 +210,14 @@ class Fit:
         else:
             A, y = self._of(poses), self.y[rows]
             left = y - A @ self._solution(self.H - A.T @ A, self.g - A.T @ y)
-        return np.asarray(np.linalg.solve(self.W[poses], left.reshape(-1, 3, 1))[:, :, 0])
+        return np.asarray(np.linalg.solve(self.W[poses], self._by_pose(left))[:, :, 0])
 
     def alone(self) -> Array:
         """What is left at each pose by a fit to all others, shape (n, 3) [m]."""
         if self._left_of is not None:
             return np.concatenate([self.without(np.array([k])) for k in range(len(self.W))])
         pull = self.pull(np.arange(len(self.W)))
-        left = np.linalg.solve(np.eye(3) - pull, self.rest.reshape(-1, 3, 1))
+        left = np.linalg.solve(np.eye(self.numbers) - pull, self._by_pose(self.rest))
         return np.asarray(np.linalg.solve(self.W, left)[:, :, 0])
 
 
@@ -214,11 +232,6 @@ def fit_of(e: Evidence, columns: Array, noise: Noise) -> Fit:
     return fits[key]
 
 
-def _rows(poses: Array) -> Array:
-    """Rows of some poses."""
-    return np.asarray((3 * poses[:, None] + np.arange(3)).ravel())
-
-
 def _blocks(B: Array) -> Array:
     """Each pose's own block of B B', shape (n, 3, 3); B : shape (n, 3, p)."""
     return np.asarray(B @ B.transpose(0, 2, 1))
@@ -226,7 +239,15 @@ def _blocks(B: Array) -> Array:
 
 def covariance(e: Evidence, noise: Noise) -> Array:
     """Of the noise of each measured position, shape (n, 3, 3) [m^2]."""
-    return noise.sigma**2 * np.eye(3) + noise.repeatability**2 * e.Jq @ e.Jq.transpose(0, 2, 1)
+    return noise.sigma**2 * np.eye(e.r.shape[1]) + noise.repeatability**2 * e.Jq @ e.Jq.transpose(0, 2, 1)
+
+
+def noise_square(e: Evidence, noise: Noise) -> Array:
+    """Mean square of each pose's reported error by noise alone, shape (n,) [m^2]."""
+    C = covariance(e, noise)
+    if e.size is None:
+        return np.asarray(np.trace(C, axis1=1, axis2=2))
+    return np.asarray((np.diagonal(C, axis1=1, axis2=2) * e.size**2).sum(axis=1))
 
 
 def held_out_errors(e: Evidence, columns: Array, noise: Noise, folds: Array) -> Array:
@@ -240,23 +261,24 @@ def held_out_errors(e: Evidence, columns: Array, noise: Noise, folds: Array) -> 
 def fold_errors(fit: Fit, folds: Array) -> Array:
     """The same for a fit that was made."""
     if len(np.unique(folds)) == len(folds):
-        return np.asarray(np.linalg.norm(fit.alone(), axis=1))
+        return fit.lengths(fit.alone())
     errors = np.empty(len(folds))
     for fold in np.unique(folds):
         test = np.flatnonzero(folds == fold)
-        errors[test] = np.linalg.norm(fit.without(test), axis=1)
+        errors[test] = fit.lengths(fit.without(test), test)
     return errors
 
 
-def partitions(n: int, seed: int) -> list[Array]:
-    """Several partitions of n poses into folds; one of many poses, whose mean hardly depends on it."""
-    return [random_folds(n, seed + k) for k in range(PARTITIONS if n < MANY else 1)]
+def partitions(e: Evidence, seed: int) -> list[Array]:
+    """Several partitions of the poses into folds; one of many poses, whose mean hardly depends on it."""
+    n = len(e.r)
+    return [random_folds(n, seed + k, alike=e.alike) for k in range(PARTITIONS if n < MANY else 1)]
 
 
 def partitioned_errors(e: Evidence, columns: Array, noise: Noise, seed: int) -> Array:
     """Held-out error of each pose, shape (n,) [m], averaged over partitions."""
     fit = fit_of(e, columns, noise)
-    runs = [fold_errors(fit, folds) for folds in partitions(len(e.r), seed)]
+    runs = [fold_errors(fit, folds) for folds in partitions(e, seed)]
     return np.asarray(np.mean(runs, axis=0))
 
 
@@ -274,8 +296,8 @@ def remainders(e: Evidence, columns: Array, noise: Noise, kept: Array) -> tuple[
     """
     fit = Fit(e, columns, noise)
     x, pull = fit.to(np.flatnonzero(kept)), fit.pull(np.flatnonzero(kept))
-    spread = np.eye(3) + np.where(kept[:, None, None], -pull, pull)
-    return np.linalg.norm(fit.left(x), axis=1), fit.distance(x, spread)
+    spread = np.eye(fit.numbers) + np.where(kept[:, None, None], -pull, pull)
+    return fit.lengths(fit.left(x)), fit.distance(x, spread)
 
 
 def estimates(e: Evidence, columns: Array, noise: Noise) -> tuple[Array, Array]:
@@ -283,9 +305,17 @@ def estimates(e: Evidence, columns: Array, noise: Noise) -> tuple[Array, Array]:
     return fit_of(e, columns, noise).causes
 
 
-def random_folds(n: int, seed: int, count: int = FOLDS) -> Array:
-    """A fold number for each pose; sizes differ by one at most."""
-    return np.random.default_rng(seed).permutation(np.arange(n) % count)
+def random_folds(n: int, seed: int, count: int = FOLDS, alike: Array | None = None) -> Array:
+    """A fold number for each pose; sizes differ by one at most.
+
+    alike : number of the unknown that each pose shares with others, shape (n,): its poses are spread over the folds
+    """
+    folds = np.random.default_rng(seed).permutation(np.arange(n) % count)
+    if alike is None:
+        return folds
+    spread = np.empty(n, dtype=folds.dtype)
+    spread[np.lexsort((folds, alike))] = np.arange(n) % count
+    return spread
 
 
 def shrink_interval(before: Array, after: Array, seed: int, draws: int = 2000) -> tuple[float, float]:

@@ -111,10 +111,12 @@ def analyse(
     where = localise(found)
     check = check_refit(found, show) if found.effects() else None
     gaps = network_gaps(found, show=show) if networks else None
-    if curve_of(found.causes):
+    one_end = found.case.others is None or found.case.others.linear.far is None
+    curved = one_end and curve_of(found.causes)
+    if curved:
         show("joint error curves")
-    curves = spectrum(found, highest_line) if curve_of(found.causes) else None
-    laws = laws_beside(found, show) if found.verdict == "unknown" else None
+    curves = spectrum(found, highest_line) if curved else None
+    laws = laws_beside(found, show) if one_end and found.verdict == "unknown" else None
     show("poses to measure next")
     chosen = next_poses(found, poses, workspace=workspace)
     show("what these poses can show")

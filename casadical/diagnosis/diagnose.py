@@ -4,23 +4,36 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
+import numpy as np
+
 from casadical.core.errors import InputError
+from casadical.core.transforms import frame
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.changes import changes
 from casadical.diagnosis.conclusion import conclude
 from casadical.diagnosis.evidence import ALL_SIGMAS
-from casadical.diagnosis.linear_problem import Case, make_case
+from casadical.diagnosis.linear_problem import Case, better_ratios, make_case
 from casadical.diagnosis.posterior import Rivals, no_rivals
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import Show, search
 from casadical.effects import Effect, LinkMasses
 from casadical.identification.identification import Identification, identify
 from casadical.identification.least_squares import robust_std
+from casadical.identification.placement import place_frames
 from casadical.identification.prior import Prior, carry_over
+from casadical.measurements.kinds.position_covariance import PositionCovariance
+from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
 __all__ = ["Diagnosis", "Masses", "diagnose"]
+
+# Orientations that the base model leaves so far off [rad] are of another convention, not noisy.
+NO_NOISE = 0.05
+# Times that the ratios of several noises are estimated again with the causes in the model.
+MOST_RATIOS = 2
+# How reasons begin for which a kind of measurement does not determine a parameter at all.
+WITHOUT = ("nothing at rest", "contacts without")
 
 # What wrong declared masses of links are: a cause like others, or part of the base model.
 Masses = Literal["candidate", "nuisance"]
@@ -28,7 +41,7 @@ Masses = Literal["candidate", "nuisance"]
 
 def diagnose(
     robot: Robot | Identification,
-    m: Measurements | None = None,
+    m: Measurements | Sequence[Measurements] | None = None,
     effects: Sequence[str | Effect] | Literal["standard", "extended"] = "standard",
     *,
     seed: int = 0,
@@ -45,8 +58,9 @@ def diagnose(
     robot : Robot | Identification
         nominal model, with the compliances that it should have, which is calibrated on the campaign first; or an
         identification, whose own measurements are diagnosed unless others of the same robot are given
-    m : Measurements, optional
-        one set of measured positions; of full poses, the positions are used
+    m : Measurements | Sequence[Measurements], optional
+        one set of any kind, or several that were measured of the same robot, each with noise of its own; an unknown
+        tool turns freely where orientations were measured, and these are left aside where they contradict the model
     effects : Sequence[str | Effect] | {"standard", "extended"}, default "standard"
         "standard" or "extended", or names (backlash), labels (backlash@5) and own effects
     seed : int, default 0
@@ -93,25 +107,36 @@ def diagnose(
             raise InputError("masses='nuisance': this robot is identified already; give the nominal robot instead")
         robot, free = _with_free_masses(robot)
     known = prior if isinstance(prior, Prior) else Prior()
+    given = () if m is None else (m,) if isinstance(m, Measurements) else tuple(m)
     if isinstance(robot, Identification):
-        identification = robot if m is None else _of(robot.given, m, known, free, show)
-    elif m is None:
+        identification = robot if m is None else _of(robot.given, given, known, free, show)
+    elif not given:
         raise InputError("measurements are missing; give diagnose(robot, measurements), or an identification alone")
     else:
-        identification = _of(robot, m, known, free, show)
+        identification = _of(robot, given, known, free, show)
     show("signatures of the candidates")
-    case = make_case(identification, candidates_of(identification.given, effects), free)
+    candidates = candidates_of(identification.given, effects)
+    case = make_case(identification, candidates, free)
     changed: tuple[Change, ...] = ()
     if known.free:
         show("what changed since the campaign of the prior")
         changed, known = changes(case, known)
-        case = case.with_prior(known, identification.sigmas[0][0])
 
     def searched(case: Case) -> Diagnosis:
+        case = replace(case, assumed=_assumed(case, identification, given))
         state, end, p_nothing = search(case, seed, bootstrap, show, rivals)
         return conclude(identification, state, end, seed, p_nothing)
 
-    found = searched(case)
+    def prepared(case: Case) -> Case:
+        return case.with_prior(known, identification.sigmas[0][0]) if known.free else case
+
+    found = searched(case := prepared(case))
+    for _ in range(MOST_RATIOS):
+        ratios = better_ratios(found.case, found.columns, found.noise)
+        if ratios is None:
+            break
+        show("the sets' noise differs from what the base model left: searched again")
+        found = searched(case := prepared(make_case(identification, candidates, free, ratios)))
     usual = case.whole.sigmas
     if not usual[0] < found.noise.sigma < usual[-1]:
         show("the noise lies beyond the usual grid: searched again on a wider one")
@@ -126,12 +151,51 @@ def _with_free_masses(robot: Robot) -> tuple[Robot, tuple[str, ...]]:
     return robot, tuple(e.label for e in robot.effects if isinstance(e, LinkMasses))
 
 
-def _of(robot: Robot, m: Measurements, prior: Prior, free: tuple[str, ...], show: Show) -> Identification:
-    """The base model calibrated; gross errors have little weight, and are screened with the causes, not before."""
+def _of(
+    robot: Robot, sets: tuple[Measurements, ...], prior: Prior, free: tuple[str, ...], show: Show
+) -> Identification:
+    """The base model calibrated; gross errors have little weight, and are screened with the causes, not before.
+
+    Orientations of another convention than the robot's would spoil it: they are left aside where they do not fit.
+    """
     show("calibrating the base model")
-    if m.position is not None:  # an orientation that is off by a convention would spoil the base model
-        m = m.positions_alone()
-    return identify(robot, m, ("kinematic", "compliance", *free), loss="huber", priors=True, prior=prior, screen=False)
+    sets = tuple(m.positions_alone() if m.kind == PositionCovariance.name else m for m in sets)
+    turned = any(m.orientation is not None for m in sets)
+    if turned and robot.tool.unknown == "position":
+        robot = replace(robot, tool=replace(robot.tool, unknown="pose"))
+    if turned and robot.tool.unknown == "pose":
+        placed = place_frames(robot, next(m for m in sets if m.orientation is not None))
+        robot = replace(robot, tool=replace(robot.tool, T=frame(placed.tool.T[:3, :3], robot.tool.T[:3, 3])))
+    wanted = ("kinematic", "compliance", *free)
+
+    def fitted(sets: tuple[Measurements, ...]) -> Identification:
+        return identify(robot, sets, wanted, loss="huber", priors=True, prior=prior, screen=False)
+
+    found = fitted(sets)
+    off = [m.orientation is not None and s[1] > NO_NOISE for m, s in zip(sets, found.problem.sigmas, strict=True)]
+    if any(off):
+        return fitted(tuple(m.positions_alone() if bad else m for m, bad in zip(sets, off, strict=True)))
+    return found
+
+
+def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -> tuple[str, ...]:
+    """What was taken for granted of kinds of measurement other than positions."""
+    said = [
+        f"{m.source}: its orientations do not fit the robot, by more than {np.degrees(NO_NOISE):.0f} deg, and are left "
+        "aside; check their convention"
+        for m, used in zip(given, found.measurements, strict=False)
+        if m.orientation is not None and used.orientation is None
+    ]
+    if case.others is None:
+        return tuple(said)
+    held = (u.reason.split(";")[0] for u in found.identifiability.held)
+    said += dict.fromkeys(reason for reason in held if reason.startswith(WITHOUT))
+    for m, (length, angle) in zip(case.others.sets, case.others.ratios.sigmas, strict=True):
+        kind = find_kind(m.kind)
+        parts = [f"{1e3 * length:.3g} mm of a length"] * bool(kind.lengths)
+        parts += [f"{1e3 * angle:.3g} mrad of an angle"] * bool(kind.angles)
+        said.append(f"noise of {m.source} ({m.kind}): {' and '.join(parts)}, before causes or declared")
+    return tuple(said)
 
 
 def _refuse_coarser(found: Diagnosis) -> Diagnosis:

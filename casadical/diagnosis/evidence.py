@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.normal_matrices import inverse_of_triangle, reduced
+from casadical.diagnosis.added import Added, added
 from casadical.diagnosis.combinations import Combined
 from casadical.diagnosis.gains import log_gain
 from casadical.diagnosis.linearisation import EVERY, Columns
@@ -69,6 +69,10 @@ class Evidence:
     near : numbers of the rhos that are looked at; all of them until an effect of many parameters is in the model
     repeats : scatter of a coordinate over repeated poses [m], and its degrees of freedom; none without them
     sigmas : of the instrument, on a grid [m]
+    measured : which of a pose's numbers were measured, shape (n, 3), all by default; of other kinds of measurement than
+        positions there are others than three, in units in which their noise is alike
+    size : of each number in the error that reports tell [m], shape (n, 3), one by default
+    alike : number of the unknown point that each pose shares with others, shape (n,), where there are such
     """
 
     r: Array
@@ -82,6 +86,14 @@ class Evidence:
     near: tuple[int, ...] = tuple(range(len(RHOS)))
     repeats: tuple[float, int] = (0.0, 0)
     sigmas: Array = field(default_factory=lambda: SIGMAS)
+    measured: Array | None = None
+    size: Array | None = None
+    alike: Array | None = None
+
+    @property
+    def count(self) -> int:
+        """How many numbers were measured."""
+        return int(self.r.size if self.measured is None else np.count_nonzero(self.measured))
 
     @property
     def width(self) -> int:
@@ -103,14 +115,15 @@ class Evidence:
     def at(self, poses: Array) -> Evidence:
         """The problem of some poses."""
         E = self.E[poses] if isinstance(self.E, np.ndarray) else self.E.at(poses)
-        return replace(self, r=self.r[poses], J=self.J[poses], Jq=self.Jq[poses], E=E)
+        kept = {name: of[poses] for name in ("measured", "size", "alike") if (of := getattr(self, name)) is not None}
+        return replace(self, r=self.r[poses], J=self.J[poses], Jq=self.Jq[poses], E=E, **kept)
 
     def white(self, rho: float, E: Array) -> Whitened:
         """The problem at one rho, joint repeatability over the instrument's sigma [rad/m].
 
         E : the columns that are wanted, shape (n, 3, columns)
         """
-        C = np.eye(3) + rho**2 * self.Jq @ self.Jq.transpose(0, 2, 1)
+        C = np.eye(self.r.shape[1]) + rho**2 * self.Jq @ self.Jq.transpose(0, 2, 1)
         L = np.linalg.cholesky(C)
         W = np.linalg.inv(L)
         flat = [(W @ part).reshape(self.r.size, -1) for part in (self.r[:, :, None], self.J, E)]
@@ -124,7 +137,7 @@ class Evidence:
         E[:rows] += flat[2]
         log_det = 2 * float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum())
         log_det += 2 * float(np.log(np.abs(np.diag(R)) * np.linalg.norm(A, axis=0)).sum())
-        return Whitened(y - Q @ (Q.T @ y), E, rows, -0.5 * log_det)
+        return Whitened(y - Q @ (Q.T @ y), E, self.count, -0.5 * log_det)
 
     def with_base(self, columns: Array) -> Evidence:
         """The problem with these columns moved into the base model, as wide as they are held there."""
@@ -165,27 +178,6 @@ class Evidence:
         also : columns of causes that are in the model already; they are treated like the base model
         """
         return self.judge.log_grids(groups, also)
-
-
-@dataclass(frozen=True, eq=False)
-class Added:
-    """Parameters that joined a model at one rho.
-
-    L, scale : Cholesky factor of their scaled normal matrix beside those before, and what scales it
-    z : what they take up in the axes of `root`, shape (new,)
-    square, log_norm : what is left, and what does not depend on sigma
-    """
-
-    L: Array
-    scale: Array
-    z: Array
-    square: float
-    log_norm: float
-
-    @cached_property
-    def root(self) -> Array:
-        """Of the inverse of their normal matrix, shape (new, new)."""
-        return np.asarray(inverse_of_triangle(self.L) * self.scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -368,28 +360,16 @@ class Judge:
         return value, vector.T @ every.of(beside.b[k][group][:, 0])
 
 
-def added(normal: Array, right: Array, square: float, log_norm: float) -> Added:
-    """How parameters join a model.
-
-    normal : beside what is in the model, shape (new, new); right : products with what was left, shape (new,)
-    square, log_norm : of the model before
-    """
-    # A parameter whose column is long is scaled first, so that rank is judged fairly.
-    scale = 1 / np.sqrt(np.diag(normal))
-    L, z = reduced(normal * np.outer(scale, scale), scale * right)
-    return Added(L, scale, z, square - float(z @ z), log_norm - float((np.log(np.diag(L)) - np.log(scale)).sum()))
-
-
 def log_over_sigmas(e: Evidence, square: float, log_norm: float) -> Array:
     """Log likelihood of the residuals, shape (sigmas,), from the two numbers of `Added`."""
-    return np.asarray(log_norm - e.r.size * np.log(e.sigmas) - 0.5 * square / e.sigmas**2)
+    return np.asarray(log_norm - e.count * np.log(e.sigmas) - 0.5 * square / e.sigmas**2)
 
 
 def log_repeats(e: Evidence, Jq: Array, k: int) -> Array:
     """Log likelihood of the scatter of repeated poses at a rho, shape (sigmas,), of joints that repeat as in Jq."""
     scatter, freedom = e.repeats
     # Mean over coordinates of the noise's variance in units of sigma^2.
-    total = float(1 + RHOS[k] ** 2 * (Jq**2).sum(axis=2).mean()) * e.sigmas**2
+    total = float(1 + RHOS[k] ** 2 * (Jq**2).sum(axis=2).sum() / e.count) * e.sigmas**2
     return np.asarray(-0.5 * freedom * (np.log(total / e.sigmas[-1] ** 2) + scatter**2 / total))
 
 

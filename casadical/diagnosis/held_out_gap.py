@@ -10,12 +10,11 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.cross_validation import FOLDS, covariance, fitted_without, held_out_errors, random_folds
+from casadical.diagnosis.cross_validation import FOLDS, fitted_without, held_out_errors, noise_square, random_folds
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.refit import refit, refit_measurements
+from casadical.diagnosis.refit import left_by, refit, refit_measurements
 from casadical.diagnosis.result import Diagnosis
 from casadical.effects import Effect
-from casadical.identification.accuracy import errors
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.noise import Noise
 
@@ -47,7 +46,7 @@ def course(case: Case, stages: Sequence[Stage], folds: Sequence[Array], noise: N
     """
     e = case.evidence
     alone, blocks = np.arange(len(e.r)), time_blocks(case)
-    floor = np.trace(covariance(e, noise), axis1=1, axis2=2)
+    floor = noise_square(e, noise)
     pick = np.random.default_rng(seed).integers(0, len(e.r), (DRAWS, len(e.r)))
     rows = []
     for stage in stages:
@@ -61,8 +60,16 @@ def course(case: Case, stages: Sequence[Stage], folds: Sequence[Array], noise: N
 def time_blocks(case: Case) -> Array:
     """Number of the contiguous fifth of the campaign in which each kept pose was measured, shape (kept,)."""
     m, _ = derive(case.m, ["progress"])
-    order = np.argsort(np.argsort(m.conditions["progress"][case.kept], kind="stable"), kind="stable")
-    return np.asarray(FOLDS * order // len(order))
+    progress, alike = m.conditions["progress"][case.kept], case.evidence.alike
+    order = np.argsort(np.argsort(progress, kind="stable"), kind="stable")
+    if alike is None:
+        return np.asarray(FOLDS * order // len(order))
+    # A point that is measured in one block alone could not be predicted: blocks of each point's own poses.
+    blocks = np.empty(len(order), dtype=np.int64)
+    for point in np.unique(alike):
+        own = np.flatnonzero(alike == point)
+        blocks[own[np.argsort(order[own])]] = FOLDS * np.arange(len(own)) // len(own)
+    return blocks
 
 
 def of_time(effects: Sequence[Effect]) -> bool:
@@ -134,13 +141,13 @@ def check_refit(found: Diagnosis, show: Callable[[str], None] = lambda _text: No
     True
     """
     case, effects = found.case, found.effects()
-    folds = random_folds(int(case.kept.sum()), found.seed)
-    m = refit_measurements(case, effects, found.noise)
-    left = np.empty(len(m))
+    folds = random_folds(int(case.kept.sum()), found.seed, alike=case.evidence.alike)
+    sets = refit_measurements(case, effects, found.noise)
+    left = np.empty(len(folds))
     for fold in range(FOLDS):
         show(f"refit {fold + 1} of {FOLDS}")
         test = folds == fold
-        left[test] = errors(refit(case, effects, found.noise, ~test).robot, m[test])
+        left[test] = left_by(refit(case, effects, found.noise, ~test), sets, test)
     linear = held_out_errors(case.evidence, found.columns, found.noise, folds)
     return Check(float(left.mean()), float(linear.mean()))
 

@@ -187,12 +187,12 @@ def _judged(
             "size_mm": 1e3 * np.sqrt(size / n),
             "absorbed": 1 - energy[0] / np.maximum(size, 1e-30),
             "visible_mm": 1e3 * np.sqrt(energy[0] / n),
-            "visible_to_noise": np.sqrt(energy[1] / (3 * n)) / noise.sigma,
+            "visible_to_noise": np.sqrt(energy[1] / evidence.count) / noise.sigma,
         }
     )
     # A grid of settings counts by its mean.
     effects = table.groupby("label", sort=False).mean()
-    effects["findable_from"] = np.sqrt(FOUND / (3 * n)) / effects["visible_to_noise"]
+    effects["findable_from"] = np.sqrt(FOUND / evidence.count) / effects["visible_to_noise"]
     some = evidence if n <= MOST_ALIKE else evidence.at(np.linspace(0, n - 1, MOST_ALIKE).astype(int))
     seen = some.white(rho, some.take(np.arange(some.width))).E
     return Isolability(effects, _alike(seen, columns, owner), missing)

@@ -111,8 +111,8 @@ class Whole:
     def __init__(self, fit: Fit, arms: Mapping[int, Array], q: Array, lines: Sequence[Line]) -> None:
         n = len(q)
         waves = [arms[a.joint][:, :, None] * _waves(q[:, a.joint - 1], [a.frequency])[:, None] for a in lines]
-        A = np.concatenate([fit.A.reshape(n, 3, -1), *waves], axis=2)
-        self.A, flat = A, A.reshape(3 * n, -1)
+        A = np.concatenate([fit.A.reshape(n, fit.numbers, -1), *waves], axis=2)
+        self.A, flat = A, A.reshape(-1, A.shape[2])
         self.y = fit.y - fit.A @ fit.mean
         self.g = flat.T @ self.y
         self.of_lines = np.repeat([a.joint for a in lines], 2)

@@ -9,18 +9,20 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.errors import InputError
 from casadical.core.parameters import Parameter
 from casadical.diagnosis.candidates import Candidate, choose
-from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, Evidence
+from casadical.diagnosis.cross_validation import fit_of
+from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, SIGMAS, Evidence
 from casadical.diagnosis.linearisation import Columns, linearise
 from casadical.diagnosis.noise_floor import replicates
+from casadical.diagnosis.observations import Observations, Ratios, edges_of, joined, observe
 from casadical.effects import Effect
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import Identification
 from casadical.identification.least_squares import robust_std
 from casadical.identification.prior import Prior
 from casadical.measurements.derived_columns import derive
+from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.robot.robot import Robot
@@ -32,6 +34,8 @@ COMPLIANCE_SHARE = 1.0
 GROSS = 5.0
 # Repeated poses count for no more degrees of freedom than this: those measured one after the other share slow errors.
 MOST_FREEDOM = 60
+# Logarithm by which the ratio of two noises may be off.
+SAME_RATIO = 0.2
 # One sigma, in sizes, of parameters of effects that the robot has: as good as fixed.
 HELD = 1e-3
 
@@ -47,6 +51,7 @@ class Case:
     free : labels of effects of the given robot that are part of the base model, as uncertain as the effect says
     prior : what is known from another campaign; units : parameters that are correlated in it, as sums of independent
         ones of size one, shape (P, P), or None
+    others : what was measured, where that is not one set of positions; assumed : for the user, in sentences
     """
 
     robot: Robot
@@ -61,6 +66,34 @@ class Case:
     free: tuple[str, ...] = ()
     prior: Prior = field(default_factory=Prior)
     units: Array | None = None
+    others: Observations | None = None
+    assumed: tuple[str, ...] = ()
+
+    @property
+    def apart(self) -> Array | None:
+        """Number of what each pose was measured to, shape (n,), where that is not the measuring frame alone."""
+        return None if self.others is None else self.others.apart
+
+    @cached_property
+    def positions(self) -> Array:
+        """Where the measured point was, shape (n, 3) [m]: as measured, else as the base model has it."""
+        if (self.others is None or len(self.others.sets) == 1) and self.m.position is not None:
+            return self.m.position
+        return predicted(self.robot, self.m)[0]
+
+    @property
+    def vectors(self) -> Array | None:
+        """Of each kept pose what the base model leaves of its position, shape (kept, 3) [m]; None without positions."""
+        if self.others is None:
+            return self.evidence.r
+        several = len(self.others.sets) > 1 or self.m.position is None
+        return None if several else self.evidence.r[:, :3]
+
+    @property
+    def lengths(self) -> Array:
+        """What of it reports tell, shape (kept, numbers) [m]; no angles."""
+        e = self.evidence
+        return e.r if e.size is None else e.r * e.size
 
     @cached_property
     def evidence(self) -> Evidence:
@@ -99,7 +132,7 @@ class Case:
         Where the base model leaves more than the usual grid holds, its priors hold at this noise, and effects are
         larger in the same proportion.
         """
-        left, most = float(np.sqrt(np.mean(self.evidence.r**2))), float(self.whole.sigmas[-1])
+        left, most = float(np.sqrt(np.sum(self.evidence.r**2) / self.evidence.count)), float(self.whole.sigmas[-1])
         whole = replace(self.whole, sigmas=ALL_SIGMAS)
         if left > most:
             assert isinstance(whole.E, Columns)
@@ -181,28 +214,31 @@ class Case:
         return more
 
 
-def make_case(identification: Identification, candidates: Sequence[Candidate], free: tuple[str, ...] = ()) -> Case:
-    """Residuals and signatures of an identification on its own measurements (kind position).
+def make_case(
+    identification: Identification,
+    candidates: Sequence[Candidate],
+    free: tuple[str, ...] = (),
+    ratios: Ratios | None = None,
+) -> Case:
+    """Residuals and signatures of an identification on its own measurements.
 
-    free : see `Case`
-    Raises InputError for other kinds of measurement.
+    free : see `Case`; ratios : of the noise of several sets or of angles, by default as the base fit has them
     """
-    measured = [m for m in identification.measurements if m.position is not None]
-    if len(measured) != 1 or len(identification.measurements) != 1:
-        raise InputError(
-            "a diagnosis needs one set of measured positions; distances and contacts do not say where it lies"
-        )
-    m = _with_declared_payload(measured[0], identification.given)
+    sets = identification.measurements
+    m = _with_declared_payload(joined(sets, identification.given), identification.given)
     possible, missing = choose(candidates, m)
     effects = tuple(dict.fromkeys(e for c in possible for v in c.variants for e in v))
     m, _ = derive(m, [c for e in effects for c in e.conditions])
     robot = identification.given
     values = robot.values_of(identification.robot)
+    delta0 = _prior_mean(identification) - values
+    delta0[[n.startswith(("base_", "tool_r")) for n in robot.parameters.names]] = 0.0
+    if len(sets) > 1 or sets[0].kind != "position":
+        ratios = ratios or Ratios(identification.problem.sigmas)
+        return _of_kinds(identification, m, values, delta0, ratios, possible, missing, effects, free)
     linear = linearise(robot, m, values)
     p, _ = predicted(identification.robot, m)
     assert m.position is not None
-    delta0 = _prior_mean(identification) - values
-    delta0[[n.startswith("base_") for n in robot.parameters.names]] = 0.0
     r = m.position - p
     # Gross only: an effect that leaves the points in two clouds must not lose one of them as outliers.
     kept = np.linalg.norm(r, axis=1) / np.sqrt(3) <= GROSS * robust_std(r)
@@ -212,6 +248,71 @@ def make_case(identification: Identification, candidates: Sequence[Candidate], f
     whole = Evidence(r, linear.J, linear.Jq, delta0, base_prior(robot, free), E, held=E.held, repeats=repeats)
     columns = column_numbers(effects, 0)
     return Case(identification.robot, robot, values, m, possible, missing, whole, kept, columns, free)
+
+
+def _of_kinds(
+    identification: Identification,
+    m: Measurements,
+    values: Array,
+    delta0: Array,
+    ratios: Ratios,
+    possible: Sequence[Candidate],
+    missing: dict[str, tuple[str, ...]],
+    effects: tuple[Effect, ...],
+    free: tuple[str, ...],
+) -> Case:
+    """The case of any kinds of measurement; the priors hold at the noise that the base model leaves."""
+    robot = identification.given
+    seen = observe(identification, m, identification.measurements, values, ratios)
+    r, numbers = seen.r, np.maximum(seen.measured.sum(axis=1), 1)
+    left = robust_std(r)
+    kept = seen.measured.any(axis=1) & (np.linalg.norm(r, axis=1) / np.sqrt(numbers) <= GROSS * left)
+    E = Columns(seen.linear, effects).with_directions()
+    again = replicates(m, r, kept, seen.apart, seen.measured)
+    whole = Evidence(
+        r,
+        np.concatenate([seen.linear.J, seen.U], axis=2),
+        seen.Jq,
+        np.append(delta0, seen.mean),
+        np.append(base_prior(robot, free), np.ones(len(seen.mean))),
+        E,
+        reference=max(left, float(SIGMAS[0])),
+        held=E.held,
+        repeats=(again.sigma, min(again.freedom, MOST_FREEDOM)) if again.enough else (0.0, 0),
+        measured=seen.measured,
+        size=seen.size,
+        alike=seen.alike,
+    )
+    columns = column_numbers(effects, 0)
+    return Case(
+        identification.robot, robot, values, m, tuple(possible), missing, whole, kept, columns, free, others=seen
+    )
+
+
+def better_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
+    """The noise of each set and of its angles as the fit with these causes leaves it; None where it is as assumed.
+
+    columns : of the causes, shape (k,)
+    """
+    if case.others is None or case.evidence.measured is None:
+        return None
+    fit, known = fit_of(case.evidence, columns, noise), case.others.ratios
+    left, pull = fit.rest.reshape(case.evidence.r.shape) ** 2, fit.pull(np.arange(len(case.evidence.r)))
+    freedom = case.evidence.measured - np.diagonal(pull, axis1=1, axis2=2)
+    own = np.flatnonzero(case.kept)
+    found = []
+    for m, at, (length, angle) in zip(case.others.sets, edges_of(case.others.sets), known.sigmas, strict=True):
+        poses, kind = np.flatnonzero((own >= at.start) & (own < at.stop)), find_kind(m.kind)
+        parts = (slice(0, kind.lengths), slice(kind.lengths, kind.numbers))
+        factors = [
+            float(np.sqrt(left[poses, part].sum() / max(float(freedom[poses, part].sum()), 1.0))) or 1.0
+            for part in parts
+        ]
+        found.append((length if m.sigma else length * factors[0], angle if m.sigma_angle else angle * factors[1]))
+    more = Ratios(tuple(found))
+    change = np.log([a for k in range(len(found)) for a in np.divide(more.of_set(k), known.of_set(k))])
+    counts = [bool(n) for m in case.others.sets for n in (find_kind(m.kind).lengths, find_kind(m.kind).angles)]
+    return more if np.abs(change[counts]).max() > SAME_RATIO else None
 
 
 def _with_declared_payload(m: Measurements, robot: Robot) -> Measurements:

@@ -43,7 +43,7 @@ class Factors:
 
     def columns_at(self, S: Array) -> Array:
         """The columns, shape (n, 3, columns); S : derivative by all seam variables, shape (n, 3, seams)."""
-        out = np.zeros((len(S), 3, self.width))
+        out = np.zeros((*S.shape[:2], self.width))
         for seam, columns, values in self.blocks:
             out[:, :, as_slice(columns)] += S[:, :, seam, None] * values.T[:, None]
         return out
@@ -109,6 +109,10 @@ class Linearisation:
     J : by the base model's parameters, shape (n, 3, P); S : by all seam variables, shape (n, 3, seams)
     seen : what effects look at, shape (n, numbers); constants : of the model with effects in it
     model : the robot at its seams, of any pose
+    far : readings and what effects look at where the other ends of measurements are, whose seams follow those of the
+        poses in S; None for measurements with one end
+    Of other kinds of measurement than positions, J and S are of what is measured (see `observations`), not of three
+    coordinates.
     """
 
     robot: Robot
@@ -120,6 +124,7 @@ class Linearisation:
     S: Array
     seen: Array
     constants: Array
+    far: tuple[Array, Array] | None = None
 
     @property
     def Jq(self) -> Array:
@@ -129,8 +134,15 @@ class Linearisation:
     def at(self, poses: Array | slice) -> Linearisation:
         """Some of the poses."""
         conditions = {name: values[poses] for name, values in self.conditions.items()}
+        far = self.far and (self.far[0][poses], self.far[1][poses])
         return replace(
-            self, q=self.q[poses], conditions=conditions, J=self.J[poses], S=self.S[poses], seen=self.seen[poses]
+            self,
+            q=self.q[poses],
+            conditions=conditions,
+            J=self.J[poses],
+            S=self.S[poses],
+            seen=self.seen[poses],
+            far=far,
         )
 
     def columns(self, effects: Sequence[Effect]) -> Array:
@@ -143,15 +155,18 @@ class Linearisation:
     def factors(self, parts: Sequence[Part]) -> Factors:
         """The same columns as factors of the seams at which they act; parts : of `plan`."""
         n, found = len(self.q), dict[int, list[tuple[Array, Array]]]()
-        q, seen = ([c[None] for c in numbers.T] for numbers in (self.q, self.seen))
-        for part in parts:
-            f = part.formula
-            logged = [self._condition(c)[None] for c in f.conditions]
-            settings = [setting[:, None] for setting in part.settings]
-            (factors,) = f.function(q, logged, list(self.phi), list(self.constants), seen, settings)
-            for seam, column, factor in zip(f.rows.tolist(), f.columns, factors, strict=True):
-                own = np.broadcast_to(factor, (len(part.starts), n))
-                found.setdefault(seam, []).append((part.starts + column, own))
+        ends = [(self.q, self.seen)] if self.far is None else [(self.q, self.seen), self.far]
+        for end, numbers in enumerate(ends):
+            q, seen = ([c[None] for c in of.T] for of in numbers)
+            first = end * (self.S.shape[2] // len(ends))
+            for part in parts:
+                f = part.formula
+                logged = [self._condition(c)[None] for c in f.conditions]
+                settings = [setting[:, None] for setting in part.settings]
+                (factors,) = f.function(q, logged, list(self.phi), list(self.constants), seen, settings)
+                for seam, column, factor in zip(f.rows.tolist(), f.columns, factors, strict=True):
+                    own = np.broadcast_to(factor, (len(part.starts), n))
+                    found.setdefault(first + seam, []).append((part.starts + column, own))
         blocks = tuple(
             (seam, np.concatenate([c for c, _ in own]), np.concatenate([f for _, f in own]))
             for seam, own in sorted(found.items())
@@ -232,7 +247,7 @@ class Columns:
     @property
     def shape(self) -> tuple[int, int, int]:
         """Poses, coordinates, columns."""
-        return len(self.linear.q), 3, len(self.sizes)
+        return *self.linear.S.shape[:2], len(self.sizes)
 
     @cached_property
     def _edges(self) -> Array:

@@ -113,7 +113,9 @@ def localise(found: Diagnosis) -> Localisation:
 
 def localise_residual(case: Case, noise: Noise, seed: int = 0) -> Localisation:
     """Where the residual of a case lies; noise : that is left aside in the shares of joints and links."""
-    found = components(case, noise, seed)
+    # Between two poses no one reading is where the gap lies.
+    one_end = case.others is None or case.others.linear.far is None
+    found = components(case, noise, seed) if one_end else None
     split = _Split(case, seed)
     return Localisation(
         joints=_parts(found, "joint"),
@@ -127,8 +129,10 @@ def localise_residual(case: Case, noise: Noise, seed: int = 0) -> Localisation:
     )
 
 
-def _parts(found: Components, *kinds: str) -> pd.DataFrame:
+def _parts(found: Components | None, *kinds: str) -> pd.DataFrame:
     """Shares of the parts of some kinds, with the others summed up as elsewhere."""
+    if found is None:
+        return pd.DataFrame(columns=list(PARTS))
     share = found.energy / np.maximum(found.energy.sum(axis=1, keepdims=True), 1e-30)
     mine = [k for k, part in enumerate(found.parts) if part.startswith(kinds)]
     other = [k for k in range(len(found.parts)) if k not in mine]
@@ -147,7 +151,7 @@ class _Split:
 
     def __init__(self, case: Case, seed: int) -> None:
         self.kept = case.kept
-        self.r = case.evidence.r
+        self.r = case.lengths
         n = len(self.r)
         self.times = np.random.default_rng(seed).multinomial(n, np.full(n, 1 / n), DRAWS).astype(float)
 
@@ -177,15 +181,17 @@ class _Split:
 
 
 def _directions(case: Case, split: _Split) -> pd.DataFrame:
-    assert case.m.position is not None
+    r = case.vectors
+    if r is None:
+        return pd.DataFrame(columns=list(DIRECTIONS))
     T = case.robot.base.T
-    p = (case.m.position[case.kept] - T[:3, 3]) @ T[:3, :3]
-    in_base = split.r @ T[:3, :3]
+    p = (case.positions[case.kept] - T[:3, 3]) @ T[:3, :3]
+    in_base = r @ T[:3, :3]
     out = p[:, :2] / np.maximum(np.linalg.norm(p[:, :2], axis=1, keepdims=True), 1e-9)
     radial = (in_base[:, :2] * out).sum(axis=1)
     tangential = in_base[:, 1] * out[:, 0] - in_base[:, 0] * out[:, 1]
     _, R = predicted(case.robot, case.m)
-    in_tool = np.einsum("ni,nij->nj", split.r, R[case.kept])
+    in_tool = np.einsum("ni,nij->nj", r, R[case.kept])
     rows = []
     for frame, names, parts in (
         ("base", ("x", "y", "z"), in_base),
@@ -217,9 +223,8 @@ def _regions(case: Case) -> Masks:
     for j, joint in enumerate(case.robot.joints):
         unit, factor = ("deg", 180 / np.pi) if joint.kind == "revolute" else ("mm", 1e3)
         masks += _in_thirds(f"q{j + 1}", factor * case.m.q[:, j], unit, 0)
-    assert case.m.position is not None
     T = case.robot.base.T
-    p = (case.m.position - T[:3, 3]) @ T[:3, :3]
+    p = (case.positions - T[:3, 3]) @ T[:3, :3]
     masks += _in_thirds("radius", np.hypot(p[:, 0], p[:, 1]), "m", 2)
     return masks + _in_thirds("height", p[:, 2], "m", 2)
 

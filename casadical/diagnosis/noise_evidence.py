@@ -14,7 +14,8 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.evidence import RHOS, Added, Evidence, added, log_over_sigmas, log_repeats
+from casadical.diagnosis.added import Added, added
+from casadical.diagnosis.evidence import RHOS, Evidence, log_over_sigmas, log_repeats
 from casadical.diagnosis.sums import taken
 
 # Columns that are kept, in bytes; else they are made again, so many at a time.
@@ -91,7 +92,7 @@ class Problem:
         ((fit, _),) = self._fits(form, [k])
         x = fit.root.T @ fit.z
         if self._by_rows:
-            return np.asarray(x.reshape(-1, 3))
+            return np.asarray(x.reshape(self.e.r.shape))
         turn, weights = self._axes(form, [k])
         rest = ((form.moved(X[:, :, -1] - X[:, :, :-1] @ x, at), at) for X, at in self._parts())
         return np.concatenate([weights[0, at] * (turn[at] @ r[:, :, None])[:, :, 0] for r, at in rest])
@@ -150,7 +151,7 @@ class Problem:
         X, every = next(self._parts())
 
         def moved(numbers: Array) -> Array:
-            return np.asarray((turn @ form.moved(numbers.reshape(len(turn), 3, -1), every)).reshape(rows, -1))
+            return np.asarray((turn @ form.moved(numbers.reshape(*turn.shape[:2], -1), every)).reshape(rows, -1))
 
         y = moved(X[:, :, -1] - X[:, :, :-1] @ self._mean)
         prior, log_width = moved(moved(self._prior_covariance).T), float(np.log(self._weights).sum())

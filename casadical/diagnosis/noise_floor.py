@@ -39,17 +39,25 @@ class Replicates:
         return self.freedom >= ENOUGH
 
 
-def replicates(m: Measurements, r: Array, kept: Array) -> Replicates:
-    """Scatter of the residuals r, shape (n, 3) [m], of kept poses at the same readings, payload and logged approach."""
+def replicates(
+    m: Measurements, r: Array, kept: Array, apart: Array | None = None, measured: Array | None = None
+) -> Replicates:
+    """Scatter of the residuals r, shape (n, 3) [m], of kept poses at the same readings, payload and logged approach.
+
+    apart : number of what each pose was measured to, where there are several, shape (n,); measured : as of `Evidence`
+    """
     circumstances = [values for name, values in m.conditions.items() if _CIRCUMSTANCE.fullmatch(name)]
+    circumstances += [] if apart is None else [apart]
     key = np.column_stack([np.round(m.q / SAME_POSE), *circumstances])[kept]
     _, group, counts = np.unique(key, axis=0, return_inverse=True, return_counts=True)
     group = group.ravel()
-    means = np.zeros((len(counts), 3))
+    means = np.zeros((len(counts), r.shape[1]))
     np.add.at(means, group, r[kept])
     apart = r[kept] - (means / counts[:, None])[group]
     several = counts[counts > 1]
-    freedom = 3 * int((several - 1).sum())
+    numbers = np.full(len(r), r.shape[1]) if measured is None else np.count_nonzero(measured, axis=1)
+    # Each pose of a group of k has the share 1 - 1 / k of its numbers.
+    freedom = round(float((numbers[kept] * (1 - 1 / counts[group])).sum()))
     sigma = float(np.sqrt((apart**2).sum() / freedom)) if freedom else 0.0
     return Replicates(sigma, int(several.sum()), len(several), freedom)
 
@@ -64,7 +72,7 @@ def noise_floor(e: Evidence, noise: Noise, repeated: Replicates, seed: int) -> f
         noise = Noise(scale * noise.sigma, scale * noise.repeatability)
     rng = np.random.default_rng(seed)
     draws = []
-    for folds in partitions(len(e.r), seed):
+    for folds in partitions(e, seed):
         white = noise.sigma * rng.standard_normal(e.r.shape)
         joints = noise.repeatability * rng.standard_normal((len(e.r), e.Jq.shape[2], 1))
         fake = replace(e, r=white + (e.Jq @ joints)[:, :, 0], delta0=np.zeros_like(e.delta0))
@@ -84,4 +92,4 @@ def outlier_probability(distance: Array) -> float:
 
 def _scatter(e: Evidence, noise: Noise) -> float:
     """Of one measured coordinate about the truth, instrument and joint repeatability together [m]."""
-    return float(np.sqrt(np.trace(covariance(e, noise), axis1=1, axis2=2).mean() / 3))
+    return float(np.sqrt(np.trace(covariance(e, noise), axis1=1, axis2=2).mean() / e.r.shape[1]))

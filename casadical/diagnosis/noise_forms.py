@@ -40,7 +40,7 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
     chosen : columns of causes that are in the model already; joints : that these are at, whose scatter is what their
         equations leave, like noise
     """
-    if ranking.none > (PLAIN if len(chosen) else detection(int(case.kept.sum()))):
+    if ranking.none > (PLAIN if len(chosen) else detection(case.evidence.count // 3)):
         return ranking
     prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
     unsized = {
@@ -89,7 +89,7 @@ def noise_forms(case: Case, chosen: Array) -> Sequence[Rival]:
     problem = Problem(e, chosen, np.argsort(progress, kind="stable"))
     plain, joints = float(log_sum(e.log_base(chosen))), range(e.Jq.shape[2])
     kinds: list[tuple[str, Sequence[Form], int]]
-    kinds = [(FOLLOWING, [following(stays, len(e.r)) for stays in FOLLOWS], 1)]
+    kinds = [(FOLLOWING, [following(stays, len(e.r), e.count / len(e.r)) for stays in FOLLOWS], 1)]
     kinds += [(TAILED, [tails], 1) for tails in (tailed(problem),) if tails]
     kinds += [(scatter_of(j + 1), [Form(joint=j, worse=SCATTERS)], len(joints)) for j in joints]
     found = []
@@ -106,14 +106,15 @@ def noise_forms(case: Case, chosen: Array) -> Sequence[Rival]:
     return found
 
 
-def following(stays: float, poses: int) -> Form:
-    """Noise of which so much stays from each pose to the next."""
-    return Form(stays=stays, log_weight=-1.5 * (poses - 1) * float(np.log(1 - stays**2)))
+def following(stays: float, poses: int, numbers: float = 3.0) -> Form:
+    """Noise of which so much stays from each pose to the next; numbers : measured at each."""
+    return Form(stays=stays, log_weight=-0.5 * numbers * (poses - 1) * float(np.log(1 - stays**2)))
 
 
 def tailed(problem: Problem) -> Form | None:
     """The poses that are far out weighed down; None without any."""
-    n, log_odds = len(problem.e.r), np.log(SHARE / (1 - SHARE)) - 3 * np.log(TIMES)
+    n, numbers = len(problem.e.r), problem.e.count / len(problem.e.r)
+    log_odds = np.log(SHARE / (1 - SHARE)) - numbers * np.log(TIMES)
     times, form = np.ones(n), Form()
     grid = problem.e.log_base(problem.chosen)
     for _ in range(FOUND_IN):
@@ -124,7 +125,7 @@ def tailed(problem: Problem) -> Form | None:
         if np.array_equal(before, times):
             break
         out = int((times > 1).sum())
-        weight = out * np.log(SHARE) + (n - out) * np.log(1 - SHARE) - 3 * out * np.log(TIMES)
+        weight = out * np.log(SHARE) + (n - out) * np.log(1 - SHARE) - numbers * out * np.log(TIMES)
         form = Form(times=times, log_weight=float(weight))
         grid = problem.log_likelihood(form)
     return form if (times > 1).any() else None

@@ -38,7 +38,10 @@ class Prediction:
 def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: Linearisation) -> Prediction:
     """Mean and spread at new poses of base model and one cause fitted to the case's data."""
     old, E = case.evidence, poses.columns(variant)
-    J = poses.J if case.units is None else poses.J @ case.units
+    # Unknown points of the campaign, which new poses do not see.
+    points = np.zeros((*poses.J.shape[:2], old.J.shape[2] - poses.J.shape[2]))
+    J = np.concatenate([poses.J, points], axis=2)
+    J = J if case.units is None else J @ case.units
     columns = case.group(variant) if variant else np.zeros(0, dtype=np.int64)
     A = np.concatenate([old.J, old.take(columns)], axis=2)
     new = np.concatenate([J, E * widths(variant)], axis=2)

@@ -1,15 +1,21 @@
 """The robot with its causes: base model and causes identified together by Ipopt, from the data of the evidence."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.diagnosis.cross_validation import covariance
 from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.observations import edges_of, separated
 from casadical.effects import Effect
+from casadical.identification.accuracy import errors
 from casadical.identification.identification import Identification, identify
+from casadical.identification.residuals import make_block
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.position_covariance import PositionCovariance, typical_sigma, whitening
+from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 
@@ -24,18 +30,22 @@ def refit(case: Case, effects: Sequence[Effect], noise: Noise, use: Array | None
     effects : with their settings (knee, lag, cycles), which stay; their parameters are free
     use : mask over the kept poses of those to identify from, all by default
     """
-    m = refit_measurements(case, effects, noise)
-    m = m if use is None else m[use]
+    sets = refit_measurements(case, effects, noise)
+    sets = sets if use is None else chosen_of(sets, use)
     free = ("kinematic", "compliance", *case.free, *dict.fromkeys(e.label for e in effects))
     priors = _priors(case) | _priors_of_effects(case, effects)
-    return identify(case.robot.with_effect(*effects), m, free, priors=priors, prior=case.prior)
+    return identify(case.robot.with_effect(*effects), sets, free, priors=priors, prior=case.prior)
 
 
 def _priors(case: Case) -> dict[str, tuple[float, float]]:
-    """Mean and one sigma of the evidence's prior of each base parameter; the base frame stays where it was placed."""
-    values = zip(case.given.parameters.values.tolist(), case.whole.prior.tolist(), strict=True)
-    priors = zip(case.given.parameters.names, values, strict=True)
-    own = {name: prior for name, prior in priors if not name.startswith("base_")}
+    """Mean and one sigma of the evidence's prior of each base parameter.
+
+    The base frame stays where it was placed, and the tool as it was turned.
+    """
+    names = case.given.parameters.names
+    values = zip(case.given.parameters.values.tolist(), case.whole.prior[: len(names)].tolist(), strict=True)
+    priors = zip(names, values, strict=True)
+    own = {name: prior for name, prior in priors if not name.startswith(("base_", "tool_r"))}
     return {name: prior for name, prior in own.items() if name not in case.prior.means}
 
 
@@ -52,12 +62,54 @@ def _priors_of_effects(case: Case, effects: Sequence[Effect]) -> dict[str, tuple
     return found
 
 
-def refit_measurements(case: Case, effects: Sequence[Effect], noise: Noise) -> Measurements:
-    """Kept poses as positions, with every column that the effects need, and the noise that was found.
+def chosen_of(sets: Sequence[Measurements], use: Array) -> tuple[Measurements, ...]:
+    """Those poses of the sets that a mask over all of them chooses; sets without any are left out."""
+    parts = [(m, use[at]) for m, at in zip(sets, edges_of(sets), strict=True)]
+    return tuple(m[own] for m, own in parts if own.any())
 
-    Instrument and joint repeatability together are a covariance at each pose.
+
+def refit_measurements(case: Case, effects: Sequence[Effect], noise: Noise) -> tuple[Measurements, ...]:
+    """Kept poses, of positions with every column that the effects need, and the noise that was found.
+
+    Instrument and joint repeatability together are a covariance at each pose of positions; of other kinds, the sigmas
+    of the sets have the mean of both.
     """
     m, _ = derive(case.m, [c for e in effects for c in e.conditions])
+    if case.others:
+        return chosen_of(_with_sigmas(case, separated(case.others.sets, m), noise), case.kept)
     C = covariance(case.whole, noise)[case.kept]
     m = replace(m.positions_alone()[case.kept], kind=PositionCovariance.name, extra={"whitening": whitening(C)})
-    return replace(m, sigma=typical_sigma(C))
+    return (replace(m, sigma=typical_sigma(C)),)
+
+
+def left_by(found: Identification, sets: Sequence[Measurements], test: Array) -> Array:
+    """Error of each pose that a mask over all sets chooses, shape (k,) [m], as the identification has it.
+
+    A point that it identified too is where it has it, not where these poses would have it.
+    """
+    where = found.unknown_points
+    parts = [(k, m[test[at]]) for k, (m, at) in enumerate(zip(sets, edges_of(sets), strict=True)) if test[at].any()]
+    return np.concatenate([_left(found, k, m, where) for k, m in parts])
+
+
+def _left(found: Identification, k: int, m: Measurements, where: Mapping[str, Array]) -> Array:
+    kind = find_kind(m.kind)
+    names = [f"{k}/{name}" for name in kind.point_names(m.arrays)]
+    if not names:
+        return errors(found.robot, m)
+    points = np.array([where[name] for name in names])
+    block = make_block(found.robot, m, (), 1.0, 1.0, points, np.arange(len(m)))
+    r, _ = block.evaluate(np.zeros(0), np.zeros((len(m), 3)))
+    return np.asarray(np.linalg.norm(r[:, : kind.lengths], axis=1))
+
+
+def _with_sigmas(case: Case, sets: Sequence[Measurements], noise: Noise) -> list[Measurements]:
+    """The sets with the noise that was found."""
+    assert case.others
+    square = np.diagonal(covariance(case.whole, noise), axis1=1, axis2=2) * case.others.measured
+    found = []
+    for k, (m, at) in enumerate(zip(sets, edges_of(sets), strict=True)):
+        usual = float(np.sqrt(square[at].sum() / max(1, np.count_nonzero(case.others.measured[at]))))
+        length, angle = (usual / scale for scale in case.others.ratios.of_set(k))
+        found.append(replace(m, sigma=length, sigma_angle=angle))
+    return found

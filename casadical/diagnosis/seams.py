@@ -1,4 +1,7 @@
-"""The model at its seams: the position's derivative by every variable at which an effect may enter it."""
+"""The model at its seams: derivatives by every variable at which an effect may enter it.
+
+They are those of the position, or of what another kind of measurement observes, by that kind's own residual.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ import casadi as ca
 
 from casadical.core.transforms import Symbolic, small_frame
 from casadical.effects import Context, Effect
+from casadical.measurements.kinds.base import MeasurementKind, PoseExpression
 from casadical.robot.model import Structure, expressions, rigid_context
 from casadical.robot.robot import Robot
 from casadical.robot.statics import gravity_torques
@@ -77,6 +81,58 @@ class Seams:
 def seams_of(robot: Robot) -> Seams:
     """The seams of a robot, composed once for all robots of its structure."""
     return _seams(robot.with_effect(_Probe(robot)).structure, len(robot.parameters))
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """One kind of measurement at the seams of robots of one structure.
+
+    function : (q, w, phi, constants, data)->(r, J[numbers, P], S[numbers, seams of each end], U[numbers, 3 or 0], seen
+        and q of each end); r is model less measurement, U its derivative by the unknown point
+    data : names of what is observed, in their order; ends : how many poses a measurement is between, one or two
+    """
+
+    function: ca.Function
+    data: tuple[str, ...]
+    ends: int
+
+    @lru_cache(maxsize=64)  # noqa: B019 - it lives in a cache itself
+    def mapped(self, n: int) -> ca.Function:
+        """The function over n poses, parameters and constants shared."""
+        return self.function.map("poses", "serial", n, [2, 3], [])
+
+
+def observed_at_seams(robot: Robot, kind: MeasurementKind, point: bool) -> Observed:
+    """A kind of measurement at the seams of a robot; point : whether its far end is an unknown point."""
+    return _observed(robot.with_effect(_Probe(robot)).structure, len(robot.parameters), kind, point)
+
+
+@lru_cache(maxsize=16)
+def _observed(structure: Structure, count: int, kind: MeasurementKind, point: bool) -> Observed:
+    model, own = expressions(structure), _seams(structure, count)
+    phi, probes = model.phi[:count], model.phi.numel() - count
+    position = model.function("p", "R")
+    ends: list[tuple[ca.SX, ca.SX]] = []
+
+    def at(q: Symbolic) -> tuple[Symbolic, Symbolic]:
+        ends.append((ca.SX(q), ca.SX.sym(f"end{len(ends)}", probes)))
+        whole = ca.vertcat(phi, ends[-1][1])
+        p, R = position(q, model.w, whole, model.constants, whole)
+        return p, R
+
+    u = ca.SX.sym("u", 3 if point else 0)
+    pose = PoseExpression(at, model.q, u if point else None)
+    r = kind.residual(pose)
+    seams = [end for _, end in ends]
+    zero = [ca.SX.zeros(probes) for _ in ends]
+    parts = [r, ca.jacobian(r, phi), ca.jacobian(r, ca.vertcat(*seams)), ca.jacobian(r, u)]
+    parts = ca.substitute(parts, [*seams, u], [*zero, ca.SX.zeros(u.numel())])
+    seen = ca.horzcat(*(own.function(q, model.w, phi, model.constants)[2] for q, _ in ends))
+    observed = ca.SX(ca.vertcat(*pose.observed.values()))
+    inputs: list[ca.SX] = [model.q, model.w, ca.SX(phi), model.constants, observed]
+    every = [*parts, seen, ca.horzcat(*(q for q, _ in ends))]
+    outputs: list[ca.SX] = [ca.SX(ca.densify(part)) for part in every]
+    return Observed(ca.Function("observed", inputs, outputs), tuple(pose.observed), len(ends))
 
 
 @lru_cache(maxsize=16)

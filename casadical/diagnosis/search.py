@@ -196,7 +196,8 @@ def _detected(state: State, ranking: Ranking, p_nothing: float | None) -> bool:
         return ranking.none <= DETECT_FURTHER
     if p_nothing is not None:
         return p_nothing <= FALSE_ALARMS
-    return ranking.none <= detection(int(state.case.kept.sum()))
+    # A position is three numbers.
+    return ranking.none <= detection(state.case.evidence.count // 3)
 
 
 def indistinguishable(ranking: Ranking, listed: Sequence[str]) -> tuple[str, ...]:

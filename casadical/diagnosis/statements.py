@@ -162,6 +162,7 @@ def assumptions(d: Diagnosis) -> tuple[str, ...]:
         said.append(f"payload_kg: {robot.payload.mass:g} kg, as declared, at every pose")
     if copies := d.identification.measurements[0].copies_in_words:
         said.append(copies)
+    said += d.case.assumed
     if d.case.free:
         width = robot.body_width
         said.append(

@@ -46,8 +46,9 @@ def _factors(E: Array | Columns, poses: slice) -> tuple[Factors, Array]:
     if not isinstance(E, np.ndarray):
         return E.factors(poses), E.linear.S[poses]
     every = np.arange(E.shape[2])
-    blocks = tuple((i, every, E[poses, i].T) for i in range(3))
-    return Factors(blocks, len(every)), np.broadcast_to(np.eye(3), (len(E[poses]), 3, 3))
+    numbers = E.shape[1]
+    blocks = tuple((i, every, E[poses, i].T) for i in range(numbers))
+    return Factors(blocks, len(every)), np.broadcast_to(np.eye(numbers), (len(E[poses]), numbers, numbers))
 
 
 def _add_products(total: Array, F: Factors, G: Factors, U: Array, weight: Array) -> None:
@@ -117,7 +118,7 @@ class Sums:
         total = np.zeros((E.shape[2], rhos * numbers))
         for poses in self._parts(E):
             F, U = self._at_seams(E, poses)
-            base = self._base.reshape(-1, 3, numbers)[poses]
+            base = self._base.reshape(len(self._turn), -1, numbers)[poses]
             for s, columns, values in F.blocks:
                 # What the seam's variable does, times the base's columns, at each rho.
                 across = np.einsum("kni,ni,nip->nkp", self._axes[:, poses], U[:, :, s], base, optimize=True)
@@ -127,7 +128,7 @@ class Sums:
     @property
     def _axes(self) -> Array:
         """Weights of the three axes of each pose, shape (rhos, n, 3)."""
-        return self._weight.reshape(len(self._weight), -1, 3)
+        return self._weight.reshape(len(self._weight), *self._turn.shape[:2])
 
     def _parts(self, E: Array | Columns) -> Iterator[slice]:
         """The poses in parts whose columns take little memory."""
@@ -175,7 +176,7 @@ class Sums:
         """All columns of some poses, turned, and the rows where they stand."""
         for poses in self._parts(E):
             F, U = self._at_seams(E, poses)
-            yield F.columns_at(U).reshape(-1, E.shape[2]), slice(3 * poses.start, 3 * poses.stop)
+            yield F.columns_at(U).reshape(-1, E.shape[2]), slice(U.shape[1] * poses.start, U.shape[1] * poses.stop)
 
     def add_own(self, groups: Iterable[Array]) -> None:
         """Add up the products of each narrow group's columns among themselves, all in one go."""

@@ -26,7 +26,7 @@ from casadical.identification.plausibility import check_against
 from casadical.identification.prediction import covariance_of_all
 from casadical.identification.prior import Prior, carry_over
 from casadical.identification.reduction import POOR_FIT
-from casadical.identification.residuals import LOSSES, Loss, make_block
+from casadical.identification.residuals import LOSSES, POINT_SCALE, Loss, make_block
 from casadical.identification.screening import SCREENINGS, solve_without_outliers
 from casadical.identification.solver import Progress, Solution
 from casadical.measurements.measurements import Measurements, unmeasured
@@ -185,6 +185,12 @@ class Identification:
                 e = errors(self.robot, m)
                 found += [LeftOut(m.source, int(m.row[i]), float(e[i])) for i in poses]
         return tuple(sorted(found, key=lambda out: -out.error))
+
+    @property
+    def unknown_points(self) -> dict[str, Array]:
+        """Where the points are that were identified too, by number of the set and name ("0/A"), shape (3,) [m] each."""
+        _, u = self.problem.separate(self.solution.v)
+        return dict(zip(self.problem.labels, self.problem.points + POINT_SCALE * u, strict=True))
 
     @property
     def sigmas(self) -> tuple[tuple[float, float], ...]:

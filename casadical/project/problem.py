@@ -271,10 +271,28 @@ def read_campaign(
     columns, joints = _columns(raw, data, robot), [j.kind for j in robot.joints]
     if later:
         columns = columns.without(columns.lost_rows, "the table")
-    found = readings_alone(columns, joints) if readings_only else from_columns(columns, joints, data.kind)
+    found = readings_alone(columns, joints) if readings_only else _of_kind(columns, joints, data)
     if not (readings_only or later):
         refuse_nameless(found, robot)
     return _with_conditions(found, robot)
+
+
+def _of_kind(columns: Columns, joints: Sequence[str], data: DataTable) -> Measurements:
+    """A table as a problem's table says, with the distances between touched points that are in it.
+
+    The noise of positions is found, not taken from the file.
+    """
+    found = from_columns(columns, joints, data.kind)
+    if found.kind == "position":
+        return found
+    found = from_columns(columns, joints, data.kind, sigma_mm=data.sigma_mm, sigma_deg=data.sigma_deg)
+    touched = set() if found.label is None else set(found.label.tolist())
+    return found.with_separations(s for s in _separations(data) if touched.issuperset(s[:2]))
+
+
+def _separations(data: DataTable) -> list[tuple[str, str, float]]:
+    """Known distances between touched points [m]."""
+    return [(s.between[0], s.between[1], s.distance_mm * 1e-3) for s in data.separation]
 
 
 def _tables_of(folder: Path) -> Sequence[DataTable]:
@@ -316,8 +334,7 @@ def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> dict[
     found = from_columns(columns, joints, data.kind, sigma_mm=data.sigma_mm, sigma_deg=data.sigma_deg)
     refuse_nameless(found, robot)
     # Before the split: progress and the direction of approach follow from the order of all poses.
-    known = ((s.between[0], s.between[1], s.distance_mm * 1e-3) for s in data.separation)
-    found = _with_conditions(found, robot).with_separations(known)
+    found = _with_conditions(found, robot).with_separations(_separations(data))
     return found.split(sets.sizes(), sets.seed) if sets.column is None else _by_column(found, columns, sets.column)
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.diagnosis.cross_validation import fitted_without, partitioned_errors
 from casadical.identification.identification import LeftOut
 from casadical.project.remaining_errors import ModelErrors, PoseErrors
@@ -69,8 +70,9 @@ def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> dict[str, Fi
         found["shrink"] = shrinks(d)
     found |= {f"parameters/{k}": f for k, f in parameter_figures(d.identification).items()}
     measured = {"poses of the campaign": (d.case.m[d.case.kept],)}
-    rest = fitted_poses(d).models[-1].vector
-    assert rest is not None
+    rest = _left(d)
+    measured_numbers = d.case.evidence.measured
+    rest = rest if measured_numbers is None else rest[measured_numbers]
     fit = fit_figures(d.identification, measured, rest / float(np.sqrt((rest**2).mean())))
     return found | {f"fit/{k}": f for k, f in fit.items()}
 
@@ -84,19 +86,25 @@ def held_out_poses(d: Diagnosis) -> PoseErrors:
     return _poses(d, tuple(models), "Held-out poses")
 
 
+def _left(d: Diagnosis) -> Array:
+    """What a fit of base model and causes to all poses leaves at each, shape (kept, numbers)."""
+    k = d.case.kept
+    return fitted_without(d.case.whole, d.columns, d.noise, ~k)[k] if d.columns.size else d.case.evidence.r
+
+
 def fitted_poses(d: Diagnosis) -> PoseErrors:
     """What a fit to all poses leaves at each, as vectors: base model, and with the causes in it."""
-    k = d.case.kept
-    base = d.case.evidence.r
-    models = [ModelErrors(BASE, np.linalg.norm(base, axis=1), base)]
+    base, vectors = d.case.lengths, d.case.vectors
+    models = [ModelErrors(BASE, np.linalg.norm(base, axis=1), vectors)]
     if d.columns.size:
-        rest = fitted_without(d.case.whole, d.columns, d.noise, ~k)[k]
-        models.append(ModelErrors(WITH, np.linalg.norm(rest, axis=1), rest))
+        rest = _left(d)
+        size = d.case.evidence.size
+        length = np.linalg.norm(rest if size is None else rest * size, axis=1)
+        models.append(ModelErrors(WITH, length, None if vectors is None else rest[:, :3]))
     return _poses(d, tuple(models), "All poses fitted")
 
 
 def _poses(d: Diagnosis, models: tuple[ModelErrors, ...], name: str) -> PoseErrors:
     m, k = d.case.m, d.case.kept
-    assert m.position is not None
     out = tuple(LeftOut(m.source, o.row, o.distance) for o in d.outliers)
-    return PoseErrors(name, name.startswith("Held"), m.row[k], m.q[k], m.position[k], models, m.source, out)
+    return PoseErrors(name, name.startswith("Held"), m.row[k], m.q[k], d.case.positions[k], models, m.source, out)

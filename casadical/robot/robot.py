@@ -20,7 +20,7 @@ from casadical.core.blocks import Table, Words
 from casadical.core.notebook import html
 from casadical.core.parameters import Parameters
 from casadical.core.parts import FourBar, Joint
-from casadical.core.transforms import frame, from_xyz, to_rpy
+from casadical.core.transforms import frame, from_xyz, to_rpy, to_xyz
 from casadical.effects import Effect
 from casadical.robot.knowledge import ErrorBound, Knowledge
 from casadical.robot.model import Model, Structure, constants_of, expressions
@@ -276,7 +276,9 @@ class Robot(Arm):
         )
 
     def values_of(self, other: Robot) -> Array:
-        """Parameters of this robot, shape (P,) [SI], that make it the other one, whose base may stand elsewhere.
+        """Parameters of this robot, shape (P,) [SI], that make it the other one.
+
+        The other's base may stand elsewhere, and its tool may be turned.
 
         Parameters
         ----------
@@ -289,9 +291,11 @@ class Robot(Arm):
             values in the order of `parameters`
         """
         values = dict(zip(other.parameters.names, other.parameters.values, strict=True))
-        moved = np.linalg.solve(self.base.T, other.base.T)
-        turn = (np.arctan2(-moved[1, 2], moved[2, 2]), np.arcsin(moved[0, 2]), np.arctan2(-moved[0, 1], moved[0, 0]))
-        values |= {n: v for n, v in zip(SIX["base"], (*moved[:3, 3], *turn), strict=True) if n in values}
+        moved, turned = (np.linalg.solve(a.T, b.T) for a, b in ((self.base, other.base), (self.tool, other.tool)))
+        values |= {
+            n: v for n, v in zip(SIX["base"], (*moved[:3, 3], *to_xyz(moved[:3, :3])), strict=True) if n in values
+        }
+        values |= {n: v for n, v in zip(SIX["tool"][3:], to_xyz(turned[:3, :3]), strict=True) if n in values}
         return np.array([values[n] for n in self.parameters.names])
 
 

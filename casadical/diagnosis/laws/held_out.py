@@ -21,14 +21,14 @@ def held_out(case: Case, columns: Array, laws: Sequence[Scored], noise: Noise, s
     columns : of the effects in the model, whose settings stay; laws : whose settings are chosen again in each fold
     """
     base = case.evidence.with_base(columns)
-    folds = random_folds(len(base.r), seed)
+    folds = random_folds(len(base.r), seed, alike=base.alike)
     errors = np.empty(len(base.r))
     for fold in np.unique(folds):
         test = folds == fold
         parts = _columns(base, laws, np.flatnonzero(~test))
-        whole = replace(base, E=np.concatenate([np.zeros((len(base.r), 3, 0)), *parts], axis=2), held=None)
+        whole = replace(base, E=np.concatenate([np.zeros((*base.r.shape, 0)), *parts], axis=2), held=None)
         fit = Fit(whole, np.arange(whole.width), noise)
-        errors[test] = np.linalg.norm(fit.without(np.flatnonzero(test)), axis=1)
+        errors[test] = fit.lengths(fit.without(np.flatnonzero(test)), test)
     return errors
 
 
@@ -43,7 +43,7 @@ def _columns(base: Evidence, laws: Sequence[Scored], train: Array) -> list[Array
             J=J,
             delta0=np.concatenate([base.delta0, np.zeros(known)]),
             prior=np.concatenate([base.prior, np.full(known, 8.0)]),
-            E=np.zeros((len(base.r), 3, 1)),
+            E=np.zeros((*base.r.shape, 1)),
             held=None,
         )
         found.append(_best(Problem(e.at(train)), law, train))

@@ -34,7 +34,7 @@ class Screen:
     def of(cls, e: Evidence, rho: int) -> Screen:
         """The problem at a rho of the grid, by its number."""
         r = RHOS[rho]
-        W = np.linalg.inv(np.linalg.cholesky(np.eye(3) + r**2 * e.Jq @ e.Jq.transpose(0, 2, 1)))
+        W = np.linalg.inv(np.linalg.cholesky(np.eye(e.r.shape[1]) + r**2 * e.Jq @ e.Jq.transpose(0, 2, 1)))
         weights = e.reference / e.prior
         A = np.concatenate([(W @ e.J).reshape(e.r.size, -1), np.diag(weights)])
         A = A / np.linalg.norm(A, axis=0)
@@ -44,8 +44,8 @@ class Screen:
         y = y - Q @ (Q.T @ y)
         rows, (scatter, freedom) = e.r.size, e.repeats
         again = freedom * scatter**2 / float(1 + r**2 * (e.Jq**2).sum(axis=2).mean())
-        Q, left = Q[:rows].reshape(len(e.r), 3, -1), y[:rows].reshape(-1, 3)
-        return cls(W, Q, left, float(y @ y) + again, rows + freedom)
+        Q, left = Q[:rows].reshape(*e.r.shape, -1), y[:rows].reshape(e.r.shape)
+        return cls(W, Q, left, float(y @ y) + again, e.count + freedom)
 
     def products(self, columns: Array, functions: Array) -> tuple[Array, Array]:
         """Products of every law's columns, shape (K, w, w), and with the residual, shape (K, w); w = parts times d.

@@ -131,7 +131,7 @@ class Problem:
     def of(cls, case: Case, chosen: Array) -> Problem:
         """Of a case; chosen : columns of what is in the model already."""
         base = case.evidence.with_base(chosen)
-        return cls(replace(base, E=np.zeros((len(base.r), 3, 1)), held=None))
+        return cls(replace(base, E=np.zeros((*base.r.shape, 1)), held=None))
 
     @cached_property
     def log_base(self) -> Array:

@@ -1,0 +1,174 @@
+"""Kinds of measurement other than positions in the evidence: columns, named causes, held-out errors, mixed sets."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from casadical.diagnosis.candidates import candidates_of
+from casadical.diagnosis.details import analyse
+from casadical.diagnosis.diagnose import Diagnosis, diagnose
+from casadical.diagnosis.json_answer import as_json
+from casadical.diagnosis.linear_problem import make_case
+from casadical.diagnosis.statements import statements
+from casadical.effects import Backlash, ThermalGrowth
+from casadical.identification.accuracy import predicted
+from casadical.identification.identification import identify
+from casadical.identification.residuals import make_block
+from casadical.measurements.measurements import Measurements
+from casadical.robot.robot import Robot
+from tests.diagnosis.cases import identified, practice, robot
+
+ANCHORS = np.array([[2.5, 0.5, 0.2], [-1.0, 2.5, 0.5], [0.3, -2.2, 2.0]])
+
+
+def distances(m: Measurements, anchors: np.ndarray = ANCHORS) -> tuple[Measurements, ...]:
+    """The measured positions as distances to anchors, a set for each."""
+    assert m.position is not None
+    made = [
+        Measurements(
+            m.q,
+            "distance",
+            distance=np.linalg.norm(m.position - anchor, axis=1),
+            target=np.tile(anchor, (len(m), 1)),
+            conditions=m.conditions,
+        )
+        for anchor in anchors
+    ]
+    return tuple(made)
+
+
+def pairs(m: Measurements) -> Measurements:
+    """Each position's distance to the one half the campaign later."""
+    assert m.position is not None
+    far = np.roll(np.arange(len(m)), len(m) // 2)
+    apart = np.linalg.norm(m.position - m.position[far], axis=1)
+    return Measurements(m.q, "pair_distance", distance=apart, other=m.q[far])
+
+
+def poses(m: Measurements, seed: int = 0) -> Measurements:
+    """The positions with orientations of the calibrated robot, in error by .1 mrad an angle."""
+    assert m.position is not None
+    _, R = predicted(identified("hh800-P01").robot, m)
+    a = np.random.default_rng(seed).normal(0.0, 1e-4, (len(m), 3))
+    zero = np.zeros(len(m))
+    turn = np.array([[zero, -a[:, 2], a[:, 1]], [a[:, 2], zero, -a[:, 0]], [-a[:, 1], a[:, 0], zero]])
+    turned = (np.eye(3) + turn.transpose(2, 0, 1)) @ R
+    U, _, V = np.linalg.svd(turned)
+    return Measurements(m.q, "pose", position=m.position, orientation=U @ V, conditions=m.conditions)
+
+
+@cache
+def by_distances() -> Diagnosis:
+    return diagnose(robot("kr210"), distances(practice("kr210-P02")), ["thermal_growth", "frame_drift", "backlash"])
+
+
+@pytest.mark.parametrize("kind", ["distance", "pair_distance", "pose", "contact"])
+def test_columns_of_the_base_model_are_those_of_the_kinds_own_residual(kind: str) -> None:
+    m = practice("hh800-P01")[:24]
+    made = {
+        "distance": lambda: distances(m)[0],
+        "pair_distance": lambda: pairs(m),
+        "pose": lambda: poses(m),
+        "contact": lambda: Measurements(m.q, "contact", label=np.array(["A", "B"] * 12)),
+    }[kind]()
+    found = identify(robot("hh800"), made, ("geometry",), priors=True)
+    case = make_case(found, [])
+    names, labels = found.given.parameters.select(["geometry"]), found.problem.labels
+    points = np.array([*found.unknown_points.values()]).reshape(-1, 3)
+    group = np.arange(len(m)) % max(len(labels), 1)
+    block = make_block(found.robot, made, names, *found.problem.sigmas[0], points, group)
+    r, J = block.evaluate(np.zeros(len(names)), np.zeros((max(len(labels), 1), 3)))
+    # In units of sigma and of the parameters' scales there; in metres and SI units here.
+    sigma = found.problem.sigmas[0][0]
+    scale = np.array([found.given.parameters[n].scale for n in names])
+    at = [found.given.parameters.index_of(n) for n in names]
+    np.testing.assert_allclose(case.whole.r, -sigma * r, rtol=1e-5, atol=1e-8)
+    np.testing.assert_allclose(case.whole.J[:, :, at] * scale, sigma * J[:, :, : len(names)], rtol=1e-5, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["distance", "pair_distance"])
+def test_columns_of_an_effect_are_what_it_changes_in_the_readings(kind: str) -> None:
+    m = practice("kr210-P02")[:20]
+    made = distances(m)[0] if kind == "distance" else pairs(m)
+    made = made if kind == "distance" else replace(made, conditions=m.conditions)
+    found = identify(robot("kr210"), made, ("geometry",), priors=True)
+    effects = [ThermalGrowth(), *[*Backlash.candidates(robot("kr210"))][:1]]
+    case = make_case(found, candidates_of(robot("kr210"), effects))
+    for effect in effects:
+        columns = case.columns[effect]
+        E = case.whole.take(columns)
+        changed = found.robot.with_effect(effect)
+        names = [p.name for p in changed.parameters if p.group == effect.label]
+        for k, (name, (size, _)) in enumerate(zip(names, effect.sizes().values(), strict=True)):
+            more, less = (readings(changed.with_values({name: s * size}), case.m, made) for s in (1e-3, -1e-3))
+            np.testing.assert_allclose(E[:, 0, k], (more - less) / 2e-3, rtol=1e-3, atol=1e-9)
+
+
+def readings(r: Robot, m: Measurements, made: Measurements) -> np.ndarray:
+    """What a robot would read, shape (n,) [m]; m : the poses with all conditions."""
+    where, _ = predicted(r, m)
+    far = made.target if made.other is None else predicted(r, replace(m, q=made.other))[0]
+    return np.asarray(np.linalg.norm(where - far, axis=1))
+
+
+def test_distances_to_three_anchors_name_the_cause_that_positions_name() -> None:
+    found = by_distances()
+    assert found.verdict == "explained"
+    assert [c.label for c in found.causes] == ["thermal_growth"]
+    assert found.case.evidence.count == 3 * 60
+    assert found.gap.after < 0.6 * found.gap.kept
+
+
+def test_everything_that_a_report_needs_is_made_of_distances() -> None:
+    found = by_distances()
+    more = analyse(found)
+    assert more.check is not None
+    assert more.check.agree
+    assert more.where is not None
+    assert more.where.directions.empty
+    assert len(more.where.joints)
+    assert as_json(found, "distances", more)["verdict"] == "explained"
+    assert any("distance" in s.text for s in statements(found, more) if s.about == "ASSUMED")
+
+
+def test_angles_have_a_noise_of_their_own() -> None:
+    m = poses(practice("hh800-P01"))
+    found = diagnose(robot("hh800"), m, ["backlash", "joint_coupling"])
+    assert [c.label for c in found.causes] == ["backlash@5"]
+    assert found.case.others is not None
+    length, angle = found.case.others.ratios.of_set(0)
+    assert length == 1.0
+    # .1 mrad were put in.
+    assert found.noise.sigma / angle == pytest.approx(1e-4, rel=0.3)
+
+
+def test_orientations_of_another_convention_are_left_aside_and_said() -> None:
+    m = poses(practice("hh800-P01"))
+    assert m.orientation is not None
+    other = replace(m, orientation=m.orientation.transpose(0, 2, 1))
+    found = diagnose(robot("hh800"), other, ["backlash"])
+    assert found.case.others is None
+    assert any("convention" in said for said in found.case.assumed)
+
+
+def test_sets_of_two_kinds_have_noise_of_their_own() -> None:
+    m = practice("hh800-P01")
+    rng = np.random.default_rng(0)
+    coarse = distances(m[:60], ANCHORS[:1])[0]
+    assert coarse.distance is not None
+    coarse = replace(coarse, distance=coarse.distance + rng.normal(0.0, 2e-4, 60))
+    found = diagnose(robot("hh800"), [m[60:], coarse], ["backlash"])
+    assert found.case.others is not None
+    # .2 mm were put in.
+    assert found.noise.sigma / found.case.others.ratios.of_set(1)[0] == pytest.approx(2e-4, rel=0.3)
+    assert [c.label for c in found.causes] == ["backlash@5"]
+
+
+def test_poses_that_hold_one_point_are_spread_over_the_folds() -> None:
+    m = practice("hh800-P01")[:40]
+    touched = Measurements(m.q, "contact", label=np.repeat(["A", "B", "C", "D"], 10))
+    case = make_case(identify(robot("hh800"), touched, ("geometry",), priors=True), [])
+    assert case.evidence.alike is not None
+    assert len(np.unique(case.evidence.alike)) == 4
