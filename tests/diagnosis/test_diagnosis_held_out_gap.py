@@ -121,7 +121,7 @@ def test_one_function_takes_robot_or_identification(half: tuple[Diagnosis, Measu
         diagnose(robot("ur10e"))
 
 
-def test_full_poses_are_diagnosed_by_their_positions() -> None:
+def test_full_poses_are_diagnosed() -> None:
     m = simulated("ur10e", 12, disturbances.FrictionWindup(2, 90e-6))
     pose = replace(m, kind="pose", orientation=predicted(robot("ur10e"), m)[1], sigma_angle=1e-3, sigma=2e-5)
     d = diagnose(robot("ur10e"), pose, FEW)
