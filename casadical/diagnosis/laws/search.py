@@ -70,9 +70,8 @@ class Tried:
         law = place.with_formula(self.form.texts(self.driver.text, settings.tolist()), scales)
         sizes = np.array([size for size, _ in law.sizes().values()])
         if values.ndim > 3:  # of every joint: all factors of the first, then of the next
-            columns = np.stack([place.columns * v[:, None, :, 0] for v in values], axis=3).reshape(
-                len(place.columns), 3, -1
-            )
+            each = np.stack([place.columns * v[:, None, :, 0] for v in values], axis=3)
+            columns = each.reshape(*each.shape[:2], -1)
         else:
             columns = np.concatenate([place.columns * v[:, None] for v in values], axis=2)
         return law, columns * sizes
