@@ -77,6 +77,14 @@ def export_c(
         float | None,
         typer.Option(metavar="S", help="Time in which the correction is switched on and off [s]; default: 1."),
     ] = None,
+    precise: Annotated[
+        bool,
+        typer.Option(
+            "--precise",
+            help="Compare nominal and real robot without rounding errors of their positions, at about twice the "
+            "operations: for --real float.",
+        ),
+    ] = False,
     limit: Limit = None,
     payload: Payload = None,
     tool: Tool = "shared",
@@ -126,11 +134,13 @@ def export_c(
     given = {key: value for key, value in timing.items() if value is not None}
     if given and what != "command":
         raise InputError(f"--cycle, --rate and --ramp have no part in {what} alone; remove them")
+    if precise and what != "command":
+        raise InputError(f"--precise: is for --what command; {what} compares no robots")
     if limit is not None and what != "command":
         raise InputError(f"--limit {limit:g}: is for --what command; {what} has no bound")
     sources = Sources(robot, nominal, compensator, payload, tool, leave_out)  # type: ignore[arg-type]
     product = (
-        command_of(sources, steps, orientation=oriented, limit_mm=limit)
+        command_of(sources, steps, orientation=oriented, limit_mm=limit, precise=precise)
         if what == "command"
         else (curves_of if what == "curves" else network_of)(sources)
     )

@@ -1,8 +1,8 @@
 """Run `python docs/studies/c_matrix.py` (as root it installs what is missing): every figure of the exported C.
 
 Compilers, processors under QEMU, analysers, fuzzing, instruction counts and times beside CasADi's own generated C. The
-robot and the network are those of tests/export/c. `--quick` takes a hundredth of the vectors. What a machine cannot run
-is printed as not run, with the reason.
+robot and the network are those of tests/export/c. `--quick` takes a hundredth of the vectors, `--only NAMES` some of
+the sections (`--help` lists them). What a machine cannot run is printed as not run, with the reason.
 """
 
 import argparse
@@ -559,25 +559,34 @@ def self_tests(folders):
         line("  refused by #error when it is on", "; ".join(refused))
 
 
+SECTIONS = {
+    "vectors": lambda folders, share: three_million(folders, 1_000_000 // share),
+    "processors": lambda folders, share: processors(folders, 20_000 // share),
+    "cortex": lambda folders, _: cortex_m(folders),
+    "times": lambda folders, _: host_times(folders),
+    "steps": lambda _, share: convergence(20_000 // min(share, 10)),
+    "any": lambda folders, share: any_input(folders, 1_000_000 // share),
+    "analysers": lambda folders, _: analysers(folders),
+    "eva": lambda folders, _: eva(folders),
+    "self_test": lambda folders, _: self_tests(folders),
+    "fuzz": lambda folders, share: fuzz(folders, 10_000_000 // share),
+}
+
+
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--quick", action="store_true")
-    share = 100 if parser.parse_args().quick else 1
+    parser.add_argument("--only", nargs="+", choices=[*SECTIONS, "exports"], default=[*SECTIONS, "exports"])
+    options = parser.parse_args()
+    share = 100 if options.quick else 1
     install()
     print("Exported C: 6R arm with 30 calibrated values and compliance, 6-5-3 network; tests/export/c/export_models.py")
     for compiler in compilers():
         print(f"  {compiler.version}")
-    folders = export_all(200_000 // share)
-    three_million(folders, 1_000_000 // share)
-    processors(folders, 20_000 // share)
-    cortex_m(folders)
-    host_times(folders)
-    convergence(20_000 // min(share, 10))
-    any_input(folders, 1_000_000 // share)
-    analysers(folders)
-    eva(folders)
-    self_tests(folders)
-    fuzz(folders, 10_000_000 // share)
+    folders = export_all(200_000 // share if "exports" in options.only else 1000)
+    for name in options.only:
+        if name != "exports":
+            SECTIONS[name](folders, share)
     shutil.rmtree(WORK)
 
 

@@ -7,7 +7,7 @@ from textwrap import wrap
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.export.c.chord import prepared_size, residual_size
+from casadical.export.c.chord import look_size, prepared_size, residual_size
 from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, Real, literal
 from casadical.export.c.emit import elementary_functions, filled, kernel, template
 from casadical.export.c.language import Label
@@ -73,6 +73,13 @@ _COMMAND_STATUSES = """\
 """
 _LIMIT_STATUS = """\
  *   ABOVE_LIMIT    corrected, but more than @limit_mm@ mm may remain: @name@_bound is above its limit here
+"""
+_AT = """\
+                at[i] = x[i] + dq[i];
+"""
+_APART = """\
+                at[i] = x[i];
+                at[{n}U + i] = dq[i];
 """
 _WITHIN = """\
         {
@@ -158,13 +165,17 @@ def _command_values(command: Command, program: TapeProgram, real: Real) -> dict[
     integers = {
         "n_p": n_p,
         "n_prepared": prepared,
-        "n_work": prepared + n_p,
+        "n_work": prepared + look_size(command),
+        "n_at": n * (1 + (program.look == "apart")),
         "i_weakness": prepared - 1,
         "n_moved": n + 1,
         "i_error": n,
     }
     return {key: str(value) for key, value in integers.items()} | {
         "pose_text": pose,
+        "look": program.look,
+        "look_text": "how far the robots are apart" if program.look == "apart" else "where the calibrated robot is",
+        "at": _APART.format(n=n) if program.look == "apart" else _AT,
         "freedom": _freedom(command),
         "damping2": f"{command.limits.damping**2:.6g}",
         "cycle_s": repr(command.limits.cycle_s),

@@ -16,25 +16,49 @@ from casadical.export.c.products import Command
 
 
 def prepare(command: Command) -> casadi.Function:
-    """q -> nominal position or pose, the factored steps (see `_Step`), weakness, calibrated position or pose."""
+    """q -> nominal position or pose, the factored steps (see `_Step`), weakness, and what a look gives at q."""
     q = SX.sym("q", len(command.lower))
     step = _step(command)
     factors, weakness = step.factored(_jacobian(command, q))
-    out = [_flat(command.nominal, q), factors, weakness, _flat(command.calibrated, q)]
+    out = [_flat(command.nominal, q), factors, weakness, _look(command, q, SX.zeros(q.shape))]
     return casadi.Function("prepare", [q], [casadi.densify(casadi.vertcat(*out))], ["q"], ["prepared"])
 
 
 def prepared_size(command: Command) -> int:
-    """How many numbers ``prepare`` gives before the calibrated position or pose."""
+    """How many numbers ``prepare`` gives before the look."""
     return _pose_size(command) + _step(command).size + 1
 
 
+def look_size(command: Command) -> int:
+    """How many numbers a look gives."""
+    return _pose_size(command) if command.difference is None else residual_size(command)
+
+
+def apart(command: Command) -> casadi.Function:
+    """(q, dq) -> the residual, by the command's difference."""
+    q, dq = (SX.sym(name, len(command.lower)) for name in ("q", "dq"))
+    return casadi.Function("apart", [q, dq], [casadi.densify(_look(command, q, dq))], ["q", "dq"], ["r"])
+
+
+def _look(command: Command, q: SX, dq: SX) -> SX:
+    """Where the calibrated robot is at q + dq, or with a difference the residual there."""
+    if command.difference is None:
+        return _flat(command.calibrated, q + dq)
+    change = casadi.vertcat(*[casadi.vec(part) for part in command.difference.call([q, dq])])
+    if residual_size(command) == 3:
+        return -change
+    target = _flat(command.nominal, q)
+    return _residual(casadi.vertcat(SX.zeros(3), target[3:]), change, command.length_m)
+
+
 def advance(command: Command) -> casadi.Function:
-    """(prepared, where the calibrated robot is) -> joint step, squared error before it."""
+    """(prepared, what a look gave) -> joint step, squared error before it."""
     size, step = _pose_size(command), _step(command)
-    prepared, now = SX.sym("prepared", prepared_size(command)), SX.sym("now", size)
+    prepared, now = SX.sym("prepared", prepared_size(command)), SX.sym("now", look_size(command))
     target, factors, _ = casadi.vertsplit(prepared, [0, size, size + step.size, size + step.size + 1])
-    moved, error = step.solved(factors, _residual(target, now, command.length_m))
+    moved, error = step.solved(
+        factors, now if command.difference is not None else _residual(target, now, command.length_m)
+    )
     return casadi.Function("advance", [prepared, now], [casadi.vertcat(moved, error)], ["prepared", "now"], ["moved"])
 
 

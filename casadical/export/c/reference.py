@@ -120,7 +120,8 @@ def _chord(program: TapeProgram, command: Command, x: Array) -> tuple[Array, Arr
         for step in range(command.steps + 1):
             if step > 0:
                 before = moved[:, n].copy()
-                work[:, end:], fine_now = run(program.tapes["forward"], x + dq, real)
+                at = np.hstack([x, dq]) if program.look == "apart" else x + dq
+                work[:, end:], fine_now = run(program.tapes[program.look], at, real)
                 fine &= fine_now
             moved, fine_now = run(program.tapes["advance"], work, real)
             fine &= fine_now

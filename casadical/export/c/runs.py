@@ -13,7 +13,7 @@ from casadical.export.c.tape import Node, Tape
 from casadical.export.c.tape_program import TapeProgram
 
 WIDTH = {"sincos": 2}  # places of an operation's results; one where it is not here
-_TAPES = ("prepare", "forward", "advance")  # then the network or the curves
+_TAPES = ("prepare", "forward", "apart", "advance")  # then the network or the curves; "apart" takes joints and "at"
 
 
 @dataclass(frozen=True)

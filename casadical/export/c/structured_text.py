@@ -8,7 +8,7 @@ import textwrap
 from collections.abc import Iterable
 
 from casadical.export.c.c_source import box_share, boxes, command_numbers, joint_units
-from casadical.export.c.chord import prepared_size
+from casadical.export.c.chord import look_size, prepared_size
 from casadical.export.c.coefficients import COEFFICIENTS, DTYPE, Real, turn_parts
 from casadical.export.c.emit import constants, filled, template
 from casadical.export.c.language import Label, Language
@@ -204,11 +204,12 @@ def _within(program: TapeProgram, command: Command, plan: Plan) -> dict[str, str
 
 
 def _command(program: TapeProgram, command: Command, plan: Plan) -> dict[str, str]:
-    numbers, n_p, prepared = command_numbers(command), len(program.tapes["forward"].outputs), prepared_size(command)
+    numbers, look, prepared = command_numbers(command), program.look, prepared_size(command)
+    joint = f"v[{plan.places['joints']} + i]"
     limits = ("delta", "step", "change", "ramp", "tolerance2", "weakness")
     places = {
         "at": plan.places["at"],
-        "forward_out": plan.places["forward_out"],
+        "look_out": plan.places[f"{look}_out"],
         "advance_out": plan.places["advance_out"],
         "now": plan.places["prepare_out"] + prepared,
         "weakness_at": plan.places["prepare_out"] + prepared - 1,
@@ -218,8 +219,9 @@ def _command(program: TapeProgram, command: Command, plan: Plan) -> dict[str, st
         {key: str(value) for key, value in places.items()}
         | {f"limit_{key}": number(getattr(numbers, key), program.real) for key in limits}
         | {key: f"{getattr(command.limits, key):.6g}" for key in ("cycle_s", "ramp_s", "rate_rad_s")}
-        | {"steps": str(command.steps), "last_p": str(n_p - 1)}
-        | _span(plan, "prepare", "prepare") | _span(plan, "forward", "forward") | _span(plan, "advance", "advance")
+        | {"steps": str(command.steps), "last_p": str(look_size(command) - 1)}
+        | {"at_value": "dq[i]" if look == "apart" else f"{joint} + dq[i]"}
+        | _span(plan, "prepare", "prepare") | _span(plan, look, "look") | _span(plan, "advance", "advance")
         | _box(program, "command") | _within(program, command, plan)
     )  # fmt: skip
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.export.c.chord import advance, prepare
+from casadical.export.c.chord import advance, apart, prepare
 from casadical.export.c.coefficients import DTYPE, Real
 from casadical.export.c.intervals import bounds, without_needless_guards
 from casadical.export.c.products import Command, NetworkFunction, Product
@@ -54,6 +54,11 @@ class TapeProgram:
         return self.product if isinstance(self.product, Command) else None
 
     @property
+    def look(self) -> str:
+        """The tape that a command's steps look at the robot with."""
+        return "apart" if "apart" in self.tapes else "forward"
+
+    @property
     def network(self) -> NetworkFunction | None:
         """The network or the curves alone, or the network beside a command."""
         return self.product.network if isinstance(self.product, Command) else self.product
@@ -83,7 +88,7 @@ def operations(program: TapeProgram) -> Operations:
     calls = {key: 1}
     if program.command is not None:
         key, steps = "correct", program.command.steps
-        calls = {"prepare": 1, "forward": steps, "advance": steps + 1}
+        calls = {"prepare": 1, program.look: steps, "advance": steps + 1}
         calls |= {"bound": 1} if program.command.limit_mm is not None else {}
     count: dict[str, int] = {}
     for tape, times in calls.items():
@@ -126,6 +131,11 @@ def _command_tapes(command: Command, real: Real) -> dict[str, Tape]:
         "prepare": (_rounded(command.lower, real), _rounded(command.upper, real)),
     }
     tapes = {"forward": tape_of(command.calibrated), "prepare": tape_of(prepare(command))}
+    if command.difference is not None:
+        ends = [
+            np.append(box, np.full(len(box), sign * reach)) for box, sign in zip(boxes["prepare"], (-1, 1), strict=True)
+        ]
+        boxes["apart"], tapes["apart"] = (ends[0], ends[1]), tape_of(apart(command))
     if command.bound is not None:
         boxes["bound"], tapes["bound"] = boxes["prepare"], tape_of(command.bound)
     tapes = {key: without_needless_guards(tape, *boxes[key], real) for key, tape in tapes.items()}

@@ -20,7 +20,8 @@ from casadical.core.parts import Body, Placement
 from casadical.effects import Effect
 from casadical.effects.counterparts import Omission
 from casadical.export.c.products import Command, CurveFunction, Limits, NetworkFunction, mapped
-from casadical.export.controller.curves import joint_curves, pose_of, without_curves
+from casadical.export.controller.curves import joint_curves, without_curves
+from casadical.export.controller.functions import bent_function, difference_function, tool_function
 from casadical.export.controller.inverse import SINGULAR_POSE, freedom_of
 from casadical.export.omission import left_out
 from casadical.robot.axes import row_matrix
@@ -78,7 +79,7 @@ class Sources:
 
 
 def command_of(
-    sources: Sources, steps: int = 2, *, orientation: bool = False, limit_mm: float | None = None
+    sources: Sources, steps: int = 2, *, orientation: bool = False, limit_mm: float | None = None, precise: bool = False
 ) -> Command:
     """The correction that moves the real tool to the position of the nominal robot's, in the robot's own base frame.
 
@@ -99,6 +100,8 @@ def command_of(
         joints reach the position, and of the orientation what they can beside it
     limit_mm : float, optional
         as of `Command`; the bound is that of the robot file (see `bound_of`)
+    precise : bool, default False
+        whether nominal and real robot are compared so that nothing cancels: for float
 
     Returns
     -------
@@ -129,7 +132,7 @@ def command_of(
         lower=lower,
         upper=upper,
         jacobian_of=tool_function(_rigid(without_curves(real)), "chain", orientation),
-        jacobian_at=_bent(real) if _compliant(real) else None,
+        jacobian_at=bent_function(real) if _compliant(real) else None,
         network=network,
         bound=bound_of(sources)[0],
         limit_mm=limit_mm,
@@ -138,6 +141,7 @@ def command_of(
         units=units_of(real),
         freedom=freedom,
         notes=real.notes,
+        difference=difference_function(real, nominal, orientation, turn, network) if precise else None,
     )
     _refuse_far_apart(command, sources)
     return command
@@ -376,24 +380,3 @@ def _network(sources: Sources, joints: int) -> NetworkFunction | None:
     if not compensator.helps:
         return None
     return NetworkFunction(compensator.function(), np.array(box.lower), np.array(box.upper))
-
-
-def tool_function(
-    robot: Robot, name: str, orientation: bool, turn: Array | None = None, network: NetworkFunction | None = None
-) -> ca.Function:
-    """NAME:(q[n] rad or m)->(p[3] m) or (p[3] m, R[3x3]).
-
-    turn : rotation from the measuring frame, in which the network learned, into the robot's, shape (3, 3); None: none
-    """
-    q = ca.SX.sym("q", robot.n)
-    p, R = pose_of(robot, q)
-    if network is not None:
-        p = p + 1e-3 * ca.mtimes(ca.DM(np.eye(3) if turn is None else turn), network.function(q))
-    return ca.Function(name, [q], [p, R] if orientation else [p], ["q"], ["p", "R"] if orientation else ["p"])
-
-
-def _bent(robot: Robot) -> ca.Function:
-    """bent:(q[n])->(joints with their deflections [rad or m])."""
-    q = ca.SX.sym("q", robot.n)
-    soft = ca.DM([j.compliance or 0.0 for j in robot.joints])
-    return ca.Function("bent", [q], [q + soft * robot.torque(q, ca.DM(robot.parameters.values))], ["q"], ["bent"])

@@ -18,8 +18,9 @@ from casadical.core.errors import InputError
 from casadical.core.parts import Placement
 from casadical.core.transforms import frame
 from casadical.export.c.reference import Status
-from casadical.export.controller.commands import Sources, command_of, own_robots, robot_of, tool_function, units_of
+from casadical.export.controller.commands import Sources, command_of, own_robots, robot_of, units_of
 from casadical.export.controller.correction import FINE, LEAVES_BOX, Corrector, corrected_joints, model_corrector
+from casadical.export.controller.functions import tool_function
 from casadical.export.controller.inverse import limits_of, solved
 from casadical.export.controller.postures import Postures
 from casadical.export.controller.programs.language import ProgramLanguage
