@@ -17,6 +17,9 @@ from casadical.robot.robot import Robot
 LENGTH, ANGLE, HARMONIC, SHARE, THERMAL = 3e-4, 3e-4, 5e-5, 0.3, 1e-4
 # Tool and foot are moved by more.
 MOVED = 1e-3
+# What differs between campaigns of a robot that does not change, one sigma: lengths, by 2 K; where the tool sits and
+# how well one frame is found again [m or rad].
+DAILY = {"lengths": 2.4e-5, "tool": 1e-5, "foot": 2e-5}
 # How often each kind of change is met, relative to the others; the joints share it.
 FREQUENCY = {
     "joint_zero": 4, "joint_stiffness": 2, "joint_curve": 2, "gear": 1, "link": 1, "loop": 1, "lengths": 1, "tool": 2,
@@ -97,6 +100,14 @@ def candidates_of(robot: Robot, names: Sequence[str]) -> tuple[Candidate, ...]:
     chosen = [robot.parameters[n] for n in names]
     found = [*_joints(robot, chosen), *_whole(chosen), *_effects(robot, chosen)]
     return tuple(c for c in found if c.names)
+
+
+def daily(candidates: Sequence[Candidate]) -> tuple[Array, Array]:
+    """Columns, shape (p, m), of what differs in every campaign, and sizes, shape (m,)."""
+    own = [c for c in candidates if c.kind in DAILY]
+    usual = {"lengths": THERMAL, "tool": MOVED, "foot": MOVED}
+    sizes = [c.sizes * DAILY[c.kind] / usual[c.kind] for c in own]
+    return np.concatenate([c.columns for c in own], axis=1), np.concatenate(sizes)
 
 
 def _candidate(

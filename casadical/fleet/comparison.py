@@ -13,7 +13,7 @@ from casadical.core.blocks import Table, Words
 from casadical.core.errors import InputError
 from casadical.diagnosis.changes import USUAL_CHANGE
 from casadical.diagnosis.evidence import log_sum
-from casadical.fleet.candidates import FREQUENCY, GRADUAL, SEASONAL, Candidate, candidates_of, shared_names
+from casadical.fleet.candidates import FREQUENCY, GRADUAL, SEASONAL, Candidate, candidates_of, daily, shared_names
 from casadical.fleet.estimates import Estimate
 from casadical.fleet.evidence import (
     Known,
@@ -278,9 +278,8 @@ def compare(
     first = campaigns[0]
     for other in campaigns[1:]:
         refuse_another(first.robot, other.robot, "campaign")
-    names, told = told_by(campaigns, same_tool=same_tool, same_frame=same_frame)
+    names, told, candidates = told_by(campaigns, same_tool=same_tool, same_frame=same_frame)
     times = times_of(campaigns)
-    candidates = candidates_of(first.robot, names)
     accepted, left = found_in(told, candidates, times, dated=first.day is not None)
     model = solve(told, _known([a[:3] for a in accepted], len(told.score[0]), len(campaigns)))
     changes = tuple(_change(told, accepted, k, first) for k in range(len(accepted)))
@@ -295,8 +294,10 @@ def compare(
     )
 
 
-def told_by(campaigns: Sequence[Estimate], *, same_tool: bool, same_frame: bool) -> tuple[tuple[str, ...], Told]:
-    """Shared parameters, and what the campaigns tell of them about the values of the first one."""
+def told_by(
+    campaigns: Sequence[Estimate], *, same_tool: bool, same_frame: bool
+) -> tuple[tuple[str, ...], Told, tuple[Candidate, ...]]:
+    """Shared parameters, what the campaigns tell of them about the values of the first one, and what may change."""
     first = campaigns[0]
     common = set.intersection(*(set(c.names) for c in campaigns))
     names = shared_names(
@@ -308,7 +309,9 @@ def told_by(campaigns: Sequence[Estimate], *, same_tool: bool, same_frame: bool)
         campaigns = [_in_frame_of(first, c) for c in campaigns]
     both = [c.about(names, values) for c in campaigns]
     spread = np.sqrt(np.mean([c.spread[[c.names.index(n) for n in names]] ** 2 for c in campaigns], axis=0))
-    return names, Told(np.array([H for H, _ in both]), np.array([b for _, b in both]), spread**-2.0)
+    told = Told(np.array([H for H, _ in both]), np.array([b for _, b in both]), spread**-2.0)
+    candidates = candidates_of(first.robot, names)
+    return names, told.with_jitter(*daily(candidates)), candidates
 
 
 def _in_frame_of(first: Estimate, other: Estimate) -> Estimate:

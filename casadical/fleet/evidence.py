@@ -36,6 +36,14 @@ class Told:
     score: Array
     precision: Array
 
+    def with_jitter(self, columns: Array, sizes: Array) -> Told:
+        """With what comes and goes in each campaign alone; columns : shape (p, m); sizes : one sigma of each."""
+        HD = self.information @ columns
+        inner = np.linalg.inv(columns.T @ HD + np.diag(sizes**-2.0))
+        lost = HD @ inner
+        b = self.score - (lost @ (self.score @ columns)[:, :, None])[:, :, 0]
+        return Told(self.information - lost @ HD.transpose(0, 2, 1), b, self.precision)
+
     def first(self, n: int) -> Told:
         """Of the first campaigns alone."""
         return Told(self.information[:n], self.score[:n], self.precision)
@@ -73,7 +81,7 @@ def solve(told: Told, known: Known | None = None) -> Model:
     known = known or Known(np.zeros((n, p, 0)), np.zeros(0))
     X = np.concatenate([np.broadcast_to(np.eye(p), (n, p, p)), known.columns], axis=2)
     HX = told.information @ X
-    Lambda = np.einsum("npi,npj->ij", X, HX, optimize=True)
+    Lambda = np.tensordot(X, HX, axes=([0, 1], [0, 1]))
     Lambda += np.diag(np.concatenate([told.precision, known.sizes**-2.0]))
     root = np.sqrt(np.diag(Lambda))
     L = np.linalg.inv(np.linalg.cholesky(Lambda / np.outer(root, root)))
@@ -87,18 +95,18 @@ def visible(model: Model, E: Array, courses: Array) -> tuple[Array, Array]:
     E : shape (p, m); courses : shape (c, n, k), of each campaign k factors. Returns shapes (c, km, km) and (c, km).
     """
     told = model.told
-    c, _, k = courses.shape
+    (c, n, k), m = courses.shape, E.shape[1]
     HE = told.information @ E
-    EHE = np.einsum("pi,npj->nij", E, HE, optimize=True)
-    m = E.shape[1]
-    H = np.einsum("cnk,cnl,nij->ckilj", courses, courses, EHE, optimize=True).reshape(c, k * m, k * m)
-    C = np.einsum("cnk,npi->cpki", courses, HE, optimize=True).reshape(c, told.score.shape[1], k * m)
+    flat = courses.transpose(0, 2, 1).reshape(c * k, n)
+    squares = (courses[:, :, :, None] * courses[:, :, None, :]).transpose(0, 2, 3, 1).reshape(c * k * k, n)
+    H = (squares @ (E.T @ HE).reshape(n, m * m)).reshape(c, k, k, m, m).transpose(0, 1, 3, 2, 4)
+    H = H.reshape(c, k * m, k * m)
+    HEu = HE
     if model.known.sizes.size:
-        more = np.einsum("npq,npi->nqi", model.known.columns, HE, optimize=True)
-        C = np.concatenate([C, np.einsum("cnk,nqi->cqki", courses, more, optimize=True).reshape(c, -1, k * m)], axis=1)
-    b = np.einsum("cnk,np,pi->cki", courses, told.score, E, optimize=True).reshape(c, k * m)
-    H = H - C.transpose(0, 2, 1) @ (model.inverse @ C)
-    return H, b - np.einsum("cqi,q->ci", C, model.mean)
+        HEu = np.concatenate([HE, model.known.columns.transpose(0, 2, 1) @ HE], axis=1)
+    C = (flat @ HEu.reshape(n, -1)).reshape(c, k, -1, m).transpose(0, 2, 1, 3).reshape(c, -1, k * m)
+    b = (flat @ (told.score @ E)).reshape(c, k * m)
+    return H - C.transpose(0, 2, 1) @ (model.inverse @ C), b - model.mean @ C
 
 
 def log_evidence(H: Array, b: Array, sizes: Array) -> Array:
@@ -108,7 +116,7 @@ def log_evidence(H: Array, b: Array, sizes: Array) -> Array:
     """
     values, V = np.linalg.eigh(sizes[:, None] * H * sizes)
     values = np.maximum(values, 0.0)
-    turned = np.einsum("cij,ci->cj", V, sizes * b) ** 2
+    turned = (V.transpose(0, 2, 1) @ (sizes * b)[:, :, None])[:, :, 0] ** 2
     k2 = KAPPAS[:, None] ** 2
     grown = 1 + k2 * values[:, None, :]
     return np.asarray(0.5 * (k2 * turned[:, None, :] / grown - np.log(grown)).sum(axis=2))
