@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
-from casadical.cli.options import Json, Quiet
+from casadical.cli.options import Json, Quiet, Report
 from casadical.cli.progress import working
-from casadical.cli.terminal import NOT_VALID, keep_json, wrapped
+from casadical.cli.terminal import NOT_VALID, as_typed, keep, with_json, wrapped
 from casadical.core.blocks import terminal
 
 
@@ -33,6 +33,7 @@ def compare(
         typer.Option("--same-frame", help="All positions are in one frame: a base that moved is a change of the foot."),
     ] = False,
     json_file: Json = None,
+    report_file: Report = None,
     quiet: Quiet = False,
 ) -> None:
     """Say what changed in a robot since an earlier campaign: which parameter or effect, since when, by how much.
@@ -46,10 +47,19 @@ def compare(
     """
     from casadical.fleet.campaigns import compare_files
 
+    if report_file:
+        from casadical.report.optional_imports import require
+
+        require()
     console = wrapped(quiet)
     with working(quiet, "reading") as show:
         found = compare_files(campaigns, robot, same_tool=same_tool, same_frame=same_frame, show=show)
     console.print(terminal(found.blocks()))
-    keep_json(json_file, found.to_json(), console)
+    texts: dict[Path, str] = {}
+    if report_file:
+        from casadical.report import comparison_report
+
+        texts[report_file] = comparison_report(found, campaigns, as_typed())
+    keep(with_json(texts, json_file, found.to_json()), console)
     if found.changed:
         raise typer.Exit(NOT_VALID)

@@ -9,7 +9,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.parameters import Parameter
-from casadical.fleet.estimates import ORDERS
+from casadical.identification.misfit import ORDERS
 from casadical.robot.parameter_list import SIX
 from casadical.robot.robot import Robot
 

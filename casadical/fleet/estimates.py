@@ -14,19 +14,14 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.identification.error_bound import Doubts, doubts_of, evaluated, posterior_of, sums_of
+from casadical.identification.error_bound import Doubts, doubts_of, evaluated
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.identification import Identification, identify
+from casadical.identification.misfit import ORDERS, wide_fit
 from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.robot.error_bound import doubted
 from casadical.robot.robot import Robot
 
-# Harmonics of each joint's error.
-ORDERS = 2
-# Residuals are summed up over so many parts of the poses, by their order and by the region of the joints.
-PARTS = 12
-# So many standard deviations of the misfit factor are taken for chance.
-CHANCE = 2.0
 # Poses that stand for those of a robot file, which does not say which they were.
 DRAWN = 200
 
@@ -151,72 +146,27 @@ def estimate(
     'May'
     """
     found = campaign if isinstance(campaign, Identification) else identify(*campaign, loss="huber")
-    sets = [m.positions_alone() for m in found.used if m.position is not None]
-    if not sets:
-        raise InputError(f"{found.measurements[0].source}: nothing measured a position; a comparison needs positions")
-    robot = doubted(found.robot, ORDERS)
-    doubts = doubts_of(robot, found.names)
-    r, J = evaluated(robot, sets, doubts.names)
-    sums = sums_of(r, J)
-    s2, mean, _, variance = posterior_of(sums, doubts)
-    misfit = _misfit(r + J @ mean, J, np.concatenate([m.q for m in sets]), s2, variance)
-    unit = s2 * misfit
+    fit = wide_fit(found)
+    unit = fit.s2 * fit.misfit
     held = len(found.left_out)
     return Estimate(
-        robot,
-        doubts.names,
-        _values(robot, doubts),
-        sums.H / unit,
-        -sums.g / unit,
-        np.sqrt(variance),
+        fit.robot,
+        fit.doubts.names,
+        _values(fit.robot, fit.doubts),
+        fit.sums.H / unit,
+        -fit.sums.g / unit,
+        np.sqrt(fit.variance),
         label or found.measurements[0].source,
         day,
-        len(r),
-        1e-3 * float(np.sqrt(s2)),
-        misfit,
+        fit.sums.count // 3,
+        1e-3 * float(np.sqrt(fit.s2)),
+        fit.misfit,
         (f"{held} pose{'s' * (held > 1)} left out as outliers",) if held else (),
     )
 
 
 def _values(robot: Robot, doubts: Doubts) -> Array:
     return np.array([robot.parameters[n].value for n in doubts.names])
-
-
-def _misfit(e: Array, J: Array, q: Array, s2: float, variance: Array) -> float:
-    """How many times more than independent noise the residuals of similar poses push the parameters.
-
-    e : residuals of the fit, shape (n, 3) [mm]; J : shape (n, 3, k). The sums J'e over parts of the poses, which follow
-    each other or have similar readings, are compared with what independent noise of variance s2 would give; at least 1.
-    """
-    H = np.einsum("nip,niq->pq", J, J, optimize=True)
-    inverse = scaled_inverse(H + s2 * np.diag(1 / variance))
-    freedom = max(1.0, e.size - float(np.sum(inverse * H)))
-    chance = CHANCE * np.sqrt(2 / freedom)
-    found = 1.0
-    for part in (_by_order(len(e)), _by_region(q)):
-        pushed = usual = 0.0
-        for k in range(part.max() + 1):
-            own = J[part == k].reshape(-1, J.shape[2])
-            push, seen = own.T @ e[part == k].ravel(), own.T @ own
-            pushed += float(push @ inverse @ push) / s2
-            seen = inverse @ seen
-            usual += float(np.trace(seen) - np.sum(seen * seen.T))
-        if usual > 0:
-            found = max(found, pushed / usual - chance)
-    return found
-
-
-def _by_order(n: int) -> Array:
-    return np.arange(n) * min(PARTS, n) // n
-
-
-def _by_region(q: Array) -> Array:
-    """A number for the region of the joints in which each pose lies: cells of equal count along two directions."""
-    centred = (q - q.mean(axis=0)) / np.maximum(q.std(axis=0), 1e-9)
-    along = centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T
-    rank = along.argsort(axis=0).argsort(axis=0) / len(q)
-    across = rank[:, 1] if rank.shape[1] > 1 else np.zeros(len(q))
-    return np.asarray((4 * rank[:, 0]).astype(int) * 3 + (3 * across).astype(int))
 
 
 def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) -> Estimate:
@@ -280,7 +230,7 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
         own = block.of(names)
         places = [names.index(n) for n in own.names]
         C[np.ix_(places, places)] = own.matrix
-    H = B.T @ scaled_inverse(C / np.outer(scale, scale)) @ B
+    H = B.T @ scaled_inverse(known.misfit * C / np.outer(scale, scale)) @ B
     note = f"poses are not known: drawn from {drawn}"
     return Estimate(
         wide,
@@ -292,6 +242,7 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
         label or known.campaign,
         day,
         known.poses,
+        misfit=known.misfit,
         notes=(note,),
     )
 

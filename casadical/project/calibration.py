@@ -20,6 +20,7 @@ from casadical.core.notebook import html
 from casadical.identification.accuracy import Accuracy
 from casadical.identification.error_bound import learn_bound
 from casadical.identification.identification import Identification, identify, without_poses
+from casadical.identification.misfit import misfit_of
 from casadical.identification.plausibility import check_against
 from casadical.identification.residuals import Loss
 from casadical.identification.tables import correlated, held_table, how_sure, parameter_tables
@@ -287,7 +288,11 @@ class Calibration:
 
 def with_knowledge(found: Identification) -> Robot:
     """The calibrated robot with its covariance, and the bound of the error that remains, where poses are enough."""
-    robot = found.robot if found.robot.effects else replace(found.robot, knowledge=found.knowledge)
+    robot = (
+        found.robot
+        if found.robot.effects
+        else replace(found.robot, knowledge=replace(found.knowledge, misfit=misfit_of(found)))
+    )
     with suppress(InputError):
         return replace(robot, bound=learn_bound(found))
     return robot

@@ -6,11 +6,13 @@ from typing import TYPE_CHECKING, overload
 
 from casadical.core.errors import InputError
 from casadical.diagnosis.result import Diagnosis
+from casadical.fleet.comparison import Comparison
 from casadical.identification.identification import Identification
 from casadical.project.calibration import Calibration
 from casadical.report.figures_of_calibration import calibration_figures
 from casadical.report.figures_of_diagnosis import diagnosis_figures
 from casadical.report.fit_figures import fit_figures
+from casadical.report.life import comparison_figures
 from casadical.report.parameter_figures import parameter_figures
 from casadical.report.style import Figure
 
@@ -20,19 +22,21 @@ if TYPE_CHECKING:
 
 @overload
 def plot(
-    result: Calibration | Identification | Diagnosis, name: None = None, more: Details | None = None
+    result: Calibration | Identification | Diagnosis | Comparison, name: None = None, more: Details | None = None
 ) -> dict[str, Figure]: ...
 @overload
-def plot(result: Calibration | Identification | Diagnosis, name: str, more: Details | None = None) -> Figure: ...
 def plot(
-    result: Calibration | Identification | Diagnosis, name: str | None = None, more: Details | None = None
+    result: Calibration | Identification | Diagnosis | Comparison, name: str, more: Details | None = None
+) -> Figure: ...
+def plot(
+    result: Calibration | Identification | Diagnosis | Comparison, name: str | None = None, more: Details | None = None
 ) -> Figure | dict[str, Figure]:
     """The figures of a report, as plotly makes them: one by its name, or all by name.
 
     Parameters
     ----------
-    result : Calibration | Identification | Diagnosis
-        of `calibrate`, `identify` or `diagnose`
+    result : Calibration | Identification | Diagnosis | Comparison
+        of `calibrate`, `identify`, `diagnose` or `casadical.fleet.compare`
     name : str, optional
         as "errors/report"; None: all figures
     more : Details, optional
@@ -57,6 +61,8 @@ def plot(
         found = calibration_figures(result)
     elif isinstance(result, Diagnosis):
         found = diagnosis_figures(result, more)
+    elif isinstance(result, Comparison):
+        found = comparison_figures(result)
     else:
         found = {f"parameters/{kind}": figure for kind, figure in parameter_figures(result).items()}
         found |= {f"fit/{k}": f for k, f in fit_figures(result, {"poses that identified": result.used}).items()}

@@ -73,6 +73,7 @@ class LearntTable(TomlTable):
     poses: int = Field(default=0, ge=0)
     readings: dict[str, Pair] = Field(default={})
     conditions: dict[str, Pair] = Field(default={})
+    misfit: float = Field(default=1.0, ge=1)
 
     def ranges(self, arm: Arm) -> Array:
         """Of the joints' readings, shape (n, 2) [rad or m], or (0, 2). Raises InputError for other joints or units."""
@@ -139,7 +140,7 @@ def knowledge_of(
     if not (found or learnt.model_fields_set):
         return None
     conditions = {name: (pair[0], pair[1]) for name, pair in learnt.conditions.items()}
-    return Knowledge(tuple(found), learnt.campaign, learnt.poses, ranges, conditions)
+    return Knowledge(tuple(found), learnt.campaign, learnt.poses, ranges, conditions, learnt.misfit)
 
 
 def text_of(
@@ -187,6 +188,8 @@ def _effect_lines(effect: Effect, values: Mapping[str, float], errors: Mapping[s
 
 def _learnt_lines(arm: Arm, knowledge: Knowledge) -> Iterator[str]:
     yield from ("", "[learnt]", f"campaign = {_text(knowledge.campaign)}", f"poses = {knowledge.poses}")
+    if knowledge.misfit > 1:
+        yield f"misfit = {knowledge.misfit!r}"
     if len(knowledge.readings):
         yield "[learnt.readings]"
         for (key, factor), pair in zip(arm.reading_units.items(), knowledge.readings, strict=True):

@@ -62,6 +62,8 @@ class Knowledge:
     covariance : blocks, which share no parameter; campaign : name of the measurements; poses : how many were used
     readings : least and greatest reading of each joint, shape (n, 2) [rad or m]; shape (0, 2) where it is not known
     conditions : least and greatest value of logged and derived columns, by name
+    misfit : how many times greater the variances are, seen as what may differ in another campaign (see
+        `casadical.identification.misfit`)
     Raises InputError for a parameter in two blocks and for ranges the wrong way round.
     """
 
@@ -70,6 +72,7 @@ class Knowledge:
     poses: int = 0
     readings: Array = field(default_factory=lambda: np.zeros((0, 2)))
     conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    misfit: float = 1.0
 
     def __post_init__(self) -> None:
         names = [name for block in self.covariance for name in block.names]

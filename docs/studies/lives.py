@@ -1,15 +1,15 @@
 """python docs/studies/lives.py [--lives N] [--tables N] > docs/studies/lives.txt
 
-Lives of simulated robots: 30 monthly campaigns of 40 poses each, and after each campaign `casadical compare` of all until
-then. Of 300 lives 90 have no change, 30 each a crash, a belt that loosens, a gear that wears, another gear, seasons, a
+Lives of simulated robots: 30 monthly campaigns of 40 poses each, and after each campaign `casadical compare` of all that
+there are. Of 300 lives 90 have no change, 30 each a crash, a belt that loosens, a gear that wears, another gear, seasons, a
 moved foot and another tool (rules below). The robots are a UR10e, a KR 210 and an HH800, each as built with errors of
 0.5 mm and mrad; noise 30 um a coordinate; harmonics 3 to 5 of every joint, 15 urad each, are in no model. In every
 campaign the temperature is another by 2 K (24 um/m), the tool sits elsewhere by 10 um, the frame by 20 um and urad.
 
 In `--tables` lives (20 of the 300, two of each kind, six without a change) every campaign is a table of simulated
-measurements, identified as a user's. In the others estimates are drawn: information, scatter and misfit of each campaign
-are those of a table of the as-built robot (24 for each robot, identified), its score is drawn with the information as its
-covariance, about the true departures. That is exact as far as the model is linear.
+measurements, identified as a user's. In the others estimates are drawn: information, scatter and misfit of each
+campaign are those of a table of the as-built robot (24 for each robot, identified), its score is drawn with the
+information as its covariance, about the true departures. That is exact as far as the model is linear.
 
 Counted: lives with a claim before anything changed (allowed: 1 %); causes, where one is named for the first time, that
 are right, kind and joint (wanted: 95 %); campaigns from the first that shows the change to the first claim and to the

@@ -17,6 +17,7 @@ from casadical.core.blocks import plain_text
 from casadical.fleet import Estimate, compare, estimate, estimate_of_file
 from casadical.fleet.campaigns import compare_files, day_of, in_order
 from casadical.fleet.evidence import KAPPAS, Told, drifts, jumps, log_evidence, solve, visible
+from casadical.identification.misfit import misfit_of
 
 
 @pytest.fixture(scope="module")
@@ -205,3 +206,26 @@ def test_another_robot_and_one_campaign_are_refused(before: Estimate, tables: Pa
         compare_files(sorted(tables.glob("*.csv"))[:2])
     with pytest.raises(InputError, match="neither a problem folder nor results"):
         compare_files([tables, tables])
+
+
+def test_the_file_says_how_much_less_it_is_sure_where_its_model_does_not_fit(arm: tuple[Robot, Robot]) -> None:
+    """Errors that drift slowly push the estimates more than noise; of independent noise the factor is near one."""
+    robot, built = arm
+    m = measured(built, 30, 300)
+    assert m.position is not None
+    slow = 1e-4 * np.sin(np.arange(300)[:, None] / 30 + np.arange(3))
+    smooth, bent = (misfit_of(identify(robot, replace(m, position=m.position + d))) for d in (0 * slow, slow))
+    assert smooth < 1.2
+    assert bent > 3
+
+
+def test_the_figure_of_a_life(tables: Path, tmp_path: Path) -> None:
+    pytest.importorskip("plotly")
+    problem = Path(__file__).parents[2] / "problems/ur10e"
+    page = tmp_path / "life.html"
+    files = sorted(tables.glob("*.csv"))
+    done = run("compare", "--robot", problem, *files, "--report", page, "-q")
+    assert done.returncode == 5, done.stderr
+    text = page.read_text()
+    assert "joint_zero@5: jump" in text
+    assert "2026-02-01.csv is left out" in text

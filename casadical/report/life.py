@@ -1,0 +1,140 @@
+"""The report of a comparison of campaigns: what changed, and its course over the life of the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from casadical.core.blocks import Words, mm
+from casadical.fleet.comparison import Change, Comparison
+from casadical.report.page import Drawing, Part, Section, Tile, report_html
+from casadical.report.provenance import provenance_of
+from casadical.report.style import BLUE, GREY, ORANGE, Figure, new_figure, plain
+
+_COURSE = (
+    "The change along its own direction as each campaign alone shows it, in units of the whole change, with a 95 % "
+    "interval; the first campaign is zero by definition. Shaded: where it began, with 95 % probability."
+)
+_LEFT = "What nothing explains, of one coordinate. A campaign that stands out was measured or prepared differently."
+
+
+def comparison_figures(found: Comparison) -> dict[str, Figure]:
+    """Figures of a life, by name: change/CAUSE for each change, and left, the scatter of each campaign.
+
+    Parameters
+    ----------
+    found : Comparison
+        of `casadical.fleet.compare`
+
+    Returns
+    -------
+    dict[str, Figure]
+        name -> figure of plotly
+
+    Raises
+    ------
+    InputError
+        where plotly is not installed
+
+    Examples
+    --------
+    >>> sorted(casadical.report.comparison_figures(comparison))
+    ['change/lengths', 'left']
+    """
+    figures = {f"change/{c.cause.label}": _course(found, c) for c in found.changes}
+    if any(c.sigma is not None for c in found.campaigns):
+        figures["left"] = _left(found)
+    return figures
+
+
+def comparison_report(found: Comparison, files: Sequence[Path] = (), command: Sequence[str] = ()) -> str:
+    """One HTML file of a comparison.
+
+    Parameters
+    ----------
+    found : Comparison
+        of `casadical.fleet.compare`
+    files : Sequence[Path], default ()
+        what was read
+    command : Sequence[str], default ()
+        as it was typed
+
+    Returns
+    -------
+    str
+        HTML
+
+    Raises
+    ------
+    InputError
+        plotly or jinja2 is not installed, or a file is gone
+
+    Examples
+    --------
+    >>> casadical.report.comparison_report(comparison)[:15]
+    '<!doctype html>'
+    """
+    figures = comparison_figures(found)
+    blocks = list(found.blocks())
+    end = next(k for k, b in enumerate(blocks) if not isinstance(b, Words) and b.title == "Campaigns")
+    drawn = [Drawing(name, f, _COURSE) for name, f in figures.items() if name.startswith("change/")]
+    sections = [
+        Section("What changed", blocks[:end]),
+        Section("Over the life of the robot", drawn),
+        Section("Campaigns", [*(Drawing("left", f, _LEFT) for n, f in figures.items() if n == "left"), *blocks[end:]]),
+    ]
+    part = Part(found.campaigns[0].robot.name, f"{len(found.campaigns)} campaigns", sections, [*_tiles(found)])
+    return report_html("What changed", [part], provenance_of([f for f in files if f.is_file()], command))
+
+
+def _tiles(found: Comparison) -> Iterator[Tile]:
+    yield Tile("Changes", str(len(found.changes)), "", ", ".join(c.cause.label for c in found.changes) or "none")
+    last = found.campaigns[-1]
+    if last.sigma is not None:
+        yield Tile("Left, last campaign", mm(last.sigma), "mm", "of one coordinate")
+
+
+def _places(found: Comparison) -> list[Any]:
+    """Where each campaign stands on the axis: its day, or its label."""
+    days = [c.day for c in found.campaigns]
+    if any(d is None for d in days):
+        return [plain(c.label) for c in found.campaigns]
+    return [str(np.datetime64("1970-01-01") + np.timedelta64(int(d or 0), "D")) for d in days]
+
+
+def _course(found: Comparison, change: Change) -> Figure:
+    x = _places(found)
+    size, error = change.course_of.T
+    figure = new_figure(f"{change.cause.label}: {change.course}", "campaign", "share of the change")
+    figure.add_scatter(
+        x=x,
+        y=size,
+        mode="lines+markers",
+        line={"color": BLUE, "width": 1},
+        marker={"size": 8, "color": BLUE},
+        error_y={"type": "data", "array": 1.96 * error, "color": GREY, "thickness": 1.5, "width": 0},
+        text=[plain(c.label) for c in found.campaigns],
+        hovertemplate="<b>%{text}</b><br>%{y:.3f} of the change<extra></extra>",
+        showlegend=False,
+    )
+    first, last = change.between
+    if change.course != "season":
+        figure.add_vrect(x0=x[max(first - 1, 0)], x1=x[last], fillcolor=ORANGE, opacity=0.2, line_width=0)
+    return figure
+
+
+def _left(found: Comparison) -> Figure:
+    figure = new_figure("Left in each campaign", "campaign", "one sigma of a coordinate [mm]", height=260)
+    figure.add_scatter(
+        x=_places(found),
+        y=[None if c.sigma is None else 1e3 * c.sigma for c in found.campaigns],
+        mode="markers",
+        marker={"size": 8, "color": GREY},
+        text=[plain(c.label) for c in found.campaigns],
+        hovertemplate="<b>%{text}</b><br>%{y:.4f} mm<extra></extra>",
+        showlegend=False,
+    )
+    return figure.update_yaxes(rangemode="tozero")
