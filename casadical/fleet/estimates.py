@@ -8,7 +8,7 @@ of two campaigns differently where their poses differ.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from casadical.core.errors import InputError
 from casadical.identification.error_bound import Doubts, doubts_of, evaluated
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.identification import Identification, identify
-from casadical.identification.misfit import ORDERS, wide_fit
+from casadical.identification.misfit import FURTHER, ORDERS, wide_fit
 from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.robot.error_bound import doubted
 from casadical.robot.robot import Robot
@@ -65,6 +65,8 @@ class Estimate:
     >>> H, b = told.about(("a1", "theta2"), np.array([0.4, 0.0]))
     >>> H.shape, b.shape
     ((2, 2), (2,))
+    >>> len(told.narrowed(found.robot).names) < len(told.names)
+    True
     """
 
     robot: Robot
@@ -88,6 +90,26 @@ class Estimate:
     def scale(self) -> Array:
         """Unit of each parameter, shape (k,) [SI]."""
         return np.array([self.robot.parameters[n].scale for n in self.names])
+
+    def narrowed(self, robot: Robot) -> Estimate:
+        """Of the parameters that another robot has, too, which takes the place of this one; the rest integrated.
+
+        Parameters
+        ----------
+        robot : Robot
+            with fewer parameters
+
+        Returns
+        -------
+        Estimate
+            of its parameters
+        """
+        names = tuple(n for n in self.names if n in robot.parameters.names)
+        at = [self.names.index(n) for n in names]
+        H, b = self.about(names, self.values[at])
+        return replace(
+            self, robot=robot, names=names, values=self.values[at], information=H, score=b, spread=self.spread[at]
+        )
 
     def about(self, names: tuple[str, ...], values: Array) -> tuple[Array, Array]:
         """Information and score of some parameters at other values, all others fitted again with wide priors.
@@ -149,7 +171,7 @@ def estimate(
     fit = wide_fit(found)
     unit = fit.s2 * fit.misfit
     held = len(found.left_out)
-    return Estimate(
+    whole = Estimate(
         fit.robot,
         fit.doubts.names,
         _values(fit.robot, fit.doubts),
@@ -158,11 +180,12 @@ def estimate(
         np.sqrt(fit.variance),
         label or found.measurements[0].source,
         day,
-        fit.sums.count // 3,
-        1e-3 * float(np.sqrt(fit.s2)),
+        fit.poses,
+        fit.left,
         fit.misfit,
         (f"{held} pose{'s' * (held > 1)} left out as outliers",) if held else (),
     )
+    return whole.narrowed(doubted(found.robot, ORDERS))
 
 
 def _values(robot: Robot, doubts: Doubts) -> Array:
@@ -215,7 +238,7 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
         low, high = np.array([(j.lower, j.upper) for j in robot.joints]).T
         drawn = "the limits of each joint"
     q = np.random.default_rng(0).uniform(low, high, (DRAWN, robot.n))
-    wide = doubted(robot, ORDERS)
+    wide = doubted(robot, FURTHER)
     solved = [n for n in robot.parameters.names if n in known.std_errors]
     doubts = doubts_of(wide, [n for n in solved if n in wide.parameters.names])
     J = _seen(wide, unmeasured(q), doubts.names)
@@ -232,7 +255,7 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
         C[np.ix_(places, places)] = own.matrix
     H = B.T @ scaled_inverse(known.misfit * C / np.outer(scale, scale)) @ B
     note = f"poses are not known: drawn from {drawn}"
-    return Estimate(
+    told = Estimate(
         wide,
         doubts.names,
         _values(wide, doubts),
@@ -245,6 +268,7 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
         misfit=known.misfit,
         notes=(note,),
     )
+    return told.narrowed(doubted(robot, ORDERS))
 
 
 def _seen(robot: Robot, m: Measurements, names: tuple[str, ...]) -> Array:

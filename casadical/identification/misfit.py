@@ -7,7 +7,7 @@ readings: gear errors of higher order, slow drifts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,8 +19,8 @@ from casadical.identification.identification import Identification
 from casadical.robot.error_bound import doubted
 from casadical.robot.robot import Robot
 
-# Harmonics of each joint's error.
-ORDERS = 2
+# Harmonics of each joint's error: those that are compared between campaigns, and those that only widen what is known.
+ORDERS, FURTHER = 2, 6
 # Residuals are summed up over so many parts of the poses, by their order and by the region of the joints.
 PARTS = 12
 # So many standard deviations of the misfit factor are taken for chance.
@@ -28,21 +28,30 @@ CHANCE = 2.0
 _MM = 1e-3
 
 
+# Repeatability of the joints over the noise of a coordinate [rad/m].
+RHOS = (0.0, 0.3, 0.8, 2.0)
+
+
 @dataclass(frozen=True, eq=False)
 class WideFit:
     """Of all parameters that are not known exactly, and the harmonics; lengths in mm.
 
-    robot : calibrated, with harmonics of zero size; sums : over the poses, at its values
-    s2 : variance of a coordinate that nothing explains [mm^2]; variance : of each parameter before the data, shape (k,)
+    robot : calibrated, with harmonics of zero size; sums : over the poses, at its values, whitened
+    s2 : variance of a coordinate that nothing explains, repeatability of the joints left aside [mm^2]
+    rho : that repeatability over the root of s2 [rad/m]; variance : of each parameter before the data, shape (k,)
     misfit : how many times more than independent noise residuals of similar poses push the parameters, at least 1
+    left : standard deviation of a coordinate that nothing explains [m]; poses : how many
     """
 
     robot: Robot
     doubts: Doubts
     sums: Sums
     s2: float
+    rho: float
     variance: Array
     misfit: float
+    left: float
+    poses: int
 
 
 def wide_fit(found: Identification) -> WideFit:
@@ -50,23 +59,66 @@ def wide_fit(found: Identification) -> WideFit:
     sets = [m.positions_alone() for m in found.used if m.position is not None]
     if not sets:
         raise InputError(f"{found.measurements[0].source}: nothing measured a position; a comparison needs positions")
-    robot = doubted(found.robot, ORDERS)
+    robot = doubted(found.robot, FURTHER)
     doubts = doubts_of(robot, found.names)
+    low = [joint[: 2 * ORDERS] for joint in doubts.joints]
+    doubts = replace(doubts, joints=(*low, *(joint[2 * ORDERS :] for joint in doubts.joints)))
     r, J = evaluated(robot, sets, doubts.names)
-    sums = sums_of(r, J)
-    s2, mean, _, variance = posterior_of(sums, doubts)
-    times = _misfit(r + J @ mean, J, np.concatenate([m.q for m in sets]), s2, variance)
-    return WideFit(robot, doubts, sums, s2, variance, times)
+    q = np.concatenate([m.q for m in sets])
+    tried = [_at(rho, r, J, doubts) for rho in RHOS]
+    best = int(np.argmax([log_likelihood for log_likelihood, _ in tried]))
+    white, Jw, sums, (s2, mean, _, variance) = tried[best][1]
+    times = _misfit(white + Jw @ mean, Jw, q, s2, variance)
+    left = _MM * float(np.sqrt(np.mean((r + J @ mean) ** 2) * sums.count / max(1, sums.count - len(found.names))))
+    return WideFit(robot, doubts, sums, s2, RHOS[best], variance, times, left, len(r))
+
+
+_Posterior = tuple[float, Array, Array, Array]
+
+
+def _at(rho: float, r: Array, J: Array, doubts: Doubts) -> tuple[float, tuple[Array, Array, Sums, _Posterior]]:
+    """Log marginal likelihood with noise s2 (I + rho^2 Jq Jq'), and whitened residuals and Jacobians with their fit.
+
+    Jq : motion of the point by each joint, shape (n, 3, joints) [mm/mrad], as the zeros of the joints move it
+    """
+    zeros = [k for k, name in enumerate(doubts.names) if name.startswith("theta")]
+    Jq = J[:, :, zeros]
+    L = np.linalg.cholesky(np.eye(3) + rho**2 * Jq @ Jq.transpose(0, 2, 1))
+    white, Jw = np.linalg.solve(L, r[:, :, None])[:, :, 0], np.linalg.solve(L, J)
+    sums = sums_of(white, Jw)
+    s2, mean, S, variance = posterior_of(sums, doubts)
+    root = np.sqrt(np.diag(S))
+    log_det = float(np.log(variance).sum() - 2 * np.log(root).sum() - np.linalg.slogdet(S / np.outer(root, root))[1])
+    fitted = sums.square + 2 * mean @ sums.g + mean @ sums.H @ mean
+    spread = float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum())
+    square = float(fitted / s2 + np.sum(mean**2 / variance))
+    return -0.5 * (sums.count * np.log(s2) + square + log_det) - spread, (
+        white,
+        Jw,
+        sums,
+        (s2, mean, S, variance),
+    )
 
 
 def misfit_of(found: Identification) -> float:
-    """By how much the variances of an identification are to be multiplied, at least 1; 1 without positions."""
+    """By how much the variances of an identification are to be multiplied, at least 1; 1 without positions.
+
+    As a mean over the directions of its parameters, each in units of the variance that the identification states.
+    """
     try:
         fit = wide_fit(found)
     except InputError:
         return 1.0
-    own = max(sigma for sigma, _ in found.sigmas) / _MM
-    return float(max(1.0, fit.misfit * fit.s2 / own**2))
+    at = fit.doubts.solved
+    scale = np.array([fit.robot.parameters[fit.doubts.names[k]].scale for k in at])
+    own = found.covariance[np.ix_(_known(found), _known(found))] / np.outer(scale, scale)
+    here = fit.sums.H[np.ix_(at, at)] / (fit.s2 * fit.misfit)
+    return float(max(1.0, len(at) / np.sum(own * here))) if len(at) == len(own) else 1.0
+
+
+def _known(found: Identification) -> Array:
+    """Indices of identified parameters that are at no bound."""
+    return np.flatnonzero(np.isfinite(np.diag(found.covariance)))
 
 
 def _misfit(e: Array, J: Array, q: Array, s2: float, variance: Array) -> float:

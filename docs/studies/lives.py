@@ -1,10 +1,10 @@
 """python docs/studies/lives.py [--lives N] [--tables N] > docs/studies/lives.txt
 
-Lives of simulated robots: 30 monthly campaigns of 40 poses each, and after each campaign `casadical compare` of all that
-there are. Of 300 lives 90 have no change, 30 each a crash, a belt that loosens, a gear that wears, another gear, seasons, a
-moved foot and another tool (rules below). The robots are a UR10e, a KR 210 and an HH800, each as built with errors of
-0.5 mm and mrad; noise 30 um a coordinate; harmonics 3 to 5 of every joint, 15 urad each, are in no model. In every
-campaign the temperature is another by 2 K (24 um/m), the tool sits elsewhere by 10 um, the frame by 20 um and urad.
+Lives of simulated robots: 30 monthly campaigns of 40 poses each; after each, `casadical compare` takes all of them.
+Of 300 lives 90 have no change, 30 each a crash, a belt that loosens, a gear that wears, another gear, seasons, a moved
+foot and another tool (rules below). The robots are a UR10e, a KR 210 and an HH800, each as built with errors of
+0.5 mm and mrad; noise 30 um a coordinate; harmonics 3 to 9 of every joint, 12 urad each, are in no base model. In
+every campaign the temperature is another by 2 K (24 um/m), the tool sits elsewhere by 10 um, the frame by 20 um and urad.
 
 In `--tables` lives (20 of the 300, two of each kind, six without a change) every campaign is a table of simulated
 measurements, identified as a user's. In the others estimates are drawn: information, scatter and misfit of each
@@ -15,6 +15,10 @@ Counted: lives with a claim before anything changed (allowed: 1 %); causes, wher
 are right, kind and joint (wanted: 95 %); campaigns from the first that shows the change to the first claim and to the
 first name. In the last lines base and tool are fitted again in each campaign (the default), so that foot and tool are
 no change of the robot.
+
+Seed 0 was begun with a noise model that took all that the second harmonic leaves for independent noise: false alarms in
+4 of 5 lives by tables without a change. Harmonics 3 to 6 and the joints' repeatability were then put into what a campaign
+tells, and the rules frozen again, with seed 1.
 """
 
 from __future__ import annotations
@@ -43,9 +47,9 @@ ROBOTS = ("ur10e", "kr210", "hh800")
 KINDS = ("nothing", "crash", "belt", "wear", "gear", "season", "foot", "tool")
 SHARE = {"nothing": 3}  # of lives, others 1
 POOL = 24
-BUILT, MISFIT = 5e-4, 15e-6
+BUILT, MISFIT = 5e-4, 12e-6
 WARM, TOOL, FRAME = 2.4e-5, 1e-5, 2e-5
-ORDERS = 5
+ORDERS = 9
 
 
 @dataclass(frozen=True)
@@ -255,7 +259,7 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--lives", type=int, default=300)
     parser.add_argument("--tables", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     weights = [k for k in KINDS for _ in range(SHARE.get(k, 1))]
     rows, again, tables = [], [], []
