@@ -4,7 +4,7 @@ Lives of simulated robots: 30 monthly campaigns of 40 poses each; after each, `c
 Of 300 lives 90 have no change, 30 each a crash, a belt that loosens, a gear that wears, another gear, seasons, a moved
 foot and another tool (rules below). The robots are a UR10e, a KR 210 and an HH800, each as built with errors of
 0.5 mm and mrad; noise 30 um a coordinate; harmonics 3 to 9 of every joint, 12 urad each, are in no base model. In
-every campaign the temperature is another by 2 K (24 um/m), the tool sits elsewhere by 10 um, the frame by 20 um and urad.
+every campaign the temperature is another by 2 K (24 um/m), the tool sits elsewhere by 10 um, the frame by 20 um, urad.
 
 In `--tables` lives (20 of the 300, two of each kind, six without a change) every campaign is a table of simulated
 measurements, identified as a user's. In the others estimates are drawn: information, scatter and misfit of each
@@ -17,8 +17,8 @@ first name. In the last lines base and tool are fitted again in each campaign (t
 no change of the robot.
 
 Seed 0 was begun with a noise model that took all that the second harmonic leaves for independent noise: false alarms in
-4 of 5 lives by tables without a change. Harmonics 3 to 6 and the joints' repeatability were then put into what a campaign
-tells, and the rules frozen again, with seed 1.
+4 of 5 lives by tables without a change. Harmonics 3 to 6 and the joints' repeatability were then put into what a
+campaign tells, and the rules frozen again, with seed 1.
 """
 
 from __future__ import annotations
