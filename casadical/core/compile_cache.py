@@ -36,9 +36,10 @@ def compiler() -> str | None:
     )
 
 
-def compiled(function: ca.Function) -> ca.Function:
+def compiled(function: ca.Function, *, make: bool = True) -> ca.Function:
     """The same function as machine code, or unchanged where there is no C compiler or no cache of one's own.
 
+    make : whether a library that is not there is made
     The library's name holds the hash of source and flags, so that it is compiled once per machine and never stale, and
     the hash of its own content.
     """
@@ -49,9 +50,8 @@ def compiled(function: ca.Function) -> ca.Function:
     generator.add(function)
     source = generator.dump()
     digest = hashlib.sha256("\n".join((source, cc, *FLAGS)).encode()).hexdigest()[:32]
-    library = _kept(folder, f"{function.name()}-{digest}") or _made(
-        folder, f"{function.name()}-{digest}", cc, source, function
-    )
+    stem = f"{function.name()}-{digest}"
+    library = _kept(folder, stem) or (_made(folder, stem, cc, source, function) if make else None)
     return function if library is None else ca.external(function.name(), str(library))
 
 

@@ -1,13 +1,18 @@
 """A CasADi expression at many points: what all points share is computed once, the rest point by point."""
 
 from collections.abc import Sequence
-from functools import cached_property, lru_cache
 
 import casadi as ca
 
 from casadical.core.arrays import Array
 from casadical.core.casadi_buffers import Buffered
 from casadical.core.compile_cache import compiled
+
+# So many points, evaluated since the start of the process, take as long as to look for a compiled library, and to make
+# one. Waiting for that costs at most twice what knowing beforehand would (the ski rental problem).
+LOOK_FROM, COMPILE_FROM = 10_000, 500_000
+# Sizes of which the mapped functions are kept.
+SIZES = 64
 
 
 class MappedFunction:
@@ -24,18 +29,27 @@ class MappedFunction:
         each, symbols, once = ca.extract_parametric(whole, shared, {})
         self._once = Buffered(ca.Function(name + "_once", [shared], [ca.vertcat(ca.SX(0, 1), *once)]))
         self._each = ca.Function(name, [point, shared, ca.vertcat(ca.SX(0, 1), *symbols)], each)
-        self._mapped = lru_cache(maxsize=64)(self._over)
+        self._mapped: dict[int, Buffered] = {}
+        self._evaluated = self._tried = 0
+        self.is_compiled = False
 
-    def __call__(self, points: Array, shared: Array, machine_code: bool = False) -> list[Array]:
-        """Outputs side by side; points : shape (a, n); shared : shape (b,); machine_code : through the C compiler."""
+    def __call__(self, points: Array, shared: Array) -> list[Array]:
+        """Outputs side by side; points : shape (a, n); shared : shape (b,)."""
+        n = points.shape[1]
+        self._compile(n)
+        mapped = self._mapped.get(n)
+        if mapped is None:
+            if len(self._mapped) >= SIZES:
+                self._mapped.clear()
+            mapped = self._mapped[n] = Buffered(self._each.map("points", "serial", n, [1, 2], []))
         (once,) = self._once(shared)
-        return self._mapped(points.shape[1], machine_code)(points, shared, once)
+        return mapped(points, shared, once)
 
-    def _over(self, n: int, machine_code: bool) -> Buffered:
-        f = self._machine_code if machine_code else self._each
-        return Buffered(f.map("points", "serial", n, [1, 2], []))
-
-    @cached_property
-    def _machine_code(self) -> ca.Function:
-        """Where there is a C compiler."""
-        return compiled(self._each)
+    def _compile(self, n: int) -> None:
+        """Go over to machine code where the points evaluated before and these n pay for it."""
+        self._evaluated += n
+        while self._tried < 2 and self._evaluated >= (LOOK_FROM, COMPILE_FROM)[self._tried]:
+            found = compiled(self._each, make=self._tried == 1)
+            self._tried += 1
+            if found is not self._each:
+                self._each, self._mapped, self._tried, self.is_compiled = found, {}, 2, True

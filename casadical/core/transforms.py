@@ -103,6 +103,6 @@ def frame(R: Array, p: Array) -> Array:
 def nearest_rotation(M: Array) -> Array:
     """The rotation closest to a 3 x 3 matrix in the Frobenius norm (Kabsch)."""
     U, _, Vt = np.linalg.svd(M)
-    turn = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
-    rotation: Array = U @ turn @ Vt
-    return rotation
+    if np.linalg.det(U @ Vt) < 0:
+        U[:, 2] *= -1
+    return np.asarray(U @ Vt)

@@ -316,7 +316,7 @@ class Identification:
         bool
             true at an optimum
         """
-        round_off = 1e-12 * self.solution.history[0]
+        round_off = 1e-12 * self.problem.cost(np.zeros(self.problem.size))
         return self.problem.decrement(self.solution.v) < tolerance * self.variance + round_off
 
     def to_toml(self) -> str:

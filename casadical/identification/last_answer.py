@@ -4,8 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from casadical.core.arrays import Array
 
 
@@ -26,8 +24,8 @@ class Last:
     answer: Any = None
 
     def holds(self, v: Array) -> bool:
-        """Whether v is that point."""
-        return self.point is not None and np.array_equal(self.point, v)
+        """Whether v is that point, to the bit."""
+        return self.point is not None and self.point.tobytes() == v.tobytes()
 
     @property
     def at_zero(self) -> Any:

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.parameters import Parameter
 from casadical.identification.accuracy import predicted
 from casadical.identification.identifiability import (
     Identifiability,
@@ -112,9 +113,14 @@ class LeastSquares:
         """Numbers that were measured or known before, less variables."""
         return self.residual_count - self.size + int(np.count_nonzero(np.diag(self.prior_matrix)))
 
+    @cached_property
+    def _own(self) -> list[Parameter]:
+        """The chosen parameters."""
+        return [self.robot.parameters[n] for n in self.names]
+
     def _parameter(self, what: str) -> Array:
         """Values of an attribute of the chosen parameters, in solver units where it is a length or angle."""
-        return np.array([getattr(self.robot.parameters[n], what) for n in self.names])
+        return np.array([getattr(p, what) for p in self._own])
 
     @cached_property
     def scale(self) -> Array:
@@ -160,8 +166,7 @@ class LeastSquares:
     def _prior(self) -> Array:
         """Mean and one sigma of each chosen parameter's prior, shape (2, p) [SI]."""
         other = self.priors if isinstance(self.priors, Mapping) else {}
-        own = (self.robot.parameters[n] for n in self.names)
-        return np.array([other.get(p.name, (p.value, p.prior)) for p in own]).reshape(-1, 2).T
+        return np.array([other.get(p.name, (p.value, p.prior)) for p in self._own]).reshape(-1, 2).T
 
     def separate(self, v: Array) -> tuple[Array, Array]:
         """x, shape (p,), and u, shape (K, 3)."""
@@ -173,13 +178,13 @@ class LeastSquares:
         x, _ = self.separate(v)
         return dict(zip(self.names, self._parameter("value") + self.scale * x, strict=True))
 
-    def solve(self, progress: Progress | None = None) -> Solution:
-        """The bounded optimum. Raises ConvergenceError.
+    def solve(self, progress: Progress | None = None, start: Array | None = None) -> Solution:
+        """The bounded optimum, sought from a start, by default v = 0. Raises ConvergenceError.
 
         Where the cost's round-off stops Ipopt's line search, the solver cannot know that it stands at an optimum.
         """
         scale = 0.5 * self.residual_count
-        found = minimise(self.cost, self.gradient, *self.bounds, scale=scale, progress=progress)
+        found = minimise(self.cost, self.gradient, *self.bounds, scale=scale, start=start, progress=progress)
         sharp = found.status == ACCEPTABLE and self.decrement(found.v) < ROUND_OFF
         return replace(found, message=OPTIMUM) if sharp else found
 
@@ -315,7 +320,7 @@ class LeastSquares:
         for _, _, part in problem._parts(v):
             J = np.asarray(np.linalg.qr(np.concatenate([J, part]) if len(J) else part, mode="r"))
         p = len(self.names)
-        held = {n: self.robot.parameters[n].held for n in self.names if self.robot.parameters[n].held}
+        held = {p.name: p.held for p in self._own if p.held}
         if not any(find_kind(m.kind).at_rest(m.arrays) for m in self.sets):
             held |= dict.fromkeys(_WHOLE_ROBOT, "nothing at rest was measured: moving the whole robot changes nothing")
         if self.priors and self.residual_count <= self.size:
@@ -323,7 +328,7 @@ class LeastSquares:
             J = np.concatenate([J, np.diag(np.sqrt(np.diag(self.prior_matrix)))])
         of_effects = {e.label for e in self.robot.effects}
         if self.priors and p > WIDE:  # what a prior of an effect holds back needs no test of independence
-            own = [k for k, n in enumerate(self.names) if self.robot.parameters[n].group not in of_effects]
+            own = [k for k, p in enumerate(self._own) if p.group not in of_effects]
             base = tuple(self.names[k] for k in own)
             found = analyse(J[:, [*range(p, self.size), *own]], base, 3 * len(self.labels), held)
             dropped = {u.name for u in found.held}
@@ -382,11 +387,14 @@ class LeastSquares:
             yield np.repeat(loss_slope(self._loss_of(k), r), r.shape[1]), J
 
     def with_names(self, names: Sequence[str]) -> LeastSquares:
-        """With some of the names, in their order: what was evaluated at the start is used again."""
+        """With others of the robot's parameters: data and, of some of the same, the Jacobian at the start stay."""
         other = replace(self, names=tuple(names))
-        at = [self.names.index(n) for n in other.names if n in self.names]
-        if len(at) == len(names) and (parts := self._last_parts.at_zero):
-            columns = [*at, *range(len(self.names), self.size)]
+        if "blocks" in vars(self):
+            blocks = tuple(block.with_names(self.robot, other.names) for block in self.blocks)
+            vars(other).update(labels=self.labels, points=self.points, blocks=blocks)
+        place_of = {name: k for k, name in enumerate(self.names)}
+        if (parts := self._last_parts.at_zero) and place_of.keys() >= set(other.names):
+            columns = [*(place_of[n] for n in other.names), *range(len(self.names), self.size)]
             other._last_parts(np.zeros(other.size), lambda _: tuple((k, r, J[:, columns]) for k, r, J in parts))
         return other
 

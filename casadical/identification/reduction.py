@@ -16,10 +16,16 @@ from casadical.identification.solver import Progress, Solution
 POOR_FIT = 0.005
 
 
+# Optima of earlier problems, by the names of their variables: parameters and points.
+Optima = dict[tuple[tuple[str, ...], tuple[str, ...]], Array]
+
+
 def reduce_and_solve(
-    problem: LeastSquares, progress: Progress | None
+    problem: LeastSquares, progress: Progress | None, optima: Optima
 ) -> tuple[LeastSquares, Solution, Identifiability]:
     """Choose the independent parameters, solve, and leave out those that the data determine worse than their prior.
+
+    optima : of the same robot with other sigmas or fewer poses, where a solve starts; those found here are added
 
     Independence is decided at the start, where exact dependences are exact. Raises InputError where the data determine
     no parameter at all, or are no more numbers than there are unknowns.
@@ -35,12 +41,14 @@ def reduce_and_solve(
     poor: list[Unidentifiable] = []
     left = 0.0
     while reduced.names:
+        variables = reduced.names, reduced.labels
         try:
-            solution = reduced.solve(progress)
+            solution = reduced.solve(progress, optima.get(variables))
         except ConvergenceError:
             if problem.priors or not (worse := _poor_at_start(reduced)):
                 raise
         else:
+            optima[variables] = solution.v
             left = left or _misfit(reduced, solution.v)
             worse = [] if problem.priors else _poor(reduced, solution.v, variance(reduced, solution.v))
             if not worse:

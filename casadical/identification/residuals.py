@@ -5,8 +5,10 @@ values in units of their scale (mm, mrad) and, where the kind has an unknown poi
 residual is in units of sigma.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal
 
@@ -28,8 +30,6 @@ LOSSES: tuple[Loss, ...] = ("linear", "huber", "soft_l1")
 POINT_SCALE = 1e-3
 # Poses at a time: their Jacobian fits the processor's cache.
 CHUNK = 1024
-# From this many poses on, compiling saves more time than it takes.
-COMPILE_FROM = 2000
 
 # Square of the normalised residual at which a robust loss leaves the parabola: the 95 % quantile of a chi-squared
 # distribution with as many degrees of freedom as the kind observes.
@@ -72,7 +72,7 @@ class PoseFunctions:
     def __init__(
         self, model: Expressions, kind: MeasurementKind, point: bool, chosen: tuple[int, ...], fixed_loads: bool
     ) -> None:
-        self.point = point
+        self.kind, self.point, self.fixed_loads = kind, point, fixed_loads
         x = ca.SX.sym("x", len(chosen))
         u = ca.SX.sym("u", 3 if point else 0)
         nominal = ca.SX.sym("nominal", model.phi.numel())
@@ -145,6 +145,13 @@ class Block:
     group: Array
     robot: Array
 
+    def with_names(self, robot: Robot, names: tuple[str, ...]) -> Block:
+        """The same measurements for other parameters of the robot."""
+        k = self.kernel
+        return replace(
+            self, kernel=kernel(robot, k.kind, k.point, names, k.fixed_loads), robot=robot_numbers(robot, names)
+        )
+
     def evaluate(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Residuals, shape (n, m), and Jacobians, shape (n, m, z); x : (p,), u : (K, 3) in solver units."""
         parts = [found for _, *found in self.parts(x, u)]
@@ -153,24 +160,22 @@ class Block:
 
     def parts(self, x: Array, u: Array) -> Iterator[tuple[slice, Array, Array]]:
         """As `evaluate`, some poses at a time: which, their residuals and their Jacobians."""
-        for some, (r, J) in self._called(self.kernel.residual, x, u, self.data.shape[1] >= COMPILE_FROM):
+        for some, (r, J) in self._called(self.kernel.residual, x, u):
             yield some, r.T, J.T.reshape(*r.T.shape, -1)
 
     def residuals(self, x: Array, u: Array) -> Iterator[Array]:
-        """As `parts`, the residuals alone."""
-        for _, (r,) in self._called(self.kernel.value, x, u, machine_code=False):
+        """As `parts`, the residuals alone; machine code of both is faster than CasADi is with the residual."""
+        both, value = self.kernel.residual, self.kernel.value
+        for _, (r, *_) in self._called(both if both.is_compiled else value, x, u):
             yield r.T
 
-    def _called(
-        self, function: MappedFunction, x: Array, u: Array, machine_code: bool
-    ) -> Iterator[tuple[slice, list[Array]]]:
+    def _called(self, function: MappedFunction, x: Array, u: Array) -> Iterator[tuple[slice, list[Array]]]:
         """Outputs of one of the kernel's functions, some poses at a time."""
         shared = np.concatenate([x, self.robot])
         for start in range(0, self.data.shape[1], CHUNK):
             some = slice(start, min(start + CHUNK, self.data.shape[1]))
             data = self.data[:, some]
-            points = np.concatenate([data, u[self.group[some]].T]) if self.kernel.point else data
-            yield some, function(points, shared, machine_code)
+            yield some, function(np.concatenate([data, u[self.group[some]].T]) if self.kernel.point else data, shared)
 
 
 def make_block(

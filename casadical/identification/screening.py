@@ -7,7 +7,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.identification.identifiability import Identifiability
 from casadical.identification.least_squares import LeastSquares, robust_std
-from casadical.identification.reduction import reduce_and_solve
+from casadical.identification.reduction import Optima, reduce_and_solve
 from casadical.identification.solver import Progress, Solution
 from casadical.measurements.kinds.registry import find_kind
 
@@ -22,13 +22,13 @@ SIGMA_ROUNDS = 6
 LEAST_SIGMA = 1e-9
 
 
-def _solve_with_sigmas(problem: LeastSquares, progress: Progress | None) -> Solved:
+def _solve_with_sigmas(problem: LeastSquares, progress: Progress | None, optima: Optima) -> Solved:
     """Solve; where a sigma matters and was not given, estimate it from the residuals and solve again."""
     first = problem.sets[0]
     several = len(problem.sets) > 1 or find_kind(first.kind).angles > 0 or bool(first.separations)
     matters = problem.loss != "linear" or problem.priors or several
     for _ in range(SIGMA_ROUNDS):
-        solved = reduce_and_solve(problem, progress)
+        solved = reduce_and_solve(problem, progress, optima)
         if not matters:
             break
         sigmas = _estimated_sigmas(*solved[:2])
@@ -76,15 +76,18 @@ def solve_without_outliers(
 
     In rounds, because outliers widen the spread by which they are judged.
     """
+    optima: Optima = {}
+    solved = _solve_with_sigmas(problem, progress, optima)
+    if problem.loss == "linear":
+        return solved, ()
     kept = [np.arange(len(m)) for m in problem.sets]
-    solved = _solve_with_sigmas(problem, progress)
-    for _ in range(rounds if problem.loss != "linear" else 0):
+    for _ in range(rounds):
         far = outlier_masks(solved[0], solved[1])
         if not any(mask.any() for mask in far):
             break
         kept = [index[~mask] for index, mask in zip(kept, far, strict=True)]
         sets = tuple(m[index] for m, index in zip(problem.sets, kept, strict=True))
-        solved = _solve_with_sigmas(replace(problem, sets=sets, sigmas=solved[0].sigmas), progress)
+        solved = _solve_with_sigmas(replace(problem, sets=sets, sigmas=solved[0].sigmas), progress, optima)
     out = [np.setdiff1d(np.arange(len(m)), index) for m, index in zip(problem.sets, kept, strict=True)]
     return solved, tuple((k, int(i)) for k, left in enumerate(out) for i in left)
 

@@ -117,12 +117,9 @@ class _Solver:
         self.history: list[float] = []
         given = {"x": vector, "p": none}
         weighed = given | {"lam_f": number, "lam_g": none}
-        outputs = {ca.nlpsol_out(i): none for i in range(ca.nlpsol_n_out())}
-        outputs |= {"x": vector, "f": number, "lam_x": vector}
         f = _Evaluation("f", {"x": vector}, {"f": number}, self._cost)
         g = _Evaluation("nlp_grad_f", given, {"f": number, "grad_f_x": vector}, self._gradient)
         h = _Evaluation("nlp_hess_l", weighed, {"hess_gamma_x_x": upper}, self._hessian)
-        watch = _Evaluation("watch", outputs, {"stop": number}, self._watch)
         v = ca.MX.sym("v", size)
         options: dict[str, Any] = {
             "grad_f": g,
@@ -131,7 +128,6 @@ class _Solver:
             "no_nlp_grad": True,
             "print_time": False,
             "show_eval_warnings": False,
-            "iteration_callback": watch,
             "ipopt": {
                 "tol": TOLERANCE,
                 "max_iter": most,
@@ -148,23 +144,22 @@ class _Solver:
                 "acceptable_obj_change_tol": 1e-9,
             },
         }
-        self._keep = f, g, h, watch
+        self._keep = f, g, h
         self.solve = ca.nlpsol("identify", "ipopt", {"x": v, "f": f(v)}, options)
 
     def _cost(self, v: Array) -> Sequence[Array | float]:
         return (self.cost(v) / self.scale,)
 
     def _gradient(self, v: Array, _: Array) -> Sequence[Array | float]:
-        return self.cost(v) / self.scale, self.gradient(v)[0] / self.scale
+        """Ipopt asks for it once where it steps to."""
+        cost, gradient = self.cost(v), self.gradient(v)[0]
+        self.history.append(cost)
+        if self.progress:
+            self.progress(len(self.history) - 1, cost)
+        return cost / self.scale, gradient / self.scale
 
     def _hessian(self, v: Array, _: Array, factor: Array, __: Array) -> Sequence[Array | float]:
         return (self.gradient(v)[1][self._lower] * (factor[0] / self.scale),)
-
-    def _watch(self, _: Array, f: Array, *__: Array) -> Sequence[Array | float]:
-        self.history.append(float(f[0]) * self.scale)
-        if self.progress:
-            self.progress(len(self.history) - 1, self.history[-1])
-        return (0.0,)
 
 
 class _Solvers(threading.local):
@@ -184,9 +179,10 @@ def minimise(
     upper: Array,
     *,
     scale: float,
+    start: Array | None = None,
     progress: Progress | None = None,
 ) -> Solution:
-    """Minimise a sum of squares from v = 0 within bounds.
+    """Minimise a sum of squares within bounds from a start, by default v = 0.
 
     cost : of v, shape (size,); gradient : at v, and the Gauss-Newton Hessian J'J, shapes (size,) and (size, size)
     scale : typical size of the cost, by which it is divided
@@ -195,7 +191,7 @@ def minimise(
     """
     ipopt = _solvers.of(len(lower), MAX_ITERATIONS)
     ipopt.cost, ipopt.gradient, ipopt.scale, ipopt.progress, ipopt.history = cost, gradient, scale, progress, []
-    found = ipopt.solve(x0=np.zeros(len(lower)), lbx=lower, ubx=upper)
+    found = ipopt.solve(x0=np.zeros(len(lower)) if start is None else start, lbx=lower, ubx=upper)
     status = str(ipopt.solve.stats()["return_status"])
     message = _SENTENCES.get(status, f"Ipopt stopped with {status}; see its documentation for this status.")
     if status not in ("Solve_Succeeded", ACCEPTABLE, "Search_Direction_Becomes_Too_Small"):

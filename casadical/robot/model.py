@@ -21,9 +21,6 @@ from casadical.effects import Context, Effect
 from casadical.robot.kinematics import Values, assembly_sides, chain_factors, link_frames, loop_margins
 from casadical.robot.statics import deflections, gravity_torques
 
-# From this many poses on, compiling saves more time than it takes.
-COMPILE_FROM = 20_000
-
 
 @dataclass(frozen=True, eq=False)
 class Expressions:
@@ -117,7 +114,7 @@ class Model:
     def evaluate(self, outputs: tuple[str, ...], q: Array, w: Array, phi: Array) -> list[Array]:
         """Outputs at many poses, one array each, poses side by side; q : (n, joints), w : (n, k), phi : (P,) [SI]."""
         points, shared = np.concatenate([q, w], axis=1).T, np.concatenate([phi, self.constants])
-        return self.shared.mapped(*outputs)(points, shared, len(q) >= COMPILE_FROM)
+        return self.shared.mapped(*outputs)(points, shared)
 
 
 def constants_of(arm: Arm, torque_scale: Array) -> Array:

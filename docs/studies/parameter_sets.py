@@ -11,7 +11,6 @@ from __future__ import annotations
 import numpy as np
 from synthetic import NOISE, correct_set, measured, planted, random_robot, readings
 
-import casadical.identification.residuals
 from casadical import identify
 from casadical.core.arrays import Array
 from casadical.identification.accuracy import errors
@@ -35,8 +34,6 @@ def floor(built: Robot, names: tuple[str, ...], q: Array, probe: Array) -> float
 
 
 def main() -> None:
-    # One compiler run a robot would take longer than its fits.
-    casadical.identification.residuals.COMPILE_FROM = 10**9
     rows: dict[tuple[bool, int], list[tuple[bool, float, bool]]] = {}
     wrong: list[str] = []
     for k in range(ROBOTS):

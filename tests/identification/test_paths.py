@@ -1,6 +1,7 @@
 """The same numbers by every path: chunked and whole maps, compiled and interpreted kernels."""
 
 from dataclasses import replace
+from functools import partial
 
 import arms
 import casadi as ca
@@ -9,6 +10,7 @@ import pytest
 
 from casadical import identify
 from casadical.core import compile_cache as compiled
+from casadical.core import mapped_function
 from casadical.identification import residuals
 from casadical.identification.least_squares import LeastSquares
 
@@ -75,13 +77,32 @@ def test_compiled_kernels_give_the_same_result(with_compiler, monkeypatch):
     m = arms.positions(built, arms.readings(built, 60, 2), 3)
     interpreted = identify(ARM, m, ["placement", "a2"])
     assert not list(with_compiler.iterdir())
-    monkeypatch.setattr(residuals, "COMPILE_FROM", 1)
+    monkeypatch.setattr(mapped_function, "LOOK_FROM", 1)
+    monkeypatch.setattr(mapped_function, "COMPILE_FROM", 1)
     machine = identify(ARM, m, ["placement", "a2"])
-    made = sorted(f.name.split("-")[0] for f in with_compiler.iterdir())
-    assert made == ["residual"]
+    assert {f.name.split("-")[0] for f in with_compiler.iterdir()} == {"model", "residual"}
     assert machine.names == interpreted.names
     assert np.allclose(machine.solution.v, interpreted.solution.v, rtol=0, atol=1e-6)
     assert np.allclose(machine.covariance, interpreted.covariance, rtol=1e-6)
+
+
+def test_machine_code_takes_over_where_it_pays(with_compiler, monkeypatch):
+    """Looked for after some points, made after more; the bits stay the same."""
+    x, a = ca.SX.sym("x", 2), ca.SX.sym("a", 2)
+    made = partial(mapped_function.MappedFunction, "wave", x, a, [ca.sin(a[0]) * ca.cos(x) + a[1]])
+    monkeypatch.setattr(mapped_function, "LOOK_FROM", 10)
+    monkeypatch.setattr(mapped_function, "COMPILE_FROM", 25)
+    points, shared = np.random.default_rng(0).normal(size=(2, 9)), np.array([0.3, 1.2])
+    f, states, found = made(), [], []
+    for _ in range(4):
+        found += f(points, shared)
+        states.append((f.is_compiled, len(list(with_compiler.iterdir()))))
+    assert states == [(False, 0), (False, 0), (True, 1), (True, 1)]
+    assert all(np.array_equal(out, found[0]) for out in found)
+    assert np.allclose(found[0], np.sin(0.3) * np.cos(points) + 1.2, rtol=1e-14)
+    another = made()
+    another(np.tile(points, 2), shared)
+    assert another.is_compiled  # it is there already
 
 
 def test_a_library_is_made_once(with_compiler):

@@ -13,11 +13,10 @@ VARIANTS = {"casadical": {"compile_from": 1000000000}, "casadical-compiled": {"c
 
 def contend(data, clock, compile_from):
     import casadical
-    from casadical.identification import residuals
+    from casadical.core import mapped_function
     from casadical.identification.accuracy import predicted
-    from casadical.robot import model
 
-    residuals.COMPILE_FROM = model.COMPILE_FROM = compile_from
+    mapped_function.LOOK_FROM = mapped_function.COMPILE_FROM = compile_from
     with clock("build"):
         joints = tuple(casadical.Joint(*row, lower=-7.0, upper=7.0) for row in data.dh)
         unknown = casadical.Placement(np.eye(4), "pose"), casadical.Placement(np.eye(4), "position")
