@@ -277,7 +277,7 @@ def trial(part: str, number: int, seeds: str, options: dict[str, Any], *, laws: 
         return answer | {"verdict": "refused", "named": [], "why": str(error), "seconds": 0.0}
     first = found.rankings[0]
     if laws:
-        answer["law"] = instead(found, laws_beside(found).rounds[0])
+        answer["law"] = bool(instead(found, laws_beside(found).rounds[0]))
     return answer | {
         "verdict": found.verdict,
         "named": [c.label for c in found.causes],
