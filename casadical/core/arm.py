@@ -36,6 +36,7 @@ class Arm:
     payload : declared mass and mass centre in the last link's frame; poses may carry another mass (column payload_kg)
     tool_name : of the measured point, where there are several; targets : the others, named in the column `tool`
     widths : how far the parameters of each group may be off; body_width : masses and mass centres of the links
+    masses : of the links; estimated ones tell where gravity deflects joints and by how much, but no stiffness
     Raises InputError for a structure that cannot be built.
     """
 
@@ -51,6 +52,7 @@ class Arm:
     body_width: BodyWidth = field(default_factory=BodyWidth)
     tool_name: str = ""
     targets: tuple[Target, ...] = ()
+    masses: Literal["declared", "estimated"] = "declared"
 
     def __post_init__(self) -> None:
         if not self.joints:

@@ -16,11 +16,12 @@ from casadical.diagnosis.linear_problem import Case, better_ratios, make_case
 from casadical.diagnosis.posterior import Rivals, no_rivals
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import Show, search
-from casadical.effects import Effect, LinkMasses
+from casadical.effects import Effect, LinkMasses, PayloadError
 from casadical.identification.identification import Identification, identify
 from casadical.identification.least_squares import robust_std
 from casadical.identification.placement import place_frames
 from casadical.identification.prior import Prior, carry_over
+from casadical.identification.unknown_masses import with_unknown_masses
 from casadical.measurements.kinds.position_covariance import PositionCovariance
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
@@ -73,7 +74,7 @@ def diagnose(
         robot
     masses : Masses, default "candidate"
         whether wrong declared masses of links are a cause that may be named, or are in the base model, free within
-        the robot's `body_width`, and never named
+        the robot's `body_width`, and never named, as those are always that nobody declared
     rivals : Rivals, default no_rivals
         what competes with the candidates at every ranking, as a search for laws does (see `posterior.Rival`)
     show : Show, optional
@@ -102,12 +103,16 @@ def diagnose(
     if isinstance(prior, Robot) and isinstance(robot, Robot):
         robot, prior = carry_over(robot, prior)
     free: tuple[str, ...] = ()
-    if masses == "nuisance":
-        if isinstance(robot, Identification):
-            raise InputError("masses='nuisance': this robot is identified already; give the nominal robot instead")
-        robot, free = _with_free_masses(robot)
-    known = prior if isinstance(prior, Prior) else Prior()
     given = () if m is None else (m,) if isinstance(m, Measurements) else tuple(m)
+    if isinstance(robot, Identification):
+        if masses == "nuisance":
+            raise InputError("masses='nuisance': this robot is identified already; give the nominal robot instead")
+        free = _free_masses(robot)
+    else:
+        robot, free = with_unknown_masses(robot, given)
+        if not free and (masses == "nuisance" or robot.masses == "estimated"):
+            robot, free = _with_free_masses(robot)
+    known = prior if isinstance(prior, Prior) else Prior()
     if isinstance(robot, Identification):
         identification = robot if m is None else _of(robot.given, given, known, free, show)
     elif not given:
@@ -149,6 +154,15 @@ def _with_free_masses(robot: Robot) -> tuple[Robot, tuple[str, ...]]:
     if not any(isinstance(e, LinkMasses) for e in robot.effects):
         robot = robot.with_effect(*LinkMasses.candidates(robot))
     return robot, tuple(e.label for e in robot.effects if isinstance(e, LinkMasses))
+
+
+def _free_masses(found: Identification) -> tuple[str, ...]:
+    """Labels of what an identification found of masses that nobody knows."""
+    if found.given.masses != "estimated":
+        return ()
+    freed = {found.given.parameters[name].group for name in found.names}
+    of_masses = (e.label for e in found.given.effects if isinstance(e, (LinkMasses, PayloadError)))
+    return tuple(label for label in of_masses if label in freed)
 
 
 def _of(

@@ -16,6 +16,7 @@ from casadical.diagnosis.result import Cause, CauseSet, Diagnosis, Unlisted
 from casadical.diagnosis.spectrum_report import as_json as curves_as_json
 from casadical.diagnosis.statements import assumptions, headline, missing_columns
 from casadical.diagnosis.text import page_of
+from casadical.identification.gravity import as_json as gravity_as_json
 from casadical.identification.prior import Prior
 from casadical.robot.robot_file import to_toml
 
@@ -69,6 +70,7 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
         "outliers": [{"row": o.row, "distance_mm": _mm(o.distance), "sigmas": round(o.sigmas, 2)} for o in d.outliers],
         "outlier_rows": [o.row for o in d.outliers],
         **({"assumed": list(said)} if (said := assumptions(d)) else {}),
+        **({"gravity": gravity_as_json(d.identification)} if d.identification.given.masses == "estimated" else {}),
         "missing_columns": {label: list(columns) for label, columns in missing_columns(d).items()},
         "next_measurements": _next(poses),
         **({"told_rightly": [round(p, 4) for p in discrimination_probability(d, poses)]} if len(poses) else {}),

@@ -14,6 +14,7 @@ from casadical.diagnosis.laws.answer import law_in_words
 from casadical.diagnosis.next_poses import discrimination_probability, kinds_of_poses
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.thresholds import CLAIM, SET_CLAIM
+from casadical.identification.gravity import in_words as gravity_in_words
 
 # An effect is invisible if the base absorbs so much of it, or if it must be so many times its usual size to be found.
 ABSORBED, OUT_OF_REACH = 0.98, 5.0
@@ -29,8 +30,8 @@ TIED = "\u00a0"
 class Statement:
     """One statement.
 
-    about : VERDICT, PRIOR, GAP, ASSUMED, WHERE, WHICH (then come the causes, see `cause_rows`), SET, AFTER, LAYERS
-        (then come these, see `layer_rows`), CANNOT, UNKNOWN, LAW, OUT, MISSING, NEXT
+    about : VERDICT, PRIOR, GAP, ASSUMED, GRAVITY, WHERE, WHICH (then come the causes, see `cause_rows`), SET, AFTER,
+        LAYERS (then come these, see `layer_rows`), CANNOT, UNKNOWN, LAW, OUT, MISSING, NEXT
     doubtful : whether it is a warning
     """
 
@@ -47,6 +48,7 @@ def statements(d: Diagnosis, more: Details | None = None) -> list[Statement]:
         _prior(d),
         _gap(d),
         _assumed(d),
+        _gravity(d),
         _where(d, more),
         _which(d),
         _after(d, more),
@@ -146,6 +148,12 @@ def _assumed(d: Diagnosis) -> Iterator[Statement]:
         yield Statement("ASSUMED", text)
 
 
+def _gravity(d: Diagnosis) -> Iterator[Statement]:
+    """Of a robot without masses: which joints gravity deflects, as a part of the base model."""
+    if text := gravity_in_words(d.identification):
+        yield Statement("GRAVITY", text)
+
+
 def assumptions(d: Diagnosis) -> tuple[str, ...]:
     """What a missing column or a declared value was taken for, and what of its uncertainty is in the comparison."""
     logged, robot = d.identification.measurements[0].conditions, d.identification.given
@@ -165,8 +173,10 @@ def assumptions(d: Diagnosis) -> tuple[str, ...]:
     said += d.case.assumed
     if d.case.free:
         width = robot.body_width
+        origin = ", estimated from the reach" if robot.masses == "estimated" else ""
         said.append(
-            f"masses of links: part of the base model, within {100 * width.share:.0f} % and {1e3 * width.centre:.0f} mm"
+            f"masses of links{origin}: part of the base model, within {100 * width.share:.0f} % and "
+            f"{1e3 * width.centre:.0f} mm"
         )
     return tuple(said)
 

@@ -29,6 +29,7 @@ from casadical.identification.reduction import POOR_FIT
 from casadical.identification.residuals import LOSSES, POINT_SCALE, Loss, make_block
 from casadical.identification.screening import SCREENINGS, solve_without_outliers
 from casadical.identification.solver import Progress, Solution
+from casadical.identification.unknown_masses import with_unknown_masses
 from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.robot.knowledge import Knowledge, blocks
 from casadical.robot.robot import Robot, modified_dh
@@ -421,7 +422,7 @@ def identify(
         prior.refuse_uncovered(sets)
     known = robot.knowledge or Knowledge()
     if method is not None:
-        robot, free = by_method(robot, method)
+        robot, free = by_method(robot, method, sets)
     if prior.free:
         free = (*([free] if isinstance(free, str) else free), *prior.free)
         priors = {**prior.means, **(priors if isinstance(priors, Mapping) else {})}
@@ -497,10 +498,14 @@ def _as_sets(measurements: Measurements | Sequence[Measurements]) -> tuple[Measu
     return sets
 
 
-def by_method(robot: Robot, method: str) -> tuple[Robot, tuple[str, ...]]:
-    """The robot as a method of the paper takes it, and what it identifies. Raises InputError for other methods."""
+def by_method(robot: Robot, method: str, sets: Sequence[Measurements]) -> tuple[Robot, tuple[str, ...]]:
+    """The robot as a method of the paper takes it, and what it identifies, of masses that nobody knows, too.
+
+    Raises InputError for other methods.
+    """
     if method not in METHODS:
         raise InputError(f"method {method!r} is not known; allowed: {', '.join(METHODS)}")
     if method == "KM":  # rigid joints
-        robot = robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0))
-    return robot, METHODS[method]
+        return robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0)), METHODS[method]
+    robot, unknown = with_unknown_masses(robot, sets)
+    return robot, (*METHODS[method], *unknown)

@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 from casadical.core.blocks import Table, Words
+from casadical.identification.gravity import in_words
 from casadical.identification.identifiability import CONFOUNDED
 from casadical.identification.identification import Identification
 
@@ -64,7 +65,10 @@ def _parameters(result: Identification) -> list[dict[Any, Any]]:
 
 
 def _stiffness(result: Identification) -> list[Words]:
-    """Compliances in the unit that people compare: joint stiffness."""
+    """Compliances in the unit that people compare: joint stiffness; where masses are not known, the deflection."""
+    if result.robot.masses == "estimated":
+        gives = any(result.start.parameters[name].group == "compliance" for name in result.names)
+        return [Words(in_words(result).capitalize())] if gives else []
     told = [r for r in _parameters(result) if r["status"] == "identified" and r["group"] == "compliance"]
     text = ", ".join(f"joint {r['name'][1:]} {stiffness(r['value'], r['std_error'])}" for r in told if r["value"] > 0)
     return [Words(f"Joint stiffness [N m/rad]: {text}")] if text else []

@@ -79,7 +79,8 @@ def _no_better(problem: Problem, last: Identification, accuracies: Accuracies) -
         missing.append(f"wider ranges of {which} (less than half of the limits is covered)")
     if not any(j.compliance is not None for j in robot.joints):
         missing.append(
-            "masses (mass_kg, com_mm) and compliant = true in the robot file, which let SKCM find what gravity bends"
+            "compliant = true of joints in the robot file, which lets SKCM find what gravity bends (unknown masses are "
+            "estimated from the reach)"
         )
     if not missing:
         missing.append("what the model lacks: casadical diagnose names it")

@@ -75,7 +75,7 @@ def diagnosis_part(d: Diagnosis, name: str, more: Details | None = None) -> Part
     said = statements(d, more)
     rows = cause_rows(d)
     sections = [
-        Section("Verdict", [*_said(said, "VERDICT", "PRIOR", "GAP", "ASSUMED", "UNKNOWN", "LAW", "OUT")]),
+        Section("Verdict", [*_said(said, "VERDICT", "PRIOR", "GAP", "ASSUMED", "GRAVITY", "UNKNOWN", "LAW", "OUT")]),
         Section(
             "Errors before and after",
             [Drawing("gap", figures["gap"], _GAP), *_layers(d), _error_table(d), *_said(said, "AFTER")],

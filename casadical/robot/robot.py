@@ -59,6 +59,8 @@ class Robot(Arm):
         name of the measured point, where there are several
     targets : tuple[Target, ...], default ()
         further measured points on the flange
+    masses : {"declared", "estimated"}, default "declared"
+        whether the links' masses are known, or estimates that tell no stiffness
     effects : tuple[Effect, ...], default ()
         what was added to the base model, see `with_effect`
     effect_values : Mapping[str, float], optional

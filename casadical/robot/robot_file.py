@@ -177,6 +177,7 @@ class _RobotFile(TomlTable):
     name: str = Field(min_length=1)
     convention: Literal["modified", "standard"] = "modified"
     notes: list[str] = Field(default=[])
+    masses: Literal["declared", "estimated"] = "declared"
     base: _Frame = _Frame()
     tool: _Frame = _Frame()
     tool_name: str = ""
@@ -229,6 +230,7 @@ class _RobotFile(TomlTable):
             body_width=BodyWidth(self.width.body.mass_share, self.width.body.com),
             tool_name=self.tool_name,
             targets=tuple(Target(f.name, point) for f, point in zip(self.further_tool, points, strict=True)),
+            masses=self.masses,
             effects=effects,
             effect_values=values,
             notes=tuple(self.notes),
@@ -389,6 +391,7 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
         "written_by": f"casadical {__version__}" if more else None,
         "name": robot.name,
         "notes": list(robot.notes) or None,
+        "masses": robot.masses if robot.masses != "declared" else None,
         "base": frame_table(robot.base),
         "tool": tool_tables(robot) if robot.targets else frame_table(robot.tool),
         "gravity": {"frame": robot.gravity_frame, "vector_m_per_s2": [float(g) for g in robot.gravity]},

@@ -126,7 +126,7 @@ def precheck(
     start = place_frames(problem.robot, next((m for m in trusted if m.position is not None), sets[0]))
     for method in problem.methods if usable else ():
         try:
-            taken, free = by_method(start, method)
+            taken, free = by_method(start, method, trusted)
             outlooks.append(outlook(taken, trusted, free, method, noise))
         except (InputError, np.linalg.LinAlgError) as error:
             found.append(Finding("error", "identifiability", f"{method}: {error}"))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from casadical.core.blocks import Table, Words
 from casadical.core.errors import InputError
+from casadical.core.estimated_masses import with_estimated_masses, without_masses
 from casadical.core.files import claimed, write_together
 from casadical.measurements.columns import Columns, Source
 from casadical.measurements.headings import Question, Understanding, understand
@@ -15,7 +16,7 @@ from casadical.measurements.raw_table import RawTable, read_table
 from casadical.project.check.targets import unnamed_targets
 from casadical.project.new.dh_table import robot_text
 from casadical.project.new.synthetic import POSES, synthetic_poses
-from casadical.project.new.texts import EXAMPLE_ROBOT, column_lines, problem_text, readme_text, with_tools
+from casadical.project.new.texts import EXAMPLE_ROBOT, column_lines, problem_text, readme_text, with_masses, with_tools
 from casadical.project.problem import Problem, read_problem
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
@@ -141,7 +142,11 @@ def _robot_files(
 
         return {"robot.urdf": _read(urdf)}, read_urdf(urdf, base_link, tip_link)
     text = robot_text(dh, name, convention) if dh else EXAMPLE_ROBOT
-    return {"robot.toml": text}, robot_from(tomllib.loads(text), dh.name if dh else "robot.toml")
+    robot = robot_from(tomllib.loads(text), dh.name if dh else "robot.toml")
+    if without_masses(robot):
+        robot = with_estimated_masses(robot)
+        text = with_masses(text, robot, convention == "standard")
+    return {"robot.toml": text}, robot
 
 
 def _read(path: Path) -> str:

@@ -3,7 +3,13 @@
 import json
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.parts import Joint
+from casadical.core.transforms import frame, from_rpy
 from casadical.measurements.columns import Source
+from casadical.robot.robot import Robot
 
 EXAMPLE_ROBOT = """\
 # An example arm with six joints: change the numbers to those of yours. Every key: docs/robot-file.md.
@@ -90,6 +96,16 @@ vector_m_per_s2 = [0, 0, -9.81]
 # com_mm = [0, 0, 50]
 
 # Every [[joint]] may have limits_deg = [lower, upper]; without, -360 .. 360 deg (-10 .. 10 m) are taken.
+"""
+
+ESTIMATED = """\
+masses = "estimated"               # TO DO: where you know them, leave this line and [width.body] out
+"""
+WIDTHS = """\
+[width.body]                       # one sigma of the estimates: each mass as a share, each coordinate of a mass centre
+mass_share = {share:g}
+com_mm = {centre:g}
+# compliant = true in a [[joint]]: its deflection under gravity is identified too, by the method SKCM
 """
 
 _PROBLEM = """\
@@ -220,3 +236,27 @@ def with_tools(robot: str, names: Sequence[str]) -> str:
         f"[[tool]]  # measured point {name}\nname = {json.dumps(name, ensure_ascii=False)}\n{keys}" for name in names
     ]
     return start + "\n\n".join(tables) + "\n\n" + after
+
+
+def with_masses(text: str, robot: Robot, standard: bool) -> str:
+    """The text of a robot file with estimated masses of its links; robot : that it describes, with these masses.
+
+    standard : whether its rows, and so its mass centres, are in standard frames
+    """
+    row_head = "\n[[joint]]\n"
+    lines, following = [], [*robot.joints[1:], None]
+    width = WIDTHS.format(share=robot.body_width.share, centre=1e3 * robot.body_width.centre)
+    head, *rows = text.replace("\n[base]", f"{ESTIMATED}\n[base]", 1).split(row_head)
+    for row, joint, after in zip(rows, robot.joints, following, strict=True):
+        assert joint.body
+        tail = row_frame(after) if after else robot.tool.T
+        centre = tail[:3, :3].T @ (joint.body.com - tail[:3, 3]) if standard else joint.body.com
+        shown = ", ".join(f"{1e3 * c:.0f}" for c in centre + 0.0)
+        body = f"body = {{ mass_kg = {joint.body.mass:g}, com_mm = [{shown}] }}   # ESTIMATE from the reach"
+        lines.append(f"{row.strip()}\n{body}\n")
+    return row_head.join([f"{head.rstrip()}\n\n{width}", *lines])
+
+
+def row_frame(joint: Joint) -> Array:
+    """The first half of a modified row, Rx(alpha) Tx(a): where a standard row ends."""
+    return frame(from_rpy(np.array([joint.alpha, 0.0, 0.0])), np.array([joint.a, 0.0, 0.0]))

@@ -119,7 +119,7 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
     if aside := [j.name for j in urdf.joints if j.type != "fixed" and movers.get(j.child) and j.name not in own]:
         notes.append(f"masses on side branches stand as at zero reading of {', '.join(aside)}")
     if not any(bodies):
-        notes.append("the URDF states no masses; without them no compliance can be identified")
+        notes.append("the URDF states no masses; those of a robot with compliant joints are estimated from its reach")
     return UrdfChain(
         name=urdf.name,
         base_link=base,
