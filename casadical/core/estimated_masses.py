@@ -3,7 +3,7 @@
 Between light arms (UR10e, Panda: 4 to 7 kg) and heavy ones (KR 210, HH800: 16 to 19 kg a cubic metre of reach) the
 moving links weigh 10 kg times the cube of all link lengths, each link half of the one before, its mass centre in its
 middle; one sigma is the mass itself. Gravity deflects joints by compliance times torque, so a wrong scale of all
-masses is the joints' stiffness: that cannot be told from such masses, the deflection can.
+masses is the joints' stiffness: such masses do not determine it, but the deflection.
 """
 
 from dataclasses import replace
