@@ -111,7 +111,7 @@ def correct(
 
     Exit codes: 0 written, with or without refused targets; 2 bad input; 70 a bug in casadical.
     """
-    from casadical.export.controller.commands import bound_of, followed
+    from casadical.export.controller.commands import bound_of, followed, measured_range
     from casadical.robot.robot_file import read_robot
 
     refuse_taken(out, overwrite)
@@ -137,8 +137,9 @@ def correct(
     else:
         sources = _of_robot(model, nominal, compensator, payload, tool, leave_out, trust)
         lines = tuple(f"LEFT OUT {line}" for line in followed(sources)[1])
-        lines += (poses_of(read_robot(model)),) if oriented else ()
-        lines += tuple(filter(None, [unreached(read_robot(model))]))
+        about = read_robot(model)
+        lines += tuple(filter(None, [poses_of(about) if oriented else "", unreached(about)]))
+        lines += measured_range(about)
         lines += tuple(f"NO BOUND of the error that remains: {why}" for why in [bound_of(sources)[1]] if why)
     of_language = {"--tcp": tcp, "--base": base, "--root": root, "--flange": flange, "--data": data}
     flags = {"--nearest": nearest, "--external-still": external_still, "--accuracy-off": accuracy_off}

@@ -195,7 +195,7 @@ def _sha256(path: Path) -> str:
 
 def _about(sources: Sources, what: str, networked: bool) -> list[str]:
     """The files that the export was made from, with hashes, and the effects that are not in it."""
-    from casadical.export.controller.commands import bound_of, followed
+    from casadical.export.controller.commands import bound_of, followed, measured_range, robot_of
 
     files = {"robot": sources.robot, "nominal": sources.nominal, "compensator": sources.compensator}
     used = list(files) if what == "command" else ["robot", "compensator"]
@@ -212,6 +212,8 @@ def _about(sources: Sources, what: str, networked: bool) -> list[str]:
         mass = "as declared" if sources.payload_kg is None else f"{sources.payload_kg:g} kg"
         lines += [f"LEFT OUT {line}" for line in followed(sources)[1]]
         lines += [f"NO BOUND of the error that remains: {why}" for why in [bound_of(sources)[1]] if why]
+        lines.append("readings within the joint limits of the robot file are corrected, others are CLAMPED")
+        lines += measured_range(robot_of(sources.robot))
         lines.append(f"payload: {mass}; tool: {sources.tool}; positions in the robot's own base frame")
     return lines
 

@@ -14,7 +14,9 @@ if TYPE_CHECKING:
     from casadical.robot.robot import Robot
 
 NOMINAL = typer.Option(
-    metavar="NOMINAL.toml", help="The controller's model of the robot: the robot file from before the calibration."
+    metavar="NOMINAL.toml",
+    help="The controller's model of the robot, taken as rigid: the robot file from before the calibration. What the "
+    "calibrated robot differs from it is corrected.",
 )
 Nominal = Annotated[Path | None, NOMINAL]
 Compensator = Annotated[

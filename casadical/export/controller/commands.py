@@ -140,7 +140,7 @@ def command_of(
         steps=steps,
         units=units_of(real),
         freedom=freedom,
-        notes=real.notes,
+        notes=(*real.notes, *measured_range(robot_of(sources.robot))),
         difference=difference_function(real, nominal, orientation, turn, network) if precise else None,
     )
     _refuse_far_apart(command, sources)
@@ -282,6 +282,18 @@ def in_own_frame(robot: Robot, nominal: Robot) -> tuple[Robot, Array]:
 def units_of(robot: Robot) -> tuple[str, ...]:
     """Of each joint's reading, rad or m."""
     return tuple("rad" if j.kind == "revolute" else "m" for j in robot.joints)
+
+
+def measured_range(robot: Robot) -> tuple[str, ...]:
+    """The readings that the robot file was learnt from, in a sentence; none where the file does not say it."""
+    known = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
+    factors = [(1e3, "mm") if unit == "m" else (180 / np.pi, "deg") for unit in units_of(robot)]
+    spans = [
+        f"{i}: {low * factor:.3g} to {high * factor:.3g} {unit}"
+        for i, ((low, high), (factor, unit)) in enumerate(zip(known, factors, strict=False), 1)
+    ]
+    text = f"the model was learnt from readings of joint {', '.join(spans)}; elsewhere it is extrapolated"
+    return (text,) if spans else ()
 
 
 def robot_of(source: Path | Robot) -> Robot:

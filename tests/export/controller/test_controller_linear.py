@@ -15,6 +15,7 @@ from casadical.core.errors import InputError
 from casadical.core.parts import Joint, Placement
 from casadical.export import Sources, Status, command_of, inverse_kinematics, kernel_corrector, model_corrector, write_c
 from casadical.export.c.toolchain import compilers
+from casadical.export.controller.commands import measured_range
 from casadical.export.controller.correction import corrected
 from casadical.export.controller.inverse import freedom_of
 from casadical.export.controller.offline_program import read_program
@@ -22,6 +23,7 @@ from casadical.export.controller.programs.fanuc import Fanuc
 from casadical.export.controller.programs.krl import Krl
 from casadical.export.controller.programs.target import Given
 from casadical.export.controller.programs.urscript import UrScript
+from casadical.robot.knowledge import Knowledge
 from casadical.robot.robot import Robot
 
 RIGHT = np.pi / 2
@@ -209,6 +211,15 @@ def test_languages_read_linear_axes_in_millimetres():
         Fanuc().targets("p", listing.replace("-120.000 mm", "-120.000 deg"), Given(units=units), 4)
     with pytest.raises(InputError, match="URScript has no linear axes"):
         UrScript().targets("p", "movej([0,0,0,0])\n", Given(units=units), 4)
+
+
+def test_the_measured_range_is_said_where_the_robot_file_has_it():
+    robot = arm("scara")
+    assert measured_range(robot) == ()
+    learnt = replace(robot, knowledge=Knowledge(readings=np.array([[-1, 1], [0.5, 2], [-0.2, -0.1], [-2, 2]])))
+    (said,) = command_of(Sources(learnt, robot)).notes
+    assert "1: -57.3 to 57.3 deg" in said
+    assert "3: -200 to -100 mm" in said
 
 
 def test_files_of_other_joint_kinds_are_refused():
