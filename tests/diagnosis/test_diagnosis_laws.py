@@ -150,6 +150,19 @@ def test_memory_and_waves_by_the_load_are_written_out_as_they_were_judged(text: 
         np.testing.assert_allclose(linear.columns([law]) * [s for s, _ in law.sizes().values()], columns, atol=1e-12)
 
 
+def test_laws_are_screened_where_few_ratios_of_noise_are_looked_at() -> None:
+    c = case("kr210-P02")
+    e = c.evidence
+    near = int(np.argmax(e.log_base().max(axis=1)))
+    (seam,) = seams_with_columns(linearise(c.given, c.m, c.values).at(np.flatnonzero(c.kept)), [Law(2, "joint", "a")])
+    functions = np.random.default_rng(0).normal(size=(1, len(e.r), 5))
+    for some in ((near,), (near, *(k for k in SCREENED if k != near))):
+        found = Problem(replace(e, E=np.zeros((len(e.r), 3, 1)), held=None, near=tuple(sorted(some)))).gains(
+            seam, functions
+        )
+        assert np.isfinite(found).all()
+
+
 def test_the_columns_of_a_law_are_those_of_its_effect() -> None:
     c = case("kr210-P02")
     for s in search_laws(c, NONE)[:6]:

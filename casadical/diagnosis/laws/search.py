@@ -156,9 +156,11 @@ class Problem:
     @cached_property
     def screens(self) -> list[tuple[float, Screen]]:
         """Screens at the rhos that matter, each with its log share of the evidence without a law."""
-        by_rho = log_sum(self.log_base, axis=1)
-        total = float(log_sum(by_rho))
-        return [(float(by_rho[k]) - total, Screen.of(self.evidence, k)) for k in SCREENED]
+        near = list(self.evidence.near)
+        by_rho = dict(zip(near, log_sum(self.log_base[near], axis=1), strict=True))
+        total = float(log_sum(self.log_base[near]))
+        known = [k for k in SCREENED if k in by_rho] or [max(near, key=lambda k: by_rho[k])]
+        return [(float(by_rho[k]) - total, Screen.of(self.evidence, k)) for k in known]
 
     def gains(self, seam: Seam, functions: Array) -> Array:
         """Log evidence of laws at a place, shape (K,); functions : in units of their scales, as of `Form.values`."""
