@@ -6,21 +6,42 @@ is 2 / (1 + exp(-2a)) - 1, which is tanh(a).
 Shapes: P networks, N samples, O outputs, weights (P, count), inputs (features + 1, N) from `network_inputs`.
 """
 
+import math
+from typing import Any
+
 import numpy as np
 
 from casadical.compensator.layout import Layout
 from casadical.core.arrays import Array
 
 
-def forward(layout: Layout, weights: Array, inputs: Array) -> Array:
-    """Return the outputs of every network for every sample, shape (P, O, N), in the precision of the arguments."""
+class Memory:
+    """Arrays for the layers' outputs, kept from call to call: fresh memory costs more than the products in it."""
+
+    def __init__(self) -> None:
+        self._arrays: dict[int, Array] = {}
+
+    def __call__(self, level: int, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
+        """An array of this shape, whatever it holds."""
+        size, held = math.prod(shape), self._arrays.get(level)
+        if held is None or held.size < size or held.dtype != dtype:
+            held = self._arrays[level] = np.empty(size, dtype)
+        return held[:size].reshape(shape)
+
+
+def forward(layout: Layout, weights: Array, inputs: Array, memory: Memory | None = None) -> Array:
+    """Return the outputs of every network for every sample, shape (P, O, N), in the precision of the arguments.
+
+    memory : where the outputs are; the next call with it overwrites them
+    """
     first, *rest = layout.layers(weights)
-    count, samples = len(weights), inputs.shape[1]
+    memory, samples, dtype = memory or Memory(), inputs.shape[1], np.result_type(weights, inputs)
     # The first layer sees the same inputs in every network: one matrix product for the whole colony.
-    z = (first.reshape(-1, first.shape[-1]) @ inputs).reshape(count, first.shape[1], samples)
-    for layer in rest:
+    z = np.matmul(first.reshape(-1, first.shape[-1]), inputs, out=memory(0, (first[..., 0].size, samples), dtype))
+    z = z.reshape(len(weights), -1, samples)
+    for level, layer in enumerate(rest, 1):
         np.tanh(z, out=z)
-        z = layer[:, :, :-1] @ z
+        z = np.matmul(layer[:, :, :-1], z, out=memory(level, (*layer.shape[:2], samples), dtype))
         z += layer[:, :, -1:]
     return z
 

@@ -1,10 +1,11 @@
 """What a trainer is given: scaled inputs and targets, and the paper's loss (eqs. 12 and 14)."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from casadical.compensator.forward import forward
+from casadical.compensator.forward import Memory, forward
 from casadical.compensator.layout import JointBox, Layout, network_inputs
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
@@ -47,10 +48,16 @@ class Loss:
         -------
         Array, shape (P,) [mm^2]
         """
-        squares = np.einsum("pon,pon->pn", errors, errors)
-        samples = errors.shape[2]
-        total = self.mean / samples * (squares @ np.ones(samples, squares.dtype)) + self.max * squares.max(axis=1)
-        return np.asarray(total / errors.shape[1])
+        return self._of_squares(np.square(errors))
+
+    def _of_squares(self, squares: Array) -> Array:
+        """As `of`, from the squares of the errors."""
+        _, outputs, samples = squares.shape
+        totals = squares[:, 0] + squares[:, 1] if outputs > 1 else squares[:, 0]
+        for output in range(2, outputs):
+            totals += squares[:, output]
+        mean = totals @ np.full(samples, self.mean / samples, squares.dtype)
+        return np.asarray((mean + self.max * totals.max(axis=1)) / outputs)
 
     def slope(self, errors: Array) -> Array:
         """A (sub)gradient of the loss by the errors.
@@ -114,9 +121,19 @@ class Task:
         -------
         Array, shape (P,) [mm^2]
         """
-        errors = forward(self.layout, weights, self.inputs)
+        try:  # another thread takes memory of its own
+            memory = self._idle.pop()
+        except IndexError:
+            memory = Memory()
+        errors = forward(self.layout, weights, self.inputs, memory)
         errors -= self.targets
-        return np.asarray(self.scale_mm**2 * self.loss.of(errors))
+        losses = self.loss._of_squares(np.square(errors, out=errors))
+        self._idle.append(memory)
+        return np.asarray(self.scale_mm**2 * losses)
+
+    @cached_property
+    def _idle(self) -> list[Memory]:
+        return []
 
     def errors_mm(self, weights: Array) -> Array:
         """Target minus output of one network (eq. 11).

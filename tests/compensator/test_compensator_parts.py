@@ -11,7 +11,7 @@ import pytest
 from casadical.compensator import Compensator, JointBox, Layout, load_compensator, save_compensator
 from casadical.compensator.checksummed_json import checksummed
 from casadical.compensator.forward import forward
-from casadical.compensator.iwo import IwoSettings
+from casadical.compensator.iwo_settings import IwoSettings
 from casadical.compensator.packing import pack, unpack
 from casadical.compensator.task import Task, random_weights
 from casadical.compensator.trainers.backprop import Backprop
