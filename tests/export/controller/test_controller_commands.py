@@ -219,6 +219,7 @@ WRONG = {
     "no network": (["export", "c", "ROBOT", "--what", "network"], "--compensator"),
     "payload of a network": (["export", "c", "ROBOT", "--what", "network", "--payload", "3"], "no part in a network"),
     "steps": (["export", "c", "ROBOT", "--steps", "11"], "--steps"),
+    "precise network": (["export", "c", "ROBOT", "--what", "network", "--precise"], "compares no robots"),
     "name": (["export", "c", "ROBOT", "--nominal", "NOMINAL", "--name", "1-2"], "cannot prefix"),
     "no robot": (["export", "c", "none.toml", "--nominal", "NOMINAL"], "none.toml"),
     "no model": (["correct", "nowhere", "job.csv"], "no such folder"),
