@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import casadi as ca
+import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.casadi_buffers import Buffered
@@ -11,7 +12,9 @@ from casadical.core.compile_cache import compiled
 # So many points, evaluated since the start of the process, take as long as to look for a compiled library, and to make
 # one. Waiting for that costs at most twice what knowing beforehand would (the ski rental problem).
 LOOK_FROM, COMPILE_FROM = 10_000, 500_000
-# Sizes of which the mapped functions are kept.
+# Points at a time: their Jacobians fit the processor's cache, and to map a function over more of them takes longer.
+CHUNK = 1024
+# Numbers of points for which the mapped functions are kept.
 SIZES = 64
 
 
@@ -34,16 +37,29 @@ class MappedFunction:
         self.is_compiled = False
 
     def __call__(self, points: Array, shared: Array) -> list[Array]:
-        """Outputs side by side; points : shape (a, n); shared : shape (b,)."""
+        """Outputs side by side, of at most `CHUNK` points at a time; points : shape (a, n); shared : shape (b,)."""
         n = points.shape[1]
         self._compile(n)
-        mapped = self._mapped.get(n)
-        if mapped is None:
+        (once,) = self._once(shared)
+        if n <= CHUNK:
+            return self._over(n)(points, shared, once)
+        sizes = [self._each.size_out(k) for k in range(self._each.n_out())]
+        whole = [np.empty((rows, columns * n), order="F") for rows, columns in sizes]
+        for start in range(0, n, CHUNK):
+            some = points[:, start : start + CHUNK]
+            for out, part, (_, columns) in zip(
+                whole, self._over(some.shape[1])(some, shared, once), sizes, strict=True
+            ):
+                out[:, columns * start : columns * start + part.shape[1]] = part
+        return whole
+
+    def _over(self, n: int) -> Buffered:
+        """The function over n points."""
+        if n not in self._mapped:
             if len(self._mapped) >= SIZES:
                 self._mapped.clear()
-            mapped = self._mapped[n] = Buffered(self._each.map("points", "serial", n, [1, 2], []))
-        (once,) = self._once(shared)
-        return mapped(points, shared, once)
+            self._mapped[n] = Buffered(self._each.map("points", "serial", n, [1, 2], []))
+        return self._mapped[n]
 
     def _compile(self, n: int) -> None:
         """Go over to machine code where the points evaluated before and these n pay for it."""

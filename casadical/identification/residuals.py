@@ -17,7 +17,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.mapped_function import MappedFunction
+from casadical.core.mapped_function import CHUNK, MappedFunction
 from casadical.measurements.kinds.base import MeasurementKind, PoseExpression
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
@@ -28,8 +28,6 @@ Loss = Literal["linear", "huber", "soft_l1"]
 
 LOSSES: tuple[Loss, ...] = ("linear", "huber", "soft_l1")
 POINT_SCALE = 1e-3
-# Poses at a time: their Jacobian fits the processor's cache.
-CHUNK = 1024
 
 # Square of the normalised residual at which a robust loss leaves the parabola: the 95 % quantile of a chi-squared
 # distribution with as many degrees of freedom as the kind observes.

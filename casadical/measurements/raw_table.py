@@ -115,7 +115,7 @@ def _table(path: Path, records: list[Record], form: Form) -> RawTable:
     refuse_repeated_names(names, str(path))
     skipped = [r for r in [*comments, *rest[:place]] if r is not header and not (units and r[1] is units[1])]
     rows = []
-    last = max((k for k, (_, cells) in enumerate(body) if is_data(cells)), default=len(body) - 1)
+    last = next((k for k in reversed(range(len(body))) if is_data(body[k][1])), len(body) - 1)
     for k, (line, cells) in enumerate(body):
         few = sum(bool(cell.strip()) for cell in cells) < 2 and len(names) > 1
         if (k > last and few) or (k and tuple(c.strip() for c in cells) == names):

@@ -114,6 +114,8 @@ def _poses(m: Measurements) -> list[tuple[Array, Array]]:
 
 def _clusters(y: Array) -> Array:
     """Number of the cluster of each point, shape (n,), in the order in which they come; single linkage."""
+    if len(y) == 1:
+        return np.zeros(1, dtype=np.int64)
     part = np.full(len(y), -1)
     for k in range(len(y)):
         near = {int(part[j]) for j in range(k) if np.linalg.norm(y[j] - y[k]) < APART}
