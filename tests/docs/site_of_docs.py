@@ -18,12 +18,12 @@ TUTORIALS = sorted(path.name for path in (ROOT / "docs" / "tutorials").glob("tut
 
 @dataclass(frozen=True)
 class Site:
-    """A build: where, how it ended, and of each tutorial (seconds, what went wrong)."""
+    """A build: where, how it ended, and of each tutorial what went wrong."""
 
     folder: Path
     returncode: int
     log: str
-    tutorials: dict[str, tuple[float, str]]
+    tutorials: dict[str, str]
 
     @cached_property
     def pages(self) -> dict[Path, Page]:
@@ -46,14 +46,14 @@ def built(folder: Path) -> Site:
     return Site(folder / "build" / "docs", done.returncode, done.stdout + done.stderr, _tutorials(folder))
 
 
-def _tutorials(folder: Path) -> dict[str, tuple[float, str]]:
+def _tutorials(folder: Path) -> dict[str, str]:
     report = folder / "build" / "docs" / "gallery-junit.xml"
     if not report.exists():
         return {}
     found = {}
     for case in ElementTree.parse(report).getroot().iter("testcase"):
         wrong = " ".join(child.get("message") or child.tag for child in case)
-        found[Path(case.get("file", "")).name] = (float(case.get("time", "nan")), wrong)
+        found[Path(case.get("file", "")).name] = wrong
     return found
 
 
