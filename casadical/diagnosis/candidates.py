@@ -78,7 +78,7 @@ def choose(
         variants = tuple(tuple(e.for_poses(len(m)) for e in v) for v in known)
         if variants:
             possible.append(Candidate(candidate.label, candidate.name, candidate.joint, variants, candidate.listed))
-        elif candidate.listed:
+        elif candidate.listed and not candidate.variants[0][0].from_kind:
             without[candidate.label] = tuple(dict.fromkeys(c for lack in lacking for c in lack))
     return tuple(possible), without
 

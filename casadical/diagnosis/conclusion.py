@@ -115,7 +115,12 @@ def _estimates(state: State, step: Step) -> dict[str, tuple[float, float, str]]:
     found = {}
     for effect in (e for e in step.effects if not e.summary):
         places, sizes = np.searchsorted(everything, case.columns[effect]), case.sizes(case.columns[effect])
-        for place, size, (name, (_, unit)) in zip(places, sizes, effect.sizes().items(), strict=True):
+        seen = np.ones(len(sizes), dtype=bool)
+        if effect.from_kind:
+            seen = np.any(case.whole.take(case.columns[effect]), axis=(0, 1))
+        for place, size, there, (name, (_, unit)) in zip(places, sizes, seen, effect.sizes().items(), strict=True):
+            if not there:  # of an instrument that is not there
+                continue
             found[name] = (float(value[place] * size), float(error[place] * size), unit)
     return found
 

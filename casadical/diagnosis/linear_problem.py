@@ -15,7 +15,7 @@ from casadical.diagnosis.cross_validation import fit_of
 from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, SIGMAS, Evidence
 from casadical.diagnosis.linearisation import Columns, linearise
 from casadical.diagnosis.noise_floor import replicates
-from casadical.diagnosis.observations import Observations, Ratios, edges_of, joined, observe
+from casadical.diagnosis.observations import Observations, Ratios, edges_of, joined, observe, with_far_ends
 from casadical.effects import Effect
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import Identification
@@ -225,7 +225,8 @@ def make_case(
     free : see `Case`; ratios : of the noise of several sets or of angles, by default as the base fit has them
     """
     sets = identification.measurements
-    m = _with_declared_payload(joined(sets, identification.given), identification.given)
+    m = with_far_ends(joined(sets, identification.given), sets, identification.unknown_points)
+    m = _with_declared_payload(m, identification.given)
     possible, missing = choose(candidates, m)
     effects = tuple(dict.fromkeys(e for c in possible for v in c.variants for e in v))
     m, _ = derive(m, [c for e in effects for c in e.conditions])

@@ -18,6 +18,7 @@ from casadical.core.arrays import Array
 from casadical.core.casadi_buffers import call
 from casadical.diagnosis.linearisation import BLOCK, Linearisation
 from casadical.diagnosis.seams import observed_at_seams, seams_of
+from casadical.effects.distance_faults import FAR, FLAGS, WIRES
 from casadical.identification.identification import Identification
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
@@ -90,6 +91,28 @@ def joined(sets: Sequence[Measurements], robot: Robot) -> Measurements:
         source=", ".join(m.source for m in sets),
         copies=copies,
     )
+
+
+def with_far_ends(m: Measurements, sets: Sequence[Measurements], where: Mapping[str, Array]) -> Measurements:
+    """The table of all sets with columns of the instruments that read distances, where there are some.
+
+    far_x_m .. : the known far end, or where the base fit has it (see `Identification.unknown_points`); wire1 .. : 1
+    where the first such instrument read, else 0. Far ends of one table are those of one instrument each, up to WIRES.
+    """
+    far, wire, count = np.zeros((len(m), 3)), np.zeros(len(m), dtype=np.int64), 0
+    for k, (part, at) in enumerate(zip(sets, edges_of(sets), strict=True)):
+        if part.distance is None or part.other is not None:
+            continue
+        names = [f"{k}/{name}" for name in find_kind(part.kind).point_names(part.arrays)]
+        far[at] = part.target if part.target is not None else np.array([where[name] for name in names])
+        _, which = np.unique(far[at], axis=0, return_inverse=True)
+        wire[at] = 1 + count + which.ravel()
+        count = int(wire[at].max())
+    if not 0 < count <= WIRES:
+        return m
+    columns = {f: (wire == k).astype(float) for k, f in enumerate(FLAGS, 1)}
+    columns |= dict(zip(FAR, far.T, strict=True))
+    return replace(m, conditions={**m.conditions, **columns})
 
 
 def edges_of(sets: Sequence[Measurements]) -> list[slice]:

@@ -263,6 +263,8 @@ class Effect:
     confused_with: ClassVar[str] = ""
     # Whether it acts on what the instrument reports, and leaves the robot as it is.
     of_measurement: ClassVar[bool] = False
+    # Whether its columns come from the kind of measurement: nobody can log them.
+    from_kind: ClassVar[bool] = False
     # Whether a simulator needs its counterpart before those of others, which bend around it.
     simulated_first: ClassVar[bool] = False
 

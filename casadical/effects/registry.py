@@ -36,6 +36,10 @@ from casadical.effects.settling_lag import SettlingLag as SettlingLag
 from casadical.effects.tracker_scale import TrackerScale as TrackerScale
 from casadical.effects.refraction import Refraction as Refraction
 from casadical.effects.smr_offset import SmrOffset as SmrOffset
+from casadical.effects.wire_offset import WireOffset as WireOffset
+from casadical.effects.wire_scale import WireScale as WireScale
+from casadical.effects.wire_drift import WireDrift as WireDrift
+from casadical.effects.station_step import StationStep as StationStep
 from casadical.effects.smooth import SmoothInJoint as SmoothInJoint
 from casadical.effects.smooth import AnyOfOwnAngle as AnyOfOwnAngle
 from casadical.effects.smooth import AnyOfOtherAngle as AnyOfOtherAngle

@@ -430,7 +430,7 @@ def identify(
         raise InputError(f"loss {loss!r} is not known; allowed: {', '.join(LOSSES)}")
     for m in sets:
         check_against(robot, m)
-    start = place_frames(robot, next((m for m in sets if m.position is not None), sets[0]))
+    start = place_frames(robot, sets)
     names = start.parameters.select(free)
     if not names:
         raise InputError(

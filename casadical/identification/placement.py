@@ -1,5 +1,6 @@
-"""A closed-form start for the base and tool frames, from positions or full poses."""
+"""A start for the base and tool frames: in closed form, or held by the robot file where readings tell too little."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.transforms import frame, nearest_rotation, to_xyz
 from casadical.identification.accuracy import predicted
+from casadical.identification.held_placement import Held, Placed, Readings
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
@@ -14,23 +16,35 @@ from casadical.robot.robot import Robot
 UNDETERMINED = 1e-3
 # A start needs no more poses than about so many.
 START_POSES = 10_000
+# Poses that a start that is held by the robot file looks at.
+HELD_POSES = 300
+# Numbers of a start that is held: fewer say nothing.
+FEWEST = 6
 # Weight [m^2] of the rotation before, where the points determine none.
 TIE = 1e-9
 
 
-def place_frames(robot: Robot, m: Measurements) -> Robot:
+def place_frames(robot: Robot, m: Measurements | Sequence[Measurements]) -> Robot:
     """The robot with the unknown parts of its base and tool frames put where the measurements say.
 
     For each pose y = R_B (p + R t) + p_B, with flange p, R in the base frame. Multiplied by M = R_B' it is linear in
     M (9 numbers), M p_B and t: solved by least squares, M made a rotation, then refined by Kabsch's method and t in
     turns. Of several tools, base and tool are placed by the one that was measured most, the others then by the base.
-    Only positions and full poses carry this information; other kinds, and robots whose base is known or is
-    row 1 of the table, are left as they are. Source: Kabsch (1976) for the rotation.
+    Where the poses determine the base's rotation or the tool badly (lines, one orientation, few poses), they are held
+    by what the robot file says of them (see `held_placement`); and so they are from distances to known points.
+    Other kinds do not carry this information; they, and robots whose base is known or is row 1 of the table, are left
+    as they are. Source: Kabsch (1976) for the rotation.
     """
+    sets = (m,) if isinstance(m, Measurements) else tuple(m)
+    m = next((part for part in sets if part.position is not None), sets[0])
     used = np.flatnonzero(m.weight > 0)
     used = used[:: max(1, len(used) // START_POSES)]
     m = m if len(used) == len(m) else m[used]
-    if robot.base.unknown != "pose" or m.position is None or len(m) < 6:
+    if robot.base.unknown != "pose":
+        return robot
+    if m.position is None:
+        return _by_distances(robot, sets)
+    if 3 * len(m) < FEWEST:
         return robot
     if robot.targets:
         return _with_targets(robot, m)
@@ -39,11 +53,48 @@ def place_frames(robot: Robot, m: Measurements) -> Robot:
     T_M0, t = robot.base.T, robot.tool.T[:3, 3]
     for _ in range(3 if compliant else 1):  # how a compliant arm is deflected depends on gravity in its base frame
         p, R = _flange(robot, m, T_M0)
-        T_M0, t = solve_placement(p, R, m.position, known, T_M0, t)
+        T_M0, t = _placed(p, R, m.position, known, T_M0, t, robot)
     turn = robot.tool.T[:3, :3]
     if robot.tool.unknown == "pose" and m.orientation is not None:
         turn = nearest_rotation(np.einsum("nji,kj,nkl->il", R, T_M0[:3, :3], m.orientation))
     return replace(robot, base=replace(robot.base, T=T_M0), tool=replace(robot.tool, T=frame(turn, t)))
+
+
+def _placed(
+    p: Array, R: Array, y: Array, known: Array | None, T_M0: Array, t: Array, robot: Robot
+) -> tuple[Array, Array]:
+    """Base and tool from positions y, shape (n, 3); as in the robot file where these do not determine them."""
+    file = robot.tool.T[:3, 3]
+    some = np.linspace(0, len(p) - 1, min(len(p), HELD_POSES)).round().astype(int)
+    held = Held([Readings(p[some], R[some], y[some])], robot.base.T, file, tool_known=known is not None)
+    starts = []
+    if len(p) >= FEWEST:
+        T, tool = solve_placement(p, R, y, known, T_M0, t)
+        starts.append(Placed(T[:3, :3], T[:3, 3], tool))
+        if held.determined(starts[0]):
+            return T, tool
+    T, _ = solve_placement(p, R, y, file, robot.base.T, file)
+    starts += [Placed(T[:3, :3], T[:3, 3], file), Placed(robot.base.T[:3, :3], robot.base.T[:3, 3], file)]
+    best = held.best(starts)
+    return frame(best.R, best.p), best.t
+
+
+def _by_distances(robot: Robot, sets: Sequence[Measurements]) -> Robot:
+    """Base and tool from distances to known points, as many sets as there are; of one target at the tool."""
+    known = [m[m.weight > 0] for m in sets if m.distance is not None and m.target is not None]
+    if not known or robot.targets or sum(len(m) for m in known) < FEWEST:
+        return robot
+    step = max(1, sum(len(m) for m in known) // HELD_POSES)
+    T, tool = robot.base.T, robot.tool.T[:3, 3]
+    readings = []
+    for m in known:
+        some = m[::step]
+        assert some.distance is not None
+        readings.append(Readings(*_flange(robot, some, T), some.distance, some.target))
+    held = Held(readings, T, tool, tool_known=robot.tool.unknown == "none")
+    best = held.best(held.starts())
+    T_E = frame(robot.tool.T[:3, :3], best.t)
+    return replace(robot, base=replace(robot.base, T=frame(best.R, best.p)), tool=replace(robot.tool, T=T_E))
 
 
 def _with_targets(robot: Robot, m: Measurements) -> Robot:

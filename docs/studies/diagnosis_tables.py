@@ -75,7 +75,9 @@ def _columns(c: Candidate) -> str:
     needed = {column for v in c.variants for e in v for column in e.conditions}
     words = set()
     for column in needed:
-        if column.startswith("warmth"):
+        if column.startswith(("far_", "wire")):
+            words.add("measured distances")
+        elif column.startswith("warmth"):
             words |= {"temperature_degC", "time_s"}
         elif column.startswith("approach"):
             words.add("approach (logged, or from the order)")

@@ -172,3 +172,26 @@ def test_poses_that_hold_one_point_are_spread_over_the_folds() -> None:
     case = make_case(identify(robot("hh800"), touched, ("geometry",), priors=True), [])
     assert case.evidence.alike is not None
     assert len(np.unique(case.evidence.alike)) == 4
+
+
+def test_a_wire_that_drifts_is_named_and_no_cause_in_the_robot() -> None:
+    m = practice("kr210-P08")[:60]
+    first, second, third = distances(m)
+    assert second.distance is not None
+    late = np.linspace(-0.5, 0.5, len(m))
+    drifting = replace(second, distance=second.distance + 2e-4 * late)
+    found = diagnose(robot("kr210"), [first, drifting, third])
+    assert [c.label for c in found.causes] == ["wire_drift"]
+    estimates = found.causes[0].estimates
+    assert estimates is not None
+    assert [*estimates] == ["drift1", "drift2", "drift3"]
+    assert estimates["drift2"][0] == pytest.approx(2e-4, rel=0.15)
+    assert found.refit().is_optimal()
+    # What the instrument does is not in the robot: at rest it is where it was.
+    np.testing.assert_allclose(predicted(found.apply(), m)[0], predicted(found.identification.robot, m)[0], atol=2e-4)
+
+
+def test_effects_of_distances_are_no_candidates_of_positions() -> None:
+    found = make_case(identified("hh800-P01"), candidates_of(robot("hh800"), ("standard",)))
+    labels = {c.label for c in found.candidates} | found.missing.keys()
+    assert not labels & {"wire_offset", "wire_scale", "wire_drift", "station_step"}

@@ -1,5 +1,6 @@
 """Robots, campaigns and effects that the tests of this folder share."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -52,6 +53,10 @@ def moved_by(name: str, effects: list[Effect], values: np.ndarray, poses: Measur
 
 
 def with_columns(m: Measurements, effects: list[Effect]) -> Measurements:
+    # Of an instrument that reads distances, the first of some.
+    far = {f"far_{c}_m": np.full(len(m), v) for c, v in zip("xyz", (2.0, -1.0, 0.5), strict=True)}
+    wires = {f"wire{k}": np.full(len(m), float(k == 1)) for k in range(1, 5)}
+    m = replace(m, conditions={**m.conditions, **far, **wires})
     found, missing = derive(m, [c for e in effects for c in e.conditions])
     assert missing == ()
     return found

@@ -123,7 +123,7 @@ def precheck(
     outlooks: list[Outlook] = []
     show("accuracy to expect")
     trusted = [m[np.flatnonzero(~far_off(problem.robot, m)[0])] for m in sets] if usable else []
-    start = place_frames(problem.robot, next((m for m in trusted if m.position is not None), sets[0]))
+    start = place_frames(problem.robot, trusted or sets)
     for method in problem.methods if usable else ():
         try:
             taken, free = by_method(start, method, trusted)
