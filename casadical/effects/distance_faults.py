@@ -20,7 +20,6 @@ FLAGS = tuple(f"wire{k}" for k in range(1, WIRES + 1))
 class DistanceFault(Effect):
     """What is added to a distance is moved along the beam, away from its far end."""
 
-    name = "none"
     of_measurement = True
     from_kind = True
     needs = (*FAR, *FLAGS)

@@ -114,10 +114,9 @@ def blind(count: int, seed: int) -> None:
                     print(f"  {physics} {name} {kind}: {sorted(named)} of {secret.truth}")
         for kind, found_rows in rows.items():
             claimed, right, nothing, detected, visible = np.array(found_rows, dtype=bool).reshape(-1, 5).T
-            print(
-                f"{kind:12s} {physics:8s} {len(found_rows):9d} {claimed.sum():7d} {(claimed & right).sum():6d} "
-                f"{nothing.sum():14d} {(nothing & detected).sum():7d} {visible.sum():14d} {(visible & detected).sum():9d}"
-            )
+            sums = [np.count_nonzero(a) for a in (claimed, claimed & right, nothing, nothing & detected, visible)]
+            text = " ".join(f"{n:{w}d}" for n, w in zip(sums, (7, 6, 14, 7, 14), strict=True))
+            print(f"{kind:12s} {physics:8s} {len(found_rows):9d} {text} {np.count_nonzero(visible & detected):9d}")
 
 
 def faults(count: int, seed: int) -> None:
@@ -129,7 +128,7 @@ def faults(count: int, seed: int) -> None:
         robot = read_campaign_robot(ROOT / "problems" / name)
         poses, noise = int(rng.choice([60, 100, 150])), float(rng.choice([0.02, 0.05, 0.1, 0.2])) * 1e-3
         lower, upper = np.array([[j.lower, j.upper] for j in robot.joints]).T
-        q = rng.uniform(0.6 * lower, 0.6 * upper, (poses, robot.n))
+        q = lower + (upper - lower) * rng.uniform(0.2, 0.8, (poses, robot.n))
         real = robot.with_values(
             {n: robot.parameters[n].value + rng.normal(0, 2e-4) for n in robot.parameters.select(["geometry"])}
         )
@@ -138,7 +137,7 @@ def faults(count: int, seed: int) -> None:
         sets = distances(m, places(robot, k))
         which, size = int(rng.integers(3)), noise * float(rng.choice([0.5, 1.0, 2.0, 4.0]))
         late = np.linspace(0, 1, poses)
-                if fault == "wire_drift":
+        if fault == "wire_drift":
             moved = size * np.sqrt(12) * (late - 0.5)
         else:
             shift = rng.standard_normal(3) * size * 2
@@ -154,8 +153,10 @@ def faults(count: int, seed: int) -> None:
         visible = float(np.sqrt(np.mean((moved - moved.mean()) ** 2) / 3)) / noise >= VISIBLE
         rows[fault].append((visible, named == {fault}, found.verdict == "explained" and bool(named - INSTRUMENT)))
         if named != {fault} or not visible:
-            print(f"  {fault} {k}: {poses} poses, rms {1e3 * moved.std():.3f} mm, noise {1e3 * noise:.2f}: "
-                  f"{found.verdict} {sorted(named)}")
+            print(
+                f"  {fault} {k}: {poses} poses, rms {1e3 * moved.std():.3f} mm, noise {1e3 * noise:.2f}: "
+                f"{found.verdict} {sorted(named)}"
+            )
     for fault, found_rows in rows.items():
         visible, right, robots = np.array(found_rows, dtype=bool).reshape(-1, 3).T
         print(f"{fault:14s} {len(visible):9d} {visible.sum():8d} {(visible & right).sum():6d} {robots.sum():8d}")
