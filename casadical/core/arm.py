@@ -16,6 +16,7 @@ from casadical.core.parts import (
     FourBar,
     Joint,
     Placement,
+    Sessions,
     Target,
     Width,
     parallel,
@@ -36,6 +37,7 @@ class Arm:
     payload : declared mass and mass centre in the last link's frame; poses may carry another mass (column payload_kg)
     tool_name : of the measured point, where there are several; targets : the others, named in the column `tool`
     widths : how far the parameters of each group may be off; body_width : masses and mass centres of the links
+    sessions : what is found again in each session that a column `session` names
     masses : of the links; estimated ones tell where gravity deflects joints and by how much, but no stiffness
     Raises InputError for a structure that cannot be built.
     """
@@ -53,6 +55,7 @@ class Arm:
     tool_name: str = ""
     targets: tuple[Target, ...] = ()
     masses: Literal["declared", "estimated"] = "declared"
+    sessions: Sessions = field(default_factory=Sessions)
 
     def __post_init__(self) -> None:
         if not self.joints:

@@ -2,7 +2,7 @@
 
 Between light arms (UR10e, Panda: 4 to 7 kg) and heavy ones (KR 210, HH800: 16 to 19 kg a cubic metre of reach) the
 moving links weigh 10 kg times the cube of all link lengths, each link half of the one before, its mass centre in its
-middle; one sigma is the mass itself. Gravity deflects joints by compliance times torque, so a wrong scale of all
+middle; one sigma is twice the mass. Gravity deflects joints by compliance times torque, so a wrong scale of all
 masses is the joints' stiffness: such masses do not determine it, but the deflection.
 """
 
@@ -19,7 +19,7 @@ from casadical.core.parts import Body, BodyWidth
 DENSITY = 10.0
 TAPER = 0.5
 # One sigma of each mass as a share, and of coordinates of mass centres as a share of the reach.
-SHARE, CENTRE = 1.0, 0.05
+SHARE, CENTRE = 2.0, 0.1
 
 A = TypeVar("A", bound=Arm)
 

@@ -204,6 +204,15 @@ class BodyWidth:
     centre: float = 0.03
 
 
+@dataclass(frozen=True)
+class Sessions:
+    """What is found again in each session of a campaign (own), and what is that of the first one (shared)."""
+
+    base: Literal["own", "shared"] = "own"
+    tool: Literal["own", "shared"] = "own"
+    zeros: Literal["own", "shared"] = "shared"
+
+
 def parallel(joints: tuple[Joint, ...], i: int) -> bool:
     """Whether the axes of joints i and i+1 (0-based rows) are nearly parallel or antiparallel."""
     return i + 1 < len(joints) and abs(np.sin(joints[i + 1].alpha)) < np.sin(NEAR_PARALLEL)

@@ -21,6 +21,7 @@ from casadical.identification.identification import Identification, identify
 from casadical.identification.least_squares import robust_std
 from casadical.identification.placement import place_frames
 from casadical.identification.prior import Prior, carry_over
+from casadical.identification.sessions import sessions_in, with_sessions
 from casadical.identification.unknown_masses import with_unknown_masses
 from casadical.measurements.kinds.position_covariance import PositionCovariance
 from casadical.measurements.kinds.registry import find_kind
@@ -112,6 +113,9 @@ def diagnose(
         robot, free = with_unknown_masses(robot, given)
         if not free and (masses == "nuisance" or robot.masses == "estimated"):
             robot, free = _with_free_masses(robot)
+        if given:
+            robot, sessions = with_sessions(robot, given)
+            free = (*free, *sessions)
     known = prior if isinstance(prior, Prior) else Prior()
     if isinstance(robot, Identification):
         identification = robot if m is None else _of(robot.given, given, known, free, show)
@@ -120,6 +124,8 @@ def diagnose(
     else:
         identification = _of(robot, given, known, free, show)
     show("signatures of the candidates")
+    if effects == "standard" and identification.given.sessions.base == "shared" and len(sessions_in(given)) > 1:
+        effects = ["standard", "frame_step"]  # a foot or an instrument that moved between them
     candidates = candidates_of(identification.given, effects)
     case = make_case(identification, candidates, free)
     changed: tuple[Change, ...] = ()

@@ -21,13 +21,13 @@ from casadical.identification.least_squares import (
     LeastSquares,
     variance,
 )
-from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against
 from casadical.identification.prediction import covariance_of_all
 from casadical.identification.prior import Prior, carry_over
 from casadical.identification.reduction import POOR_FIT
 from casadical.identification.residuals import LOSSES, POINT_SCALE, Loss, make_block
 from casadical.identification.screening import SCREENINGS, solve_without_outliers
+from casadical.identification.sessions import place_sessions, with_sessions
 from casadical.identification.solver import Progress, Solution
 from casadical.identification.unknown_masses import with_unknown_masses
 from casadical.measurements.measurements import Measurements, unmeasured
@@ -423,6 +423,9 @@ def identify(
     known = robot.knowledge or Knowledge()
     if method is not None:
         robot, free = by_method(robot, method, sets)
+    robot, sessions = with_sessions(robot, sets)
+    if sessions:
+        free = (*([free] if isinstance(free, str) else free), *sessions)
     if prior.free:
         free = (*([free] if isinstance(free, str) else free), *prior.free)
         priors = {**prior.means, **(priors if isinstance(priors, Mapping) else {})}
@@ -430,7 +433,7 @@ def identify(
         raise InputError(f"loss {loss!r} is not known; allowed: {', '.join(LOSSES)}")
     for m in sets:
         check_against(robot, m)
-    start = place_frames(robot, sets)
+    start = place_sessions(robot, sets)
     names = start.parameters.select(free)
     if not names:
         raise InputError(
@@ -440,7 +443,7 @@ def identify(
     problem = LeastSquares(start, sets, names, loss, priors, sigmas, known=prior.known)
     (reduced, solution, found), outliers = solve_without_outliers(problem, SCREENINGS if screen else 0, progress)
     result = Identification(
-        given=robot,
+        given=replace(robot, effect_values=start.effect_values) if sessions else robot,
         start=start,
         robot=start.with_values(reduced.values(solution.v)),
         measurements=sets,

@@ -29,7 +29,7 @@ _NUMBERS = re.compile(r"warmth_\w+|approach\d+")
 _POINT = re.compile(r"[xyz]_mm?")
 _READING = re.compile(r"q(\d+)_(deg|rad|mm|m)")
 # Readings, weights and sets.
-_NO_CONDITIONS = r"q\d+_(deg|rad|mm|m)|weight|set|tool"
+_NO_CONDITIONS = r"q\d+_(deg|rad|mm|m)|weight|set|tool|session"
 
 
 @dataclass(frozen=True)
@@ -74,8 +74,8 @@ class Columns:
     >>> columns = casadical.measurements.Columns.of_frame(table, "made up")
     >>> columns.joints(["revolute", "revolute"]).shape, columns.vector("").shape, columns.si("x", ["_mm", "_m"]).shape
     ((60, 2), (60, 3), (60,))
-    >>> columns.column("q1_deg").shape, columns.at(0), columns.tools()
-    ((60,), 'made up: row 2', {})
+    >>> columns.column("q1_deg").shape, columns.at(0), columns.tools(), columns.sessions()
+    ((60,), 'made up: row 2', {}, {})
     >>> columns.with_tools({"A": [2, 3], "B": [4]}).table.tool[:3].tolist()
     ['A', 'A', 'B']
     >>> columns.without([2, 3], "leave_out").at(0)
@@ -455,15 +455,30 @@ class Columns:
         InputError
             an empty cell
         """
-        if "tool" not in self.table:
+        return self._named("tool", "name the measured point, there or in `tools` of problem.toml")
+
+    def sessions(self) -> dict[str, Array]:
+        """Of the column `session`, for each name in it whether a pose was measured in it, [1 or 0], shape (n,).
+
+        Returns
+        -------
+        dict[str, Array]
+            condition -> array, shape (n,), of 0 and 1
+
+        Raises
+        ------
+        InputError
+            an empty cell
+        """
+        return self._named("session", "name the session in every row")
+
+    def _named(self, column: str, remedy: str) -> dict[str, Array]:
+        if column not in self.table:
             return {}
-        names = self.table["tool"].map(lambda cell: "" if cell is None or cell != cell else _name_of(cell))
+        names = self.table[column].map(lambda cell: "" if cell is None or cell != cell else _name_of(cell))
         if (names == "").any():
-            raise InputError(
-                f"{self.at(int(np.argmax(names == '')))}, column 'tool': is empty; name the measured point, there or "
-                "in `tools` of problem.toml"
-            )
-        return {f"tool_{name}": (names == name).to_numpy(dtype=float) for name in dict.fromkeys(names)}
+            raise InputError(f"{self.at(int(np.argmax(names == '')))}, column {column!r}: is empty; {remedy}")
+        return {f"{column}_{name}": (names == name).to_numpy(dtype=float) for name in dict.fromkeys(names)}
 
     def unused(self, conditions: Collection[str], observations: Iterable[str]) -> tuple[str, ...]:
         """Columns that are neither readings, observations nor conditions: those of words, and those without a cell.

@@ -149,7 +149,7 @@ def from_columns(
     q = columns.joints(each)
     arrays = observed.read(columns, q)
     patterns = [k.pattern for k in kinds().values()]
-    conditions = columns.conditions(patterns) | columns.tools()
+    conditions = columns.conditions(patterns) | columns.tools() | columns.sessions()
     found = Measurements(
         q=q,
         kind=observed.name,

@@ -488,7 +488,7 @@ def _unused_columns(problem: Problem) -> list[Words]:
     """Columns that the tables have and the calibration does not use, and rows that it counts once."""
     used = {*problem.robot.conditions, "pose", "time_s", "point"}
     left = {name: m.source for _, m in problem.parts() for name in (*m.conditions, *m.unused) if name not in used}
-    left = {name: source for name, source in left.items() if not name.startswith("tool_")}
+    left = {name: source for name, source in left.items() if not name.startswith(("tool_", "session_"))}
     left.pop(problem.set_column or "", None)
     copies = [Words(text, "note") for text in dict.fromkeys(m.copies_in_words for _, m in problem.parts()) if text]
     if not left:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -180,7 +180,7 @@ def read_problem(folder: str | Path, seed: int | None = None, carried: Carried =
     if not file.measurements:
         raise InputError(f"{path}: measurements: is missing; a calibration needs at least one table [[measurements]]")
     place, urdf = folder / file.robot, file.urdf or UrdfTable()
-    robot, prior = carried(_read_robot(place, urdf))
+    robot, prior = carried(replace(_read_robot(place, urdf), sessions=file.sessions.sessions()))
     sets = file.sets if seed is None else file.sets.model_copy(update={"seed": seed})
     split: dict[str, list[Measurements]] = {}
     for data in file.measurements:
@@ -240,7 +240,7 @@ def read_campaign_robot(folder: str | Path) -> Robot:
 def _robot_of(folder: Path, campaign: bool) -> Robot:
     file = problem_file(folder)
     name = file.campaign_robot if campaign and file.campaign_robot else file.robot
-    return _read_robot(folder / name, file.urdf or UrdfTable())
+    return replace(_read_robot(folder / name, file.urdf or UrdfTable()), sessions=file.sessions.sessions())
 
 
 def _read_robot(path: Path, urdf: UrdfTable) -> Robot:
@@ -322,6 +322,8 @@ def _fitting(folder: Path, raw: RawTable, tables: Sequence[DataTable]) -> DataTa
 def _columns(raw: RawTable, data: DataTable, robot: Robot) -> Columns:
     found = named_columns(raw, [j.kind for j in robot.joints], data.sources, data.point_from)
     found = found.with_tools(data.tools) if data.tools else found
+    if data.session:
+        found = replace(found, table=found.table.assign(session=data.session))
     return found.without(data.leave_out, "leave_out")
 
 

@@ -10,6 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validat
 
 from casadical.compensator import network_methods
 from casadical.core.errors import InputError
+from casadical.core.parts import Sessions
 from casadical.core.schema import FaultError, check, load_toml
 from casadical.identification.residuals import LOSSES, Loss
 from casadical.measurements.columns import Source
@@ -55,6 +56,7 @@ class DataTable(_Strict):
     kind: str | None = None
     columns: dict[str, str | _Source] = {}
     leave_out: list[int] = []
+    session: str = ""
     tools: dict[str, list[int]] = {}
     point_from: list[str] = []
     separation: list[_Separation] = []
@@ -88,7 +90,9 @@ class DataTable(_Strict):
         needs = {o: {g} if isinstance(g, str) else {g.name, *g.add} for o, g in self.columns.items()}
         columns = {ours: given for ours, given in self.columns.items() if needs[ours] <= set(header)}
         point_from = self.point_from if set(self.point_from) <= set(header) else []
-        return self.model_copy(update={"columns": columns, "point_from": point_from, "leave_out": [], "tools": {}})
+        return self.model_copy(
+            update={"columns": columns, "point_from": point_from, "leave_out": [], "tools": {}, "session": ""}
+        )
 
 
 class SetsTable(_Strict):
@@ -115,6 +119,17 @@ class SetsTable(_Strict):
         """Of the sets, shares or numbers of poses."""
         given = self.model_dump(include={*SETS}, exclude_none=True)
         return given or {"identify": 0.7, "report": 0.3}
+
+
+class SessionsTable(_Strict):
+    """What is found again in each session."""
+
+    base: Literal["own", "shared"] = "own"
+    tool: Literal["own", "shared"] = "own"
+    zeros: Literal["own", "shared"] = "shared"
+
+    def sessions(self) -> Sessions:
+        return Sessions(self.base, self.tool, self.zeros)
 
 
 class UrdfTable(_Strict):
@@ -170,6 +185,7 @@ class ProblemFile(_Strict):
     paper: Paper | None = None
     measurements: list[DataTable] = []
     sets: SetsTable = SetsTable()
+    sessions: SessionsTable = SessionsTable()
 
 
 def base_methods(methods: Sequence[str]) -> tuple[BaseMethod, ...]:

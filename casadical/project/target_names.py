@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from casadical.core.errors import InputError
+from casadical.identification.sessions import sessions_in
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
@@ -59,6 +60,13 @@ def unfitted(sets: Mapping[str, Sequence[Measurements]]) -> list[str]:
                         "pose that is fitted tells where it is: measure it at three poses or more, or leave the rows "
                         f"out (leave_out = [{listed}] in problem.toml)"
                     )
+    inside = set(sessions_in(sets.get("identify", ())))
+    for name, parts in sets.items():
+        for session in sorted(set(sessions_in(parts)) - inside):
+            found.append(
+                f"session {session!r} has poses of the set {name!r} only; none that is fitted tells where its base and "
+                "tool are: put some of them into the set 'identify'"
+            )
     return found
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from casadical.core.arm import Arm
 from casadical.core.parameters import Parameter
 from casadical.core.parts import FourBar, Joint, Placement, parallel
-from casadical.effects import Effect
+from casadical.effects import Effect, Session
 
 NEAR_PARALLELOGRAM = 0.02
 
@@ -31,6 +31,10 @@ def parameters_of(
         held = "" if arm.tool.unknown != "none" else "given as known in the robot file"
         for name, value in zip(target.parameters, target.point, strict=True):
             yield _number(arm, name, "tool", "m", float(value), held)
+    given = tuple(effects)
+    # Base and tool of further sessions come before the rows, as those of the first do.
+    sessions = tuple(e for e in given if isinstance(e, Session))
+    yield from _of_effects(sessions, effect_values or {})
     for i, joint in enumerate(arm.joints, 1):
         yield from _row(arm, i, joint)
     for k, loop in enumerate(arm.loops, 1):
@@ -38,9 +42,13 @@ def parameters_of(
     for i, joint in enumerate(arm.joints, 1):
         if joint.compliance is not None:
             yield _compliance(arm, i, joint.compliance)
+    yield from _of_effects((e for e in given if e not in sessions), effect_values or {})
+
+
+def _of_effects(effects: Iterable[Effect], values: Mapping[str, float]) -> Iterable[Parameter]:
     for effect in effects:
         for p in effect.parameters():
-            yield replace(p, value=(effect_values or {}).get(p.name, p.value))
+            yield replace(p, value=values.get(p.name, p.value))
 
 
 def _number(arm: Arm, name: str, group: str, unit: str, value: float, held: str = "") -> Parameter:

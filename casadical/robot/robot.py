@@ -61,6 +61,8 @@ class Robot(Arm):
         further measured points on the flange
     masses : {"declared", "estimated"}, default "declared"
         whether the links' masses are known, or estimates that tell no stiffness
+    sessions : Sessions, optional
+        what is found again in each session of a campaign
     effects : tuple[Effect, ...], default ()
         what was added to the base model, see `with_effect`
     effect_values : Mapping[str, float], optional

@@ -36,7 +36,7 @@ from casadical.core.schema import (
     load_toml,
 )
 from casadical.core.transforms import frame, from_rpy
-from casadical.effects import Effect, find_effect
+from casadical.effects import Effect, Session, find_effect
 from casadical.robot.effect_tables import BoundTable, CovarianceTable, EffectTable, LearntTable, knowledge_of, text_of
 from casadical.robot.error_bound import refuse_other
 from casadical.robot.robot import Robot
@@ -377,8 +377,12 @@ def write_robot(robot: Robot, path: str | Path, comment: str = "", effects: Sequ
 def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = ()) -> str:
     """The robot as the text of a TOML file, in millimetres and degrees at full precision; effects in SI.
 
+    Sessions belong to their measurements: base and tool are those of the first one.
+
     effects and errors as of `write_robot` (Raises InputError). Without effects and bound it is version 1.
     """
+    if any(isinstance(e, Session) for e in robot.effects):
+        robot = robot.with_only(e for e in robot.effects if not isinstance(e, Session))
     for effect in robot.effects:
         if find_effect(effect.name, effects) is not type(effect):
             raise InputError(f"{effect.label}: another effect of this name is installed; rename yours")

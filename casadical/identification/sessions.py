@@ -1,0 +1,119 @@
+"""Several sessions of one robot: base and tool of its own for each, the robot shared, joint zeros shared or not.
+
+The first session has the robot's own base and tool; each further one is an effect (`effects.Session`): its departures.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.core.transforms import to_xyz
+from casadical.effects import Session
+from casadical.identification.placement import place_frames
+from casadical.measurements.measurements import Measurements
+from casadical.robot.robot import Robot
+
+PREFIX = "session_"
+# Poses that a session with base and tool of its own needs at least.
+FEWEST = 6
+
+
+def sessions_in(sets: Sequence[Measurements]) -> tuple[str, ...]:
+    """Names of the sessions in the order in which they come."""
+    names = (c.removeprefix(PREFIX) for m in sets for c in m.conditions if c.startswith(PREFIX))
+    return tuple(dict.fromkeys(names))
+
+
+def with_sessions(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tuple[str, ...]]:
+    """The robot with an effect for each further session, and the labels of these, to be free.
+
+    Raises InputError where a table does not say its session and others do, and for a session with too few poses.
+    """
+    known = tuple(e.label for e in robot.effects if isinstance(e, Session))
+    names = sessions_in(sets)
+    if known or not names:
+        return robot, known
+    for m in sets:
+        if not any(c.startswith(PREFIX) for c in m.conditions):
+            raise InputError(
+                f"{m.source}: says no session, and others do ({', '.join(names)}): give it a column 'session', or "
+                'session = "..." in its [[measurements]]'
+            )
+    if len(names) < 2:
+        return robot, ()
+    rule = robot.sessions
+    for name in names:
+        count = sum(int(m.conditions.get(PREFIX + name, np.zeros(1)).sum()) for m in sets)
+        if rule.base == "own" and count < FEWEST:
+            raise InputError(
+                f"session {name!r} has {count} poses; where its base and tool are cannot be determined from fewer than "
+                f'{FEWEST}: measure {FEWEST - count} more in it, or write base = "shared" in [sessions] of '
+                "problem.toml where nothing was moved"
+            )
+    zeros = robot.n if rule.zeros == "own" else 0
+    if not (zeros or "own" in (rule.base, rule.tool)):
+        return robot, ()
+    effects = [Session(None, name, rule.base == "own", rule.tool == "own", zeros) for name in names[1:]]
+    return robot.with_effect(*effects), tuple(e.label for e in effects)
+
+
+def place_sessions(robot: Robot, sets: Sequence[Measurements]) -> Robot:
+    """The robot with base and tool of every session where the measurements say, as `place_frames` does of one."""
+    sessions = [e for e in robot.effects if isinstance(e, Session)]
+    if not sessions:
+        return place_frames(robot, sets)
+    bare = robot.with_only(e for e in robot.effects if e not in sessions)
+    placed = place_frames(bare, _first(sets, sessions, inside=False) or sets)
+    values = dict(robot.effect_values)
+    for effect in sessions:
+        own = _first(sets, [effect], inside=True)
+        if own is None or not effect.base_too:
+            continue
+        there = place_frames(placed, own)
+        moved = np.linalg.solve(placed.base.T, there.base.T)
+        values |= _named(effect, ("x", "y", "z"), moved[:3, 3])
+        values |= _named(effect, ("rx", "ry", "rz"), to_xyz(moved[:3, :3]))
+        if effect.tool_too:
+            values |= _named(effect, ("tool_x", "tool_y", "tool_z"), there.tool.T[:3, 3] - placed.tool.T[:3, 3])
+    return replace(robot, base=placed.base, tool=placed.tool, targets=placed.targets, effect_values=values)
+
+
+def not_shared(sets: Sequence[Measurements]) -> str:
+    """What cannot be determined of sessions without a common pose, and what would: a sentence, or nothing."""
+    names = sessions_in(sets)
+    if len(names) < 2:
+        return ""
+    poses = [np.concatenate([_of(m, name) for m in sets]) for name in names]
+    apart = [name for name, q in zip(names[1:], poses[1:], strict=True) if not _common(poses[0], q)]
+    if not apart:
+        return ""
+    return (
+        f"Session {', '.join(map(repr, apart))} shares no pose with {names[0]!r}: whether the robot itself changed "
+        f"between them cannot be separated from how it was set up; measure some poses of {names[0]!r} again."
+    )
+
+
+def _of(m: Measurements, name: str) -> Array:
+    flags = m.conditions.get(PREFIX + name)
+    return m.q[:0] if flags is None else m.q[flags > 0]
+
+
+def _common(a: Array, b: Array, within: float = 5e-4) -> bool:
+    """Whether any reading of b is one of a, to 0.03 deg or half a millimetre."""
+    return any((np.abs(a - q).max(axis=1) < within).any() for q in b) if len(a) else False
+
+
+def _first(sets: Sequence[Measurements], sessions: Sequence[Session], inside: bool) -> Measurements | None:
+    """The first measured positions in these sessions, or in none of them."""
+    for m in (m for m in sets if m.position is not None):
+        flags = sum((m.conditions.get(e.column, np.zeros(len(m))) for e in sessions), np.zeros(len(m)))
+        if len(rows := np.flatnonzero((flags > 0) == inside)):
+            return m[rows]
+    return None
+
+
+def _named(effect: Session, names: Sequence[str], values: Array) -> dict[str, float]:
+    return {f"{effect.label}.{name}": float(v) for name, v in zip(names, values, strict=True)}
