@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from casadical.compensator import compensator_text
 from casadical.core.blocks import Table, Words, mm, plain_text, terminal
-from casadical.core.errors import InputError, shown
+from casadical.core.errors import InputError
 from casadical.core.files import claimed, json_text, write_together
 from casadical.core.notebook import html
 from casadical.identification.accuracy import Accuracy
@@ -26,12 +22,15 @@ from casadical.identification.residuals import Loss
 from casadical.identification.tables import correlated, held_table, how_sure, parameter_tables
 from casadical.measurements.measurements import Measurements
 from casadical.project.check.targets import unnamed_targets
-from casadical.project.networks import NetworkResult, Networks, train_networks
+from casadical.project.json_figures import method_figures, network_figures, paper_figures
+from casadical.project.networks import Networks, train_networks
 from casadical.project.outcome import (
-    chance_of,
+    assumptions,
     left_out_table,
+    made_readings,
     methods_worse,
     things_to_know,
+    unused_columns,
     usual_held_out,
     worse_than_before,
 )
@@ -39,7 +38,7 @@ from casadical.project.problem import Carried, Problem, as_it_is, read_problem
 from casadical.project.problem_file import BASE_METHODS, PROBLEM_LOSSES, BaseMethod, all_methods, base_methods
 from casadical.project.tables import Accuracies, error_tables, judged_on, network_tables, paper_tables, verdict
 from casadical.project.target_names import unfitted
-from casadical.robot.robot import Robot, modified_dh
+from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
 
 if TYPE_CHECKING:
@@ -117,10 +116,7 @@ class Calibration:
         problem = self.problem
         return [
             Words(problem.title, "title"),
-            *_prior_words(self),
-            *_held_effects(problem),
-            *_payload_not_in_the_model(problem),
-            *_made_readings(problem),
+            *assumptions(problem, self.accuracies, self.without_prior),
             *list(verdict(problem, self.accuracies))[:1],
             *error_tables(self.accuracies, self.networks)[:1],
             *methods_worse(self.accuracies),
@@ -140,11 +136,8 @@ class Calibration:
             Words(problem.title, "title"),
             Words(f"{problem.robot.name}; {problem.origin}"),
             *(Words(f"note: {note}", "note") for note in problem.robot.notes),
-            *_prior_words(self),
-            *_held_effects(problem),
-            *_payload_not_in_the_model(problem),
-            *_made_readings(problem),
-            *_unused_columns(problem),
+            *assumptions(problem, self.accuracies, self.without_prior),
+            *unused_columns(problem),
             *verdict(problem, self.accuracies),
             *(Words(result.verdict) for result in self.identifications.values()),
             *methods_worse(self.accuracies),
@@ -192,7 +185,6 @@ class Calibration:
             what `casadical calibrate --json` writes
         """
         problem = self.problem
-        usual = {method: usual_held_out(problem, r.robot) for method, r in self.identifications.items()}
         found: dict[str, Any] = {
             "problem": problem.folder.name,
             "title": problem.title,
@@ -200,44 +192,19 @@ class Calibration:
             "robot": problem.robot.name,
             "tables": [dict(table) for table in problem.tables],
             "methods": {
-                method: {
-                    "verdict": result.verdict,
-                    "optimal": result.is_optimal(),
-                    "condition": result.identifiability.condition,
-                    "degrees_of_freedom": result.degrees_of_freedom,
-                    "iterations": len(result.solution.history) - 1,
-                    "loss": result.loss,
-                    "left_out": [
-                        {"source": out.source, "row": out.row, "error_mm": 1e3 * out.error} for out in result.left_out
-                    ],
-                    "sets": {
-                        name: {
-                            **_as_mm(states["calibrated"]),
-                            "before_nominal": _as_mm(states["nominal"]),
-                            "before_placed": _as_mm(states["placed"]),
-                            **({"without_far_off": _as_mm(usual[method][name])} if name in usual[method] else {}),
-                        }
-                        for name, states in self.accuracies[method].items()
-                    },
-                    "parameters": [_parameter(row) for row in result.shown.to_dict("records")],
-                    "modified_dh": modified_dh(result.robot),
-                }
+                method: method_figures(result, self.accuracies[method], usual_held_out(problem, result.robot))
                 for method, result in self.identifications.items()
             },
         }
         if self.networks:
             found["trained_on"] = self.networks.trained_on
-            found["networks"] = {name: _network(result) for name, result in self.networks.results.items()}
+            found["networks"] = {name: network_figures(result) for name, result in self.networks.results.items()}
         if problem.prior:
             found["prior"] = problem.prior.to_json([m for _, m in problem.parts()])
             if self.without_prior is not None:
                 found["prior"]["without_mean_mm"] = 1e3 * self.without_prior.mean
         if problem.paper:
-            paper = {"calibration": problem.paper.calibration, "validation": problem.paper.validation}
-            found["paper"] = {"source": problem.paper.source} | {
-                name: {m: dict(zip(("mean_mm", "max_mm", "std_mm"), f, strict=True)) for m, f in table.items()}
-                for name, table in paper.items()
-            }
+            found["paper"] = paper_figures(problem.paper)
         return found
 
     def files(self, folder: str | Path) -> dict[Path, str]:
@@ -261,7 +228,7 @@ class Calibration:
         for name, result in self.identifications.items():
             origin = f"Calibrated by casadical, method {name}, from {problem.title} ({problem.origin})."
             robot = with_knowledge(result)
-            said = [words.text for words in _made_readings(problem) if words.text not in robot.notes]
+            said = [words.text for words in made_readings(problem) if words.text not in robot.notes]
             noted = replace(robot, notes=(*robot.notes, *said))
             texts[folder / f"{name}.robot.toml"] = to_toml(noted, f"{origin}\n{result.verdict}")
             if problem.urdf:
@@ -431,92 +398,3 @@ def used_poses(problem: Problem, results: Mapping[str, Identification]) -> dict[
     out = {place for result in results.values() for place in result.outliers}
     kept = iter(without_poses(problem.sets["identify"], out))
     return {name: next(kept) if name.split("/")[0] == "identify" else m for name, m in problem.parts()}
-
-
-def _prior_words(found: Calibration) -> list[Words]:
-    problem, without = found.problem, found.without_prior
-    if problem.prior is None:
-        return []
-    whole = [m for _, m in problem.parts()]
-    words = [Words(problem.prior.in_words(whole), "warning" if problem.prior.learnt_from(whole) else "note")]
-    if without is None:
-        return words
-    _, _, after, held_out = judged_on(found.accuracies)
-    text = f"Without the prior the mean error {'of these held-out poses' if held_out else ''} is {mm(without.mean)} mm"
-    worse = after.mean > without.mean + chance_of(without, after)
-    doubt = f", with it {mm(after.mean)} mm: the robot may have changed since; leave out --prior" if worse else ""
-    return [*words, Words(f"{' '.join(text.split())}{doubt}.", "warning" if worse else "note")]
-
-
-def _held_effects(problem: Problem) -> list[Words]:
-    text = "Effects of the robot file are in the model, held at their values:"
-    carried = problem.prior.labels if problem.prior else ()
-    robot = problem.robot.with_only(e for e in problem.robot.effects if e.label not in carried)
-    return [Words(f"{text} {robot.effects_in_words}.", "note")] if robot.effects else []
-
-
-def _payload_not_in_the_model(problem: Problem) -> list[Words]:
-    """That the tables name a payload whose weight the robot file does not let into the model."""
-    carried = [m.conditions["payload_kg"] for _, m in problem.parts() if "payload_kg" in m.conditions]
-    gives = any(j.compliance is not None for j in problem.robot.joints)
-    if problem.robot.payload is not None or not gives or not any(np.any(p != 0) for p in carried):
-        return []
-    text = "The tables log a payload (payload_kg), but the robot file has no [payload] with its mass centre (com_mm): "
-    return [Words(f"{text}its weight is not in the model. Add it to the robot file.", "warning")]
-
-
-def _made_readings(problem: Problem) -> list[Words]:
-    """Joint readings that problem.toml turns round or shifts: the controller's own are others than the model's."""
-    columns = {name: made for table in problem.tables for name, made in dict(table.get("columns", {})).items()}
-    changed = []
-    for name, made in sorted(columns.items()):
-        if re.fullmatch(r"q\d+(_\w+)?", name) and isinstance(made, Mapping):
-            times, plus = float(made.get("times", 1.0)), float(made.get("plus", 0.0))
-            if times < 0 or plus or made.get("add"):
-                of = f"{'-' if times < 0 else ''}'{shown(made['from'])}'"
-                more = "".join(
-                    f" {factor:+g} x '{shown(other)}'" for other, factor in dict(made.get("add", {})).items()
-                )
-                changed.append(f"{name.partition('_')[0]} = {of}{more}{f' {plus:+g}' if plus else ''}")
-    if not changed:
-        return []
-    text = f"The model's readings are made by problem.toml: {', '.join(changed)}. The robot file, the C and programs"
-    return [Words(f"{text} take the model's, not the controller's.", "warning")]
-
-
-def _unused_columns(problem: Problem) -> list[Words]:
-    """Columns that the tables have and the calibration does not use, and rows that it counts once."""
-    used = {*problem.robot.conditions, "pose", "time_s", "point"}
-    left = {name: m.source for _, m in problem.parts() for name in (*m.conditions, *m.unused) if name not in used}
-    left = {name: source for name, source in left.items() if not name.startswith(("tool_", "session_"))}
-    left.pop(problem.set_column or "", None)
-    copies = [Words(text, "note") for text in dict.fromkeys(m.copies_in_words for _, m in problem.parts()) if text]
-    if not left:
-        return copies
-    text = f"Columns that are not used: {', '.join(map(shown, left))} (in {', '.join(sorted(set(left.values())))})."
-    return [Words(text, "note"), *copies]
-
-
-def _network(result: NetworkResult) -> dict[str, Any]:
-    """One network method: its verdict, the errors by set as it is used, and as trained even where it was refused."""
-    found: dict[str, Any] = {"verdict": result.verdict, "helps": result.helps}
-    c = result.compensator
-    if c is None:
-        return found
-    parts = {"train": c.training, "choose": c.choice, "report": c.validation}
-    return found | {
-        "trainer": c.trainer,
-        "settings": c.settings,
-        "seed": c.seed,
-        "chosen_by": c.chosen_by,
-        "sets": {name: _as_mm(a) for name, a in result.errors.items()},
-        "as_trained": {name: asdict(part) for name, part in parts.items() if part},
-    }
-
-
-def _as_mm(a: Accuracy) -> dict[str, float | int]:
-    return {name if name == "n" else f"{name}_mm": v if name == "n" else 1e3 * v for name, v in asdict(a).items()}
-
-
-def _parameter(row: dict[Any, Any]) -> dict[str, Any]:
-    return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in row.items()}

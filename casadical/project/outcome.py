@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.blocks import Table, Words, mm
+from casadical.core.errors import shown
 from casadical.identification.accuracy import Accuracy, errors, summarise
 from casadical.identification.identification import Identification, LeftOut, rows_in_words
 from casadical.identification.sessions import not_shared
@@ -174,3 +176,76 @@ def _worst(result: Identification) -> list[LeftOut]:
         e = errors(result.robot, m)
         found += [LeftOut(m.source, int(m.row[k]), float(e[k])) for k in np.flatnonzero(e > 4 * np.median(e))]
     return sorted(found, key=lambda out: -out.error)
+
+
+def assumptions(problem: Problem, accuracies: Accuracies, without_prior: Accuracy | None) -> list[Words]:
+    """What a result rests on besides the measurements; without_prior : of the poses that it is judged by, if known."""
+    return [
+        *_prior_words(problem, accuracies, without_prior),
+        *_held_effects(problem),
+        *_payload_not_in_the_model(problem),
+        *made_readings(problem),
+    ]
+
+
+def _prior_words(problem: Problem, accuracies: Accuracies, without: Accuracy | None) -> list[Words]:
+    if problem.prior is None:
+        return []
+    whole = [m for _, m in problem.parts()]
+    words = [Words(problem.prior.in_words(whole), "warning" if problem.prior.learnt_from(whole) else "note")]
+    if without is None:
+        return words
+    _, _, after, held_out = judged_on(accuracies)
+    text = f"Without the prior the mean error {'of these held-out poses' if held_out else ''} is {mm(without.mean)} mm"
+    worse = after.mean > without.mean + chance_of(without, after)
+    doubt = f", with it {mm(after.mean)} mm: the robot may have changed since; leave out --prior" if worse else ""
+    return [*words, Words(f"{' '.join(text.split())}{doubt}.", "warning" if worse else "note")]
+
+
+def _held_effects(problem: Problem) -> list[Words]:
+    text = "Effects of the robot file are in the model, held at their values:"
+    carried = problem.prior.labels if problem.prior else ()
+    robot = problem.robot.with_only(e for e in problem.robot.effects if e.label not in carried)
+    return [Words(f"{text} {robot.effects_in_words}.", "note")] if robot.effects else []
+
+
+def _payload_not_in_the_model(problem: Problem) -> list[Words]:
+    """That the tables name a payload whose weight the robot file does not let into the model."""
+    carried = [m.conditions["payload_kg"] for _, m in problem.parts() if "payload_kg" in m.conditions]
+    gives = any(j.compliance is not None for j in problem.robot.joints)
+    if problem.robot.payload is not None or not gives or not any(np.any(p != 0) for p in carried):
+        return []
+    text = "The tables log a payload (payload_kg), but the robot file has no [payload] with its mass centre (com_mm): "
+    return [Words(f"{text}its weight is not in the model. Add it to the robot file.", "warning")]
+
+
+def made_readings(problem: Problem) -> list[Words]:
+    """Joint readings that problem.toml turns round or shifts: the controller's own are others than the model's."""
+    columns = {name: made for table in problem.tables for name, made in dict(table.get("columns", {})).items()}
+    changed = []
+    for name, made in sorted(columns.items()):
+        if re.fullmatch(r"q\d+(_\w+)?", name) and isinstance(made, Mapping):
+            times, plus = float(made.get("times", 1.0)), float(made.get("plus", 0.0))
+            if times < 0 or plus or made.get("add"):
+                of = f"{'-' if times < 0 else ''}'{shown(made['from'])}'"
+                more = "".join(
+                    f" {factor:+g} x '{shown(other)}'" for other, factor in dict(made.get("add", {})).items()
+                )
+                changed.append(f"{name.partition('_')[0]} = {of}{more}{f' {plus:+g}' if plus else ''}")
+    if not changed:
+        return []
+    text = f"The model's readings are made by problem.toml: {', '.join(changed)}. The robot file, the C and programs"
+    return [Words(f"{text} take the model's, not the controller's.", "warning")]
+
+
+def unused_columns(problem: Problem) -> list[Words]:
+    """Columns that the tables have and the calibration does not use, and rows that it counts once."""
+    used = {*problem.robot.conditions, "pose", "time_s", "point"}
+    left = {name: m.source for _, m in problem.parts() for name in (*m.conditions, *m.unused) if name not in used}
+    left = {name: source for name, source in left.items() if not name.startswith(("tool_", "session_"))}
+    left.pop(problem.set_column or "", None)
+    copies = [Words(text, "note") for text in dict.fromkeys(m.copies_in_words for _, m in problem.parts()) if text]
+    if not left:
+        return copies
+    text = f"Columns that are not used: {', '.join(map(shown, left))} (in {', '.join(sorted(set(left.values())))})."
+    return [Words(text, "note"), *copies]

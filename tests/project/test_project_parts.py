@@ -13,7 +13,6 @@ import pytest
 from casadical.diagnosis.localisation import Localisation
 from casadical.measurements.columns import Source
 from casadical.measurements.headings import Question
-from casadical.project.calibration import _made_readings
 from casadical.project.check.check import LACKS, Precheck, _outlook_findings
 from casadical.project.check.information import outlook
 from casadical.project.check.report import as_json
@@ -21,7 +20,7 @@ from casadical.project.check.slip_fit import Hypothesis
 from casadical.project.check.slips import _outside
 from casadical.project.new.new import _answered
 from casadical.project.new.texts import with_tools
-from casadical.project.outcome import _no_better
+from casadical.project.outcome import _no_better, made_readings
 from casadical.project.planning import plan
 from casadical.project.problem import read_problem
 from casadical.project.remaining_errors import where_left
@@ -124,7 +123,7 @@ def test_readings_that_problem_toml_makes_are_said_with_the_result(planar: Probl
         "q3_deg": {"from": "Achse 3", "times": 57.29577951},
         "x_mm": {"from": "X", "times": -1.0},
     }
-    (words,) = _made_readings(replace(planar, tables=({"file": "poses.csv", "columns": made},)))
+    (words,) = made_readings(replace(planar, tables=({"file": "poses.csv", "columns": made},)))
     assert "q1 = -'Achse 1', q2 = 'Achse 2' +90. " in words.text
     assert "Achse 3" not in words.text
-    assert _made_readings(planar) == []
+    assert made_readings(planar) == []
