@@ -15,7 +15,7 @@ from casadical.core.files import claimed, real_path
 from casadical.core.plain_values import number_fault, text_fault
 
 # Parameters of commands that name outputs; every other path is an input.
-_OUTPUTS = ("out", "json_file", "report_file", "measure_next", "figure")
+_OUTPUTS = ("out", "json_file", "report_file", "measure_next", "figure", "priors")
 # Names in a folder of outputs, so that no other output and no input may have them.
 _SET = (
     "result.json", "*.robot.toml", "*.robot.urdf", "*.parameters.csv", "*.compensator.json", "manifest.json",
@@ -25,7 +25,7 @@ _SET = (
 _OURS = (
     {"problem", "robot"}, {"campaign"}, {"forecast"}, {"rows", "corrected"}, {"folder", "files", "verified"},
     {"file", "robot", "left_out"}, {"key_sha256"}, {"answers", "by"}, {"by", "figures"},
-    {"changed", "changes", "campaigns"},
+    {"changed", "changes", "campaigns"}, {"fleet", "robots", "types"},
 )  # fmt: skip
 _MEASURED = {"x_mm", "x_m", "y_mm", "y_m", "z_mm", "z_m"}
 

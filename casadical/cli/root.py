@@ -12,6 +12,7 @@ from casadical.cli.correct import correct
 from casadical.cli.diagnose import diagnose
 from casadical.cli.discover import discover
 from casadical.cli.export import export_app
+from casadical.cli.fleet import fleet
 from casadical.cli.new import new
 from casadical.cli.outputs import guarded
 from casadical.cli.plan import plan
@@ -49,7 +50,7 @@ def _root(
     pass
 
 
-for command in (new, check, calibrate, verify, compare, diagnose, discover, plan, replay, correct):
+for command in (new, check, calibrate, verify, compare, fleet, diagnose, discover, plan, replay, correct):
     app.command()(guarded(command, also=("folder",) if command is new else ()))
 app.add_typer(export_app, name="export")
 app.add_typer(withheld_app, name="withheld")

@@ -8,3 +8,6 @@ from casadical.fleet.comparison import compare as compare
 from casadical.fleet.estimates import Estimate as Estimate
 from casadical.fleet.estimates import estimate as estimate
 from casadical.fleet.estimates import estimate_of_file as estimate_of_file
+from casadical.fleet.hierarchy import Common as Common
+from casadical.fleet.result import Fleet as Fleet
+from casadical.fleet.run import run_fleet as run_fleet

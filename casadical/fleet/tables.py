@@ -23,8 +23,8 @@ def blocks_of(found: Comparison) -> list[Words | Table]:
         blocks += [*_change(found, change)]
     if not found.changes:
         chance = 1 - usual_probability(found.log_odds)
-        text = f"NOTHING CHANGED in the robot that {len(found.campaigns)} campaigns would show"
-        blocks.append(Words(f"{text} (probability {chance:.3f}, if one robot in ten changes).", "verdict"))
+        blocks.append(Words(f"NOTHING CHANGED in the robot that {len(found.campaigns)} campaigns would show.", "verdict"))
+        blocks.append(Words(f"Probability {chance:.3f}, if one robot in ten changes between two campaigns."))
     blocks += [Words(f"{what}: {how}.") for what, how in found.placements]
     blocks += [Words(f"note: {note}.", "note") for note in found.notes]
     return [*blocks, _campaigns(found), _seen_from(found)]

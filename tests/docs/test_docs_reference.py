@@ -32,6 +32,8 @@ NEEDS = {
     "casadical.blind_check.make": "mujoco",
     "casadical.export.mjcf.positions": "mujoco",
     "casadical.export.mjcf.replay": "mujoco",
+    "casadical.fleet.Fleet": "distributed",
+    "casadical.fleet.run_fleet": "distributed",
     "casadical.plot": "plotly",
     "casadical.report": "plotly",
     "casadical.read_urdf": "yourdfpy",

@@ -1,0 +1,70 @@
+"""The command `casadical fleet`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from casadical.cli.options import Json, Quiet, Report
+from casadical.cli.progress import working
+from casadical.cli.terminal import as_typed, keep, with_json, wrapped
+from casadical.core.blocks import terminal
+
+
+def fleet(
+    folders: Annotated[
+        list[Path],
+        typer.Argument(metavar="FOLDER...", help="Problem folders, one a robot, or folders that hold them."),
+    ],
+    store: Annotated[
+        Path,
+        typer.Option(metavar="STORE.parquet", help="Folder of parquet files, a row of each robot; continued."),
+    ],
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Dask scheduler, as tcp://host:8786; default: this machine's cores."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, max=1024, metavar="N", help="Processes of this machine; default: one a core.")
+    ] = None,
+    diagnose: Annotated[
+        bool, typer.Option("--diagnose/--no-diagnose", help="Diagnose every robot, which takes longest.")
+    ] = True,
+    priors: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Write what robots of one type have in common, TYPE.robot.toml, for calibrate --prior FILE "
+            "--prior-effects all.",
+        ),
+    ] = None,
+    json_file: Json = None,
+    report_file: Report = None,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate, diagnose and compare every robot of a fleet, on all cores or on a Dask cluster.
+
+    A robot is a problem folder; its later campaigns are tables in its folder `campaigns`, with their days in their
+    names. What the store has already is not computed again, and one robot that fails stops nobody. Robots of one type
+    share what was learnt from them: common faults of the drawing, and a prior with which a new robot needs fewer poses.
+
+    Example: casadical fleet plants/* --store fleet.parquet --report fleet.html
+
+    Exit codes: 0 done, also where single robots failed, 2 bad input or no scheduler, 70 a bug in casadical.
+    """
+    from casadical.fleet.run import run_fleet
+
+    if report_file:
+        from casadical.report.optional_imports import require
+
+        require()
+    console = wrapped(quiet)
+    with working(quiet, "starting") as show:
+        found = run_fleet(folders, store, scheduler=scheduler, workers=workers, with_diagnosis=diagnose, show=show)
+    console.print(terminal(found.blocks()))
+    texts = dict(found.prior_files(priors)) if priors else {}
+    if report_file:
+        from casadical.report import fleet_report
+
+        texts[report_file] = fleet_report(found, as_typed())
+    keep(with_json(texts, json_file, found.to_json()), console)

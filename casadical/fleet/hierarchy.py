@@ -1,0 +1,208 @@
+"""What robots of one type have in common: empirical Bayes on the departures of their parameters from the drawing.
+
+Robot i departs from the drawing by theta_i ~ N(mu, diag(tau^2)), and its campaign tells of theta_i as an `Estimate`
+does. The common departure mu and the spread tau are those of greatest likelihood, by expectation and maximisation
+(Dempster, Laird and Rubin 1977, section 4.5; Efron and Morris 1975). A parameter with a mean far beyond its standard
+error is a fault of the drawing; the spread is the prior of a robot that is still to be measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.identification.identifiability import scaled_inverse
+from casadical.robot.knowledge import Covariance, Knowledge
+from casadical.robot.robot import Robot
+
+# Robots of a type from which anything is learnt, and most that are used.
+LEAST, MOST = 5, 1000
+ROUNDS = 40
+# A common fault is this many standard errors from zero, and this share of the usual size of the parameter (1 mm).
+SURE, COUNTS = 5.0, 0.05
+# Least spread, in units of the scale: what is learnt of few robots is not exact.
+NARROWEST = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Common:
+    """What robots of one type share.
+
+    Parameters
+    ----------
+    type : str
+        word for the drawing
+    name : str
+        of the robots' type
+    count : int
+        robots it was learnt from
+    names : tuple[str, ...]
+        parameters, k of them
+    mean : Array, shape (k,)
+        common departure from the drawing, in units of the scale
+    std_error : Array, shape (k,)
+        of the mean
+    spread : Array, shape (k,)
+        one sigma of single robots about the mean
+    scale : Array, shape (k,) [SI]
+        unit of each parameter
+
+    Examples
+    --------
+    >>> common = casadical.fleet.Common("ab", "arm", 9, ("a1",), *np.array([[0.3], [0.01], [0.1], [1e-3]]))
+    >>> common.faults
+    (('a1', 0.3, 0.01),)
+    >>> common.readable("a1", 0.3)
+    (0.3, 'mm')
+    >>> common.priors_of(robot)["a1"][1].round(6), common.prior_of(robot).parameters["a1"].value
+    (0.0001, 0.4003)
+    >>> common.to_json()["common_faults"]
+    ['a1']
+    """
+
+    type: str
+    name: str
+    count: int
+    names: tuple[str, ...]
+    mean: Array
+    std_error: Array
+    spread: Array
+    scale: Array
+
+    @property
+    def faults(self) -> tuple[tuple[str, float, float], ...]:
+        """(name, departure, standard error) in units of the scale, of what all robots have in common."""
+        far = (np.abs(self.mean) > SURE * self.std_error) & (np.abs(self.mean) > COUNTS)
+        return tuple((self.names[k], float(self.mean[k]), float(self.std_error[k])) for k in np.flatnonzero(far))
+
+    def readable(self, name: str, *values: float) -> tuple[Any, ...]:
+        """Values of a parameter from units of the scale to those of reports, with the unit.
+
+        Parameters
+        ----------
+        name : str
+            of the parameter
+        *values : float
+            in units of its scale
+
+        Returns
+        -------
+        tuple[Any, ...]
+            the values, and their unit
+        """
+        unit = "deg" if name.startswith(("alpha", "beta", "theta")) or "." in name else "mm"
+        factor = {"deg": np.rad2deg(1.0), "mm": 1e3}[unit]
+        if name.startswith("c") and name[1:].isdigit():
+            unit, factor = "urad/(N m)", 1e6
+        scale = float(self.scale[self.names.index(name)])
+        return (*(v * scale * factor for v in values), unit)
+
+    def to_json(self) -> dict[str, Any]:
+        """What robots of the type share, as plain data.
+
+        Returns
+        -------
+        dict[str, Any]
+            mean, standard error and spread of each parameter, in units of reports
+        """
+        listed = []
+        for k, name in enumerate(self.names):
+            mean, error, spread, unit = self.readable(name, self.mean[k], self.std_error[k], self.spread[k])
+            figures = {"mean": float(mean), "std_error": float(error), "spread": float(spread)}
+            listed.append({"name": name, **figures, "unit": unit})
+        faults = [name for name, _, _ in self.faults]
+        about = {"type": self.type, "name": self.name, "robots": self.count}
+        return {**about, "common_faults": faults, "parameters": listed}
+
+    def prior_of(self, robot: Robot) -> Robot:
+        """A robot of this type as the fleet knows it: the common departures in it, and the spread as covariance.
+
+        Parameters
+        ----------
+        robot : Robot
+            as drawn
+
+        Returns
+        -------
+        Robot
+            to be the prior of `identify` or of `casadical calibrate --prior FILE --prior-effects all`
+        """
+        own = [k for k, n in enumerate(self.names) if n in robot.parameters.names]
+        names = tuple(self.names[k] for k in own)
+        sigma = (self.scale * np.sqrt(self.spread**2 + self.std_error**2))[own]
+        mean = (self.scale * self.mean)[own]
+        values = {n: robot.parameters[n].value + d for n, d in zip(names, mean, strict=True)}
+        known = Knowledge((Covariance(names, np.diag(sigma**2)),), f"{self.count} robots of the fleet")
+        return replace(robot.with_values(values), knowledge=known)
+
+    def priors_of(self, robot: Robot) -> dict[str, tuple[float, float]]:
+        """The same as (mean, one sigma) [SI] by name, as `identify` takes it.
+
+        Parameters
+        ----------
+        robot : Robot
+            as drawn
+
+        Returns
+        -------
+        dict[str, tuple[float, float]]
+            of the parameters that robot and fleet have
+        """
+        prior = self.prior_of(robot)
+        errors = prior.knowledge.std_errors if prior.knowledge else {}
+        return {n: (prior.parameters[n].value, s) for n, s in errors.items()}
+
+
+def common_of(robots: pd.DataFrame) -> Common:
+    """What robots of one type share, from their rows in a store. Raises InputError where they are too few."""
+    if len(robots) < LEAST:
+        raise InputError(f"{len(robots)} robots of one type; {LEAST} are needed to learn what they have in common")
+    used = robots.iloc[:MOST]
+    names = list(used.iloc[0]["names"])
+    # Of parameters that few robots identified, the drawing's value is kept: others carry their share.
+    counted = pd.Series([n for row in used["identified"] for n in row]).value_counts()
+    kept = [k for k, n in enumerate(names) if "." in n or counted.get(n, 0) > len(used) / 2]
+    H, b = zip(*(_about_drawing(row, names, kept) for _, row in used.iterrows()), strict=True)
+    spread = np.array(used.iloc[0]["spread"])[kept]
+    mean, error, tau = learnt(np.array(H), np.array(b), np.minimum(spread, 3.0))
+    own = tuple(names[k] for k in kept)
+    scale = np.array(used.iloc[0]["scale"])[kept]
+    first = used.iloc[0]
+    return Common(str(first["type"]), str(first["type_name"]), len(used), own, mean, error, tau, scale)
+
+
+def _about_drawing(row: pd.Series, names: Sequence[str], kept: Sequence[int]) -> tuple[Array, Array]:
+    """Information and score of the parameters that are kept, the others held as drawn."""
+    place = {n: k for k, n in enumerate(row["names"])}
+    whole = np.zeros((len(place), len(place)))
+    whole[np.tril_indices(len(place))] = row["information"]
+    whole = whole + whole.T - np.diag(np.diag(whole))
+    at = [place[names[k]] for k in kept]
+    return whole[np.ix_(at, at)], np.array(row["score"])[at]
+
+
+def learnt(H: Array, b: Array, spread: Array) -> tuple[Array, Array, Array]:
+    """Mean, its standard error, and spread, shapes (k,), of robots with information H, (n, k, k), and score b, (n, k).
+
+    spread : to begin with, and one sigma of the mean before the data
+    """
+    mean, tau2 = np.zeros(len(spread)), spread**2
+    wide = spread**-2.0
+    C = np.diag(spread**2)
+    for _ in range(ROUNDS):
+        precision = np.diag(1 / tau2)
+        V = np.linalg.inv(H + precision)
+        m = np.einsum("nij,nj->ni", V, b + mean / tau2)
+        # The mean of greatest likelihood: theta_i integrated, each robot tells P - P V P of it.
+        Lambda = np.sum(precision - precision @ V @ precision, axis=0) + np.diag(wide)
+        C = scaled_inverse(Lambda)
+        mean = C @ np.einsum("ij,njk,nk->i", precision, V, b)
+        m = np.einsum("nij,nj->ni", V, b + mean / tau2)
+        tau2 = np.maximum(np.mean((m - mean) ** 2 + np.diagonal(V, axis1=1, axis2=2), axis=0), NARROWEST**2)
+    return mean, np.sqrt(np.diag(C)), np.sqrt(tau2)

@@ -1,0 +1,130 @@
+"""All that is computed of one robot of a fleet: calibrated, diagnosed, compared; an error is a row, too."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+import traceback
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from casadical import __version__
+from casadical.core.errors import CasadicalError
+from casadical.core.files import json_text
+from casadical.diagnosis.diagnose import diagnose
+from casadical.fleet.campaigns import day_of, in_order
+from casadical.fleet.comparison import compare
+from casadical.fleet.estimates import Estimate, estimate
+from casadical.identification.identification import identify
+from casadical.project.calibration import calibrate
+from casadical.project.problem import Problem, read_campaign, read_problem
+from casadical.project.tables import judged_on
+
+# Later campaigns of a robot are tables in this folder of its problem, their days in their names.
+CAMPAIGNS = "campaigns"
+# A row of a store of which nothing is known.
+NOTHING: dict[str, Any] = {
+    "robot": "", "folder": "", "status": "", "error": "", "fingerprint": "", "written_by": "", "finished": 0.0,
+    "seconds": 0.0, "type": "", "type_name": "", "method": "", "poses": 0, "campaigns": 0, "before_mm": float("nan"),
+    "after_mm": float("nan"), "at_bounds": "", "verdict": "", "causes": "", "changes": "", "details": "{}",
+    "notes": "", "names": [], "departure": [], "score": [], "information": [], "spread": [], "scale": [],
+    "identified": [], "left_mm": [], "days": [],
+}  # fmt: skip
+
+
+def fingerprint(folder: Path) -> str:
+    """Of the content of all files of a robot's folder, and of the tables that its problem names elsewhere."""
+    found = hashlib.sha256()
+    files = [p for p in sorted(folder.rglob("*")) if p.is_file() and not p.name.startswith(".")]
+    for path in files:
+        found.update(str(path.relative_to(folder)).encode())
+        found.update(path.read_bytes())
+    return found.hexdigest()[:32]
+
+
+def one_robot(folder: str, with_diagnosis: bool) -> dict[str, Any]:
+    """The row of one robot; what goes wrong is in it, nothing is raised."""
+    start, place = time.perf_counter(), Path(folder)
+    row = {**NOTHING, "robot": place.resolve().name, "folder": folder, "written_by": __version__}
+    try:
+        row["fingerprint"] = fingerprint(place)
+        row |= _computed(place, with_diagnosis)
+        row["status"] = "ok"
+    except CasadicalError as error:
+        row |= {"status": "failed", "error": str(error)}
+    except Exception:  # one robot stops nobody
+        row |= {"status": "bug", "error": traceback.format_exc(limit=-4)}
+    return row | {"seconds": time.perf_counter() - start, "finished": time.time()}
+
+
+def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
+    problem = replace(read_problem(place), networks=())
+    found = calibrate(problem)
+    method, before, after, _ = judged_on(found.accuracies)
+    last = found.identification
+    estimates = [estimate(last, place.name, day_of(place))]
+    notes = _later(place, problem, estimates)
+    row: dict[str, Any] = {
+        "type": type_of(problem),
+        "type_name": problem.robot.name,
+        "method": method,
+        "poses": sum(e.poses for e in estimates),
+        "before_mm": 1e3 * before.mean,
+        "after_mm": 1e3 * after.mean,
+        "at_bounds": ", ".join(last.at_bounds),
+        "identified": list(last.names),
+    }
+    if with_diagnosis:
+        m = next((m for m in problem.sets["identify"] if m.position is not None), None)
+        if m is not None:
+            diagnosis = diagnose(problem.robot, m)
+            causes = ", ".join(c.label for c in diagnosis.causes)
+            row |= {"verdict": diagnosis.verdict, "causes": causes}
+    if len(estimates) > 1:
+        ordered, said = in_order(estimates)
+        estimates, notes = ordered, [*notes, *said]
+        compared = compare(ordered, notes=notes)
+        changes = ", ".join(f"{c.cause.label} ({c.course}, {ordered[c.since].label})" for c in compared.changes)
+        row |= {"changes": changes, "details": json_text(compared.to_json())}
+    days = [float("nan") if e.day is None else e.day for e in estimates]
+    left = [float("nan") if e.sigma is None else 1e3 * e.sigma for e in estimates]
+    own = {"campaigns": len(estimates), "notes": "; ".join(notes), "days": days, "left_mm": left}
+    return row | own | _told(estimates[-1], problem)
+
+
+def _later(place: Path, problem: Problem, estimates: list[Estimate]) -> list[str]:
+    """Adds what later campaigns tell; says which could not be used."""
+    faults = []
+    for path in sorted((place / CAMPAIGNS).glob("*.csv")):
+        try:
+            m = read_campaign(place, path, problem.robot, later=True)
+            estimates.append(estimate(identify(problem.robot, m, loss="huber"), path.stem, day_of(path)))
+        except CasadicalError as error:
+            faults.append(f"{path.name} is left out: {error}")
+    return faults
+
+
+def type_of(problem: Problem) -> str:
+    """A word for all robots of one drawing: same parameters, same nominal values but those of base and tool."""
+    own = [(p.name, f"{p.value:.9g}") for p in problem.robot.parameters if p.group not in ("base", "tool")]
+    return hashlib.sha256(repr(own).encode()).hexdigest()[:12]
+
+
+def _told(e: Estimate, problem: Problem) -> dict[str, Any]:
+    """What the last campaign tells of the parameters that robots of one type share, about the nominal values."""
+    nominal = {p.name: p for p in problem.robot.parameters}
+    names = tuple(n for n in e.names if n not in nominal or nominal[n].group not in ("base", "tool"))
+    at = [e.names.index(n) for n in names]
+    zero = np.array([nominal[n].value if n in nominal else 0.0 for n in names])
+    H, b = e.about(names, zero)
+    return {
+        "names": list(names),
+        "departure": ((e.values[at] - zero) / e.scale[at]).tolist(),
+        "score": b.tolist(),
+        "information": H[np.tril_indices(len(H))].tolist(),
+        "spread": e.spread[at].tolist(),
+        "scale": e.scale[at].tolist(),
+    }

@@ -1,0 +1,195 @@
+"""The result of a fleet: a row of each robot, outliers, trends, and what robots of one type share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from casadical.core.blocks import Table, Words
+from casadical.fleet.hierarchy import LEAST, Common, common_of
+from casadical.project.problem import read_problem_robot
+from casadical.robot.robot_file import to_toml
+
+# A robot stands out from its type by so many scaled median absolute deviations of the logarithm of its error.
+FAR = 4.0
+# Rows that the terminal shows.
+SHOWN = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Fleet:
+    """All robots of a fleet.
+
+    Parameters
+    ----------
+    robots : DataFrame
+        a row of each, as the store keeps it
+    commons : tuple[Common, ...]
+        what robots of one type share, of types with five robots or more
+    outliers : tuple[str, ...]
+        robots whose error stands out from that of their type
+    notes : tuple[str, ...], default ()
+        what was assumed
+
+    Examples
+    --------
+    >>> fleet = casadical.fleet.run_fleet(["problems/planar"], "fleet.parquet", workers=1, with_diagnosis=False)
+    >>> fleet
+    <Fleet of 1 robots: 1 ok, 0 failed, 0 changed>
+    >>> [type(block).__name__ for block in fleet.blocks()][:2]
+    ['Words', 'Table']
+    >>> fleet.to_json()["robots"][0]["robot"]
+    'planar'
+    >>> fleet.prior_files("priors")  # of five robots of one type or more
+    {}
+    """
+
+    robots: pd.DataFrame
+    commons: tuple[Common, ...]
+    outliers: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        good = int((self.robots["status"] == "ok").sum())
+        changed = int((self.robots["changes"] != "").sum())
+        return f"<Fleet of {len(self.robots)} robots: {good} ok, {len(self.robots) - good} failed, {changed} changed>"
+
+    @property
+    def good(self) -> pd.DataFrame:
+        """Rows of robots that were calibrated."""
+        return self.robots[self.robots["status"] == "ok"]
+
+    def blocks(self) -> list[Words | Table]:
+        """What `casadical fleet` prints.
+
+        Returns
+        -------
+        list[Words | Table]
+            words and tables, see `casadical.core.blocks`
+        """
+        good = self.good
+        text = f"{len(good)} of {len(self.robots)} robots calibrated"
+        if len(good):
+            before, after = good["before_mm"].median(), good["after_mm"].median()
+            text += f"; median of their mean errors {before:.3f} mm before, {after:.3f} mm after"
+        return [
+            Words(f"{text}.", "verdict"),
+            *(Words(f"note: {note}.", "note") for note in self.notes),
+            *self._faults(),
+            *self._types(),
+            *self._to_look_at(),
+            *self._failed(),
+        ]
+
+    def prior_files(self, folder: str | Path) -> dict[Path, str]:
+        """Robot files with what is learnt of each type, the prior of a robot that is still to be measured.
+
+        Parameters
+        ----------
+        folder : str | Path
+            where they are to be
+
+        Returns
+        -------
+        dict[Path, str]
+            path -> text
+        """
+        texts = {}
+        for c in self.commons:
+            drawn = read_problem_robot(self.good.loc[self.good["type"] == c.type, "folder"].iloc[0])
+            comment = f"What {c.count} robots of one fleet have in common, as the prior of another one of this type."
+            texts[Path(folder) / f"{c.type}.robot.toml"] = to_toml(c.prior_of(drawn), comment)
+        return texts
+
+    def _faults(self) -> Iterator[Words]:
+        for c in self.commons:
+            for name, mean, error in c.faults:
+                size, sigma, unit = c.readable(name, mean, error)
+                words = f"all {c.count} robots of the type {c.name}: {name} is {size:+.3g} {unit} +/- {sigma:.1g}"
+                yield Words(
+                    f"{words} from the drawing: correct the drawing, or the set-up of the instrument.", "warning"
+                )
+
+    def _types(self) -> Iterator[Table]:
+        rows = []
+        for kind, some in self.good.groupby("type", sort=False):
+            after = some["after_mm"]
+            figures = (f"{v:.4f}" for v in (some["before_mm"].median(), after.median(), after.quantile(0.95)))
+            rows.append((some["type_name"].iloc[0], str(kind), str(len(some)), *figures))
+        head = ("type", "drawing", "robots", "before", "after", "95 % below")
+        if rows:
+            yield Table("Types: median of the mean errors of their robots [mm]", head, rows, frozenset({2, 3, 4, 5}))
+
+    def _to_look_at(self) -> Iterator[Table]:
+        some = self.robots[
+            self.robots["robot"].isin(self.outliers)
+            | (self.robots["changes"] != "")
+            | (self.robots["at_bounds"] != "")
+            | ~self.robots["verdict"].isin(["", "none"])
+        ]
+        rows = []
+        for r in records(some.sort_values("after_mm", ascending=False).head(SHOWN)):
+            said = ["error stands out"] if r["robot"] in self.outliers else []
+            said += [f"at bounds: {r['at_bounds']}"] if r["at_bounds"] else []
+            said += [r["notes"]] if r["notes"] else []
+            verdict = " ".join(filter(None, (r["verdict"], r["causes"])))
+            rows.append((r["robot"], f"{r['after_mm']:.4f}", verdict, r["changes"], ", ".join(said)))
+        if rows:
+            title = f"Robots to check first ({len(some)}, the greatest errors [mm])"
+            yield Table(title, ("robot", "after", "diagnosis", "changed", ""), rows, frozenset({1}))
+
+    def _failed(self) -> Iterator[Table]:
+        bad = self.robots[self.robots["status"] != "ok"]
+        rows = [(r["robot"], r["status"], r["error"].strip().splitlines()[-1]) for r in records(bad.head(SHOWN))]
+        if rows:
+            yield Table(f"Not calibrated ({len(bad)})", ("robot", "status", "why"), rows)
+
+    def to_json(self) -> dict[str, Any]:
+        """The same as plain data.
+
+        Returns
+        -------
+        dict[str, Any]
+            what `casadical fleet --json` writes
+        """
+        words = ["robot", "folder", "status", "error", "type", "type_name", "method", "verdict", "causes", "changes",
+                 "at_bounds", "notes", "poses", "campaigns", "before_mm", "after_mm", "seconds"]  # fmt: skip
+        listed = [{k: _plain(v) for k, v in r.items()} for r in records(self.robots[words])]
+        return {
+            "fleet": len(self.robots),
+            "robots": listed,
+            "outliers": list(self.outliers),
+            "types": [c.to_json() for c in self.commons],
+            "notes": list(self.notes),
+        }
+
+
+def records(robots: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows by column."""
+    return [{str(k): v for k, v in r.items()} for r in robots.to_dict("records")]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def fleet_of(robots: pd.DataFrame, notes: Sequence[str] = ()) -> Fleet:
+    """The result of the rows of a store."""
+    good = robots[robots["status"] == "ok"]
+    types = [some for _, some in good.groupby("type", sort=False) if len(some) >= LEAST]
+    outliers = [name for some in types for name in _outliers(some)]
+    return Fleet(robots, tuple(common_of(some) for some in types), tuple(outliers), tuple(notes))
+
+
+def _outliers(some: pd.DataFrame) -> list[str]:
+    logs = np.log(some["after_mm"].to_numpy())
+    middle = np.median(logs)
+    spread = max(1.4826 * float(np.median(np.abs(logs - middle))), 0.02)
+    return [str(name) for name in some["robot"][logs > middle + FAR * spread]]

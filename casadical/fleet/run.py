@@ -1,0 +1,159 @@
+"""A fleet: every robot's folder calibrated, diagnosed and compared on a cluster, and what the robots have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import pandas as pd
+
+from casadical.core.errors import InputError, shown
+from casadical.fleet.cluster import SchedulerLostError, client_of, results
+from casadical.fleet.one_robot import NOTHING, fingerprint, one_robot
+from casadical.fleet.result import Fleet, fleet_of, records
+from casadical.fleet.store import add, opened, rows
+
+# Rows are written when there are so many, or after so many seconds.
+ROWS, SECONDS = 50, 20.0
+# Of a stored row, what says whether a robot is to be computed again.
+_LOOKED_AT = ("robot", "folder", "status", "fingerprint", "verdict")
+
+
+def run_fleet(
+    folders: Sequence[str | Path],
+    store: str | Path,
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    with_diagnosis: bool = True,
+    show: Callable[[str], None] = lambda _text: None,
+) -> Fleet:
+    """Calibrate, diagnose and compare every robot of a fleet; what a store has already is not computed again.
+
+    Parameters
+    ----------
+    folders : Sequence[str | Path]
+        problem folders, one a robot, or folders that hold them
+    store : str | Path
+        folder of parquet files that keeps a row of each robot
+    scheduler : str, optional
+        address of a Dask scheduler, as tcp://host:8786; None: processes of this machine
+    workers : int, optional
+        how many processes of this machine; None: one a core
+    with_diagnosis : bool, default True
+        whether every robot is diagnosed, which takes longest
+    show : Callable[[str], None], optional
+        called with a line of progress
+
+    Returns
+    -------
+    Fleet
+        all robots of the store that were asked for, and what they have in common
+
+    Raises
+    ------
+    InputError
+        no robots, a store that cannot be used, a scheduler that does not answer; what was done until then is kept
+
+    Examples
+    --------
+    >>> fleet = casadical.fleet.run_fleet(["problems/planar"], "fleet.parquet", workers=1)
+    >>> list(fleet.robots["robot"]), list(fleet.robots["status"])
+    (['planar'], ['ok'])
+    """
+    robots, place = robots_in(folders), Path(store)
+    with opened(place):
+        known = rows(place, _LOOKED_AT).set_index("robot")
+        left, notes = _left(robots, known, with_diagnosis, place)
+        show(f"robot {len(robots) - len(left)} of {len(robots)}")
+        if left:
+            with client_of(scheduler, workers) as client:
+                tasks = [(str(robots[name].resolve()), with_diagnosis) for name in left]
+                _compute(results(client, one_robot, tasks), place, len(robots), len(left), show)
+        whole = rows(place)
+    return fleet_of(whole[whole["robot"].isin(robots)].reset_index(drop=True), notes)
+
+
+def robots_in(folders: Iterable[str | Path]) -> dict[str, Path]:
+    """Problem folders by name: those that are given, and those in given folders that are none. Raises InputError."""
+    found: dict[str, Path] = {}
+    for given in map(Path, folders):
+        inner = [given] if (given / "problem.toml").exists() else sorted(p.parent for p in given.glob("*/problem.toml"))
+        if not inner:
+            raise InputError(
+                f"{shown(given)}: neither a problem folder nor a folder of such; a robot has a problem.toml"
+            )
+        for folder in inner:
+            name = folder.resolve().name
+            if name in found and found[name].resolve() != folder.resolve():
+                raise InputError(f"{shown(folder)}: a second robot of the name {name!r}; rename one of the folders")
+            found[name] = folder
+    return found
+
+
+def _left(
+    robots: dict[str, Path], known: pd.DataFrame, with_diagnosis: bool, place: Path
+) -> tuple[list[str], list[str]]:
+    """Robots that are to be computed; a row whose folder was renamed is taken over under the new name."""
+    left, notes, taken = [], [], []
+    prints = dict(zip(known.index, known["fingerprint"], strict=True))
+    gone = {now: name for name, now in prints.items() if name not in robots and now}
+    for name, folder in robots.items():
+        row = known.loc[name] if name in known.index else None
+        try:
+            now = fingerprint(folder)
+        except OSError:
+            now = ""
+        if row is None and now in gone:
+            old = rows(place)
+            same = records(old[old["robot"] == gone[now]])[0]
+            taken.append({**_plain(same), "robot": name, "folder": str(folder.resolve())})
+            notes.append(f"{name} has the files of {gone[now]}, whose folder is not there: taken for it, renamed")
+        elif row is None or row.fingerprint != now or row.status != "ok" or (with_diagnosis and not row.verdict):
+            left.append(name)
+    add(place, taken)
+    return left, notes
+
+
+def _plain(row: dict[str, Any]) -> dict[str, Any]:
+    return {k: list(v) if isinstance(NOTHING[k], list) else v for k, v in row.items()}
+
+
+def _compute(
+    done: Iterator[tuple[tuple[Any, ...], dict[str, Any] | Exception]],
+    place: Path,
+    total: int,
+    left: int,
+    show: Callable[[str], None],
+) -> None:
+    """Keeps the rows as they come. Raises SchedulerLostError with how to go on."""
+    waiting: list[dict[str, Any]] = []
+    count, written = total - left, monotonic()
+    try:
+        for (folder, _), found in done:
+            row = found if isinstance(found, dict) else _lost(folder, found)
+            waiting.append(row)
+            count += 1
+            show(f"robot {count} of {total}")
+            if len(waiting) >= ROWS or monotonic() - written > SECONDS:
+                add(place, waiting)
+                waiting, written = [], monotonic()
+    except SchedulerLostError as error:
+        raise SchedulerLostError(
+            f"{error}; {count} of {total} robots are in {shown(place)}: run the same command again, it continues there"
+        ) from None
+    finally:
+        add(place, waiting)
+
+
+def _lost(folder: str, error: Exception) -> dict[str, Any]:
+    """The row of a robot whose workers died."""
+    return {
+        **NOTHING,
+        "robot": Path(folder).name,
+        "folder": folder,
+        "status": "lost",
+        "error": f"the processes that computed it ended: {type(error).__name__}: {str(error).splitlines()[0]}",
+    }

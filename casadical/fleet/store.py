@@ -1,0 +1,94 @@
+"""A store of rows, one a robot: a folder of parquet files that is only added to, so that nothing is lost midway."""
+
+from __future__ import annotations
+
+import io
+import uuid
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from casadical.core.errors import InputError, optional, shown
+from casadical.core.file_locks import Lock
+from casadical.core.files import read_bytes, write_together
+from casadical.fleet.one_robot import NOTHING
+
+VERSION = 1
+# Key of the version in the metadata of every file.
+KEY = b"casadical_fleet"
+_NEEDED = "a fleet needs dask, distributed and pyarrow; install them: pip install 'casadical[fleet]'"
+
+
+@contextmanager
+def opened(folder: Path) -> Iterator[None]:
+    """A store that this process alone writes to. Raises InputError: another one does, no folder, another version."""
+    optional("pyarrow", _NEEDED)
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{shown(folder)}: is a file; a store is a folder: give another name with --store")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with Lock(folder) as lock:
+            if not lock.taken():
+                raise InputError(f"{shown(folder)}: another casadical is writing to this store; wait for it")
+            yield
+    except OSError as error:
+        raise InputError(f"{shown(folder)}: cannot be used as a store: {error.strerror or error}") from None
+
+
+def add(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Add rows as one more file, which appears completely or not at all. Raises InputError."""
+    if not rows:
+        return
+    arrow, parquet = optional("pyarrow", _NEEDED), optional("pyarrow.parquet", _NEEDED)
+    columns = {name: [row.get(name, empty) for row in rows] for name, empty in NOTHING.items()}
+    table = arrow.table({name: arrow.array(values, _type(NOTHING[name])) for name, values in columns.items()})
+    blob = io.BytesIO()
+    parquet.write_table(table.replace_schema_metadata({KEY: str(VERSION).encode()}), blob, compression="zstd")
+    number = 1 + max((int(p.stem.split("-")[1]) for p in parts(folder)), default=0)
+    write_together({folder / f"part-{number:06d}-{uuid.uuid4().hex[:8]}.parquet": blob.getvalue()})
+
+
+def _type(empty: Any) -> Any:
+    arrow = optional("pyarrow", _NEEDED)
+    if isinstance(empty, list):
+        return arrow.list_(
+            arrow.string() if empty is NOTHING["names"] or empty is NOTHING["identified"] else arrow.float64()
+        )
+    return {str: arrow.string(), int: arrow.int64(), float: arrow.float64()}[type(empty)]
+
+
+def parts(folder: Path) -> list[Path]:
+    """Files of a store, the oldest first."""
+    return sorted(folder.glob("part-*.parquet"))
+
+
+def rows(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFrame:
+    """The last row of every robot. Raises InputError for files of another version, and for what is no store."""
+    parquet = optional("pyarrow.parquet", _NEEDED)
+    found = []
+    for path in parts(folder):
+        blob = io.BytesIO(read_bytes(path))
+        try:
+            version = (parquet.read_schema(blob).metadata or {}).get(KEY, b"").decode()
+            _refuse_other(path, version)
+            table = parquet.read_table(blob, columns=None if columns is None else list(columns))
+        except (OSError, ValueError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"{shown(path)}: is no part of a store: {str(error).splitlines()[0]}") from None
+        found.append(table.to_pandas())
+    empty = pd.DataFrame({name: [] for name in columns or NOTHING})
+    whole = pd.concat(found, ignore_index=True) if found else empty
+    return whole.drop_duplicates("robot", keep="last", ignore_index=True)
+
+
+def _refuse_other(path: Path, version: str) -> None:
+    """Raises InputError for a file of a store that this casadical cannot read."""
+    if version != str(VERSION):
+        raise InputError(
+            f"{shown(path)}: a store of version {version or 'unknown'}; this casadical reads version {VERSION}: "
+            "give another --store, or use the casadical that wrote it. Nothing was changed"
+        )

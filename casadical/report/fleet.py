@@ -1,0 +1,185 @@
+"""The page of a fleet: what to check first, a map of accuracies, outliers, trends, and what a type has in common."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import pandas as pd
+
+from casadical.core.blocks import Table, Words
+from casadical.fleet.hierarchy import Common
+from casadical.fleet.result import Fleet, records
+from casadical.report.page import Block, Drawing, Part, Section, Tile, report_html
+from casadical.report.provenance import provenance_of
+from casadical.report.style import BLUE, GREY, ORANGE, RED, Figure, new_figure, plain
+
+# Rows of the table, and robots whose course is drawn.
+MOST, COURSES = 2000, 60
+_MAP = (
+    "Mean error of held-out poses, a point a robot, on a logarithmic axis: grey before, blue after calibration, orange "
+    "where it stands out from its type (four scaled median absolute deviations)."
+)
+_TREND = "What nothing explains in each campaign of a robot, of one coordinate; red where something changed."
+_COMMON = (
+    "How far all robots of the type are from the drawing, in standard errors, over the size of the departure. Red: a "
+    "fault of the drawing, or of the instrument's set-up."
+)
+
+
+def fleet_figures(found: Fleet) -> dict[str, Figure]:
+    """Figures of a fleet, by name: map of accuracies, trends, and common/TYPE.
+
+    Parameters
+    ----------
+    found : Fleet
+        of `casadical.fleet.run_fleet`
+
+    Returns
+    -------
+    dict[str, Figure]
+        name -> figure of plotly
+
+    Raises
+    ------
+    InputError
+        where plotly is not installed
+
+    Examples
+    --------
+    >>> fleet = casadical.fleet.run_fleet(["problems/planar"], "fleet.parquet", workers=1, with_diagnosis=False)
+    >>> list(casadical.report.fleet_figures(fleet))
+    ['map']
+    """
+    figures: dict[str, Figure] = {}
+    if len(found.good):
+        figures["map"] = _map(found)
+    if (found.good["campaigns"] > 1).any():
+        figures["trends"] = _trends(found.good)
+    return figures | {f"common/{c.type}": _common(c) for c in found.commons}
+
+
+def fleet_report(found: Fleet, command: Sequence[str] = ()) -> str:
+    """One HTML file of a fleet.
+
+    Parameters
+    ----------
+    found : Fleet
+        of `casadical.fleet.run_fleet`
+    command : Sequence[str], default ()
+        as it was typed
+
+    Returns
+    -------
+    str
+        HTML
+
+    Raises
+    ------
+    InputError
+        plotly or jinja2 is not installed
+
+    Examples
+    --------
+    >>> fleet = casadical.fleet.run_fleet(["problems/planar"], "fleet.parquet", workers=1, with_diagnosis=False)
+    >>> casadical.report.fleet_report(fleet)[:15]
+    '<!doctype html>'
+    """
+    figures = fleet_figures(found)
+    sections = [
+        Section("What to check first", found.blocks()),
+        Section("Map of accuracies", [Drawing("map", f, _MAP) for n, f in figures.items() if n == "map"]),
+        Section("Trends", [Drawing(n, f, _TREND) for n, f in figures.items() if n == "trends"]),
+        Section("What robots of one type have in common", [*_commons(found, figures)]),
+        Section("All robots", [_all(found.robots)]),
+    ]
+    part = Part("Fleet", f"{len(found.robots)} robots", sections, [*_tiles(found)])
+    return report_html("Fleet", [part], provenance_of([], command))
+
+
+def _tiles(found: Fleet) -> Iterator[Tile]:
+    good = found.good
+    yield Tile("Calibrated", str(len(good)), "", f"of {len(found.robots)} robots")
+    if len(good):
+        yield Tile(
+            "After, median", f"{good['after_mm'].median():.3f}", "mm", f"{good['before_mm'].median():.3f} before"
+        )
+    yield Tile("Changed", str(int((found.robots["changes"] != "").sum())), "", "robots")
+    yield Tile("Stand out", str(len(found.outliers)), "", "robots")
+
+
+def _all(robots: pd.DataFrame) -> Table:
+    rows = []
+    for r in records(robots.head(MOST)):
+        error = r["error"].strip().splitlines()[-1] if r["error"] else ""
+        figures = (f"{r['before_mm']:.4f}", f"{r['after_mm']:.4f}", str(r["poses"]), str(r["campaigns"]))
+        verdict = " ".join(filter(None, (r["verdict"], r["causes"])))
+        rows.append((r["robot"], r["type_name"], r["status"], *figures, verdict, r["changes"], error))
+    head = ("robot", "type", "status", "before", "after", "poses", "campaigns", "diagnosis", "changed", "error")
+    title = f"Mean errors of held-out poses [mm]{f'; the first {MOST}' if len(robots) > MOST else ''}"
+    return Table(title, head, rows, frozenset({3, 4, 5, 6}), folded=len(rows) > 50)
+
+
+def _map(found: Fleet) -> Figure:
+    good = found.good.sort_values(["type_name", "after_mm"])
+    colour = [ORANGE if name in found.outliers else BLUE for name in good["robot"]]
+    figure = new_figure("Every robot", "robot, by type and error", "mean error [mm]", height=380)
+    x = np.arange(len(good))
+    for column, colours, size in (("before_mm", GREY, 4), ("after_mm", colour, 7)):
+        figure.add_scatter(
+            x=x,
+            y=good[column],
+            mode="markers",
+            marker={"size": size, "color": colours},
+            name=column.removesuffix("_mm"),
+            text=[plain(n) for n in good["robot"]],
+            hovertemplate="<b>%{text}</b><br>%{y:.4f} mm<extra></extra>",
+        )
+    return figure.update_yaxes(type="log")
+
+
+def _trends(good: pd.DataFrame) -> Figure:
+    several = good[good["campaigns"] > 1].sort_values("changes", ascending=False).head(COURSES)
+    figure = new_figure("Left in each campaign", "campaign", "one sigma of a coordinate [mm]", height=340)
+    for r in records(several):
+        days = list(r["days"])
+        dated = all(np.isfinite(days))
+        x = [str(np.datetime64("1970-01-01") + np.timedelta64(int(d), "D")) for d in days] if dated else None
+        figure.add_scatter(
+            x=x,
+            y=list(r["left_mm"]),
+            mode="lines+markers",
+            line={"color": RED if r["changes"] else GREY, "width": 2 if r["changes"] else 1},
+            name=plain(r["robot"]),
+            showlegend=False,
+        )
+    return figure.update_yaxes(rangemode="tozero")
+
+
+def _common(c: Common) -> Figure:
+    bad = {name for name, _, _ in c.faults}
+    figure = new_figure(f"{plain(c.name)}: {c.count} robots", "common departure [mm or mrad]", "in standard errors")
+    figure.add_scatter(
+        x=c.mean,
+        y=np.abs(c.mean) / np.maximum(c.std_error, 1e-12),
+        mode="markers",
+        marker={"size": 8, "color": [RED if n in bad else GREY for n in c.names]},
+        text=list(c.names),
+        hovertemplate="<b>%{text}</b><br>%{x:.3f} from the drawing<extra></extra>",
+        showlegend=False,
+    )
+    return figure
+
+
+def _commons(found: Fleet, figures: dict[str, Figure]) -> Iterator[Block]:
+    for c in found.commons:
+        yield Drawing(f"common/{c.type}", figures[f"common/{c.type}"], _COMMON)
+        rows = []
+        for k, name in enumerate(c.names):
+            mean, error, spread, unit = c.readable(name, c.mean[k], c.std_error[k], c.spread[k])
+            rows.append((name, f"{mean:+.4f}", f"{error:.2g}", f"{spread:.3g}", unit))
+        strong = frozenset(k for k, n in enumerate(c.names) if n in {name for name, _, _ in c.faults})
+        head = ("parameter", "common", "std error", "spread", "unit")
+        yield Table(f"{c.name}, drawing {c.type}", head, rows, frozenset({1, 2, 3}), strong, folded=True)
+    if not found.commons:
+        yield Words("Five robots of one type are needed to learn what they have in common.", "note")

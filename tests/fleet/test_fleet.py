@@ -1,0 +1,230 @@
+"""A fleet on a real local cluster: resumed, one bad robot, a worker that is killed, a scheduler that dies."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from command_line import run
+
+from casadical import InputError, Robot, read_robot
+from casadical.fleet import run_fleet
+from casadical.fleet.cluster import client_of, results
+from casadical.fleet.hierarchy import common_of, learnt
+from casadical.fleet.one_robot import NOTHING, one_robot
+from casadical.fleet.result import fleet_of
+from casadical.fleet.store import KEY, add, parts, rows
+
+ROOT = Path(__file__).parents[2]
+distributed = pytest.importorskip("distributed", reason="distributed (Dask) is not installed")
+parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
+arrow = pytest.importorskip("pyarrow")
+A1 = 0.4004  # as built; drawn 0.4
+
+
+def planar(folder: Path, seed: int, campaigns: int = 0, a1: float = A1) -> Path:
+    """A problem of a planar arm, a1 longer than drawn by 0.4 mm and 0.1 mm from arm to arm; later it turns longer."""
+    rng = np.random.default_rng(seed)
+    nominal = read_robot(ROOT / "problems/planar/robot.toml")
+    built = a1 + 1e-4 * rng.normal()
+    folder.mkdir(parents=True)
+    shutil.copy(ROOT / "problems/planar/robot.toml", folder)
+    (folder / "problem.toml").write_text(
+        'casadical = 1\ntitle = "arm"\ndata = "synthetic"\nmethods = ["KM"]\n[[measurements]]\nfile = "poses.csv"\n'
+        "[sets]\nseed = 0\nidentify = 0.7\nreport = 0.3\n"
+    )
+    write(nominal, built, folder / "poses.csv", rng)
+    for k in range(campaigns):
+        (folder / "campaigns").mkdir(exist_ok=True)
+        write(nominal, built * (1 + 5e-4 * (k > 0)), folder / "campaigns" / f"2026-{k + 1:02d}-01.csv", rng)
+    return folder
+
+
+def write(nominal: Robot, a1: float, path: Path, rng: np.random.Generator) -> None:
+    robot = nominal.with_values({"a1": a1, "tool_x": nominal.parameters["tool_x"].value * a1 / A1})
+    q = rng.uniform(-2.5, 2.5, (40, 2))
+    p = robot.model.evaluate(("p",), q, np.tile(robot.declared, (40, 1)), robot.parameters.values)[0].T
+    table = pd.DataFrame(np.hstack([np.degrees(q), 1e3 * (p + 2e-5 * rng.normal(size=p.shape))]))
+    table.to_csv(path, index=False, header=["q1_deg", "q2_deg", "x_mm", "y_mm", "z_mm"])
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six arms of one drawing, one with later campaigns, and one that is no robot."""
+    folder = tmp_path_factory.mktemp("plant")
+    for k in range(6):
+        planar(folder / f"arm{k}", k, campaigns=3 if k == 5 else 0)
+    (folder / "broken").mkdir()
+    (folder / "broken" / "problem.toml").write_text("casadical = 1\n")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def done(plant: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    """The command on one worker of this machine."""
+    place = tmp_path_factory.mktemp("done")
+    files = ("--json", place / "fleet.json", "--report", place / "fleet.html", "--priors", place / "priors")
+    return place, run(
+        "fleet", plant, "--store", place / "fleet.parquet", "--workers", 1, "--no-diagnose", *files, width=120
+    )
+
+
+def test_one_command_does_all_and_one_bad_robot_stops_nobody(
+    done: tuple[Path, subprocess.CompletedProcess[str]],
+) -> None:
+    place, command = done
+    assert command.returncode == 0, command.stderr
+    assert "6 of 7 robots calibrated" in command.stdout
+    assert "a1 is +0.4" in command.stdout.replace("\n", " ")
+    figures = json.loads((place / "fleet.json").read_text())
+    by_name = {r["robot"]: r for r in figures["robots"]}
+    assert by_name["broken"]["status"] == "failed"
+    assert "title: is missing" in by_name["broken"]["error"]
+    assert by_name["arm5"]["changes"].startswith("lengths (jump, 2026-02-01)")
+    assert by_name["arm5"]["campaigns"] == 4
+    assert all(by_name[f"arm{k}"]["after_mm"] < 0.1 < by_name[f"arm{k}"]["before_mm"] for k in range(6))
+    assert "Map of accuracies" in (place / "fleet.html").read_text()
+    (prior,) = (place / "priors").glob("*.robot.toml")
+    assert read_robot(prior).parameters["a1"].value == pytest.approx(A1, abs=2e-4)
+
+
+def test_what_is_done_is_not_done_again_but_what_changed_is(
+    plant: Path, done: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path
+) -> None:
+    store = tmp_path / "fleet.parquet"
+    shutil.copytree(done[0] / "fleet.parquet", store)
+    here = tmp_path / "plant"
+    shutil.copytree(plant, here)
+    shutil.rmtree(here / "broken")
+    before = rows(store).set_index("robot")["finished"]
+    (here / "arm0").rename(here / "left arm")
+    again = run_fleet([here], store, workers=1, with_diagnosis=False)
+    after = again.robots.set_index("robot")["finished"]
+    assert set(after.index) == {"left arm", *(f"arm{k}" for k in range(1, 6))}
+    assert after["left arm"] == before["arm0"]
+    assert after["arm1"] == before["arm1"]
+    assert again.notes == ("left arm has the files of arm0, whose folder is not there: taken for it, renamed",)
+
+
+def test_a_store_of_another_version_is_refused_and_kept(plant: Path, tmp_path: Path) -> None:
+    store = tmp_path / "old.parquet"
+    store.mkdir()
+    table = arrow.table({"robot": ["x"]}).replace_schema_metadata({KEY: b"99"})
+    parquet.write_table(table, store / "part-000001-a.parquet")
+    with pytest.raises(InputError, match="version 99; this casadical reads version 1"):
+        run_fleet([plant], store, workers=1)
+    assert [p.name for p in store.iterdir()] == ["part-000001-a.parquet"]
+    (tmp_path / "file.parquet").write_text("")
+    with pytest.raises(InputError, match="is a file; a store is a folder"):
+        run_fleet([plant], tmp_path / "file.parquet", workers=1)
+    with pytest.raises(InputError, match="neither a problem folder"):
+        run_fleet([tmp_path], tmp_path / "new.parquet")
+
+
+def test_rows_of_a_store_are_those_that_were_added_last(tmp_path: Path) -> None:
+    add(tmp_path, [{**NOTHING, "robot": "a", "after_mm": 1.0, "names": ["a1"], "score": [2.0]}])
+    add(tmp_path, [{**NOTHING, "robot": "b"}, {**NOTHING, "robot": "a", "after_mm": 3.0}])
+    found = rows(tmp_path).set_index("robot")
+    assert found["after_mm"]["a"] == 3.0
+    assert len(parts(tmp_path)) == 2
+    assert sorted(rows(tmp_path, ["robot"])["robot"]) == ["a", "b"]
+
+
+def slow(name: str, folder: str, seconds: float) -> dict[str, object]:
+    """A row after a while; says which process makes it."""
+    Path(folder, f"{name}.{os.getpid()}").touch()
+    time.sleep(seconds)
+    return {**NOTHING, "robot": name, "status": "ok"}
+
+
+def test_a_worker_that_is_killed_midway_loses_nothing(tmp_path: Path) -> None:
+    tasks = [(f"robot{k}", str(tmp_path), 0.2) for k in range(12)]
+    found, killed = [], 0
+    with client_of(None, 2) as client:
+        client.run(_can_import, str(Path(__file__).parent))
+        for task, row in results(client, slow, tasks):
+            assert isinstance(row, dict), row
+            found.append(row["robot"])
+            if len(found) == 2:
+                (killed, *_) = {int(p.suffix[1:]) for p in tmp_path.iterdir()}
+                os.kill(killed, signal.SIGKILL)
+            assert task[0] == row["robot"]
+    assert sorted(found) == sorted(name for name, _, _ in tasks)
+    assert killed
+
+
+def _can_import(folder: str) -> None:
+    sys.path.insert(0, folder)
+
+
+def test_a_scheduler_that_dies_is_said_and_what_was_done_is_kept(plant: Path, tmp_path: Path) -> None:
+    """A scheduler and a worker of their own processes; the scheduler is killed after the first row."""
+    code = (
+        "from distributed import LocalCluster\nimport time\n"
+        "if __name__ == '__main__':\n"
+        "    c = LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None)\n"
+        "    print(c.scheduler_address, flush=True)\n    time.sleep(600)\n"
+    )
+    code = code.replace("processes=False,", "processes=False, protocol='tcp://',")
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            address = process.stdout.readline().strip()
+            store = tmp_path / "fleet.parquet"
+
+            def kill(text: str) -> None:
+                if text.startswith("robot 1 "):
+                    process.kill()
+
+            with pytest.raises(InputError, match=r"no longer answers.*robots are in .*run the same command again"):
+                run_fleet([plant], store, scheduler=address, with_diagnosis=False, show=kill)
+            assert len(rows(store)) >= 1
+        finally:
+            process.kill()
+    with pytest.raises(InputError, match="no scheduler answers"):
+        run_fleet([plant], tmp_path / "other.parquet", scheduler=address)
+
+
+def test_a_bug_in_one_robot_is_a_row(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("casadical.fleet.one_robot.calibrate", lambda _problem: 1 / 0)
+    row = one_robot(str(plant / "arm0"), False)
+    assert row["status"] == "bug"
+    assert "ZeroDivisionError" in row["error"]
+
+
+def test_means_and_spreads_of_a_fleet_are_found() -> None:
+    """Of 200 robots with a correlated measurement each; two parameters, one with a common departure."""
+    rng = np.random.default_rng(0)
+    mean, spread = np.array([0.3, 0.0, 0.0]), np.array([0.2, 0.05, 0.4])
+    H, b = [], []
+    for _ in range(200):
+        J = rng.normal(size=(6, 3))
+        theta = mean + spread * rng.normal(size=3)
+        y = J @ theta + 0.1 * rng.normal(size=6)
+        H.append(J.T @ J / 0.01)
+        b.append(J.T @ y / 0.01)
+    found, error, tau = learnt(np.array(H), np.array(b), np.full(3, 3.0))
+    assert np.abs(found - mean).max() < 0.1
+    assert (np.abs(found - mean) < 4 * error).all()
+    assert tau == pytest.approx(spread, rel=0.25)
+    alone = np.mean([np.diag(np.linalg.inv(one)) for one in H], axis=0)
+    assert error == pytest.approx(np.sqrt((spread**2 + alone) / 200), rel=0.3)
+
+
+def test_robots_that_stand_out(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    whole = rows(done[0] / "fleet.parquet")
+    good = whole[whole["status"] == "ok"].reset_index(drop=True)
+    assert fleet_of(good).outliers == ()
+    good.loc[good["robot"] == "arm3", "after_mm"] = 0.5
+    assert fleet_of(good).outliers == ("arm3",)
+    with pytest.raises(InputError, match="5 are needed"):
+        common_of(good.iloc[:4])
