@@ -60,7 +60,7 @@ class Common:
     (('a1', 0.3, 0.01),)
     >>> common.readable("a1", 0.3)
     (0.3, 'mm')
-    >>> common.priors_of(robot)["a1"][1].round(6), common.prior_of(robot).parameters["a1"].value
+    >>> round(common.priors_of(robot)["a1"][1], 6), round(common.prior_of(robot).parameters["a1"].value, 6)
     (0.0001, 0.4003)
     >>> common.to_json()["common_faults"]
     ['a1']
