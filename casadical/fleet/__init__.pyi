@@ -1,9 +1,9 @@
 from casadical.fleet.campaigns import compare_files as compare_files
 from casadical.fleet.candidates import Candidate as Candidate
-from casadical.fleet.comparison import Amount as Amount
-from casadical.fleet.comparison import Change as Change
-from casadical.fleet.comparison import Comparison as Comparison
-from casadical.fleet.comparison import Rival as Rival
+from casadical.fleet.changes import Amount as Amount
+from casadical.fleet.changes import Change as Change
+from casadical.fleet.changes import Comparison as Comparison
+from casadical.fleet.changes import Rival as Rival
 from casadical.fleet.comparison import compare as compare
 from casadical.fleet.estimates import Estimate as Estimate
 from casadical.fleet.estimates import estimate as estimate

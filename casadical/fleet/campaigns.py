@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from casadical.core.errors import CasadicalError, InputError, shown
-from casadical.fleet.comparison import Comparison, compare
+from casadical.fleet.changes import Comparison
+from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate, estimate, estimate_of_file
 from casadical.identification.identification import identify
 from casadical.identification.prior import refuse_another

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
 
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.blocks import Table, Words
 from casadical.core.errors import InputError
-from casadical.diagnosis.changes import USUAL_CHANGE
 from casadical.diagnosis.evidence import log_sum
 from casadical.fleet.candidates import FREQUENCY, GRADUAL, SEASONAL, Candidate, candidates_of, daily, shared_names
+from casadical.fleet.changes import SURE, Amount, Change, Comparison, Course, Rival
 from casadical.fleet.estimates import Estimate
 from casadical.fleet.evidence import (
     Known,
@@ -31,197 +29,12 @@ from casadical.fleet.evidence import (
 from casadical.fleet.placements import placements_of, seen_from
 from casadical.identification.prior import refuse_another
 
-Course = Literal["jump", "drift", "season"]
-# A change is said to be there where the data are so many times more probable with one; by chance that happens once in
-# so many lives at most.
-SURE = 100.0
-# One cause is named where it is so probable among all.
-NAMED = 0.95
 # Before the data: how the change goes on; how probable it begins at each campaign (see `_onsets`).
 COURSES: dict[Course, float] = {"jump": 0.6, "drift": 0.4, "season": 0.4}
 HAZARD = 0.03
 MOST = 4
 # A drift's unit of time: a year, or so many campaigns without a date.
 YEAR, CAMPAIGNS = 365.25, 12.0
-
-
-@dataclass(frozen=True, eq=False)
-class Amount:
-    """How far one parameter moved.
-
-    Parameters
-    ----------
-    name : str
-        of the parameter
-    value : float
-        change; of a drift, in a year or in 12 campaigns [unit]
-    std_error : float
-        of the change [unit]
-    unit : str
-        of reports: mm, deg, urad/(N m)
-
-    Examples
-    --------
-    >>> amount = comparison.changes[0].amounts[0]
-    >>> round(float(amount.value), -2), amount.unit
-    (500.0, 'um/m')
-    """
-
-    name: str
-    value: float
-    std_error: float
-    unit: str
-
-
-@dataclass(frozen=True, eq=False)
-class Rival:
-    """One cause that explains a change.
-
-    Parameters
-    ----------
-    label : str
-        of the cause, as joint_zero@2
-    course : {"jump", "drift", "season"}
-        how it goes on, the most probable
-    since : int
-        first campaign that shows it, from 0
-    probability : float
-        of the cause, if something changed
-
-    Examples
-    --------
-    >>> [rival.label for rival in comparison.changes[0].rivals if rival.probability > 0.5]
-    ['lengths']
-    """
-
-    label: str
-    course: Course
-    since: int
-    probability: float
-
-
-@dataclass(frozen=True, eq=False)
-class Change:
-    """One change between campaigns.
-
-    Parameters
-    ----------
-    cause : Candidate
-        the most probable one
-    course : {"jump", "drift", "season"}
-        how it goes on
-    since : int
-        first campaign that shows it, from 0
-    between : tuple[int, int]
-        first and last campaign at which it may have begun, with 95 % probability
-    probability : float
-        of the cause, if something changed
-    p_course : float
-        of the course, given the cause
-    log_odds : float
-        of the data with some change against none
-    rivals : tuple[Rival, ...]
-        causes in the order of their probability, the first one included
-    amounts : tuple[Amount, ...]
-        how far each parameter moved
-    course_of : Array, shape (n, 2)
-        what each campaign alone says of the size, in units of the whole change, with standard error
-
-    Examples
-    --------
-    >>> change = comparison.changes[0]
-    >>> change.cause.label, change.course, change.since
-    ('lengths', 'jump', 1)
-    """
-
-    cause: Candidate
-    course: Course
-    since: int
-    between: tuple[int, int]
-    probability: float
-    p_course: float
-    log_odds: float
-    rivals: tuple[Rival, ...]
-    amounts: tuple[Amount, ...]
-    course_of: Array
-
-    @property
-    def named(self) -> bool:
-        """Whether the data distinguish this cause from all others."""
-        return self.probability >= NAMED
-
-
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """Several campaigns of one robot, and what changed between them.
-
-    Parameters
-    ----------
-    campaigns : tuple[Estimate, ...]
-        in the order of time
-    names : tuple[str, ...]
-        parameters that they share
-    changes : tuple[Change, ...]
-        what changed, the surest first
-    log_odds : float
-        how much more probable the data are with one change more than with these; of the first change if there is none
-    seen_from : tuple[tuple[str, float, str], ...]
-        (cause, size, unit): what a change between the last two campaigns would have to be to be seen
-    placements : tuple[tuple[str, str], ...]
-        (what, how) of base and tool, which were fitted again
-    notes : tuple[str, ...], default ()
-        what was assumed of the campaigns
-
-    Examples
-    --------
-    >>> comparison
-    <Comparison of 2 campaigns of 'Planar arm of two links': lengths>
-    >>> print(casadical.core.blocks.plain_text(comparison.blocks()))  # doctest: +ELLIPSIS
-    CHANGED: lengths...
-    >>> comparison.to_json()["changes"][0]["since"]
-    'March'
-    """
-
-    campaigns: tuple[Estimate, ...]
-    names: tuple[str, ...]
-    changes: tuple[Change, ...]
-    log_odds: float
-    seen_from: tuple[tuple[str, float, str], ...]
-    placements: tuple[tuple[str, str], ...]
-    notes: tuple[str, ...] = ()
-
-    def __repr__(self) -> str:
-        found = ", ".join(c.cause.label for c in self.changes) or "nothing changed"
-        return f"<Comparison of {len(self.campaigns)} campaigns of {self.campaigns[0].robot.name!r}: {found}>"
-
-    @property
-    def changed(self) -> bool:
-        """Whether anything changed."""
-        return bool(self.changes)
-
-    def blocks(self) -> list[Words | Table]:
-        """All that `casadical compare` prints.
-
-        Returns
-        -------
-        list[Words | Table]
-            words and tables, see `casadical.core.blocks`
-        """
-        from casadical.fleet.tables import blocks_of
-
-        return blocks_of(self)
-
-    def to_json(self) -> dict[str, Any]:
-        """The same as plain data.
-
-        Returns
-        -------
-        dict[str, Any]
-            what `casadical compare --json` writes
-        """
-        from casadical.fleet.tables import json_of
-
-        return json_of(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -473,9 +286,3 @@ def _course_of(model: Model, candidate: Candidate, a: Array) -> Array:
     wide = np.diag(np.full(n - 1, 1e-4))
     C = np.linalg.inv(H[0] + wide)
     return np.vstack([[0.0, 0.0], np.column_stack([C @ b[0], np.sqrt(np.diag(C))])])
-
-
-def usual_probability(log_odds: float) -> float:
-    """That something changed, where that is the case in one of ten comparisons."""
-    prior = USUAL_CHANGE / (1 - USUAL_CHANGE)
-    return float(1 / (1 + np.exp(-np.clip(log_odds + np.log(prior), -500, 500))))

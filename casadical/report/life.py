@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from casadical.core.blocks import Words, mm
-from casadical.fleet.comparison import Change, Comparison
+from casadical.fleet.changes import Change, Comparison
 from casadical.report.page import Drawing, Part, Section, Tile, report_html
 from casadical.report.provenance import provenance_of
 from casadical.report.style import BLUE, GREY, ORANGE, Figure, new_figure, plain

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, overload
 
 from casadical.core.errors import InputError
 from casadical.diagnosis.result import Diagnosis
-from casadical.fleet.comparison import Comparison
+from casadical.fleet.changes import Comparison
 from casadical.identification.identification import Identification
 from casadical.project.calibration import Calibration
 from casadical.report.figures_of_calibration import calibration_figures

@@ -1,0 +1,345 @@
+"""What a comparison of campaigns found, and its words, tables and plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.blocks import Table, Words, mm
+from casadical.diagnosis.changes import USUAL_CHANGE
+from casadical.fleet.candidates import Candidate
+from casadical.fleet.estimates import Estimate
+
+Course = Literal["jump", "drift", "season"]
+# A change is said to be there where the data are so many times more probable with one; by chance that happens once in
+# so many lives at most.
+SURE = 100.0
+# One cause is named where it is so probable among all.
+NAMED = 0.95
+# So many rivals and parameters are shown of a change.
+RIVALS, AMOUNTS = 4, 8
+# Rivals below this probability are not shown.
+SMALL = 0.005
+
+
+@dataclass(frozen=True, eq=False)
+class Amount:
+    """How far one parameter moved.
+
+    Parameters
+    ----------
+    name : str
+        of the parameter
+    value : float
+        change; of a drift, in a year or in 12 campaigns [unit]
+    std_error : float
+        of the change [unit]
+    unit : str
+        of reports: mm, deg, urad/(N m)
+
+    Examples
+    --------
+    >>> amount = comparison.changes[0].amounts[0]
+    >>> round(float(amount.value), -2), amount.unit
+    (500.0, 'um/m')
+    """
+
+    name: str
+    value: float
+    std_error: float
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """One cause that explains a change.
+
+    Parameters
+    ----------
+    label : str
+        of the cause, as joint_zero@2
+    course : {"jump", "drift", "season"}
+        how it goes on, the most probable
+    since : int
+        first campaign that shows it, from 0
+    probability : float
+        of the cause, if something changed
+
+    Examples
+    --------
+    >>> [rival.label for rival in comparison.changes[0].rivals if rival.probability > 0.5]
+    ['lengths']
+    """
+
+    label: str
+    course: Course
+    since: int
+    probability: float
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """One change between campaigns.
+
+    Parameters
+    ----------
+    cause : Candidate
+        the most probable one
+    course : {"jump", "drift", "season"}
+        how it goes on
+    since : int
+        first campaign that shows it, from 0
+    between : tuple[int, int]
+        first and last campaign at which it may have begun, with 95 % probability
+    probability : float
+        of the cause, if something changed
+    p_course : float
+        of the course, given the cause
+    log_odds : float
+        of the data with some change against none
+    rivals : tuple[Rival, ...]
+        causes in the order of their probability, the first one included
+    amounts : tuple[Amount, ...]
+        how far each parameter moved
+    course_of : Array, shape (n, 2)
+        what each campaign alone says of the size, in units of the whole change, with standard error
+
+    Examples
+    --------
+    >>> change = comparison.changes[0]
+    >>> change.cause.label, change.course, change.since
+    ('lengths', 'jump', 1)
+    """
+
+    cause: Candidate
+    course: Course
+    since: int
+    between: tuple[int, int]
+    probability: float
+    p_course: float
+    log_odds: float
+    rivals: tuple[Rival, ...]
+    amounts: tuple[Amount, ...]
+    course_of: Array
+
+    @property
+    def named(self) -> bool:
+        """Whether the data distinguish this cause from all others."""
+        return self.probability >= NAMED
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Several campaigns of one robot, and what changed between them.
+
+    Parameters
+    ----------
+    campaigns : tuple[Estimate, ...]
+        in the order of time
+    names : tuple[str, ...]
+        parameters that they share
+    changes : tuple[Change, ...]
+        what changed, the surest first
+    log_odds : float
+        how much more probable the data are with one change more than with these; of the first change if there is none
+    seen_from : tuple[tuple[str, float, str], ...]
+        (cause, size, unit): what a change between the last two campaigns would have to be to be seen
+    placements : tuple[tuple[str, str], ...]
+        (what, how) of base and tool, which were fitted again
+    notes : tuple[str, ...], default ()
+        what was assumed of the campaigns
+
+    Examples
+    --------
+    >>> comparison
+    <Comparison of 2 campaigns of 'Planar arm of two links': lengths>
+    >>> print(casadical.core.blocks.plain_text(comparison.blocks()))  # doctest: +ELLIPSIS
+    CHANGED: lengths...
+    >>> comparison.to_json()["changes"][0]["since"]
+    'March'
+    """
+
+    campaigns: tuple[Estimate, ...]
+    names: tuple[str, ...]
+    changes: tuple[Change, ...]
+    log_odds: float
+    seen_from: tuple[tuple[str, float, str], ...]
+    placements: tuple[tuple[str, str], ...]
+    notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        found = ", ".join(c.cause.label for c in self.changes) or "nothing changed"
+        return f"<Comparison of {len(self.campaigns)} campaigns of {self.campaigns[0].robot.name!r}: {found}>"
+
+    @property
+    def changed(self) -> bool:
+        """Whether anything changed."""
+        return bool(self.changes)
+
+    def blocks(self) -> list[Words | Table]:
+        """All that `casadical compare` prints.
+
+        Returns
+        -------
+        list[Words | Table]
+            words and tables, see `casadical.core.blocks`
+        """
+        return _blocks(self)
+
+    def to_json(self) -> dict[str, Any]:
+        """The same as plain data.
+
+        Returns
+        -------
+        dict[str, Any]
+            what `casadical compare --json` writes
+        """
+        return _json(self)
+
+
+def usual_probability(log_odds: float) -> float:
+    """That something changed, where that is the case in one of ten comparisons."""
+    prior = USUAL_CHANGE / (1 - USUAL_CHANGE)
+    return float(1 / (1 + np.exp(-np.clip(log_odds + np.log(prior), -500, 500))))
+
+
+def _blocks(found: Comparison) -> list[Words | Table]:
+    """All that `casadical compare` prints."""
+    blocks: list[Words | Table] = []
+    for change in found.changes:
+        blocks += [*_change(found, change)]
+    if not found.changes:
+        chance = 1 - usual_probability(found.log_odds)
+        blocks.append(
+            Words(f"NOTHING CHANGED in the robot that {len(found.campaigns)} campaigns would show.", "verdict")
+        )
+        blocks.append(Words(f"Probability {chance:.3f}, if one robot in ten changes between two campaigns."))
+    blocks += [Words(f"{what}: {how}.") for what, how in found.placements]
+    blocks += [Words(f"note: {note}.", "note") for note in found.notes]
+    return [*blocks, _campaigns(found), _seen_from(found)]
+
+
+def _change(found: Comparison, change: Change) -> Iterable[Words | Table]:
+    since = found.campaigns[change.since].label
+    how = {"jump": "a jump since", "drift": "a drift that shows since", "season": "comes again every year since"}
+    main = max(change.amounts, key=lambda a: abs(a.value) / max(a.std_error, 1e-300))
+    per = "" if change.course != "drift" else " a year" if found.campaigns[0].day is not None else " in 12 campaigns"
+    size = f"{main.name} {_signed(main.value)} {main.unit}{per} +/- {main.std_error:.2g}"
+    if change.named:
+        yield Words(f"CHANGED: {change.cause.label}, {how[change.course]} {since}: {size}.", "verdict")
+    else:
+        rivals = " or ".join(r.label for r in _likely(change))
+        yield Words(
+            f"CHANGED: {rivals}, which these poses do not distinguish, {how[change.course]} {since}.", "verdict"
+        )
+    words = f"{change.cause.words[0].upper()}{change.cause.words[1:]}."
+    yield Words(f"{words} The data are {_times(change.log_odds)} times more probable with a change than without.")
+    if len(found.campaigns) > 2:
+        first, last = (found.campaigns[k].label for k in change.between)
+        when = f"First seen at {since}" + (f", 95 % between {first} and {last}" if first != last else "")
+        yield Words(f"{when}; {change.course}: probability {change.p_course:.3f}.")
+    rows = [(r.label, r.course, found.campaigns[r.since].label, f"{r.probability:.3f}") for r in change.rivals[:RIVALS]]
+    rows = [row for k, row in enumerate(rows) if k == 0 or change.rivals[k].probability >= SMALL]
+    yield Table("Causes", ("cause", "course", "since", "probability"), rows, frozenset({3}), strong=frozenset({0}))
+    cells = [(a.name, _signed(a.value), f"{a.std_error:.2g}", a.unit + per) for a in change.amounts[:AMOUNTS]]
+    yield Table("By how much", ("parameter", "change", "std error", "unit"), cells, frozenset({1, 2}))
+
+
+def _likely(change: Change) -> list[Any]:
+    """Rivals that together hold 95 %."""
+    held, kept = 0.0, []
+    for rival in change.rivals:
+        kept.append(rival)
+        held += rival.probability
+        if held >= 0.95:
+            break
+    return kept
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.3g}"
+
+
+def _times(log_odds: float) -> str:
+    return f"{np.exp(log_odds):.3g}" if log_odds < 20 else f"1e{log_odds / np.log(10):.0f}"
+
+
+def _campaigns(found: Comparison) -> Table:
+    rows = [
+        (
+            c.label,
+            "" if c.day is None else str(np.datetime64("1970-01-01") + np.timedelta64(int(c.day), "D")),
+            str(c.poses),
+            "" if c.sigma is None else mm(c.sigma),
+            f"{c.misfit:.2f}",
+            "; ".join(c.notes),
+        )
+        for c in found.campaigns
+    ]
+    head = ("campaign", "day", "poses", "left [mm]", "misfit", "")
+    return Table("Campaigns", head, rows, frozenset({2, 3, 4}))
+
+
+def _seen_from(found: Comparison) -> Table:
+    rows = [
+        (cause, f"{size:.2g} {unit}" if np.isfinite(size) else "not at all") for cause, size, unit in found.seen_from
+    ]
+    return Table("A jump before the last campaign would be seen from", ("cause", "size"), rows, folded=True)
+
+
+def _json(found: Comparison) -> dict[str, Any]:
+    """The same as plain data."""
+    labels = [c.label for c in found.campaigns]
+    return {
+        "robot": found.campaigns[0].robot.name,
+        "changed": found.changed,
+        "log_odds_of_one_more": round(found.log_odds, 3),
+        "sure_from_log_odds": round(float(np.log(SURE)), 3),
+        "changes": [_change_json(c, labels) for c in found.changes],
+        "campaigns": [
+            {
+                "label": c.label,
+                "day": c.day,
+                "poses": c.poses,
+                "left_mm": None if c.sigma is None else 1e3 * c.sigma,
+                "misfit": round(c.misfit, 4),
+                "notes": list(c.notes),
+            }
+            for c in found.campaigns
+        ],
+        "placements": dict(found.placements),
+        "seen_from": [
+            {"cause": cause, "size": size if np.isfinite(size) else None, "unit": unit}
+            for cause, size, unit in found.seen_from
+        ],
+        "notes": list(found.notes),
+    }
+
+
+def _change_json(c: Change, labels: list[str]) -> dict[str, Any]:
+    return {
+        "cause": c.cause.label,
+        "named": c.named,
+        "words": c.cause.words,
+        "probability": round(c.probability, 5),
+        "course": c.course,
+        "course_probability": round(c.p_course, 5),
+        "since": labels[c.since],
+        "between": [labels[k] for k in c.between],
+        "log_odds": round(c.log_odds, 3),
+        "rivals": [
+            {"cause": r.label, "course": r.course, "since": labels[r.since], "probability": round(r.probability, 5)}
+            for r in c.rivals
+            if r.probability >= SMALL
+        ],
+        "amounts": [
+            {"parameter": a.name, "change": a.value, "std_error": a.std_error, "unit": a.unit} for a in c.amounts
+        ],
+        "course_of": [
+            {"campaign": n, "size": s, "std_error": e} for n, (s, e) in zip(labels, c.course_of, strict=True)
+        ],
+    }
