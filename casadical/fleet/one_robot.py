@@ -22,6 +22,7 @@ from casadical.identification.identification import identify
 from casadical.project.calibration import calibrate
 from casadical.project.problem import Problem, read_campaign, read_problem
 from casadical.project.tables import judged_on
+from casadical.robot.robot import Robot
 
 # Later campaigns of a robot are tables in this folder of its problem, their days in their names.
 CAMPAIGNS = "campaigns"
@@ -92,7 +93,7 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
     days = [float("nan") if e.day is None else e.day for e in estimates]
     left = [float("nan") if e.sigma is None else 1e3 * e.sigma for e in estimates]
     own = {"campaigns": len(estimates), "notes": "; ".join(notes), "days": days, "left_mm": left}
-    return row | own | _told(estimates[-1], problem)
+    return row | own | told_of(estimates[-1], problem.robot)
 
 
 def _later(place: Path, problem: Problem, estimates: list[Estimate]) -> list[str]:
@@ -113,9 +114,9 @@ def type_of(problem: Problem) -> str:
     return hashlib.sha256(repr(own).encode()).hexdigest()[:12]
 
 
-def _told(e: Estimate, problem: Problem) -> dict[str, Any]:
+def told_of(e: Estimate, drawn: Robot) -> dict[str, Any]:
     """What the last campaign tells of the parameters that robots of one type share, about the nominal values."""
-    nominal = {p.name: p for p in problem.robot.parameters}
+    nominal = {p.name: p for p in drawn.parameters}
     names = tuple(n for n in e.names if n not in nominal or nominal[n].group not in ("base", "tool"))
     at = [e.names.index(n) for n in names]
     zero = np.array([nominal[n].value if n in nominal else 0.0 for n in names])
