@@ -3,7 +3,7 @@
 Throughput of `casadical fleet`: N simulated UR10e of 40 poses each, every one a problem folder, on Dask's local cluster
 with one worker and with two; robots a second after the first 10 (workers load the package), peak memory of a worker and
 of the command. What the command itself does for a row (take it, keep it, write it) is measured apart; its inverse is
-the rate that no number of workers exceeds, and so the number of workers that one command can feed. A whole run of 10 000
+the rate that no number of workers exceeds, and so the number of workers that one command feeds. A whole run of 10 000
 robots: `--robots 10000`. The machine's other work is in the figures: see the load, printed first.
 """
 
