@@ -81,9 +81,7 @@ def main() -> None:
             add(paper, [{**row, "robot": f"{k}-{i}"} for i in range(50)])
         each = (time.process_time() - start) / 1000
         size = sum(p.stat().st_size for p in paper.iterdir()) / 1000 / 1024
-        print(
-            f"the command: {own:.0f} MB; {1e3 * each:.2f} ms of processor time a row, {size:.1f} kB in the store"
-        )
+        print(f"the command: {own:.0f} MB; {1e3 * each:.2f} ms of processor time a row, {size:.1f} kB in the store")
         print(f"on paper: at {1 / each:.0f} rows/s one command feeds {1 / each / rate * workers:.0f} such workers")
 
 
