@@ -63,6 +63,7 @@ class Arm:
         for i, joint in enumerate(self.joints, 1):
             refuse_joint(self.name, i, joint)
         object.__setattr__(self, "joints", with_hayati(self.joints))
+        _refuse_couplings(self)
         for k, loop in enumerate(self.loops, 1):
             _refuse_unbuildable(self, k, loop)
         names = [self.tool_name, *(t.name for t in self.targets)]
@@ -90,6 +91,14 @@ class Arm:
         units = {"revolute": ("deg", np.pi / 180), "prismatic": ("mm", 1e-3)}
         return {f"q{i}_{units[j.kind][0]}": units[j.kind][1] for i, j in enumerate(self.joints, 1)}
 
+    def coupled(self, q: Array) -> Array:
+        """Readings, shape (n, joints) [rad or m], with those of coupled and locked joints as they follow."""
+        made = np.array(q, dtype=float)
+        for i, joint in enumerate(self.joints):
+            if joint.coupling is not None:
+                made[:, i] = joint.coupling.at + sum(k * made[:, j - 1] for j, k in joint.coupling.follows)
+        return made
+
     def near(self, joint: int) -> tuple[int, ...]:
         """Numbers of the joints whose motors can move this one: those right before it and behind it."""
         return tuple(i for i in (joint - 2, joint - 1, joint + 1, joint + 2) if i in self.numbers)
@@ -101,6 +110,15 @@ class Arm:
             abs(j.a) + abs(j.d) + max(map(abs, (j.lower, j.upper))) * (j.kind == "prismatic") for j in self.joints
         )
         return float(links + np.linalg.norm(self.tool.T[:3, 3]))
+
+
+def _refuse_couplings(arm: Arm) -> None:
+    """A coupled joint follows joints that have readings of their own."""
+    for i, joint in enumerate(arm.joints, 1):
+        for other, _ in joint.coupling.follows if joint.coupling else ():
+            if other not in arm.numbers or other == i or arm.joints[other - 1].coupling is not None:
+                own = [str(k) for k, j in enumerate(arm.joints, 1) if j.coupling is None and k != i]
+                raise InputError(f"joint[{i}].follows: joint {other}; allowed: {', '.join(own)}, which are not coupled")
 
 
 def _refuse_unbuildable(arm: Arm, number: int, loop: FourBar) -> None:

@@ -33,6 +33,17 @@ class Body:
     com: Array
 
 
+@dataclass(frozen=True)
+class Coupling:
+    """Reading of a joint without an encoder: at + sum of factor * reading of another; of none: the joint is locked.
+
+    follows : (number of a joint, 1-based, and its factor); at : the rest [rad or m]
+    """
+
+    follows: tuple[tuple[int, float], ...] = ()
+    at: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class Joint:
     """One row of the modified DH table and the joint that it carries; SI units.
@@ -61,6 +72,8 @@ class Joint:
         of the drive train [rad/(N m) or m/N]; None: taken as rigid
     body : Body, optional
         of the link that the joint moves
+    coupling : Coupling, optional
+        what its reading follows from, where it is no axis of its own: a mimic joint, a passive one, a locked one
 
     Examples
     --------
@@ -80,6 +93,7 @@ class Joint:
     upper: float = np.pi
     compliance: float | None = None
     body: Body | None = None
+    coupling: Coupling | None = None
 
 
 def refuse_joint(robot: str, i: int, joint: Joint) -> None:

@@ -147,7 +147,7 @@ def draw(robot: Robot, count: int, workspace: Workspace, rng: np.random.Generato
         share = rng.uniform(size=(count, robot.n))
         if to_ends:
             share[::2] = 0.5 - 0.5 * np.cos(np.pi * share[::2])
-        q = lower + (upper - lower) * share
+        q = robot.coupled(lower + (upper - lower) * share)
         kept = np.concatenate([kept, q[workspace.allows(robot, q)]])[:count]
         if len(kept) == count:
             return kept
@@ -162,7 +162,7 @@ def _allowed(
     robot: Robot, count: int, workspace: Workspace, lower: Array, upper: Array, rng: np.random.Generator
 ) -> Array:
     """Of so many readings drawn evenly between two, those that the workspace allows, shape (any, joints)."""
-    q = rng.uniform(lower, upper, (count, robot.n))
+    q = robot.coupled(rng.uniform(lower, upper, (count, robot.n)))
     return np.asarray(q[workspace.allows(robot, q)])
 
 

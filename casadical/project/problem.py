@@ -19,6 +19,7 @@ from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import SETS, Measurements
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.reading import from_columns, named_columns, readings_alone
+from casadical.project.coupled_readings import with_coupled
 from casadical.project.problem_file import (
     BaseMethod,
     DataTable,
@@ -324,7 +325,7 @@ def _columns(raw: RawTable, data: DataTable, robot: Robot) -> Columns:
     found = found.with_tools(data.tools) if data.tools else found
     if data.session:
         found = replace(found, table=found.table.assign(session=data.session))
-    return found.without(data.leave_out, "leave_out")
+    return with_coupled(found.without(data.leave_out, "leave_out"), robot)
 
 
 def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> dict[str, Measurements]:

@@ -21,7 +21,7 @@ from casadical.core.arm import STANDARD_GRAVITY
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError, shown
 from casadical.core.files import write_whole
-from casadical.core.parts import WIDTHS, Body, BodyWidth, FourBar, Joint, Placement, Target, Width
+from casadical.core.parts import WIDTHS, Body, BodyWidth, Coupling, FourBar, Joint, Placement, Target, Width
 from casadical.core.schema import (
     ANGLE,
     LENGTH,
@@ -79,6 +79,22 @@ class _Joint(TomlTable):
     stiffness_Nm_per_rad: Stiffness = None
     stiffness_N_per_m: Stiffness = None
     body: _Body | None = None
+    follows: list[tuple[int, float]] = Field(default=[])
+    at: Annotated[float | None, READING] = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _pairs(cls, data: Any) -> Any:
+        """Pairs are arrays in TOML, and a factor may be whole."""
+
+        def pair(given: Any) -> Any:
+            if not isinstance(given, list) or len(given) != 2:
+                return given
+            joint, factor = given
+            return (joint, float(factor) if type(factor) is int else factor)
+
+        listed = data.get("follows") if isinstance(data, dict) else None
+        return {**data, "follows": [pair(given) for given in listed]} if isinstance(listed, list) else data
 
     @model_validator(mode="before")
     @classmethod
@@ -114,6 +130,7 @@ class _Joint(TomlTable):
         return Joint(
             self.alpha, self.a, self.theta, self.d, self.beta, self.b, self.type, lower, upper, compliance,
             self.body.body() if self.body else None,
+            Coupling(tuple(self.follows), self.at or 0.0) if self.follows or self.at is not None else None,
         )  # fmt: skip
 
 

@@ -53,6 +53,10 @@ def joint_table(joint: Joint) -> dict[str, Any]:
         table |= {"type": "prismatic", "limits_mm": [mm(joint.lower), mm(joint.upper)]}
     else:
         table["limits_deg"] = [deg(joint.lower), deg(joint.upper)]
+    if joint.coupling is not None:
+        turning = joint.kind == "revolute"
+        table["follows"] = [[j, float(k)] for j, k in joint.coupling.follows]
+        table["at_deg" if turning else "at_mm"] = (deg if turning else mm)(joint.coupling.at)
     if joint.compliance is not None:
         table["compliant"] = True
         if joint.compliance > 0:

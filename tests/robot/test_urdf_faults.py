@@ -46,9 +46,9 @@ FAULTS = {
     ),
     "ring": (robot(ABC, AB, joint("j2", "revolute", "b", "a")), {"base_link": "a"}, "'a' is below itself"),
     "mimic": (
-        robot(ABC, AB, joint("j2", "revolute", "b", "c", extra='<mimic joint="j1"/>')),
+        robot(ABC, AB, joint("j2", "revolute", "b", "c", extra='<mimic joint="other"/>')),
         {},
-        "'j2' mimics 'j1'; every joint of the chain needs a reading of its own",
+        "'j2' mimics 'other', which is not between base and tip",
     ),
     "zero axis": (
         robot(ABC, AB, joint("j2", "revolute", "b", "c", axis=(0, 0, 0))),

@@ -10,7 +10,7 @@ import numpy as np
 from casadical.core.arm import STANDARD_GRAVITY
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.parts import Body, Joint, Placement
+from casadical.core.parts import Body, Coupling, Joint, Placement
 from casadical.robot.axes import Axis, Chain, rows_from_axes
 from casadical.robot.robot import Robot
 from casadical.robot.urdf.tree import Tree, parse_urdf
@@ -70,7 +70,7 @@ def read_urdf(
     ------
     InputError
         no parser installed, no file, malformed XML, no such link, a branching chain, no moving joint, a joint that
-        mimics another, floats, or has no axis or no range
+        mimics one outside of the chain, floats, or has no axis or no range
 
     Examples
     --------
@@ -84,7 +84,11 @@ def read_urdf(
     if unknown := set(compliant) - set(range(1, len(chain.moving) + 1)):
         raise InputError(f"{path}: compliant joint {min(unknown)} is not there; the chain has 1..{len(chain.moving)}")
     joints = tuple(
-        replace(_joint(row, j, body, str(path)), compliance=0.0 if i in compliant else None)
+        replace(
+            _joint(row, j, body, str(path)),
+            compliance=0.0 if i in compliant else None,
+            coupling=_coupling(j, [other.name for other in chain.moving]),
+        )
         for i, (row, j, body) in enumerate(zip(chain.dh.rows, chain.moving, chain.bodies, strict=True), 1)
     )
     return Robot(
@@ -108,9 +112,9 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
     moving = tuple(j for j in joints if j.type != "fixed")
     if not moving:
         raise InputError(f"{path}: no joint moves between {base!r} and {tip!r}; name other links")
-    for j in moving:
-        _refuse_unusable(j, str(path))
     own = {j.name for j in moving}
+    for j in moving:
+        _refuse_unusable(j, own, str(path))
     frames, movers = tree.at_zero(base, own)
     placed = [(frames[j.child], j.axis / np.linalg.norm(j.axis)) for j in moving]
     dh = rows_from_axes([Axis(T[:3, 3], T[:3, :3] @ axis) for T, axis in placed], frames[tip])
@@ -134,14 +138,26 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
     )
 
 
-def _refuse_unusable(joint: Any, source: str) -> None:
+def _refuse_unusable(joint: Any, chain: Collection[str], source: str) -> None:
     name = f"{source}: joint {joint.name!r}"
-    if joint.mimic is not None:
-        raise InputError(f"{name} mimics {joint.mimic.joint!r}; every joint of the chain needs a reading of its own")
+    if joint.mimic is not None and joint.mimic.joint not in chain:
+        raise InputError(
+            f"{name} mimics {joint.mimic.joint!r}, which is not between base and tip; it needs a reading of its own: "
+            "take <mimic> out"
+        )
     if joint.type not in ("revolute", "continuous", "prismatic"):
         raise InputError(f"{name} is of type {joint.type!r}; allowed: revolute, continuous, prismatic, fixed")
     if joint.axis.shape != (3,) or not 1e-9 < np.linalg.norm(joint.axis) < np.inf:
         raise InputError(f"{name} has the axis {joint.axis.tolist()}; it needs three finite numbers, not all zero")
+
+
+def _coupling(joint: Any, names: list[str]) -> Coupling | None:
+    """Of a joint that mimics another one of the chain."""
+    if joint.mimic is None:
+        return None
+    times, plus = joint.mimic.multiplier, joint.mimic.offset
+    factor = 1.0 if times is None else float(times)
+    return Coupling(((names.index(joint.mimic.joint) + 1, factor),), float(plus or 0.0))
 
 
 def _joint(row: Joint, joint: Any, body: Body | None, source: str) -> Joint:
