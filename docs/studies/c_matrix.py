@@ -20,16 +20,18 @@ import casadi as ca
 import numpy as np
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "tests" / "export" / "c"))
+sys.path[:0] = [str(ROOT / "tests" / "export" / folder) for folder in ("c", "controller")]
 
+import controller_arms as arms  # noqa: E402
 import export_models as models  # noqa: E402
 import export_targets as targets  # noqa: E402
 
-from casadical.export import Command, NetworkFunction, Status, load, write_c  # noqa: E402
+from casadical.export import Command, NetworkFunction, Sources, Status, command_of, load, write_c  # noqa: E402
 from casadical.export.c.reference import correct, network  # noqa: E402
 from casadical.export.c.self_test import inside  # noqa: E402
 from casadical.export.c.tape_program import tape_program  # noqa: E402
 from casadical.export.c.toolchain import WARNINGS, compilers  # noqa: E402
+from casadical.robot.knowledge import ErrorBound  # noqa: E402
 
 PACKAGES = {
     "gcc": "gcc",
@@ -470,6 +472,61 @@ def eva(folders):
         line("  the header's bounds", " ".join(f"[{a:.6g} .. {b:.6g}]" for a, b in bounds))
 
 
+EVA_BOUND = """
+#include <float.h>
+#include "arm.h"
+volatile REAL any;
+int main(void)
+{
+    REAL q[6];
+    REAL bound_mm[1];
+    for (int i = 0; i < 6; i++) {
+        REAL v = any;
+        /*@ assert finite: \\is_finite(v); */
+        q[i] = v;
+    }
+    arm_bound(q, bound_mm);
+    REAL b = bound_mm[0];
+    Frama_C_show_each_bound(b);
+    return 0;
+}
+"""
+
+
+def eva_of_bound():
+    """The bound of the UR10 with planted errors (synthetic); EVA takes the angle of each sine in pieces of pi/8."""
+    section("Frama-C EVA, the bound of the error that remains, any finite joints")
+    if reason := lacking("frama-c"):
+        line("frama-c", reason)
+        return
+    names, factor = ("a2", "theta3", "joint_error_curve.s1_q2"), np.diag([2e-4, 2e-4, 3e-4])
+    robot = replace(arms.planted("ur10"), bound=ErrorBound(names, factor, 2e-4, 1.7, 100))
+    command = command_of(Sources(robot, arms.nominal_path("ur10")))
+    edges = (np.pi / 16 + np.pi / 8 * np.arange(-40, 41)).tolist()
+    pieces = [f"x <= {edges[0]!r}", *(f"{a!r} <= x <= {b!r}" for a, b in itertools.pairwise(edges))]
+    note = "    /*@ assert pieces: " + " || ".join([*pieces, f"{edges[-1]!r} <= x"]) + "; */\n"
+    for real in REALS:
+        folder = WORK / f"bound_{real}"
+        write_c(command, folder, name="arm", real=real, vectors=1000, languages=())
+        main, copy = WORK / f"eva_bound_{real}.c", WORK / f"arm_bound_{real}.c"
+        main.write_text(EVA_BOUND.replace("REAL", real))
+        text = (folder / "arm.c").read_text()
+        place = text.index("    const arm_real nearest = ")
+        copy.write_text(text[:place] + note + text[place:])
+        found = run(
+            [
+                *("frama-c", "-eva", "-eva-precision", "1", "-eva-slevel", "90"),
+                *("-warn-special-float", "non-finite", f"-cpp-extra-args=-I{folder} -DFLT_EVAL_METHOD=0", main, copy),
+            ]
+        )
+        alarms = re.findall(r"\[eva:alarm\] (.*?):\s*Warning:", found.stdout + found.stderr)
+        own = [where for where in alarms if copy.name in where]
+        shown = re.findall(r"Frama_C_show_each_bound: (.*)", found.stdout)
+        done = "ANALYSIS SUMMARY" in found.stdout
+        line(real, f"{len(own)} alarms in the exported C" if done else f"not run: {found.stdout[-300:]}", "0")
+        line("  EVA's range of bound_mm", shown[-1] if shown else "none")
+
+
 FUZZ = """
 #include <stdint.h>
 #include <stdlib.h>
@@ -568,6 +625,7 @@ SECTIONS = {
     "any": lambda folders, share: any_input(folders, 1_000_000 // share),
     "analysers": lambda folders, _: analysers(folders),
     "eva": lambda folders, _: eva(folders),
+    "eva_bound": lambda *_: eva_of_bound(),
     "self_test": lambda folders, _: self_tests(folders),
     "fuzz": lambda folders, share: fuzz(folders, 10_000_000 // share),
 }
