@@ -13,6 +13,7 @@ from casadical.diagnosis.changes import changes
 from casadical.diagnosis.conclusion import conclude
 from casadical.diagnosis.evidence import ALL_SIGMAS
 from casadical.diagnosis.linear_problem import Case, better_ratios, make_case
+from casadical.diagnosis.observations import left_open
 from casadical.diagnosis.posterior import Rivals, no_rivals
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import Show, search
@@ -34,8 +35,8 @@ __all__ = ["Diagnosis", "Masses", "diagnose"]
 NO_NOISE = 0.05
 # Times that the ratios of several noises are estimated again with the causes in the model.
 MOST_RATIOS = 2
-# How reasons begin for which a kind of measurement does not determine a parameter at all.
-WITHOUT = ("nothing at rest", "contacts without")
+# How the reason begins for which a kind of measurement does not determine where the base is.
+WITHOUT = "nothing at rest"
 
 # What wrong declared masses of links are: a cause like others, or part of the base model.
 Masses = Literal["candidate", "nuisance"]
@@ -210,6 +211,7 @@ def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -
         return tuple(said)
     held = (u.reason.split(";")[0] for u in found.identifiability.held)
     said += dict.fromkeys(reason for reason in held if reason.startswith(WITHOUT))
+    said += left_open(case.others.sets, case.others.m)
     for m, (length, angle) in zip(case.others.sets, case.others.ratios.sigmas, strict=True):
         kind = find_kind(m.kind)
         parts = [f"{1e3 * length:.3g} mm of a length"] * bool(kind.lengths)
