@@ -50,11 +50,12 @@ def diagnose(
     ] = False,
     effects: Effects = None,
     laws: Annotated[
-        bool,
+        bool | None,
         typer.Option(
-            "--laws", help="Laws compete at every ranking (see discover): what one explains better is no listed cause."
+            "--laws/--no-laws",
+            help="Laws (see discover) compete at every ranking, or never; default: with all causes that were found.",
         ),
-    ] = False,
+    ] = None,
     prior: Prior = None,
     prior_effects: PriorEffects = None,
     frozen: Frozen = False,
@@ -168,7 +169,16 @@ def diagnose(
             masses: Masses = "nuisance" if nuisance_masses else "candidate"
             chosen = effects_of(effects)
             found = run(
-                robot, m, chosen, seed=seed, bootstrap=bootstrap, prior=known, masses=masses, rivals=rivals, show=show
+                robot,
+                m,
+                chosen,
+                seed=seed,
+                bootstrap=bootstrap,
+                prior=known,
+                masses=masses,
+                rivals=rivals,
+                laws=laws is not False,
+                show=show,
             )
             file = measure_next if len(sets) == 1 else None
             name_of_file = file.name if file else ""

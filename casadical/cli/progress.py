@@ -14,7 +14,8 @@ Show = Callable[[str], None]
 Steps = Mapping[str, float]
 DIAGNOSIS: Steps = {
     "calibrating": 0.0, "signatures": 0.03, "what changed": 0.2, "cause 1": 0.25, "cause 2": 0.4, "cause 3": 0.5,
-    "cause": 0.55, "sets of causes": 0.6, "where it lies": 0.65, "refit": 0.7, "network": 0.8, "joint error": 0.8,
+    "cause": 0.55, "sets of causes": 0.55,
+    "laws in place": 0.6, "where it lies": 0.65, "refit": 0.7, "network": 0.8, "joint error": 0.8,
     "laws beside nothing": 0.72, "laws beside what": 0.8, "poses to measure": 0.85, "what these poses": 0.93,
     "the robot with": 0.96,
 }  # fmt: skip

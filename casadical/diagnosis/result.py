@@ -1,8 +1,10 @@
 """What a diagnosis found: verdict, causes, the gap before and after. Results only: nothing here is computed."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pandas as pd
@@ -18,6 +20,9 @@ from casadical.identification.identification import Identification
 from casadical.identification.prior import Prior
 from casadical.measurements.noise import Noise
 from casadical.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from casadical.diagnosis.laws.contest import Round
 
 # Two forms are not in question where one has this share of what both have.
 CERTAIN = 0.99
@@ -211,6 +216,8 @@ class Diagnosis:
         what of it changed
     cause_set : CauseSet, optional
         probability of the causes as a set; None where none is named
+    law : Round, optional
+        laws that were compared with all causes together; None where there was none to compare
 
     Examples
     --------
@@ -246,6 +253,7 @@ class Diagnosis:
     prior: Prior | None = None
     changes: tuple[Change, ...] = ()
     cause_set: CauseSet | None = None
+    law: Round | None = None
 
     def __repr__(self) -> str:
         named = ", ".join(c.label for c in self.causes) or "no cause named"

@@ -42,7 +42,7 @@ from casadical.blind_check.synthetic.stops import Stops, only
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.diagnosis.diagnose import diagnose
-from casadical.diagnosis.laws.discovery import instead, laws_beside
+from casadical.diagnosis.laws.contest import beside_nothing, instead
 from casadical.measurements.reading import from_table
 from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot import Robot
@@ -277,7 +277,7 @@ def trial(part: str, number: int, seeds: str, options: dict[str, Any], *, laws: 
         return answer | {"verdict": "refused", "named": [], "why": str(error), "seconds": 0.0}
     first = found.rankings[0]
     if laws:
-        answer["law"] = bool(instead(found, laws_beside(found).rounds[0]))
+        answer["law"] = bool(instead(found, beside_nothing(found)))
     return answer | {
         "verdict": found.verdict,
         "named": [c.label for c in found.causes],

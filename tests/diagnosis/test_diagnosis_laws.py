@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cases import case, plant, robot
 
-from casadical import Discovery, discover
+from casadical import Discovery, diagnose, discover
 from casadical.blind_check.numpy_physics import campaign, perturb
 from casadical.blind_check.numpy_physics.disturbance import Disturbance
 from casadical.blind_check.numpy_physics.disturbances_drive import GearEccentricity
@@ -20,7 +20,7 @@ from casadical.diagnosis.brief import brief
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.evidence import RHOS, log_sum
 from casadical.diagnosis.json_answer import as_json as diagnosis_json
-from casadical.diagnosis.laws import discovery
+from casadical.diagnosis.laws import contest
 from casadical.diagnosis.laws.answer import as_json, files_of, line_of, page_of
 from casadical.diagnosis.laws.discovery import laws_beside, with_law
 from casadical.diagnosis.laws.drivers import drivers_of, values_of, variables, with_columns
@@ -222,8 +222,8 @@ def test_noise_is_a_rival_of_every_law() -> None:
 
 def test_laws_of_a_large_campaign_are_searched_on_some_of_its_poses(monkeypatch: pytest.MonkeyPatch) -> None:
     diagnosis = discovered(5, STOP).diagnosis
-    monkeypatch.setattr(discovery, "MOST_POSES", 60)
-    found = laws_beside(diagnosis)
+    monkeypatch.setattr(contest, "MOST_POSES", 60)
+    found = laws_beside(replace(diagnosis, law=None))
     assert found.thinned == (60, 80)
     assert found.case.kept.sum() == 60
     assert [s.law.place for s in found.laws] == ["joint 3"]
@@ -243,6 +243,18 @@ def test_a_diagnosis_that_is_unknown_says_the_law() -> None:
     assert diagnosis_json(found.diagnosis, "stop", more)["laws"]["laws"][0]["driver"] == "q4"
     nothing = Details(laws=replace(found, laws=()))
     assert "no law is claimed: " in diagnosis_page(found.diagnosis, nothing)
+
+
+def test_a_cause_that_a_law_explains_better_is_not_named() -> None:
+    alone = diagnose(robot(NAME), from_table(table(5, STOP), 6), laws=False)
+    held = discovered(5, STOP).diagnosis
+    assert [c.label for c in alone.causes] == ["joint_coupling@3"]
+    assert (held.verdict, held.causes) == ("unknown", ())
+    assert held.law is not None
+    assert held.law.best.law.place == "joint 3"
+    right = discovered(7, GearEccentricity(2, 90e-6)).diagnosis
+    assert right.law is not None
+    assert (right.verdict, [c.label for c in right.causes]) == ("explained", ["gear_eccentricity@2"])
 
 
 def test_nothing_is_claimed_where_there_is_nothing() -> None:

@@ -9,7 +9,8 @@ from typing import Any
 
 from casadical.core.blocks import Table, Words, mm, plain_text
 from casadical.core.files import json_text
-from casadical.diagnosis.laws.discovery import ABOVE, ALIKE, CLAIMED, Discovery, Round
+from casadical.diagnosis.laws.contest import ABOVE, ALIKE, CLAIMED, Round
+from casadical.diagnosis.laws.discovery import Discovery
 from casadical.diagnosis.laws.rivals import CORRELATION
 from casadical.diagnosis.laws.search import Scored
 from casadical.effects.law import SEAMS, Law

@@ -1,9 +1,4 @@
-"""Discover the law of what is left: laws beside listed causes and smooth forms, claimed where the data distinguish it.
-
-A law is claimed if its score (see `search`) is 12 or more and 3 above that of the best listed effect, of the best form
-on no list, these with their settings refined as the law's are, and of noise that is not the model's. Where its columns
-are those of a listed effect, it is that effect under another name. Laws that score nearly as much are named with it.
-"""
+"""Discover the law of what is left: laws beside listed causes and smooth forms; what each leaves on poses held out."""
 
 from __future__ import annotations
 
@@ -17,13 +12,11 @@ from casadical.core.arrays import Array
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import estimates, shrink_interval
 from casadical.diagnosis.diagnose import diagnose
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
+from casadical.diagnosis.laws.contest import Round, beside_nothing, instead, round_of, thinned
 from casadical.diagnosis.laws.held_out import held_out
-from casadical.diagnosis.laws.rivals import aliases
-from casadical.diagnosis.laws.search import Scored, search_laws
+from casadical.diagnosis.laws.search import Scored
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.noise_forms import noise_forms
-from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, rank
+from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.refit import refit
 from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.diagnosis.search import Show
@@ -37,48 +30,8 @@ from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.robot.robot import Robot
 
-# Nats of a claim: of the score, and above rivals; of laws that are not distinguished.
-CLAIMED, ABOVE, ALIKE = 12.0, 3.0, 5.0
-# Laws are searched on so many poses at most, spread over the campaign: its time grows with the poses.
-MOST_POSES = 600
-MOST_LAWS, MOST_ALIKE, MOST_ROUNDS = 2, 6, 4
+MOST_LAWS, MOST_ROUNDS = 2, 4
 Kept = Literal["law", "smooth", "causes", "base"]
-
-
-@dataclass(frozen=True, eq=False)
-class Round:
-    """One comparison of laws with everything else.
-
-    laws : the most probable, the best first; listed, smooth : label and score of the best rivals, refined
-    noise : the same of the best form of noise; alias : labels of listed effects whose columns are the best law's
-    claimed : whether the best law is claimed
-    """
-
-    laws: tuple[Scored, ...]
-    listed: tuple[str, float]
-    smooth: tuple[str, float]
-    noise: tuple[str, float]
-    alias: tuple[str, ...]
-
-    @property
-    def best(self) -> Scored:
-        """The most probable law."""
-        return self.laws[0]
-
-    @property
-    def alike(self) -> tuple[Scored, ...]:
-        """Laws that these data do not tell from the best one."""
-        return tuple(s for s in self.laws[1:] if s.score > self.best.score - ALIKE)[:MOST_ALIKE]
-
-    @property
-    def claimed(self) -> bool:
-        """Whether the best law is claimed."""
-        return self.best.score >= CLAIMED and self.best.score >= self.rival[1] + ABOVE and not self.alias
-
-    @property
-    def rival(self) -> tuple[str, float]:
-        """Label and score of the best of all rivals."""
-        return max(self.listed, self.smooth, self.noise, key=lambda found: found[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,11 +178,10 @@ def laws_beside(found: Diagnosis, show: Show = lambda _text: None) -> Discovery:
 
     Of a large campaign, on some of its poses.
     """
-    case = found.case.with_kept(_spread(found.case.kept))
     show("laws beside nothing")
+    case = thinned(found.case)
     none = np.zeros(0, dtype=np.int64)
-    beside_nothing = found.rankings[0] if case is found.case else rank(case, none)
-    first = _round(case, none, beside_nothing, frozenset())
+    first = found.law or beside_nothing(found)
     rounds, laws, causes = [first], [], found.effects()
     columns = found.columns
     if instead(found, first):
@@ -249,7 +201,7 @@ def laws_beside(found: Diagnosis, show: Show = lambda _text: None) -> Discovery:
             case, more = refined(case, top, variant, columns, ranking.noise[top])
             causes, columns = (*causes, *more), np.unique(np.concatenate([columns, case.group(more)]))
             continue
-        further = _round(case, columns, ranking, frozenset(s.law.label for s in laws))
+        further = round_of(case, columns, ranking, frozenset(s.law.label for s in laws))
         rounds.append(further)
         if not further.claimed or len(laws) == MOST_LAWS:
             break
@@ -257,32 +209,6 @@ def laws_beside(found: Diagnosis, show: Show = lambda _text: None) -> Discovery:
         case = with_law(case, further.best.law)
         columns = np.unique(np.concatenate([columns, case.group((further.best.law,))]))
     return _concluded(found, rounds, case, laws, causes, columns)
-
-
-def instead(found: Diagnosis, first: Round) -> bool:
-    """Whether the best law beside nothing is claimed in place of all causes of a diagnosis together."""
-    return first.claimed and first.best.score + np.log(PRIOR_FIRST["unknown"]) >= _set_mass(found) + ABOVE
-
-
-def _spread(kept: Array) -> Array:
-    """The poses on which laws are searched, shape (N,): at most so many of those that are kept."""
-    at = np.flatnonzero(kept)
-    some = np.zeros_like(kept)
-    some[at[np.linspace(0, len(at) - 1, min(len(at), MOST_POSES)).round().astype(int)]] = True
-    return some
-
-
-def _set_mass(found: Diagnosis) -> float:
-    """Log evidence of all listed causes of a diagnosis together, with the log of their prior; of one alone -inf."""
-    left = {c.label for c in found.causes}
-    total, count = 0.0, 0
-    for ranking in found.rankings:
-        known = left & ranking.log_mass.keys()
-        if known:
-            best = max(known, key=lambda k: ranking.log_mass[k])
-            total, count = total + ranking.log_mass[best], count + 1
-            left.remove(best)
-    return total if count > 1 else -np.inf
 
 
 def _of(causes: tuple[Effect, ...]) -> set[tuple[Effect, ...]]:
@@ -293,34 +219,6 @@ def with_law(case: Case, law: Law) -> Case:
     """The case with a law among its candidates."""
     named = Candidate(law.label, law.name, law.joint, (), listed=False)
     return replace(case, candidates=(*case.candidates, named)).with_variants(law.label, [(law,)])
-
-
-def _round(case: Case, chosen: Array, ranking: Ranking, without: frozenset[str]) -> Round:
-    laws = search_laws(case, chosen, without)
-    by_label = {c.label: c for c in case.candidates}
-    order = sorted(ranking.log_factor, key=lambda k: -ranking.log_factor[k])
-    listed = [k for k in order if k in by_label and by_label[k].listed]
-    smooth = [k for k in order if k in by_label and not by_label[k].listed]
-    rivals = [_refined_rival(case, by_label[k], ranking, chosen) for k in listed[:2]]
-    best = max(rivals, key=lambda r: r[1], default=("", -np.inf))
-    other = max((_refined_rival(case, by_label[k], ranking, chosen) for k in smooth[:2]), key=lambda r: r[1])
-    noise = max(((f.label, f.log_factor) for f in noise_forms(case, chosen)), key=lambda r: r[1])
-    alias = aliases(case, chosen, laws[0], ranking.variant)
-    return Round(tuple(laws), best, other, noise, alias)
-
-
-def _refined_rival(case: Case, candidate: Candidate, ranking: Ranking, chosen: Array) -> tuple[str, float]:
-    """A rival's log evidence, mean over its settings, and what refining these adds."""
-    label = candidate.label
-    score, variant = ranking.log_factor[label], candidate.variants[ranking.variant[label]]
-    if len(variant) != 1 or variant[0].parts:
-        return label, score
-    more, better = refined(case, label, variant, chosen, ranking.noise[label])
-    if better == variant:
-        return label, score
-    grids = more.evidence.log_grids([more.group(variant), more.group(better)], chosen) + np.log(KAPPA_WEIGHTS)
-    before, after = log_sum(grids.reshape(2, -1), axis=1)
-    return label, score + float(after - before)
 
 
 def _concluded(
