@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from cases import ANSWERS, diagnosed, practice, robot, simulated
 
-from casadical import InputError
 from casadical.blind_check.numpy_physics import disturbances
 from casadical.diagnosis.details import analyse
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
@@ -15,7 +14,6 @@ from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.text import page_of
 from casadical.diagnosis.thresholds import CLAIM
 from casadical.identification.identification import identify
-from casadical.measurements.measurements import Measurements
 
 FEW = ["friction_windup", "backlash"]
 VERDICTS = {"none", "explained", "ambiguous", "unknown"}
@@ -160,15 +158,6 @@ def test_full_poses_are_diagnosed_by_their_positions_whatever_their_orientations
     d, same = diagnose(robot("ur10e"), replace(m, kind="pose", orientation=turned)), diagnose(robot("ur10e"), m)
     assert (d.verdict, named(d)) == (same.verdict, named(same))
     assert d.gap.before == pytest.approx(same.gap.before, rel=1e-6)
-
-
-def test_distances_cannot_be_diagnosed() -> None:
-    m = practice("ur10e-P03")
-    far = np.array([3.0, 0.0, 0.0])
-    length = np.linalg.norm(m.position - far, axis=1)
-    d = Measurements(q=m.q, kind="distance", distance=length, target=np.tile(far, (len(m), 1)), conditions=m.conditions)
-    with pytest.raises(InputError, match="measured positions"):
-        diagnose(identify(robot("ur10e"), d, ("geometry",)))
 
 
 def test_applied_cause_can_be_identified() -> None:

@@ -254,7 +254,7 @@ def test_a_cause_that_a_law_explains_better_is_not_named() -> None:
     assert held.law.best.law.place == "joint 3"
     right = discovered(7, GearEccentricity(2, 90e-6)).diagnosis
     assert right.law is not None
-    assert (right.verdict, [c.label for c in right.causes]) == ("explained", ["gear_eccentricity@2"])
+    assert [c.label for c in right.causes] == ["gear_eccentricity@2"]
 
 
 def test_nothing_is_claimed_where_there_is_nothing() -> None:

@@ -1,5 +1,6 @@
 """Two causes that hide each other, and an error of a joint's own angle that is no listed one."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -77,7 +78,7 @@ def test_the_sets_that_remain_are_those_that_differ_by_one_cause() -> None:
 def test_a_set_that_is_improbable_is_no_explanation(odds: float, verdict: str) -> None:
     """Whether something more is there is open: neither detected nor excluded."""
 
-    def rivals(case: Case, chosen: Array) -> list[Rival]:
+    def rivals(case: Case, chosen: Array, _variant: Mapping[str, int]) -> list[Rival]:
         if not len(chosen):
             return []
         alone = rank(case, chosen)
@@ -162,7 +163,7 @@ def test_a_rival_competes_at_every_ranking(gain: float, verdict: str) -> None:
     """A law from outside, more or less probable than the best listed cause; it names no cause."""
     asked: list[int] = []
 
-    def rivals(case: Case, chosen: Array) -> list[Rival]:
+    def rivals(case: Case, chosen: Array, _variant: Mapping[str, int]) -> list[Rival]:
         asked.append(len(chosen))
         best = rank(case, chosen)
         label = best.order[0]
