@@ -184,5 +184,5 @@ def test_a_rival_competes_at_every_ranking(gain: float, verdict: str) -> None:
 def test_a_jump_of_the_last_poses_among_noise_with_heavy_tails_is_no_cause() -> None:
     """Real data of a camera: the jump was named, though beside the rest there is probably none."""
     problem = read_problem(ROOT / "problems" / "fr3_camera")
-    d = diagnose(problem.robot, problem.sets["identify"][0])
+    d = diagnose(problem.robot, problem.sets["identify"][0].positions_alone())
     assert (d.verdict, d.causes) == ("ambiguous", ())
