@@ -36,6 +36,7 @@ NAMES = ("hh800", "kr210", "ur10e")
 FULL, POSES, OTHER, NOISE = 60, (10, 15, 20, 30, 40, 60), 200, 3e-5
 FAULT, SOFTER, SHARE = 3e-4, 1.3, 0.1
 FAULTY = "a2"
+CLOSED = 0.05
 
 
 def built(robot: Robot, spread: float, rng: np.random.Generator) -> Robot:
@@ -58,7 +59,10 @@ def measured(robot: Robot, n: int, rng: np.random.Generator, noise: float = NOIS
     q = rng.uniform(lower, upper, (5 * n, robot.n))
     bare = Measurements(q=q, kind="position", position=np.zeros((len(q), 3)))
     p, _ = predicted(robot, bare)
-    good = np.flatnonzero(np.isfinite(p).all(axis=1))[:n]
+    w = bare.condition_matrix(robot.conditions, robot.declared)
+    (margin,) = robot.model.evaluate(("margin",), q, w, robot.parameters.values)
+    closed = (margin.reshape(-1, len(q)) > CLOSED).all(axis=0)  # of four-bars
+    good = np.flatnonzero(closed & np.isfinite(p).all(axis=1))[:n]
     return replace(bare[good], position=p[good] + noise * rng.normal(size=(len(good), 3)))
 
 
@@ -108,9 +112,7 @@ def main() -> None:
         common = common_of(pd.DataFrame(rows))
         priors = common.priors_of(nominal)
         faults = ", ".join(f"{n} {m:+.3f} +/- {e:.3f}" for n, m, e in common.faults if not n.startswith("c"))
-        print(
-            f"{name}: {options.robots} robots of the fleet, {options.new} new ones; common faults [mm, mrad]: {faults}"
-        )
+        print(f"{name}, spread {mm} mm: {options.robots} robots, {options.new} new; common faults [mm, mrad]: {faults}")
         means = {}
         for words, prior in (("alone", None), ("with the fleet", priors)):
             all_ = [

@@ -50,6 +50,7 @@ POOL = 24
 BUILT, MISFIT = 5e-4, 12e-6
 WARM, TOOL, FRAME = 2.4e-5, 1e-5, 2e-5
 ORDERS = 9
+CLOSED = 0.05
 
 
 @dataclass(frozen=True)
@@ -166,7 +167,10 @@ def table(truth: Robot, rng: np.random.Generator) -> Measurements:
     q = rng.uniform(lower, upper, (4 * POSES, truth.n))
     bare = Measurements(q=q, kind="position", position=np.zeros((len(q), 3)))
     p, _ = predicted(truth, bare)
-    good = np.flatnonzero(np.isfinite(p).all(axis=1))[:POSES]
+    w = bare.condition_matrix(truth.conditions, truth.declared)
+    (margin,) = truth.model.evaluate(("margin",), q, w, truth.parameters.values)
+    closed = (margin.reshape(-1, len(q)) > CLOSED).all(axis=0)  # of four-bars
+    good = np.flatnonzero(closed & np.isfinite(p).all(axis=1))[:POSES]
     return replace(bare[good], position=p[good] + NOISE * rng.normal(size=(len(good), 3)))
 
 
