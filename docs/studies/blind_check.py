@@ -1,7 +1,7 @@
 """Count the committed blind checks again: python docs/studies/blind_check.py (seconds)
 
 A run is a folder with withheld.json, key.json and answers.METHOD.jsonl, where `casadical withheld` wrote them; those
-of data/withheld/third are packed by xz when they are found unpacked. Of the large runs this writes the whole print
+of data/withheld/third and fourth are packed by xz when they are found unpacked. Of the large runs this writes the whole print
 beside this file and score.json beside the answers; of all of them the tables of docs/blind-check.md; of the last large
 one the picture. The answers themselves were made by the commands on that page (hours of one core).
 """
@@ -28,9 +28,9 @@ from casadical.core.files import write_whole
 
 ROOT = Path(__file__).parents[2]
 DATA, PAGE, HERE = ROOT / "data" / "withheld", ROOT / "docs" / "blind-check.md", ROOT / "docs" / "studies"
-RUNS = {"first run": DATA, "second run": DATA / "second", "third run": DATA / "third"}
+RUNS = {"first run": DATA, "second run": DATA / "second", "third run": DATA / "third", "fourth run": DATA / "fourth"}
 # Whose print and score.json are kept.
-LARGE, PRINT = ("first run", "third run"), HERE / "blind_check.txt"
+LARGE, PRINT = ("first run", "third run", "fourth run"), HERE / "blind_check.txt"
 METHODS = ("diagnosis", "f-test", "bic", "ebic", "gp")
 
 
@@ -133,7 +133,8 @@ def filled(page: str, tables: dict[str, str]) -> str:
 
 
 def main() -> None:
-    packed(RUNS["third run"])
+    for run in ("third run", "fourth run"):
+        packed(RUNS[run])
     found = {run: scores for run in RUNS if (scores := answered(run))}
     prints = []
     for run in LARGE:

@@ -1,4 +1,4 @@
-"""Effects of machines and of their measuring set-ups, written by somebody who has not read the diagnosis.
+"""Effects of machines and of their measuring set-ups, written by an author who has not read the diagnosis.
 
 The author knew the simulator in numpy, and neither the diagnosis nor the causes that it can name. `FOREIGN` has the
 kinds by their words, `draw_foreign` draws one, and `SAYS` has what a right statement about each would be. Thresholds
@@ -271,7 +271,7 @@ class NeighbourPress(Disturbance):
 @dataclass(frozen=True)
 class SlippingPart(Disturbance):
     """The target sits on the part, and the jaws hold the part too weakly: each long move of one joint lets it slip a
-    little further, the same way; when the part is taken anew it is in its place again."""
+    little further, the same way; when the part is taken again it is in its place again."""
 
     joint: int = 1
     size: float = 20e-6

@@ -4,7 +4,7 @@ Whether laws that are claimed are right: synthetic campaigns of two robots with 
 any effect, with noise that follows itself, and with one listed effect. All campaigns are drawn from seeds that were
 used for nothing before. Of the effects 27 kinds (numpy_physics.disturbances_rare) were written before the search, but
 by the author of both, who knew which places, drivers and forms a grammar of laws should have; 16 (foreign_effects.py)
-by somebody who has read neither the diagnosis nor its effects. The grammar does not hold the form of 24 of these 43.
+by an author who has read neither the diagnosis nor its effects. The grammar does not hold the form of 24 of these 43.
 What counts as right (TRUTH) was written down before any of these campaigns was judged.
 
 --keep : results are added to this file, and campaigns that are in it are not judged again
@@ -219,7 +219,7 @@ def report(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
     groups = {
         "form in the grammar": [r for r in rare if TRUTH[r["effect"]][2]],
         "form outside of it": [r for r in rare if not TRUTH[r["effect"]][2]],
-        "by somebody who has not read the diagnosis": [r for r in rare if r["kind"] == "foreign"],
+        "by an author who has not read the diagnosis": [r for r in rare if r["kind"] == "foreign"],
         "all": rare,
     }
     for title, some in groups.items():

@@ -6,7 +6,7 @@ base model cannot absorb, over the instrument's noise. Declared masses are wrong
 made here. Rules were developed on seeds "develop" and "develop 2", and judged on "judge" and, after the changes that
 followed, on "judge 2" and "judge 3", which nobody had seen before the commit that froze them. The same script, run with
 PYTHONPATH at an earlier commit, gives the figures before. The part "foreign" has effects (foreign_effects.py) written
-by somebody who has read neither the diagnosis nor its effects.
+by an author who has read neither the diagnosis nor its effects.
 
 --share 4 makes four times as many campaigns; --keep DIR keeps finished ones, to go on after a break; --masses nuisance
 has the masses of links in the base model; --laws asks, too, whether a law would be claimed in place of all causes (one
