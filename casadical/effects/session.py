@@ -23,7 +23,7 @@ class Session(Effect):
     on_list = "unknown"
     of_measurement = True
     held = 1.0
-    signature = "another session: instrument, foot and target were set up anew"
+    signature = "another session: instrument, foot and target were set up again"
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
