@@ -1,7 +1,7 @@
 """Count the committed blind checks again: python docs/studies/blind_check.py (seconds)
 
 A run is a folder with withheld.json, key.json and answers.METHOD.jsonl, where `casadical withheld` wrote them; those
-of data/withheld/third and fourth are packed by xz when they are found unpacked. Of the large runs this writes the whole print
+of the third and fourth are packed by xz when they are found unpacked. Of the large runs this writes the whole print
 beside this file and score.json beside the answers; of all of them the tables of docs/blind-check.md; of the last large
 one the picture. The answers themselves were made by the commands on that page (hours of one core).
 """
