@@ -111,12 +111,11 @@ def analyse(
     where = localise(found)
     check = check_refit(found, show) if found.effects() else None
     gaps = network_gaps(found, show=show) if networks else None
-    one_end = found.case.others is None or found.case.others.linear.far is None
-    curved = one_end and curve_of(found.causes)
+    curved = found.case.one_end and curve_of(found.causes)
     if curved:
         show("joint error curves")
     curves = spectrum(found, highest_line) if curved else None
-    laws = laws_beside(found, show) if one_end and found.verdict == "unknown" else None
+    laws = laws_beside(found, show) if found.case.one_end and found.verdict == "unknown" else None
     show("poses to measure next")
     chosen = next_poses(found, poses, workspace=workspace)
     show("what these poses can show")

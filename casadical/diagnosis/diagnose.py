@@ -167,10 +167,10 @@ def diagnose(
 def _held_against_laws(found: Diagnosis) -> Diagnosis:
     """The diagnosis, without its causes where a law explains better what is there.
 
-    An effect whose sizes are learnt has more freedom than any law, and is not compared.
+    An effect whose sizes are learnt has more freedom than any law and is not compared; nor are distances between poses.
     """
     effects = found.effects()
-    if not effects or any(e.parts for e in effects):
+    if not effects or not found.case.one_end or any(e.parts for e in effects):
         return found
     law = beside_nothing(found)
     if instead(found, law):
@@ -235,6 +235,12 @@ def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -
     held = (u.reason.split(";")[0] for u in found.identifiability.held)
     said += dict.fromkeys(reason for reason in held if reason.startswith(WITHOUT))
     said += left_open(case.others.sets, case.others.m)
+    q = np.concatenate([m.q for m in case.others.sets])
+    if len(np.unique(q, axis=0)) < len(q):
+        said.append(
+            "rows at the same readings: their noise is taken as independent; what such rows share, joint repeatability "
+            "too, may look like something unknown"
+        )
     for m, (length, angle) in zip(case.others.sets, case.others.ratios.sigmas, strict=True):
         kind = find_kind(m.kind)
         parts = [f"{1e3 * length:.3g} mm of a length"] * bool(kind.lengths)

@@ -70,6 +70,11 @@ class Case:
     assumed: tuple[str, ...] = ()
 
     @property
+    def one_end(self) -> bool:
+        """Whether each row depends on one pose; a distance between two poses does not."""
+        return self.others is None or self.others.linear.far is None
+
+    @property
     def apart(self) -> Array | None:
         """Number of what each pose was measured to, shape (n,), where that is not the measuring frame alone."""
         return None if self.others is None else self.others.apart

@@ -114,8 +114,7 @@ def localise(found: Diagnosis) -> Localisation:
 def localise_residual(case: Case, noise: Noise, seed: int = 0) -> Localisation:
     """Where the residual of a case lies; noise : that is left aside in the shares of joints and links."""
     # Between two poses no one reading is where the gap lies.
-    one_end = case.others is None or case.others.linear.far is None
-    found = components(case, noise, seed) if one_end else None
+    found = components(case, noise, seed) if case.one_end else None
     split = _Split(case, seed)
     return Localisation(
         joints=_parts(found, "joint"),

@@ -22,7 +22,7 @@ from casadical.measurements.noise import Noise
 from casadical.robot.robot import Robot
 
 if TYPE_CHECKING:
-    from casadical.diagnosis.laws.contest import Round
+    from casadical.diagnosis.laws.round import Round
 
 # Two forms are not in question where one has this share of what both have.
 CERTAIN = 0.99

@@ -100,8 +100,8 @@ def blind(count: int, seed: int) -> None:
             rows: dict[str, list[tuple[bool, bool, bool, bool, bool]]] = {kind: [] for kind in KINDS}
             for k, (name, secret) in enumerate(sorted(secrets.items())):
                 kind = KINDS[k % len(KINDS)]
-                model = (public / ROBOTS / f"{secret.robot}.toml").read_text(encoding="utf-8")
-                s = session(name, model, read_table(public, name), read_table(public, f"{name}-unseen"))
+                model = (public / ROBOTS / f"{secret.robot}.robot.toml").read_text(encoding="utf-8")
+                s = session(name, model, read_table(public, name), read_table(public, f"{name}.unseen"))
                 found = answered(s.robot, as_kind(kind, s.measured, s.robot, k))
                 if found is None:
                     continue

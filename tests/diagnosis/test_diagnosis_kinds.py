@@ -12,7 +12,7 @@ from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.observations import joined, left_open, with_far_ends
-from casadical.diagnosis.statements import statements
+from casadical.diagnosis.statements import assumptions, statements
 from casadical.effects import Backlash, ThermalGrowth
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
@@ -120,6 +120,7 @@ def test_distances_to_three_anchors_name_the_cause_that_positions_name() -> None
     assert [c.label for c in found.causes] == ["thermal_growth"]
     assert found.case.evidence.count == 3 * 60
     assert found.gap.after < 0.6 * found.gap.kept
+    assert any(text.startswith("rows at the same readings: ") for text in assumptions(found))
 
 
 def test_everything_that_a_report_needs_is_made_of_distances() -> None:

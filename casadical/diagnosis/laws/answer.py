@@ -9,9 +9,9 @@ from typing import Any
 
 from casadical.core.blocks import Table, Words, mm, plain_text
 from casadical.core.files import json_text
-from casadical.diagnosis.laws.contest import ABOVE, ALIKE, CLAIMED, Round
 from casadical.diagnosis.laws.discovery import Discovery
 from casadical.diagnosis.laws.rivals import CORRELATION
+from casadical.diagnosis.laws.round import ABOVE, ALIKE, CLAIMED, Round
 from casadical.diagnosis.laws.search import Scored
 from casadical.effects.law import SEAMS, Law
 from casadical.robot.effect_file import effects_toml

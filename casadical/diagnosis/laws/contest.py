@@ -1,13 +1,9 @@
 """Laws against listed causes, smooth forms and noise: which is claimed, and whether in place of what was found.
 
-A law is claimed if its score (see `search`) is 12 or more and 3 above that of the best listed effect, of the best form
-on no list, these with their settings refined as the law's are, and of noise that is not the model's. Where its columns
-are those of a listed effect, it is that effect under another name. Laws that score nearly as much are named with it.
+Rivals have their settings refined as the law's are. See `round` for when a law is claimed.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,54 +11,16 @@ from casadical.core.arrays import Array
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
 from casadical.diagnosis.laws.rivals import aliases
-from casadical.diagnosis.laws.search import Scored, search_laws
+from casadical.diagnosis.laws.round import ABOVE, Round
+from casadical.diagnosis.laws.search import search_laws
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import noise_forms
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, rank
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.settings_search import refined
 
-# Nats of a claim: of the score, and above rivals; of laws that are not distinguished.
-CLAIMED, ABOVE, ALIKE = 12.0, 3.0, 5.0
 # Laws are searched on so many poses at most, spread over the campaign: its time grows with the poses.
 MOST_POSES = 600
-MOST_ALIKE = 6
-
-
-@dataclass(frozen=True, eq=False)
-class Round:
-    """One comparison of laws with everything else.
-
-    laws : the most probable, the best first; listed, smooth : label and score of the best rivals, refined
-    noise : the same of the best form of noise; alias : labels of listed effects whose columns are the best law's
-    claimed : whether the best law is claimed
-    """
-
-    laws: tuple[Scored, ...]
-    listed: tuple[str, float]
-    smooth: tuple[str, float]
-    noise: tuple[str, float]
-    alias: tuple[str, ...]
-
-    @property
-    def best(self) -> Scored:
-        """The most probable law."""
-        return self.laws[0]
-
-    @property
-    def alike(self) -> tuple[Scored, ...]:
-        """Laws that these data do not tell from the best one."""
-        return tuple(s for s in self.laws[1:] if s.score > self.best.score - ALIKE)[:MOST_ALIKE]
-
-    @property
-    def claimed(self) -> bool:
-        """Whether the best law is claimed."""
-        return self.best.score >= CLAIMED and self.best.score >= self.rival[1] + ABOVE and not self.alias
-
-    @property
-    def rival(self) -> tuple[str, float]:
-        """Label and score of the best of all rivals."""
-        return max(self.listed, self.smooth, self.noise, key=lambda found: found[1])
 
 
 def instead(found: Diagnosis, first: Round) -> bool:
