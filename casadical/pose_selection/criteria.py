@@ -29,7 +29,7 @@ def observability(J: Array, n: int) -> dict[str, float]:
 
     Parameters
     ----------
-    J : Array, shape (rows, p) [sigma per unit of scale]
+    J : Array, shape (rows, p) [sigma per scaled unit]
         scaled Jacobian
     n : int
         number of poses
