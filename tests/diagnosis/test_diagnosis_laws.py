@@ -20,7 +20,7 @@ from casadical.diagnosis.brief import brief
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.evidence import RHOS, log_sum
 from casadical.diagnosis.json_answer import as_json as diagnosis_json
-from casadical.diagnosis.laws import contest
+from casadical.diagnosis.laws import contest, drivers
 from casadical.diagnosis.laws.answer import as_json, files_of, line_of, page_of
 from casadical.diagnosis.laws.discovery import laws_beside, with_law
 from casadical.diagnosis.laws.drivers import drivers_of, values_of, variables, with_columns
@@ -255,6 +255,17 @@ def test_a_cause_that_a_law_explains_better_is_not_named() -> None:
     right = discovered(7, GearEccentricity(2, 90e-6)).diagnosis
     assert right.law is not None
     assert [c.label for c in right.causes] == ["gear_eccentricity@2"]
+
+
+def test_a_driver_beyond_all_measure_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A load over a rated torque of zero; a sealed robot of four axes was refused for it."""
+    r, m = robot(NAME), from_table(table(1), 6)
+    m, some = with_columns(m, drivers_of(r))
+    linear = linearise(r, m, r.parameters.values)
+    monkeypatch.setattr(drivers, "LARGEST", 0.5)
+    kept, values = values_of(linear, some)
+    assert 0 < len(kept) < len(some)
+    assert np.abs(values).max() < 0.5
 
 
 def test_nothing_is_claimed_where_there_is_nothing() -> None:

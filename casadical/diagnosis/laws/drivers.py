@@ -21,6 +21,8 @@ LAGS = (300, 600, 1200, 2400)
 WAYS = (100, 300, 1000, 3000)
 # A driver that varies less is none [rad, m, K, kg, or a share].
 LEAST_SPREAD = 0.02
+# One that is larger is the rounding error of a load over none.
+LARGEST = 1e6
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ def values_of(linear: Linearisation, drivers: Sequence[Driver]) -> tuple[list[Dr
     names = names_in([parse(d.text) for d in drivers])
     at = variables(linear, names)
     values = [np.asarray(parse(d.text).values(at, NUMERIC)[0]) for d in drivers]
-    kept = [k for k, v in enumerate(values) if np.ptp(v) > LEAST_SPREAD]
+    kept = [k for k, v in enumerate(values) if np.ptp(v) > LEAST_SPREAD and np.abs(v).max() < LARGEST]
     found = [replace(drivers[k], kind="linear") if len(np.unique(values[k])) < 3 else drivers[k] for k in kept]
     return found, np.stack([values[k] for k in kept], axis=1)
 

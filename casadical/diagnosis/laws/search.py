@@ -17,6 +17,7 @@ from casadical.core.arrays import Array
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence, log_sum
 from casadical.diagnosis.laws.drivers import (
+    LARGEST,
     Driver,
     drivers_of,
     own_drivers,
@@ -270,7 +271,8 @@ def _every_joint(problem: Problem, linear: Linearisation, known: Collection[str]
     needed = {d: [m for n in parse(d.text).names for m in of_joint.get(n, [n])] for d in drivers}
     drivers = [d for d in drivers if all(n.startswith(("q", "tau")) or n in known for n in needed[d])]
     values = variables(linear, tuple(dict.fromkeys(n for d in drivers for n in needed[d])))
-    moving = [(d, x) for d in drivers if (x := own_values(linear, values, d)).any()]  # no load turns an upright axis
+    every = [(d, own_values(linear, values, d)) for d in drivers]
+    moving = [(d, x) for d, x in every if x.any() and np.abs(x).max() < LARGEST]  # no load turns an upright axis
     for block in _blocks(moving, FORMS):
         yield from _of_block(seam, block, problem.gains(seam, block.functions), EXACT)
 
