@@ -1,6 +1,6 @@
 """Starts of paths with one orientation: random robots on lines, planes and curves, a tool that the file has wrong.
 
-    python docs/studies/placement.py [--campaigns 200] [--first 0] [--seed 0] > docs/studies/placement.txt
+    python docs/studies/placement.py [--campaigns 200] [--first 0] [--seed 0] [--keep FILE.jsonl] [--seconds S]
 
 Synthetic. Each robot is one of three drawings with geometry of its own, measured in a frame that is turned and shifted
 at will, with noise of 0.03 mm. Its path keeps the tool's orientation by the controller's model. The robot file has the
@@ -8,12 +8,12 @@ tool 20 mm wrong. The same campaign with the true tool in the file, known, is wh
 """
 
 import argparse
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from kept import Row, add_options, rows_of
 
 from casadical.core.errors import ConvergenceError, InputError
 from casadical.core.transforms import frame, from_xyz, to_xyz
@@ -102,42 +102,49 @@ def campaign(seed: Sequence[int]) -> tuple[Robot, Robot, Measurements, str]:
         return wrong, known, m, kind
 
 
+def judged(seed: tuple[int, int]) -> Row:
+    """Where the tool starts, whether identify ends, and the held-out error over that with the tool known."""
+    wrong, known, m, kind = campaign(seed)
+    order = np.random.default_rng(seed[-1]).permutation(len(m))
+    fit, test = m[np.sort(order[: int(0.7 * len(m))])], m[np.sort(order[int(0.7 * len(m)) :])]
+    away = float(np.linalg.norm(place_frames(wrong, fit).tool.T[:3, 3] - known.tool.T[:3, 3]))
+    ratio, failed = np.inf, ""
+    try:
+        found = errors(identify(wrong, fit).robot, test).mean()
+        ratio = float(found / errors(identify(known, fit).robot, test).mean())
+    except (InputError, ConvergenceError) as error:
+        failed = str(error)
+    return {"kind": kind, "what": m.source, "away": away, "ratio": ratio, "failed": failed}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--campaigns", type=int, default=200)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seed", type=int, default=0)
+    add_options(parser, "placement")
     options = parser.parse_args()
-    print(f"campaigns {options.first} to {options.campaigns - 1}, seed {options.seed}; errors in mm\n")
+    rows = rows_of(
+        [(f"{options.seed} {k}", (options.seed, k)) for k in range(options.first, options.campaigns)], judged, options
+    )
+    print(f"{len(rows)} of campaigns {options.first} to {options.campaigns - 1}, seed {options.seed}; errors in mm\n")
     print(
         f"{'path':8s}{'campaigns':>10s}{'start ok':>10s}{'worst':>8s}{'ends':>6s}{'within 1.1':>12s}"
         f"{'worst ratio':>13s}"
     )
-    started = time.process_time()
-    rows: dict[str, list[tuple[float, bool, float]]] = {kind: [] for kind in PATHS}
-    for k in range(options.first, options.campaigns):
-        wrong, known, m, kind = campaign([options.seed, k])
-        order = np.random.default_rng(k).permutation(len(m))
-        fit, test = m[np.sort(order[: int(0.7 * len(m))])], m[np.sort(order[int(0.7 * len(m)) :])]
-        start = place_frames(wrong, fit)
-        true_tool = known.tool.T[:3, 3]
-        away = float(np.linalg.norm(start.tool.T[:3, 3] - true_tool))
-        ratio, ended = np.inf, True
-        try:
-            found = errors(identify(wrong, fit).robot, test).mean()
-            ratio = float(found / errors(identify(known, fit).robot, test).mean())
-        except (InputError, ConvergenceError) as error:
-            ended = False
-            print(f"  {m.source}, campaign {k}: {error}")
-        rows[kind].append((away, ended, ratio))
-    every = [row for found in rows.values() for row in found]
-    for name, found in (*rows.items(), ("all", every)):
-        away, ended, ratio = (np.array(column) for column in zip(*found, strict=True))
-        print(
-            f"{name:8s}{len(found):10d}{np.mean(away < WITHIN):10.3f}{1e3 * away.max():8.1f}{np.mean(ended):6.2f}"
-            f"{np.mean(ratio <= WORSE):12.3f}{ratio.max():13.3f}"
-        )
-    print(f"\n{time.process_time() - started:.0f} s of CPU")
+    for name in (*PATHS, "all"):
+        some = [row for row in rows if name in ("all", row["kind"])]
+        if some:
+            away, ratio = (np.array([row[key] for row in some]) for key in ("away", "ratio"))
+            ended = np.mean([not row["failed"] for row in some])
+            print(
+                f"{name:8s}{len(some):10d}{np.mean(away < WITHIN):10.3f}{1e3 * away.max():8.1f}{ended:6.2f}"
+                f"{np.mean(ratio <= WORSE):12.3f}{ratio.max():13.3f}"
+            )
+    for row in rows:
+        if row["failed"] or row["ratio"] > WORSE or row["away"] > WITHIN:
+            print(f"  campaign {row['name']}, {row['what']}: start {1e3 * row['away']:.1f} mm off, ratio "
+                  f"{row['ratio']:.3f} {row['failed']}")  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Campaigns diagnosed with the true masses, and with all masses deleted from the robot file.
 
-    python docs/studies/without_masses.py [--campaigns N] [--seed S] [--physics NAME]
+    python docs/studies/without_masses.py [--campaigns N] [--seed S] [--physics NAME] [--keep FILE.jsonl] [--seconds S]
 
 Campaigns of the blind check, of UR10e, KR 210 and HH800, each from 100 poses: none, one or several listed causes, or
 one that is on no list. Every campaign is diagnosed twice: with the masses, mass centres and payload with which it was
@@ -17,8 +17,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from kept import Row, add_options, rows_of
 
-from casadical.blind_check.campaign_plans import draw_plans
+from casadical.blind_check.campaign_plans import Plan, draw_plans
 from casadical.blind_check.generation import campaign_of
 from casadical.blind_check.physics import physics_named
 from casadical.core.errors import CasadicalError
@@ -52,39 +53,46 @@ def unseen_error(found: Diagnosis, m: Measurements) -> float:
     return float("nan") if lost else 1e3 * float(errors(robot, given).mean())
 
 
+def judged(entry: tuple[str, Plan]) -> Row:
+    """One campaign diagnosed with and without masses; lengths in mm."""
+    physics, plan = entry
+    robot = read_campaign_robot(ROOT / "problems" / plan.robot)
+    table = json.loads((ROOT / "data" / "campaigns" / "robots" / f"{plan.robot}.json").read_text())
+    made = campaign_of(physics_named(physics), table, to_toml(robot), plan)
+    m = from_table(pd.read_csv(StringIO(made.seen)), robot.n, "position")
+    unseen = pd.read_csv(StringIO(made.unseen))
+    unseen[POSITION] = np.array(made.secret.measured_mm)
+    held = from_table(unseen, robot.n, "position")
+    both = [diagnose(r, m) for r in (robot, without_masses(robot))]
+    return {
+        "physics": physics, "campaign": plan.name, "kind": plan.kind,
+        "hidden": " + ".join(f"{h.effect}@{h.joint or ''}".strip("@") for h in made.secret.hidden),
+        "true": 1e3 * both[0].gap.after, "without": 1e3 * both[1].gap.after,
+        "unseen_true": unseen_error(both[0], held), "unseen_without": unseen_error(both[1], held),
+        "verdicts": " / ".join(f"{d.verdict} {', '.join(c.label for c in d.causes)}".strip() for d in both),
+        "gravity": in_words(both[1].identification),
+    }  # fmt: skip
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--campaigns", type=int, default=24, help="of each physics")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--physics", choices=("numpy", "mujoco"), action="append")
+    add_options(parser, "without_masses")
     given = parser.parse_args()
-    rows = []
+    plans = []
     for physics in given.physics or ("numpy", "mujoco"):
-        simulated = physics_named(physics)
-        for plan in draw_plans(given.campaigns, given.seed, (simulated.listed, simulated.unlisted), (100,)):
-            robot = read_campaign_robot(ROOT / "problems" / plan.robot)
-            table = json.loads((ROOT / "data" / "campaigns" / "robots" / f"{plan.robot}.json").read_text())
-            made = campaign_of(physics, table, to_toml(robot), plan)
-            m = from_table(pd.read_csv(StringIO(made.seen)), robot.n, "position")
-            unseen = pd.read_csv(StringIO(made.unseen))
-            unseen[POSITION] = np.array(made.secret.measured_mm)
-            held = from_table(unseen, robot.n, "position")
-            both = [diagnose(r, m) for r in (robot, without_masses(robot))]
-            row = {
-                "physics": physics, "campaign": plan.name, "kind": plan.kind,
-                "hidden": " + ".join(f"{h.effect}@{h.joint or ''}".strip("@") for h in made.secret.hidden),
-                "true": 1e3 * both[0].gap.after, "without": 1e3 * both[1].gap.after,
-                "unseen_true": unseen_error(both[0], held), "unseen_without": unseen_error(both[1], held),
-                "verdicts": " / ".join(f"{d.verdict} {', '.join(c.label for c in d.causes)}".strip() for d in both),
-                "gravity": in_words(both[1].identification),
-            }  # fmt: skip
-            rows.append(row)
-            print(
-                f"{physics} {row['campaign']} {row['kind']} ({row['hidden'] or '-'}): {row['true']:.4f} -> "
-                f"{row['without']:.4f} mm, unseen {row['unseen_true']:.4f} -> {row['unseen_without']:.4f}; "
-                f"{row['verdicts']}",
-                flush=True,
-            )
+        s = physics_named(physics)
+        drawn = draw_plans(given.campaigns, given.seed, (s.listed, s.unlisted), (100,))
+        plans += [(f"{physics} {given.seed} {plan.name}", (physics, plan)) for plan in drawn]
+    rows = rows_of(plans, judged, given)
+    print(f"{len(rows)} of {len(plans)} campaigns\n")
+    for row in rows:
+        print(
+            f"{row['name']} {row['kind']} ({row['hidden'] or '-'}): {row['true']:.4f} -> {row['without']:.4f} mm, "
+            f"unseen {row['unseen_true']:.4f} -> {row['unseen_without']:.4f}; {row['verdicts']}"
+        )
     summary(pd.DataFrame(rows))
 
 
