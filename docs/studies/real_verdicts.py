@@ -49,7 +49,7 @@ def judged(entry: tuple[str, int]) -> Row:
         "causes": [c.label for c in found.causes],
         "forms": list(unlisted.labels) if unlisted else [],
         "held_out": {state: 1e3 * float(errors(robot, test).mean()) for state, robot in robots.items()},
-        "foretold": 1e3 * found.gap.after,
+        "expected": 1e3 * found.gap.after,
     }
 
 
