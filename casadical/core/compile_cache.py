@@ -5,28 +5,64 @@ its own and gave there what CasADi gives. Where anything is in doubt, the librar
 as it is.
 """
 
+import ctypes
 import hashlib
 import json
 import os
 import shutil
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from casadical.core.arrays import Array
+from casadical.core.casadi_buffers import Buffered
 from casadical.core.files import PREFIX
 from casadical.core.private_folder import private_folder
 from casadical.core.subprocesses import COMPILE_SECONDS, finished, tried
+from casadical.core.vector_c import source
 
 FLAGS = ("-O2", "-ffp-contract=off", "-fPIC", "-shared")
-# Prints the outputs of a compiled function at one point; run in a process of its own.
+# An odd number, as the code goes through the points by twos.
+TRIAL_POINTS = 3
+# Prints the outputs of a library's function at some points; run in a process of its own.
 _TRIAL = """
-import json, sys, casadi
-f = casadi.external(sys.argv[1], sys.argv[2])
-out = f.call([casadi.DM(v).reshape(f.sparsity_in(k).shape) for k, v in enumerate(json.loads(sys.argv[3]))])
-print(json.dumps([[x.hex() for x in casadi.densify(o).nonzeros()] for o in out]))
+import ctypes, json, sys
+n, given, sizes = json.loads(sys.argv[3])
+ins, outs = [(ctypes.c_double * len(v))(*v) for v in given], [(ctypes.c_double * k)() for k in sizes]
+pointers = [(ctypes.c_void_p * len(a))(*map(ctypes.addressof, a)) for a in (ins, outs)]
+getattr(ctypes.CDLL(sys.argv[1]), sys.argv[2])(ctypes.c_longlong(n), *pointers)
+print(json.dumps([[x.hex() for x in out] for out in outs]))
 """
+
+
+class MachineCode:
+    """A function over any number of points, as compiled: its first input differs between them, others do not."""
+
+    def __init__(self, function: ca.Function, library: Path) -> None:
+        self._call = getattr(ctypes.CDLL(str(library)), function.name())
+        self._inputs = [function.numel_in(k) for k in range(function.n_in())]
+        self._outputs = [function.size_out(k) for k in range(function.n_out())]
+
+    def __call__(self, points: Array, *shared: Array) -> list[Array]:
+        """Outputs side by side, shape (rows, columns n) each; points : shape (a, n).
+
+        Raises ValueError for shapes that do not fit.
+        """
+        n = points.shape[1]
+        given = [np.asfortranarray(points, dtype=float), *(np.ascontiguousarray(s, dtype=float) for s in shared)]
+        if [g.size for g in given] != [n * self._inputs[0], *self._inputs[1:]]:
+            raise ValueError(f"inputs have shapes {[g.shape for g in given]}, expected {self._inputs} numbers")
+        results = [np.empty((rows, columns * n), order="F") for rows, columns in self._outputs]
+        self._call(ctypes.c_longlong(n), _pointers(given), _pointers(results))
+        return results
+
+
+def _pointers(arrays: Sequence[Array]) -> Any:
+    return (ctypes.c_void_p * len(arrays))(*(a.ctypes.data for a in arrays))
 
 
 def compiler() -> str | None:
@@ -36,23 +72,20 @@ def compiler() -> str | None:
     )
 
 
-def compiled(function: ca.Function, *, make: bool = True) -> ca.Function:
-    """The same function as machine code, or unchanged where there is no C compiler or no cache of one's own.
+def compiled(function: ca.Function, *, make: bool = True) -> MachineCode | None:
+    """A dense SX function over many points as machine code; None where there is no C compiler or no cache of one's own.
 
     make : whether a library that is not there is made
     The library's name holds the hash of source and flags, so that it is compiled once per machine and never stale, and
     the hash of its own content.
     """
-    cc, folder = compiler(), private_folder()
-    if cc is None or folder is None:
-        return function
-    generator = ca.CodeGenerator("kernel.c")
-    generator.add(function)
-    source = generator.dump()
-    digest = hashlib.sha256("\n".join((source, cc, *FLAGS)).encode()).hexdigest()[:32]
+    cc, folder, code = compiler(), private_folder(), source(function)
+    if cc is None or folder is None or code is None:
+        return None
+    digest = hashlib.sha256("\n".join((code, cc, *FLAGS)).encode()).hexdigest()[:32]
     stem = f"{function.name()}-{digest}"
-    library = _kept(folder, stem) or (_made(folder, stem, cc, source, function) if make else None)
-    return function if library is None else ca.external(function.name(), str(library))
+    library = _kept(folder, stem) or (_made(folder, stem, cc, code, function) if make else None)
+    return None if library is None else MachineCode(function, library)
 
 
 def _kept(folder: Path, stem: str) -> Path | None:
@@ -68,12 +101,12 @@ def _name(stem: str, library: Path) -> str:
     return f"{stem}-{hashlib.sha256(library.read_bytes()).hexdigest()[:32]}.so"
 
 
-def _made(folder: Path, stem: str, cc: str, source: str, function: ca.Function) -> Path | None:
+def _made(folder: Path, stem: str, cc: str, text: str, function: ca.Function) -> Path | None:
     """A new library, which appears whole or not at all; None where the compiler fails or it does not compute right."""
     try:
         with tempfile.TemporaryDirectory(dir=folder, prefix=PREFIX) as scratch:
             code, made = Path(scratch) / "kernel.c", Path(scratch) / "kernel.so"
-            code.write_text(source, encoding="utf-8")
+            code.write_text(text, encoding="utf-8")
             done = finished([cc, *FLAGS, "-o", str(made), str(code), "-lm"], COMPILE_SECONDS)
             if done is None or done.returncode or not made.is_file() or not _right(function, made):
                 return None
@@ -84,15 +117,20 @@ def _made(folder: Path, stem: str, cc: str, source: str, function: ca.Function) 
 
 def _right(function: ca.Function, library: Path) -> bool:
     """Whether a library, in a process of its own, computes what the function does."""
-    point = [[0.1 + 0.07 * k for k in range(function.numel_in(i))] for i in range(function.n_in())]
-    shapes = [function.size_in(i) for i in range(function.n_in())]
-    expected = function.call([ca.DM(v).reshape(s) for v, s in zip(point, shapes, strict=True)])
-    printed = tried(_TRIAL, function.name(), str(library), json.dumps(point), modules=True)
+    sizes = [function.numel_in(i) for i in range(function.n_in())]
+    points = np.array([[0.1 + 0.07 * k + 0.01 * j for j in range(TRIAL_POINTS)] for k in range(sizes[0])])
+    shared = [0.1 + 0.07 * np.arange(size) for size in sizes[1:]]
+    wanted = Buffered(function.map("points", "serial", TRIAL_POINTS, list(range(1, len(sizes))), []))(points, *shared)
+    task = [
+        TRIAL_POINTS,
+        [points.ravel(order="F").tolist(), *(s.tolist() for s in shared)],
+        [out.size for out in wanted],
+    ]
+    printed = tried(_TRIAL, str(library), function.name(), json.dumps(task))
     try:
-        found = [[float.fromhex(x) for x in out] for out in json.loads(printed or "")]
-        wanted = [ca.densify(out).nonzeros() for out in expected]
+        found = [np.array([float.fromhex(x) for x in out]) for out in json.loads(printed or "")]
         return len(found) == len(wanted) and all(
-            len(a) == len(b) and np.allclose(a, b, rtol=1e-9, atol=1e-12, equal_nan=True)
+            np.allclose(a, b.ravel(order="F"), rtol=1e-9, atol=1e-12, equal_nan=True)
             for a, b in zip(found, wanted, strict=True)
         )
     except (ValueError, TypeError, AttributeError):

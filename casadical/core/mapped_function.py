@@ -7,7 +7,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.casadi_buffers import Buffered
-from casadical.core.compile_cache import compiled
+from casadical.core.compile_cache import MachineCode, compiled
 
 # So many points, evaluated since the start of the process, take as long as to look for a compiled library, and to make
 # one. Waiting for that costs at most twice what knowing beforehand would (the ski rental problem).
@@ -34,13 +34,20 @@ class MappedFunction:
         self._each = ca.Function(name, [point, shared, ca.vertcat(ca.SX(0, 1), *symbols)], each)
         self._mapped: dict[int, Buffered] = {}
         self._evaluated = self._tried = 0
-        self.is_compiled = False
+        self._machine_code: MachineCode | None = None
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether it is machine code by now."""
+        return self._machine_code is not None
 
     def __call__(self, points: Array, shared: Array) -> list[Array]:
-        """Outputs side by side, of at most `CHUNK` points at a time; points : shape (a, n); shared : shape (b,)."""
+        """Outputs side by side; points : shape (a, n); shared : shape (b,)."""
         n = points.shape[1]
         self._compile(n)
         (once,) = self._once(shared)
+        if self._machine_code:
+            return self._machine_code(points, shared, once)
         if n <= CHUNK:
             return self._over(n)(points, shared, once)
         sizes = [self._each.size_out(k) for k in range(self._each.n_out())]
@@ -64,8 +71,8 @@ class MappedFunction:
     def _compile(self, n: int) -> None:
         """Go over to machine code where the points evaluated before and these n pay for it."""
         self._evaluated += n
-        while self._tried < 2 and self._evaluated >= (LOOK_FROM, COMPILE_FROM)[self._tried]:
-            found = compiled(self._each, make=self._tried == 1)
+        while (
+            self._machine_code is None and self._tried < 2 and self._evaluated >= (LOOK_FROM, COMPILE_FROM)[self._tried]
+        ):
+            self._machine_code = compiled(self._each, make=self._tried == 1)
             self._tried += 1
-            if found is not self._each:
-                self._each, self._mapped, self._tried, self.is_compiled = found, {}, 2, True
