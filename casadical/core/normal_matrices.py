@@ -6,6 +6,8 @@ from casadical.core.arrays import Array
 
 # Up to so many rows a triangle is inverted in one go.
 SMALL = 48
+# What round-off may take from a matrix of unit diagonal: where it is not positive definite, so much is added.
+ROUND_OFF = 1e-10
 
 
 def inverse_of_triangle(L: Array) -> Array:
@@ -23,14 +25,14 @@ def inverse_of_triangle(L: Array) -> Array:
 def reduced(normal: Array, right: Array) -> tuple[Array, Array]:
     """Cholesky factor L of a normal matrix, shape (p, p), and the solution z of L z = right, in one factorisation.
 
-    Raises numpy.linalg.LinAlgError where the matrix is not positive definite.
+    normal : of unit diagonal. Raises numpy.linalg.LinAlgError where it is not positive definite, beyond round-off.
     """
     p = len(right)
     whole = np.empty((p + 1, p + 1))
     whole[:p, :p], whole[p, :p], whole[:p, p] = normal, right, right
     # What the last row leaves of it is not used; it has to be positive.
     whole[p, p] = np.finfo(float).max ** 0.25
-    L = np.linalg.cholesky(whole)
+    L = _factor(whole)
     return L[:p, :p], L[p, :p]
 
 
@@ -38,7 +40,15 @@ def root_of_inverse(normal: Array) -> Array:
     """A root R of the inverse R' R of a normal matrix, shape (p, p).
 
     A parameter whose column is long is scaled first, so that rank is judged fairly.
-    Raises numpy.linalg.LinAlgError where the matrix is not positive definite.
+    Raises numpy.linalg.LinAlgError where the matrix is not positive definite, beyond round-off.
     """
     scale = 1 / np.sqrt(np.diag(normal))
-    return np.asarray(inverse_of_triangle(np.linalg.cholesky(normal * np.outer(scale, scale))) * scale)
+    return np.asarray(inverse_of_triangle(_factor(normal * np.outer(scale, scale))) * scale)
+
+
+def _factor(normal: Array) -> Array:
+    """Cholesky factor of a matrix of unit diagonal, shape (p, p)."""
+    try:
+        return np.linalg.cholesky(normal)
+    except np.linalg.LinAlgError:
+        return np.linalg.cholesky(normal + ROUND_OFF * np.eye(len(normal)))

@@ -14,7 +14,6 @@ from casadical.diagnosis.conclusion import conclude
 from casadical.diagnosis.evidence import ALL_SIGMAS
 from casadical.diagnosis.laws.contest import beside_nothing, instead
 from casadical.diagnosis.linear_problem import Case, better_ratios, make_case
-from casadical.diagnosis.observations import left_open
 from casadical.diagnosis.posterior import Rivals, no_rivals
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import Show, State, search
@@ -234,7 +233,6 @@ def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -
         return tuple(said)
     held = (u.reason.split(";")[0] for u in found.identifiability.held)
     said += dict.fromkeys(reason for reason in held if reason.startswith(WITHOUT))
-    said += left_open(case.others.sets, case.others.m)
     q = np.concatenate([m.q for m in case.others.sets])
     if len(np.unique(q, axis=0)) < len(q):
         said.append(

@@ -42,7 +42,8 @@ def learnt_sizes(
         determined = 1 - (root**2).sum(axis=0) / prior**2
         left = square - 2 * fit.g @ x + x @ fit.H @ x
         before = (scale, *factors.values())
-        scale = float(left / (rows - determined.sum()))
+        # With more parameters than rows the noise would shrink to nothing.
+        scale = max(float(left / (rows - determined.sum())), LEAST_FACTOR**2)
         for part, at in places_of.items():
             count = float(determined[at].sum())
             if count > LEAST:

@@ -8,7 +8,7 @@ more parameters of the base model.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -27,8 +27,6 @@ from casadical.robot.robot import Robot
 
 # One sigma of an unknown point about where the base fit has it [m]: wide beside what a cause moves it.
 POINT_WIDTH = 0.1
-# Places whose second spread is less than this share of the first are in a line.
-IN_LINE = 0.05
 
 
 @dataclass(frozen=True)
@@ -115,33 +113,6 @@ def with_far_ends(m: Measurements, sets: Sequence[Measurements], where: Mapping[
     columns = {f: (wire == k).astype(float) for k, f in enumerate(FLAGS, 1)}
     columns |= dict(zip(FAR, far.T, strict=True))
     return replace(m, conditions={**m.conditions, **columns})
-
-
-def left_open(sets: Sequence[Measurements], m: Measurements) -> Iterator[str]:
-    """What readings of these kinds cannot tell, with the one thing that would; m : with columns of far ends, if any."""
-    if any(part.position is not None for part in sets):
-        return
-    if not any(find_kind(part.kind).has_scale or part.separations for part in sets):
-        yield (
-            "contacts without a known distance do not tell the size of the robot: the longest length is taken as it "
-            "is; one distance between two touched points gives it ([[measurements.separation]])"
-        )
-    if FAR[0] not in m.conditions:
-        return
-    read = np.array([part.distance is not None for part in sets for _ in range(len(part))])
-    places = np.unique(np.column_stack([m.conditions[c] for c in FAR])[read].round(4), axis=0)
-    if len(places) == 1:
-        yield (
-            "one instrument at one place: turning the whole robot about it changes nothing, and errors across its beam "
-            "are hardly seen; distances to a second and a third place, not in line, show them"
-        )
-        return
-    spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
-    if spread[1] < IN_LINE * spread[0]:
-        yield (
-            f"the {len(places)} places that distances are measured to lie in a line: turning the whole robot about it "
-            "changes nothing; one place beside the line tells"
-        )
 
 
 def edges_of(sets: Sequence[Measurements]) -> list[slice]:

@@ -15,6 +15,7 @@ from casadical.diagnosis.next_poses import discrimination_probability, kinds_of_
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.thresholds import CLAIM, SET_CLAIM
 from casadical.identification.gravity import in_words as gravity_in_words
+from casadical.identification.left_open import left_open
 
 # An effect is invisible if the base absorbs so much of it, or if it must be so many times its usual size to be found.
 ABSORBED, OUT_OF_REACH = 0.98, 5.0
@@ -273,7 +274,14 @@ def _change(ratio: float) -> str:
     return f"{abs(100 * (ratio - 1)):.0f} % {'more' if ratio > 1 else 'less'}"
 
 
+def cannot_tell(d: Diagnosis) -> tuple[str, ...]:
+    """What these kinds of readings cannot tell at all, each with what would; the ends of "these data cannot ..."."""
+    return tuple(left_open(d.identification.measurements, d.identification.unknown_points))
+
+
 def _cannot(d: Diagnosis, more: Details) -> Iterator[Statement]:
+    for text in cannot_tell(d):
+        yield Statement("CANNOT", text, doubtful=True)
     for label, others in _indistinguishable(d, more).items():
         yield Statement("CANNOT", f"tell {label} from {others}", doubtful=True)
     for why, labels in _invisible(d, more).items():

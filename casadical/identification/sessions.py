@@ -82,7 +82,7 @@ def place_sessions(robot: Robot, sets: Sequence[Measurements]) -> Robot:
 
 
 def not_shared(sets: Sequence[Measurements]) -> str:
-    """What cannot be determined of sessions without a common pose, and what would: a sentence, or nothing."""
+    """What sessions without a common pose cannot tell, and what would: the end of "they cannot ...", or nothing."""
     names = sessions_in(sets)
     if len(names) < 2:
         return ""
@@ -91,8 +91,8 @@ def not_shared(sets: Sequence[Measurements]) -> str:
     if not apart:
         return ""
     return (
-        f"Session {', '.join(map(repr, apart))} shares no pose with {names[0]!r}: whether the robot itself changed "
-        f"between them cannot be separated from how it was set up; measure some poses of {names[0]!r} again."
+        f"tell a change of the robot from how it was set up: session {', '.join(map(repr, apart))} shares no pose with "
+        f"{names[0]!r}; some poses of {names[0]!r} measured again would"
     )
 
 

@@ -12,7 +12,7 @@ from casadical.core.blocks import Table, Words, mm
 from casadical.core.errors import shown
 from casadical.identification.accuracy import Accuracy, errors, summarise
 from casadical.identification.identification import Identification, LeftOut, rows_in_words
-from casadical.identification.sessions import not_shared
+from casadical.identification.left_open import left_open
 from casadical.project.check.coverage import coverage
 from casadical.project.networks import Networks
 from casadical.project.problem import Problem
@@ -61,8 +61,8 @@ def _doubts(problem: Problem, last: Identification) -> Iterator[Words]:
         without = mm(float(np.mean(np.concatenate([e for e, _ in _held_out(problem, last.robot).values()]))))
         text = f"Held-out poses far off, in the figures above: {worst}; without them the mean is {without} mm."
         yield Words(text, "warning")
-    if apart := not_shared(problem.sets["identify"]):
-        yield Words(apart, "warning")
+    for text in left_open(last.measurements, last.unknown_points):
+        yield Words(f"These readings cannot {text}.", "warning")
     if last.at_bounds:
         yield Words(f"At bounds: {', '.join(last.at_bounds)}: widen the bounds or doubt the model.", "warning")
     if not any(name.startswith("report") for name in problem.sets):

@@ -34,3 +34,14 @@ def test_what_is_not_positive_definite_is_refused() -> None:
     for of in (root_of_inverse, lambda m: reduced(m, np.ones(2))):
         with pytest.raises(np.linalg.LinAlgError):
             of(np.array([[1.0, 2.0], [2.0, 1.0]]))
+
+
+def test_what_round_off_takes_from_a_normal_matrix_stops_nothing() -> None:
+    """Two columns alike to the last digits: the scaled matrix is singular, and may be below zero by round-off."""
+    J = np.random.default_rng(0).normal(size=(40, 30)) * 10.0 ** np.linspace(-6, 6, 30)
+    J[:, 1] = J[:, 0] * 3
+    normal = J.T @ J
+    normal[0, 1] = normal[1, 0] = np.sqrt(normal[0, 0] * normal[1, 1]) * (1 + 1e-14)
+    root = root_of_inverse(normal)
+    right = J.T @ (J @ np.ones(30))
+    np.testing.assert_allclose(J @ (root.T @ (root @ right)), J @ np.ones(30), rtol=1e-5, atol=1e-3)

@@ -11,7 +11,6 @@ from casadical.diagnosis.details import analyse
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.linear_problem import make_case
-from casadical.diagnosis.observations import joined, left_open, with_far_ends
 from casadical.diagnosis.statements import assumptions, statements
 from casadical.effects import Backlash, ThermalGrowth
 from casadical.identification.accuracy import predicted
@@ -197,26 +196,3 @@ def test_effects_of_distances_are_no_candidates_of_positions() -> None:
     found = make_case(identified("hh800-P01"), candidates_of(robot("hh800"), ("standard",)))
     labels = {c.label for c in found.candidates} | found.missing.keys()
     assert not labels & {"wire_offset", "wire_scale", "wire_drift", "station_step"}
-
-
-@pytest.mark.parametrize(
-    ("anchors", "said"),
-    [
-        (ANCHORS, ""),
-        (ANCHORS[:1], "one instrument at one place"),
-        (np.array([[2.0, 0.0, 0.1], [2.0, 1.0, 0.1], [2.0, 2.5, 0.1]]), "lie in a line"),
-    ],
-)
-def test_what_the_places_of_instruments_leave_open_is_said(anchors: np.ndarray, said: str) -> None:
-    sets = distances(practice("hh800-P01")[:8], anchors)
-    found = [*left_open(sets, with_far_ends(joined(sets, robot("hh800")), sets, {}))]
-    assert len(found) == bool(said)
-    assert all(said in text for text in found)
-
-
-def test_touched_points_without_a_distance_leave_the_size_open() -> None:
-    m = practice("hh800-P01")[:8]
-    touched = Measurements(m.q, "contact", label=np.array(["A", "B"] * 4))
-    (said,) = left_open([touched], touched)
-    assert "separation" in said
-    assert not [*left_open([touched.with_separations([("A", "B", 0.1)])], touched)]

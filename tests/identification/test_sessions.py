@@ -92,7 +92,7 @@ def test_what_cannot_be_had_is_said() -> None:
         identify(six_axis(), (first, second[:4]), method="KM")
     with pytest.raises(InputError, match="table: says no session, and others do"):
         identify(six_axis(), (first, replace(second, conditions={}, source="table")), method="KM")
-    assert "'June' shares no pose with 'May'" in not_shared((first, second))
+    assert "session 'June' shares no pose with 'May'" in not_shared((first, second))
     again = labelled(first[:3], "June")
     assert not_shared((first, again)) == ""
     assert not_shared((first,)) == ""

@@ -11,6 +11,9 @@ from casadical.core.transforms import Symbolic
 from casadical.measurements.columns import Columns
 from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpression, PositionsAt
 
+# Gauss-Newton steps to the far end, and by which share each must lessen the sum of squares.
+STEPS, GAIN = 20, 1e-6
+
 
 class Distance(MeasurementKind):
     """Distance to a point, which is known or identified too."""
@@ -55,11 +58,23 @@ class Distance(MeasurementKind):
 
 
 def _far_end(arrays: Arrays, p: Array) -> Array:
-    """The unknown far end of distances from p, shape (3,) [m]: |p|^2 - L^2 = 2 p.P - |P|^2 by least squares."""
-    centre = p.mean(axis=0)
+    """The far end that distances from p, shape (n, 3) [m], fit best, shape (3,) [m].
+
+    First |p|^2 - L^2 = 2 p.P - |P|^2 by least squares, which takes |P| as one more unknown; then Gauss-Newton steps of
+    the distances themselves, as long as they help.
+    """
+    centre, distance = p.mean(axis=0), arrays["distance"]
     local = p - centre
     A = np.column_stack([2 * local, -np.ones(len(p))])
-    P = np.linalg.lstsq(A, (local**2).sum(axis=1) - arrays["distance"] ** 2, rcond=None)[0][:3]
+    P = np.linalg.lstsq(A, (local**2).sum(axis=1) - distance**2, rcond=None)[0][:3]
+    left = distance - np.linalg.norm(P - local, axis=1)
+    for _ in range(STEPS):
+        line = P - local
+        step = np.linalg.lstsq(line / np.linalg.norm(line, axis=1)[:, None], left, rcond=None)[0]
+        after = distance - np.linalg.norm(P + step - local, axis=1)
+        if not after @ after < (1 - GAIN) * (left @ left):
+            break
+        P, left = P + step, after
     return np.asarray(P + centre)
 
 

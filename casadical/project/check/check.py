@@ -10,6 +10,7 @@ import numpy as np
 from casadical.core.errors import InputError, shown
 from casadical.identification.identifiability import CONFOUNDED
 from casadical.identification.identification import by_method
+from casadical.identification.left_open import left_open_before
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against
 from casadical.measurements.measurements import Measurements
@@ -124,6 +125,9 @@ def precheck(
     show("accuracy to expect")
     trusted = [m[np.flatnonzero(~far_off(problem.robot, m)[0])] for m in sets] if usable else []
     start = place_frames(problem.robot, trusted or sets)
+    found += [
+        Finding("warning", "kind", f"these readings cannot {t}") for t in left_open_before(start, trusted or sets)
+    ]
     for method in problem.methods if usable else ():
         try:
             taken, free = by_method(start, method, trusted)
@@ -210,7 +214,7 @@ def _data_findings(
     table : all poses, those that are held out too, where there is one table
     """
     found: list[Finding] = []
-    for m in sets:
+    for k, m in enumerate(sets):
         try:
             check_against(robot, m)
         except InputError as error:
@@ -219,7 +223,9 @@ def _data_findings(
         found += slips
         if not any(f.level == "error" for f in slips):
             found += far_rows(robot, table or m)
-        found += [*coverage_findings(robot, m), *margin_findings(robot, m), *unknown_columns([*m.conditions], m.source)]
+        if not any(np.array_equal(m.q, before.q) for before in sets[:k]):  # a table for each wire
+            found += [*coverage_findings(robot, m), *margin_findings(robot, m)]
+        found += unknown_columns([*m.conditions], m.source)
         distinct, _ = repeats(m)
         if distinct < len(m):
             text = f"{m.source}: {len(m)} measurements at {distinct} distinct readings"

@@ -1,0 +1,59 @@
+"""What readings of some kinds cannot tell at all, however many, each with the one thing that would."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.identification.least_squares import LeastSquares
+from casadical.identification.sessions import not_shared
+from casadical.measurements.kinds.registry import find_kind
+from casadical.measurements.measurements import Measurements
+from casadical.robot.robot import Robot
+
+# Places whose second spread is less than this share of the first are in a line.
+IN_LINE = 0.05
+
+
+def left_open(sets: Sequence[Measurements], where: Mapping[str, Array]) -> Iterator[str]:
+    """What these sets cannot tell, each as the end of a sentence: "these data cannot ...".
+
+    where : unknown points by number of the set and name, as of `Identification.unknown_points`, shape (3,) [m] each
+    """
+    if apart := not_shared(sets):
+        yield apart
+    if any(m.position is not None for m in sets):
+        return
+    if not any(find_kind(m.kind).has_scale or m.separations for m in sets):
+        yield (
+            "tell the size of the robot: no distance between touched points is known, and the longest length is taken "
+            "as it is; one distance between two of them gives it ([[measurements.separation]])"
+        )
+    if any(m.distance is None or m.other is not None for m in sets):
+        return
+    places = np.unique(np.concatenate([_far_ends(k, m, where) for k, m in enumerate(sets)]).round(4), axis=0)
+    if len(places) == 1:
+        yield (
+            "see errors across the beam of the one instrument, nor a turn of the whole robot about it; distances to a "
+            "second and a third place, not in line with it, show them"
+        )
+        return
+    spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+    if spread[1] < IN_LINE * spread[0]:
+        yield (
+            f"see a turn of the whole robot about the line in which the {len(places)} places lie that distances are "
+            "measured to; distances to one place beside that line show it"
+        )
+
+
+def left_open_before(robot: Robot, sets: Sequence[Measurements]) -> Iterator[str]:
+    """The same before an identification, unknown points where a robot with its base and tool placed has them."""
+    problem = LeastSquares(robot, tuple(sets), (), "linear", False, ((1.0, 1.0),) * len(sets))
+    yield from left_open(sets, dict(zip(problem.labels, problem.points, strict=True)))
+
+
+def _far_ends(k: int, m: Measurements, where: Mapping[str, Array]) -> Array:
+    """Of the distances of one set, shape (n, 3) [m]."""
+    if m.target is not None:
+        return m.target
+    return np.array([where[f"{k}/{name}"] for name in find_kind(m.kind).point_names(m.arrays)])
