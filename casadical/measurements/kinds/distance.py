@@ -11,7 +11,7 @@ from casadical.core.transforms import Symbolic
 from casadical.measurements.columns import Columns
 from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpression, PositionsAt
 
-# Gauss-Newton steps to the far end, and by which share each must lessen the sum of squares.
+# Gauss-Newton steps to the far end, and by which share each must reduce the sum of squares.
 STEPS, GAIN = 20, 1e-6
 
 
