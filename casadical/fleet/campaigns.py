@@ -72,7 +72,7 @@ def compare_files(
     for k, path in enumerate(map(Path, paths), 1):
         show(f"campaign {k} of {len(paths)}")
         try:
-            told = _read(path, None if robot is None else Path(robot))
+            told = campaign_estimate(path, robot)
             if found:
                 refuse_another(found[0].robot, told.robot, "campaign")
             found.append(told)
@@ -87,7 +87,8 @@ def compare_files(
     return compare(ordered, same_tool=same_tool, same_frame=same_frame, notes=(*faults, *said))
 
 
-def _read(path: Path, robot: Path | None) -> Estimate:
+def campaign_estimate(path: Path, robot: str | Path | None = None) -> Estimate:
+    """What one campaign in files tells, as `compare_files` takes it. Raises CasadicalError."""
     label, day = path.name.removesuffix(".robot.toml").removesuffix(".csv"), day_of(path)
     if path.suffix == ".toml":
         label = path.parent.name if label in ("KM", "SKCM", "diagnosed", "discovered") else label

@@ -10,7 +10,6 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.parameters import Parameter
 from casadical.identification.misfit import ORDERS
-from casadical.robot.parameter_list import SIX
 from casadical.robot.robot import Robot
 
 # Usual sizes: of a length, of an angle, of a harmonic of a joint's error; of a compliance as a share; of all lengths.
@@ -159,7 +158,7 @@ def _whole(chosen: Sequence[Parameter]) -> Iterable[Candidate]:
         E[k] = p.value / p.scale
     yield Candidate("lengths", None, tuple(p.name for _, p in lengths if p.value), E, np.array([THERMAL]))
     yield _candidate("tool", None, [p.name for p in chosen if p.group == "tool"], chosen)
-    yield _candidate("foot", None, [p.name for p in chosen if p.name in SIX["base"]], chosen)
+    yield _candidate("foot", None, [p.name for p in chosen if p.group == "base"], chosen)
 
 
 def _effects(robot: Robot, chosen: Sequence[Parameter]) -> Iterable[Candidate]:

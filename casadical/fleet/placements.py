@@ -12,6 +12,7 @@ from casadical.fleet.candidates import Candidate
 from casadical.fleet.estimates import Estimate
 from casadical.fleet.evidence import Model, jumps, visible
 from casadical.identification.identifiability import scaled_inverse
+from casadical.robot.axes import row_matrix
 from casadical.robot.parameter_list import SIX
 
 # Standard errors that a change must have to be seen, roughly: what one of a hundred candidates needs.
@@ -79,7 +80,8 @@ def _given(
 
 
 def _base(before: Estimate, after: Estimate, names: Sequence[str]) -> Iterable[tuple[str, str]]:
-    if any(n in names for n in SIX["base"]) or not any(n in after.names for n in SIX["base"]):
+    placing = {p.name for p in after.robot.parameters if p.group == "base"}
+    if not placing & set(after.names) or placing & set(names):
         return
     T = np.linalg.solve(_placed(before), _placed(after))
     turn = float(np.rad2deg(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1))))
@@ -89,5 +91,7 @@ def _base(before: Estimate, after: Estimate, names: Sequence[str]) -> Iterable[t
 
 
 def _placed(c: Estimate) -> Array:
+    if c.robot.base.unknown == "none":  # the first row of the table places the robot
+        return np.asarray(c.robot.base.T @ row_matrix(c.robot.joints[0]))
     values = [c.values[c.names.index(n)] if n in c.names else 0.0 for n in SIX["base"]]
     return np.asarray(c.robot.base.T @ np.array(small_frame(*values)))

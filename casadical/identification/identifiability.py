@@ -23,7 +23,7 @@ CANCELLED = 0.7
 # Condition number from which on some parameters are nearly confounded.
 CONFOUNDED = 1000
 # From so many parameters on, Cholesky's factors give the inverse faster, if no scaled variance is greater than this.
-MANY, CERTAIN = 200, 1e8
+MANY, CERTAIN = 40, 1e8
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,10 @@ from casadical import InputError, Robot, calibrate, identify, read_robot, write_
 from casadical.core.blocks import plain_text
 from casadical.fleet import Estimate, compare, estimate, estimate_of_file
 from casadical.fleet.campaigns import compare_files, day_of, in_order
+from casadical.fleet.candidates import candidates_of, shared_names
 from casadical.fleet.evidence import KAPPAS, Told, drifts, jumps, log_evidence, solve, visible
 from casadical.identification.misfit import misfit_of
+from casadical.robot.error_bound import doubted
 
 
 @pytest.fixture(scope="module")
@@ -229,3 +231,18 @@ def test_the_figure_of_a_life(tables: Path, tmp_path: Path) -> None:
     text = page.read_text()
     assert "joint_zero@5: jump" in text
     assert "2026-02-01.csv is left out" in text
+
+
+def test_a_robot_whose_first_row_places_it_may_have_a_moved_foot() -> None:
+    """The HH800 has no base beside the first row of its table: six numbers that each campaign fits again."""
+    robot = doubted(read_robot(Path(__file__).parents[2] / "problems/hh800/campaign.robot.toml"), 2)
+    row = ("alpha0", "a0", "beta0", "b0", "d1", "theta1")
+    names = [p.name for p in robot.parameters]
+    foot = next(c for c in candidates_of(robot, names) if c.kind == "foot")
+    assert foot.names == row
+    assert set(row).isdisjoint(shared_names(robot, names, same_tool=True, same_frame=False))
+    k = len(names)
+    told = Estimate(robot, tuple(names), robot.parameters.values, np.eye(k), np.zeros(k), np.ones(k))
+    moved = robot.with_values({"a0": 0.5, "theta1": 0.01})
+    there = replace(told, robot=moved, values=moved.parameters.values)
+    assert dict(compare([told, there]).placements)["base"].startswith("500 mm and 0.573 deg from where it stood")
