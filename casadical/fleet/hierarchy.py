@@ -1,9 +1,11 @@
 """What robots of one type have in common: empirical Bayes on the departures of their parameters from the drawing.
 
 Robot i departs from the drawing by theta_i ~ N(mu, diag(tau^2)), and its campaign tells of theta_i as an `Estimate`
-does. The common departure mu and the spread tau are those of greatest likelihood, by expectation and maximisation
-(Dempster, Laird and Rubin 1977, section 4.5; Efron and Morris 1975). A parameter with a mean far beyond its standard
-error is a fault of the drawing; the spread is the prior of a robot that is still to be measured.
+does. The common departure mu and the spread tau are those of greatest probability, by expectation and maximisation
+(Dempster, Laird and Rubin 1977, section 4.5; Efron and Morris 1975); lengths, angles, bars, compliances and harmonics
+have each a usual spread, which counts as a few robots (Gelman and Hill 2007, chapter 12), so that few robots do not
+make a spread of zero. A parameter with a mean far beyond its standard error is a fault of the drawing; the spread, with
+the covariance of the mean, is the prior of a robot that is still to be measured.
 """
 
 from __future__ import annotations
@@ -23,7 +25,11 @@ from casadical.robot.robot import Robot
 
 # Robots of a type from which anything is learnt, and most that are used.
 LEAST, MOST = 5, 1000
-ROUNDS = 40
+ROUNDS = 300
+# The spread of a parameter does not change by more in the last round.
+STILL = 1e-3
+# So many robots the usual spread of the parameters of one group counts for.
+POOLED = 4.0
 # A common fault is this many standard errors from zero, and this share of the usual size of the parameter (1 mm).
 SURE, COUNTS = 5.0, 0.05
 # Least spread, in units of the scale: what is learnt of few robots is not exact.
@@ -52,15 +58,19 @@ class Common:
         one sigma of single robots about the mean
     scale : Array, shape (k,) [SI]
         unit of each parameter
+    covariance : Array, shape (k, k)
+        of the mean
 
     Examples
     --------
-    >>> common = casadical.fleet.Common("ab", "arm", 9, ("a1",), *np.array([[0.3], [0.01], [0.1], [1e-3]]))
+    >>> figures = np.array([[0.3], [0.01], [0.1], [1e-3]])
+    >>> common = casadical.fleet.Common("ab", "arm", 9, ("a1",), *figures, np.array([[1e-4]]))
     >>> common.faults
     (('a1', 0.3, 0.01),)
     >>> common.readable("a1", 0.3)
     (0.3, 'mm')
-    >>> round(common.priors_of(robot)["a1"][1], 6), round(common.prior_of(robot).parameters["a1"].value, 6)
+    >>> prior = common.prior_of(robot)
+    >>> round(prior.knowledge.std_errors["a1"], 6), round(prior.parameters["a1"].value, 6)
     (0.0001, 0.4003)
     >>> common.to_json()["common_faults"]
     ['a1']
@@ -74,6 +84,7 @@ class Common:
     std_error: Array
     spread: Array
     scale: Array
+    covariance: Array
 
     @property
     def faults(self) -> tuple[tuple[str, float, float], ...]:
@@ -135,28 +146,16 @@ class Common:
         """
         own = [k for k, n in enumerate(self.names) if n in robot.parameters.names]
         names = tuple(self.names[k] for k in own)
-        sigma = (self.scale * np.sqrt(self.spread**2 + self.std_error**2))[own]
-        mean = (self.scale * self.mean)[own]
+        scale = self.scale[own]
+        mean = scale * self.mean[own]
         values = {n: robot.parameters[n].value + d for n, d in zip(names, mean, strict=True)}
-        known = Knowledge((Covariance(names, np.diag(sigma**2)),), f"{self.count} robots of the fleet")
+        C = self.covariance[np.ix_(own, own)] + np.diag(self.spread[own] ** 2)
+        # What the fleet could not determine stays as drawn: the others carry its share.
+        held = [p for p in robot.parameters if p.group in ("geometry", "loop", "compliance") and p.name not in names]
+        blocks = [Covariance(names, (C + C.T) / 2 * np.outer(scale, scale))]
+        blocks += [Covariance((p.name,), np.array([[(NARROWEST * p.scale) ** 2]])) for p in held]
+        known = Knowledge(tuple(blocks), f"{self.count} robots of the fleet", robots=self.count)
         return replace(robot.with_values(values), knowledge=known)
-
-    def priors_of(self, robot: Robot) -> dict[str, tuple[float, float]]:
-        """The same as (mean, one sigma) [SI] by name, as `identify` takes it.
-
-        Parameters
-        ----------
-        robot : Robot
-            as drawn
-
-        Returns
-        -------
-        dict[str, tuple[float, float]]
-            of the parameters that robot and fleet have
-        """
-        prior = self.prior_of(robot)
-        errors = prior.knowledge.std_errors if prior.knowledge else {}
-        return {n: (prior.parameters[n].value, s) for n, s in errors.items()}
 
 
 def common_of(robots: pd.DataFrame) -> Common:
@@ -170,11 +169,20 @@ def common_of(robots: pd.DataFrame) -> Common:
     kept = [k for k, n in enumerate(names) if "." in n or counted.get(n, 0) > len(used) / 2]
     H, b = zip(*(_about_drawing(row, names, kept) for _, row in used.iterrows()), strict=True)
     spread = np.array(used.iloc[0]["spread"])[kept]
-    mean, error, tau = learnt(np.array(H), np.array(b), np.minimum(spread, 3.0))
     own = tuple(names[k] for k in kept)
+    mean, C, tau = learnt(np.array(H), np.array(b), np.minimum(spread, 3.0), [_group(n) for n in own])
     scale = np.array(used.iloc[0]["scale"])[kept]
     first = used.iloc[0]
-    return Common(str(first["type"]), str(first["type_name"]), len(used), own, mean, error, tau, scale)
+    return Common(str(first["type"]), str(first["type_name"]), len(used), own, mean, np.sqrt(np.diag(C)), tau, scale, C)
+
+
+def _group(name: str) -> str:
+    """Parameters with a common usual spread: harmonics of one order, angles, bars, compliances, lengths."""
+    if "." in name:
+        return f"harmonic {name.rsplit('.', 1)[1][1:].split('_')[0]}"
+    if name.startswith(("alpha", "beta", "theta")):
+        return "angle"
+    return name[0] if name[0] in "cL" else "length"
 
 
 def _about_drawing(row: pd.Series, names: Sequence[str], kept: Sequence[int]) -> tuple[Array, Array]:
@@ -187,22 +195,27 @@ def _about_drawing(row: pd.Series, names: Sequence[str], kept: Sequence[int]) ->
     return whole[np.ix_(at, at)], np.array(row["score"])[at]
 
 
-def learnt(H: Array, b: Array, spread: Array) -> tuple[Array, Array, Array]:
-    """Mean, its standard error, and spread, shapes (k,), of robots with information H, (n, k, k), and score b, (n, k).
+def learnt(H: Array, b: Array, spread: Array, groups: Sequence[str] | None = None) -> tuple[Array, Array, Array]:
+    """Mean, shape (k,), its covariance, and spread, (k,), of robots with information H, (n, k, k), and score b, (n, k).
 
-    spread : to begin with, and one sigma of the mean before the data
+    spread : to begin with, and one sigma of the mean before the data; groups : of parameters with a usual spread, else
+    each has its own
     """
     mean, tau2 = np.zeros(len(spread)), spread**2
     wide = spread**-2.0
     C = np.diag(spread**2)
+    _, group = np.unique(np.arange(len(spread)) if groups is None else groups, return_inverse=True)
     for _ in range(ROUNDS):
         precision = np.diag(1 / tau2)
         V = np.linalg.inv(H + precision)
-        m = np.einsum("nij,nj->ni", V, b + mean / tau2)
         # The mean of greatest likelihood: theta_i integrated, each robot tells P - P V P of it.
         Lambda = np.sum(precision - precision @ V @ precision, axis=0) + np.diag(wide)
         C = scaled_inverse(Lambda)
         mean = C @ np.einsum("ij,njk,nk->i", precision, V, b)
         m = np.einsum("nij,nj->ni", V, b + mean / tau2)
-        tau2 = np.maximum(np.mean((m - mean) ** 2 + np.diagonal(V, axis1=1, axis2=2), axis=0), NARROWEST**2)
-    return mean, np.sqrt(np.diag(C)), np.sqrt(tau2)
+        found = np.mean((m - mean) ** 2 + np.diagonal(V, axis1=1, axis2=2), axis=0)
+        usual = (np.bincount(group, found) / np.bincount(group))[group]
+        before, tau2 = tau2, np.maximum((len(H) * found + POOLED * usual) / (len(H) + POOLED), NARROWEST**2)
+        if np.abs(np.log(tau2 / before)).max() < STILL:
+            break
+    return mean, C, np.sqrt(tau2)

@@ -1,7 +1,8 @@
 """What one campaign found of a robot, as the prior of the next one.
 
 Base and tool frames are fitted again: they belong to the campaign. What was learnt keeps its values as means, and its
-covariance, a little wider, as what the new readings may change. Frozen, it keeps its values alone.
+covariance, a little wider, as what the new readings may change. Frozen, it keeps its values alone. What is known of
+the robots of one type is a prior as it is: its covariance already holds how they differ.
 """
 
 from __future__ import annotations
@@ -101,9 +102,11 @@ class Prior:
             )
         if self.frozen:
             return f"{source} held at the values found there."
-        text = (
-            f"{source}; {len(self.free)} parameters are free about the values found there, variances widened "
-            f"{WIDENED:g} times and by {100 * CHANGED:g} % of the usual size of each."
+        text = f"{source}; {len(self.free)} parameters are free about the values found there, "
+        text += (
+            f"as far as {self.knowledge.robots} robots of the type differ."
+            if self.knowledge.robots
+            else f"variances widened {WIDENED:g} times and by {100 * CHANGED:g} % of the usual size of each."
         )
         if beyond := _shares(self.uncovered(sets)):
             return f"{text} Poses outside of the ranges that it covers: {beyond}."
@@ -163,20 +166,23 @@ def carry_over(
         )
     sizes = {p.name: p.scale for p in taken}
     blocks = (block.of(sizes) for block in knowledge.covariance)
-    known = tuple((block.names, _widened(block, sizes)) for block in blocks if block.names)
+    wider = WIDENED, CHANGED
+    if knowledge.robots:
+        wider = 1.0, 0.0
+    known = tuple((block.names, _widened(block, sizes, *wider)) for block in blocks if block.names)
     errors = {name: float(s) for names, C in known for name, s in zip(names, np.sqrt(np.diag(C)), strict=True)}
     means = {p.name: (theirs[p.name].value, errors.get(p.name, p.prior)) for p in taken}
     return model, Prior(tuple(means), means, known, labels, knowledge)
 
 
-def _widened(block: Covariance, sizes: Mapping[str, float]) -> Array:
+def _widened(block: Covariance, sizes: Mapping[str, float], times: float, share: float) -> Array:
     """Covariance of the values as the next campaign may find them."""
     variances = np.diag(block.matrix)
     if not (variances > 0).all():
         name = block.names[int(np.argmin(variances))]
         raise InputError(f"prior: covariance: the variance of {name} is zero; it must be positive, or take it frozen")
-    change = CHANGED * np.array([sizes[name] for name in block.names])
-    return WIDENED * block.matrix + np.diag(change**2)
+    change = share * np.array([sizes[name] for name in block.names])
+    return times * block.matrix + np.diag(change**2)
 
 
 def _chosen(other: Robot, parts: Collection[str]) -> tuple[Effect, ...]:

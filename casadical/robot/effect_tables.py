@@ -74,6 +74,7 @@ class LearntTable(TomlTable):
     readings: dict[str, Pair] = Field(default={})
     conditions: dict[str, Pair] = Field(default={})
     misfit: float = Field(default=1.0, ge=1)
+    robots: int = Field(default=0, ge=0)
 
     def ranges(self, arm: Arm) -> Array:
         """Of the joints' readings, shape (n, 2) [rad or m], or (0, 2). Raises InputError for other joints or units."""
@@ -140,7 +141,7 @@ def knowledge_of(
     if not (found or learnt.model_fields_set):
         return None
     conditions = {name: (pair[0], pair[1]) for name, pair in learnt.conditions.items()}
-    return Knowledge(tuple(found), learnt.campaign, learnt.poses, ranges, conditions, learnt.misfit)
+    return Knowledge(tuple(found), learnt.campaign, learnt.poses, ranges, conditions, learnt.misfit, learnt.robots)
 
 
 def text_of(
@@ -190,6 +191,8 @@ def _learnt_lines(arm: Arm, knowledge: Knowledge) -> Iterator[str]:
     yield from ("", "[learnt]", f"campaign = {_text(knowledge.campaign)}", f"poses = {knowledge.poses}")
     if knowledge.misfit > 1:
         yield f"misfit = {knowledge.misfit!r}"
+    if knowledge.robots:
+        yield f"robots = {knowledge.robots}"
     if len(knowledge.readings):
         yield "[learnt.readings]"
         for (key, factor), pair in zip(arm.reading_units.items(), knowledge.readings, strict=True):

@@ -64,6 +64,8 @@ class Knowledge:
     conditions : least and greatest value of logged and derived columns, by name
     misfit : how many times greater the variances are, seen as what may differ in another campaign (see
         `casadical.identification.misfit`)
+    robots : how many robots of one type it was learnt from: the values are theirs in common, the covariance is how they
+        differ; 0: from this very robot
     Raises InputError for a parameter in two blocks and for ranges the wrong way round.
     """
 
@@ -73,6 +75,7 @@ class Knowledge:
     readings: Array = field(default_factory=lambda: np.zeros((0, 2)))
     conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     misfit: float = 1.0
+    robots: int = 0
 
     def __post_init__(self) -> None:
         names = [name for block in self.covariance for name in block.names]

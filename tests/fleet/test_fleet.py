@@ -94,7 +94,10 @@ def test_one_command_does_all_and_one_bad_robot_stops_nobody(
     assert all(by_name[f"arm{k}"]["after_mm"] < 0.1 < by_name[f"arm{k}"]["before_mm"] for k in range(6))
     assert "Map of accuracies" in (place / "fleet.html").read_text()
     (prior,) = (place / "priors").glob("*.robot.toml")
-    assert read_robot(prior).parameters["a1"].value == pytest.approx(A1, abs=2e-4)
+    common = read_robot(prior)
+    assert common.parameters["a1"].value == pytest.approx(A1, abs=2e-4)
+    assert common.knowledge is not None
+    assert common.knowledge.robots == 6
 
 
 def test_what_is_done_is_not_done_again_but_what_changed_is(
@@ -212,12 +215,25 @@ def test_means_and_spreads_of_a_fleet_are_found() -> None:
         y = J @ theta + 0.1 * rng.normal(size=6)
         H.append(J.T @ J / 0.01)
         b.append(J.T @ y / 0.01)
-    found, error, tau = learnt(np.array(H), np.array(b), np.full(3, 3.0))
+    found, C, tau = learnt(np.array(H), np.array(b), np.full(3, 3.0))
+    error = np.sqrt(np.diag(C))
     assert np.abs(found - mean).max() < 0.1
     assert (np.abs(found - mean) < 4 * error).all()
     assert tau == pytest.approx(spread, rel=0.25)
     alone = np.mean([np.diag(np.linalg.inv(one)) for one in H], axis=0)
     assert error == pytest.approx(np.sqrt((spread**2 + alone) / 200), rel=0.3)
+
+
+def test_the_spread_of_few_robots_is_near_that_of_like_parameters() -> None:
+    """Six robots, noise as great as the spread 0.05: alone, some spreads come out as nothing."""
+    rng = np.random.default_rng(0)
+    theta = 0.05 * rng.normal(size=(6, 12))
+    y = theta + 0.05 * rng.normal(size=theta.shape)
+    H, b, wide = np.tile(400 * np.eye(12), (6, 1, 1)), 400 * y, np.full(12, 1.0)
+    alone, pooled = learnt(H, b, wide)[2], learnt(H, b, wide, ["length"] * 12)[2]
+    assert alone.min() < 0.01
+    assert pooled.min() > 0.025
+    assert pooled.max() < 0.1
 
 
 def test_robots_that_stand_out(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:

@@ -192,3 +192,16 @@ def test_an_effect_that_the_robot_has_is_replaced(first, few):
     assert [e.label for e in model.effects] == ["joint_scale@1", CURVE.label]
     assert model.effect_values[f"{CURVE.label}.s1_q2"] == first.effect_values[f"{CURVE.label}.s1_q2"]
     assert prior.labels == (CURVE.label,)
+
+
+def test_what_robots_of_one_type_have_in_common_is_a_prior_as_it_is():
+    """Its covariance is how robots differ, so that it is not widened; a campaign of the robot itself is."""
+    block = (Covariance(("a1", "a2"), np.diag([9e-10, 4e-10])),)
+    told = {n: replace(ARM, knowledge=Knowledge(block, "elsewhere", robots=n)) for n in (0, 12)}
+    assert parse(to_toml(told[12])).knowledge.robots == 12
+    assert "robots" not in to_toml(told[0])
+    (_, own), (_, type_) = (carry_over(ARM, robot, ("all",)) for robot in told.values())
+    assert type_.means["a1"][1] == pytest.approx(3e-5)
+    assert own.means["a1"][1] == pytest.approx(np.sqrt(1.5 * 9e-10 + 1e-8))
+    assert "as far as 12 robots of the type differ" in type_.in_words([])
+    assert "variances widened 1.5 times" in own.in_words([])
