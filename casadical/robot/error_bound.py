@@ -42,11 +42,13 @@ def bound_function(robot: Robot, bound: ErrorBound) -> ca.Function:
     """
     refuse_other(robot, bound)
     other = doubted(robot)
-    q, x = ca.SX.sym("q", robot.n), ca.SX.sym("x", bound.factor.shape[1])
-    phi = ca.SX(other.parameters.values)
-    phi[[other.parameters.index_of(name) for name in bound.names]] += ca.mtimes(ca.DM(bound.factor), x)
-    moved = ca.substitute(ca.jacobian(other.position(q, phi), x), x, ca.DM.zeros(x.shape))
-    size = 1e3 * bound.times * ca.sqrt(bound.rest**2 + ca.sumsqr(moved))
+    q, phi = ca.SX.sym("q", robot.n), ca.SX.sym("phi", len(other.parameters.values))
+    J = ca.jacobian(other.position(q, phi), phi)[:, [other.parameters.index_of(name) for name in bound.names]]
+    J = ca.densify(ca.substitute(J, phi, ca.DM(other.parameters.values)))
+    x = ca.SX.sym("x", len(bound.names))
+    # called, so that an export can write a loop over a matrix instead of thousands of operations
+    weighed = ca.Function("weighed", [x], [ca.mtimes(ca.DM(bound.factor).T, x)], {"never_inline": True})
+    size = 1e3 * bound.times * ca.sqrt(bound.rest**2 + sum(ca.sumsqr(weighed(J[i, :].T)) for i in range(3)))
     return ca.Function("bound", [q], [ca.densify(size)], ["q"], ["bound_mm"])
 
 

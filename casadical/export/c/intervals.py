@@ -64,6 +64,15 @@ _RULES: dict[str, Callable[..., Interval]] = {
 _EXACT = {"input", "const", "neg", "fabs", "fmin", "fmax", "tansig", "lt", "le", "not", "sign", "select", "sincos"}
 
 
+def _weighted_sum(weights: tuple[float, ...], args: list[Interval], real: Real) -> Interval:
+    """Each of n products is rounded once and takes part in at most n rounded sums."""
+    terms = [_products((w, w), a) for w, a in zip(map(DTYPE[real], weights), args, strict=True)]
+    if _EVERYTHING in terms:
+        return _EVERYTHING
+    room = _WIDEN[real] * len(terms) * sum(max(abs(low), abs(high)) for low, high in terms)
+    return sum(low for low, _ in terms) - room, sum(high for _, high in terms) + room
+
+
 def _bound(node: Node, args: list[Interval], box: list[Interval], real: Real) -> Interval:
     if node.op == "input":
         return box[int(node.value)]
@@ -78,6 +87,8 @@ def _bound(node: Node, args: list[Interval], box: list[Interval], real: Real) ->
         # A spline lies between its least and greatest coefficient; a rounded place may be a hundredth outside its cell.
         low, high = 6 * min(node.table), 6 * max(node.table)
         return low - 1e-3 * (high - low), high + 1e-3 * (high - low)
+    if node.op == "weighted_sum":
+        return _weighted_sum(node.weights, args, real)
     if node.op == "mul":
         return _product_node(node, *args)
     return _RULES[node.op](*args)

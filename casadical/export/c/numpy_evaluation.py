@@ -169,6 +169,11 @@ def _run(tape: Tape, inputs: Array, real: Real) -> tuple[Array, Array]:
                 values.append(np.full(k, T(node.value)))
             elif node.op == "periodic":
                 values.append(mirror.periodic(args[0], node.table))
+            elif node.op == "weighted_sum":
+                total = T(node.weights[0]) * args[0]
+                for weight, value in zip(node.weights[1:], args[1:], strict=True):
+                    total = total + T(weight) * value
+                values.append(total)
             elif node.op in ("sin", "cos"):
                 values.append(args[0][0 if node.op == "sin" else 1])
             elif node.op in ("guard_min", "guard_max"):

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from casadical.export.c.coefficients import DTYPE, Real
-from casadical.export.c.tape import Node, Tape
+from casadical.export.c.tape import Node, Tape, in_single_operations
 from casadical.export.c.tape_program import TapeProgram
 
 WIDTH = {"sincos": 2}  # places of an operation's results; one where it is not here
@@ -48,7 +48,7 @@ def plan_of(program: TapeProgram) -> Plan:
 
 class _Planner:
     def __init__(self, program: TapeProgram) -> None:
-        self.tapes = {key: program.tapes[key] for key in sorted(program.tapes, key=_order)}
+        self.tapes = {key: in_single_operations(program.tapes[key]) for key in sorted(program.tapes, key=_order)}
         nodes = [node for tape in self.tapes.values() for node in tape.nodes]
         self.constants = dict.fromkeys(_word(v, program.real) for node in nodes for v in _numbers(node))
         self.known = {word: place for place, word in enumerate(self.constants)}

@@ -3,15 +3,19 @@
 Equal operations on equal arguments are stored once, sines and cosines of one angle share an operation, and a tansig is
 recognised however it is written. Where an operation takes only some numbers (square root, exp, sine of a huge angle) a
 guard stands before it; what an interval analysis proves to be needless is removed (see intervals.py). A function that
-is called (CasADi's option `never_inline`) becomes a table for each of its outputs (see periodic_table.py). The C
-emitter and the NumPy evaluation both read this list only.
+is called (CasADi's option `never_inline`) becomes a weighted sum for each of its outputs where it is a constant matrix
+times its input, else a table for each of them (see periodic_table.py). The C emitter and the NumPy evaluation both read
+this list only.
 """
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import casadi
+import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.export.c.coefficients import ANGLE_LIMIT, EXP_LIMIT
 from casadical.export.c.periodic_table import TABLE_LIMIT, periodic_tables
@@ -57,12 +61,14 @@ class Node:
     """One operation: its name, the positions of its arguments on the tape, and a constant or an input position.
 
     table : of the operation `periodic`, whose value is the bound of the table's error (see `spline_table`)
+    weights : of `weighted_sum`, one of each argument; products are added one by one, from the first
     """
 
     op: str
     args: tuple[int, ...] = ()
     value: float = 0.0
     table: tuple[float, ...] = ()
+    weights: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -103,7 +109,9 @@ class _Builder:
     def add(self, op: str, *args: int, value: float = 0.0, table: tuple[float, ...] = ()) -> int:
         if op in _COMMUTATIVE:
             args = tuple(sorted(args))
-        node = Node(op, args, value, table)
+        return self.stored(Node(op, args, value, table))
+
+    def stored(self, node: Node) -> int:
         if node not in self._known:
             self._known[node] = len(self.nodes)
             self.nodes.append(node)
@@ -125,6 +133,13 @@ class _Builder:
         if len(table) == 1:
             return self.constant(table[0])
         return self.add("periodic", self.within(angle, TABLE_LIMIT), value=bound, table=table)
+
+    def weighted_sum(self, args: list[int], weights: Array) -> int:
+        some = [k for k, a in enumerate(args) if self._const(a) != 0.0]
+        if not some:
+            return self.constant(0.0)
+        node = Node("weighted_sum", tuple(args[k] for k in some), weights=tuple(float(weights[k]) for k in some))
+        return self.stored(node)
 
     def arc(self, op: str, x: int) -> int:
         """asin, acos and atan are angles of a right-angled triangle: one atan2 serves all."""
@@ -203,7 +218,9 @@ def tape_of(function: casadi.Function) -> Tape:
     starts_out = _starts(function, [function.sparsity_out(i) for i in range(function.n_out())])
     builder = _Builder()
     inputs = [builder.add("input", value=float(k)) for k in range(starts_in[-1])]
-    tables = _called(function)
+    called = _called(function)
+    matrix = None if called is None else _matrix(called)
+    tables = periodic_tables(called) if called is not None and matrix is None else []
     work: dict[int, int] = {}
     outputs = [builder.constant(0.0)] * starts_out[-1]
     for k in range(function.n_instructions()):
@@ -215,11 +232,29 @@ def tape_of(function: casadi.Function) -> Tape:
         elif op == casadi.OP_CONST:
             work[target[0]] = builder.constant(function.instruction_constant(k))
         elif op == casadi.OP_CALL:
-            made = [builder.periodic(work[s], *table) for s, table in zip(source, tables, strict=True)]
+            args = [work[s] for s in source]
+            if matrix is None:
+                made = [builder.periodic(a, *table) for a, table in zip(args, tables, strict=True)]
+            else:
+                made = [builder.weighted_sum(args, row) for row in matrix]
             work |= dict(zip(target, made, strict=True))
         else:
             work[target[0]] = _operation(builder, function, op, [work[s] for s in source])
     return _live(builder.nodes, starts_in[-1], outputs)
+
+
+def in_single_operations(tape: Tape) -> Tape:
+    """The tape with every weighted sum as products and sums, which give the same bits."""
+    builder = _Builder()
+    place: list[int] = []
+    for node in tape.nodes:
+        args = [place[a] for a in node.args]
+        if node.op != "weighted_sum":
+            place.append(builder.stored(replace(node, args=tuple(args))))
+            continue
+        terms = [builder.add("mul", builder.constant(w), a) for w, a in zip(node.weights, args, strict=True)]
+        place.append(reduce(lambda total, term: builder.add("add", total, term), terms))
+    return _live(builder.nodes, tape.n_in, [place[o] for o in tape.outputs])
 
 
 def _operation(builder: _Builder, function: casadi.Function, op: int, args: list[int]) -> int:
@@ -243,15 +278,30 @@ def _operation(builder: _Builder, function: casadi.Function, op: int, args: list
     )
 
 
-def _called(function: casadi.Function) -> list[tuple[tuple[float, ...], float]]:
-    """Tables of the function that it calls; none where it calls none."""
+def _called(function: casadi.Function) -> casadi.Function | None:
+    """The function that it calls, if any."""
     called = function.find_functions()
     if len(called) > 1:
         raise InputError(
-            f"function {function.name()!r} calls {', '.join(f.name() for f in called)}; only one can become a table, "
+            f"function {function.name()!r} calls {', '.join(f.name() for f in called)}; only one can become a table "
+            "or a weighted sum, "
             "and no derivative of it: give jacobian_of a function without it"
         )
-    return periodic_tables(called[0]) if called else []
+    return called[0] if called else None
+
+
+def _matrix(function: casadi.Function) -> Array | None:
+    """A of a function x -> A x, shape (m, n); None of any other function."""
+    if (function.n_in(), function.n_out()) != (1, 1):
+        return None
+    jacobian = function.jacobian()
+    if jacobian.jac_sparsity(0, 0).nnz():
+        return None
+    zero = casadi.DM.zeros(function.sparsity_in(0))
+    some = np.random.default_rng(0).normal(size=(function.numel_in(0), 4))
+    matrix = np.asarray(jacobian(zero, function(zero)).full())
+    # The derivative of |x| is constant to CasADi wherever it has one.
+    return matrix if np.allclose(function.map(4)(some).full(), matrix @ some, rtol=1e-12, atol=0) else None
 
 
 def _expanded(function: casadi.Function) -> casadi.Function:

@@ -93,7 +93,10 @@ def operations(program: TapeProgram) -> Operations:
     count: dict[str, int] = {}
     for tape, times in calls.items():
         for node in program.tapes[tape].nodes:
-            if times and node.op not in _FREE:
+            if times and node.op == "weighted_sum":
+                for kind, more in (("multiplications", 0), ("additions", -1)):
+                    count[kind] = count.get(kind, 0) + times * (len(node.args) + more)
+            elif times and node.op not in _FREE:
                 kind = _KINDS.get(
                     node.op, node.op if node.op in ("sqrt", "exp", "tansig", "atan2", "periodic") else "choices"
                 )

@@ -9,7 +9,7 @@ from casadical.core.errors import InputError
 from casadical.export.c.intervals import bounds, without_needless_guards
 from casadical.export.c.numpy_evaluation import NumpyFunctions, run
 from casadical.export.c.products import mapped
-from casadical.export.c.tape import tape_of
+from casadical.export.c.tape import in_single_operations, tape_of
 
 REALS = ("float", "double")
 TYPE = {"float": np.float32, "double": np.float64}
@@ -54,6 +54,41 @@ def test_equal_operations_are_stored_once_and_sines_share_an_operation():
     names = operations(function)
     assert names.count("sincos") == 1
     assert names.count("mul") == 2
+
+
+def weighed(matrix):
+    """x -> the matrix times (x, sin x), the product in a function that is called."""
+    x, inner = ca.SX.sym("x", 2), ca.SX.sym("y", 4)
+    product = ca.Function("weighed", [inner], [ca.mtimes(ca.DM(matrix), inner)], {"never_inline": True})
+    return ca.Function("f", [x], [product(ca.vertcat(x, ca.sin(x)))], ["x"], ["y"])
+
+
+@pytest.mark.parametrize("real", REALS)
+def test_a_called_matrix_is_a_weighted_sum_with_the_bits_of_single_operations(real):
+    matrix = np.random.default_rng(0).normal(size=(3, 4))
+    function = weighed(matrix)
+    tape, grid = tape_of(function), np.random.default_rng(1).uniform(-2, 2, (2000, 2)).astype(TYPE[real])
+    assert operations(function).count("weighted_sum") == 3
+    assert "mul" not in operations(function)
+    values, fine = run(tape, grid, real)
+    assert fine.all()
+    exact = np.hstack([grid, np.sin(grid, dtype=float)]) @ matrix.T
+    np.testing.assert_allclose(values, exact, atol=50 * np.finfo(TYPE[real]).eps)
+    single = in_single_operations(tape)
+    assert "weighted_sum" not in [node.op for node in single.nodes]
+    np.testing.assert_array_equal(values, run(single, grid, real)[0])
+    low, high = np.array([bounds(tape, np.full(2, -2.0), np.full(2, 2.0), real)[k] for k in tape.outputs]).T
+    assert (low <= values).all()
+    assert (values <= high).all()
+    np.testing.assert_allclose(high, abs(matrix) @ [2, 2, 1, 1], rtol=1e-4)
+
+
+def test_a_function_that_only_looks_linear_is_no_weighted_sum():
+    x, inner = ca.SX.sym("x", 2), ca.SX.sym("y", 2)
+    for body in (ca.fabs(inner), inner + 1):
+        bent = ca.Function("bent", [inner], [body], {"never_inline": True})
+        with pytest.raises(InputError, match="bent"):
+            tape_of(ca.Function("f", [x], [bent(x)]))
 
 
 def test_every_operation_of_the_mirror_agrees_with_casadi():
