@@ -18,7 +18,7 @@ from casadical.report.style import BLUE, GREY, Figure, new_figure
 
 if TYPE_CHECKING:
     from casadical.diagnosis.laws.discovery import Discovery
-    from casadical.diagnosis.laws.search import Scored
+    from casadical.diagnosis.laws.problem import Scored
 
 _CAPTION = (
     "Line: the law. Points: for each pose the value that its own residual asks for at this place, beside all else in "

@@ -25,10 +25,11 @@ from casadical.diagnosis.laws.answer import as_json, files_of, line_of, page_of
 from casadical.diagnosis.laws.discovery import laws_beside, with_law
 from casadical.diagnosis.laws.drivers import drivers_of, values_of, variables, with_columns
 from casadical.diagnosis.laws.forms import FINE_WAVE, FORMS, LINEAR, WAVE, wave_by
+from casadical.diagnosis.laws.problem import SCREENED, Problem, Tried, scale_of
 from casadical.diagnosis.laws.rivals import aliases, law_rivals
 from casadical.diagnosis.laws.screening import Screen
 from casadical.diagnosis.laws.seams import with_columns as seams_with_columns
-from casadical.diagnosis.laws.search import SCREENED, Problem, Tried, scale_of, search_laws
+from casadical.diagnosis.laws.search import search_laws
 from casadical.diagnosis.linearisation import linearise
 from casadical.diagnosis.posterior import no_rivals, rank
 from casadical.diagnosis.text import page_of as diagnosis_page

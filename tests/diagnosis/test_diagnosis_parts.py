@@ -29,8 +29,8 @@ from casadical.diagnosis.formulas import _twist
 from casadical.diagnosis.gains import NEGLIGIBLE, log_gain
 from casadical.diagnosis.laws.drivers import Driver
 from casadical.diagnosis.laws.forms import _with_widths
+from casadical.diagnosis.laws.problem import Problem
 from casadical.diagnosis.laws.screening import Screen, log_mean
-from casadical.diagnosis.laws.search import Problem
 from casadical.diagnosis.line_search import Line, Search
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.localisation import _thirds

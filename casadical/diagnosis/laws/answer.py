@@ -10,9 +10,9 @@ from typing import Any
 from casadical.core.blocks import Table, Words, mm, plain_text
 from casadical.core.files import json_text
 from casadical.diagnosis.laws.discovery import Discovery
+from casadical.diagnosis.laws.problem import Scored
 from casadical.diagnosis.laws.rivals import CORRELATION
 from casadical.diagnosis.laws.round import ABOVE, ALIKE, CLAIMED, Round
-from casadical.diagnosis.laws.search import Scored
 from casadical.effects.law import SEAMS, Law
 from casadical.robot.effect_file import effects_toml
 from casadical.robot.robot_file import to_toml

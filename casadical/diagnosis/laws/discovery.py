@@ -14,8 +14,8 @@ from casadical.diagnosis.cross_validation import estimates, shrink_interval
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.laws.contest import beside_nothing, instead, round_of, thinned
 from casadical.diagnosis.laws.held_out import held_out
+from casadical.diagnosis.laws.problem import Scored
 from casadical.diagnosis.laws.round import Round
-from casadical.diagnosis.laws.search import Scored
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.refit import refit

@@ -10,7 +10,8 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.diagnosis.cross_validation import Fit, random_folds
 from casadical.diagnosis.evidence import Evidence
-from casadical.diagnosis.laws.search import Problem, Scored, refined_settings, scaled
+from casadical.diagnosis.laws.problem import Problem, Scored, scaled
+from casadical.diagnosis.laws.refinement import refined_settings
 from casadical.diagnosis.linear_problem import Case
 from casadical.measurements.noise import Noise
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.diagnosis.evidence import RHOS
-from casadical.diagnosis.laws.search import Scored, search_laws
+from casadical.diagnosis.laws.problem import Scored
+from casadical.diagnosis.laws.search import search_laws
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import Rival
 

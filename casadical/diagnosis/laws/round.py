@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from casadical.diagnosis.laws.search import Scored
+from casadical.diagnosis.laws.problem import Scored
 
 # Nats of a claim: of the score, and above rivals; of laws that are not distinguished.
 CLAIMED, ABOVE, ALIKE = 12.0, 3.0, 5.0

@@ -1,0 +1,153 @@
+"""A law that is tried, and its evidence beside what is known; a law with its score."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence, log_sum
+from casadical.diagnosis.laws.drivers import (
+    Driver,
+)
+from casadical.diagnosis.laws.forms import Form
+from casadical.diagnosis.laws.screening import Screen, log_mean
+from casadical.diagnosis.laws.seams import Seam
+from casadical.diagnosis.linear_problem import Case
+from casadical.effects.law import Law
+from casadical.measurements.noise import Noise
+
+LEAST_SCALE = 1e-3
+# Numbers of the rhos at which laws are screened: what is most probable without a law says little of that with it.
+SCREENED = (2, 4)
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """One form of one driver at one place, or at several, with all its settings.
+
+    seams : the place; more than one of the beam, whose stations are settings
+    x : the driver's values, shape (n,), at each place; form : see `Form`
+    """
+
+    seams: tuple[Seam, ...]
+    driver: Driver
+    form: Form
+    x: tuple[Array, ...]
+
+    @cached_property
+    def settings(self) -> tuple[Array, ...]:
+        """At each place, shape (K, settings)."""
+        return tuple(self.form.grid(x) for x in self.x)
+
+    def column(self, seam: int, settings: Array) -> tuple[Law, Array]:
+        """The law of these settings, and its columns in units of their sizes, shape (n, 3, w)."""
+        place = self.seams[seam]
+        values = self.form.values(self.x[seam], settings[None])
+        scales = [float(s) for s in scale_of(values)[:, 0]]
+        law = place.with_formula(self.form.texts(self.driver.text, settings.tolist()), scales)
+        sizes = np.array([size for size, _ in law.sizes().values()])
+        if values.ndim > 3:  # of every joint: all factors of the first, then of the next
+            each = np.stack([place.columns * v[:, None, :, 0] for v in values], axis=3)
+            columns = each.reshape(*each.shape[:2], -1)
+        else:
+            columns = np.concatenate([place.columns * v[:, None] for v in values], axis=2)
+        return law, columns * sizes
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """A law with its most probable settings.
+
+    law : as an effect; tried : what it was selected from; seam, settings : which place and settings of it
+    score : see the module; evidence : log evidence of these settings over none
+    columns : in units of its sizes, shape (n, 3, w); noise : that it leaves; errors : of the settings, by name
+    """
+
+    law: Law
+    tried: Tried
+    seam: int
+    settings: Array
+    score: float
+    evidence: float
+    columns: Array
+    noise: Noise
+    errors: Array
+
+    @property
+    def family(self) -> tuple[str, str]:
+        """Place and kind of driver."""
+        return self.law.place, self.tried.driver.family
+
+
+def scale_of(values: Array) -> Array:
+    """How much functions vary over poses and joints, shape (parts, K); a constant one, of the base model, a little.
+
+    values : as of `Form.values`
+    """
+    flat = values.reshape(len(values), -1, values.shape[-1])
+    return np.asarray(np.maximum(np.maximum(flat.std(axis=1), 0.1 * np.ptp(flat, axis=1)), LEAST_SCALE))
+
+
+def scaled(values: Array) -> Array:
+    """Functions in units of how much they vary; values : as of `Form.values`."""
+    scales = scale_of(values)
+    return np.asarray(values / scales.reshape(len(values), *[1] * (values.ndim - 2), -1))
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What laws are judged on: poses that are no outliers, with what is in the model in the base.
+
+    evidence : without candidates
+    """
+
+    evidence: Evidence
+
+    @classmethod
+    def of(cls, case: Case, chosen: Array) -> Problem:
+        """Of a case; chosen : columns of what is in the model already."""
+        base = case.evidence.with_base(chosen)
+        return cls(replace(base, E=np.zeros((*base.r.shape, 1)), held=None))
+
+    @cached_property
+    def log_base(self) -> Array:
+        """Log likelihood without a law, shape (rhos, sigmas)."""
+        return self.evidence.log_base()
+
+    def grids(self, columns: Sequence[Array]) -> Array:
+        """Log likelihood with each law, shape (laws, rhos, sigmas, kappas), sizes weighted."""
+        edges = np.cumsum([0, *(c.shape[2] for c in columns)])
+        e = replace(self.evidence, E=np.concatenate(columns, axis=2))
+        groups = [np.arange(a, b) for a, b in itertools.pairwise(edges)]
+        found: Array = e.log_grids(groups) + np.log(KAPPA_WEIGHTS)
+        return found
+
+    def evidences(self, columns: Sequence[Array]) -> Array:
+        """Exact log evidence over none of each law, shape (laws,)."""
+        return self.over_none(self.grids(columns))
+
+    def over_none(self, grids: Array) -> Array:
+        """Log evidence over none, shape (laws,); grids : as of `grids`."""
+        return np.asarray(log_sum(grids.reshape(len(grids), -1), axis=1) - float(log_sum(self.log_base)))
+
+    @cached_property
+    def screens(self) -> list[tuple[float, Screen]]:
+        """Screens at the rhos that matter, each with its log share of the evidence without a law."""
+        near = list(self.evidence.near)
+        by_rho = dict(zip(near, log_sum(self.log_base[near], axis=1), strict=True))
+        total = float(log_sum(self.log_base[near]))
+        known = [k for k in SCREENED if k in by_rho] or [max(near, key=lambda k: by_rho[k])]
+        return [(float(by_rho[k]) - total, Screen.of(self.evidence, k)) for k in known]
+
+    def gains(self, seam: Seam, functions: Array) -> Array:
+        """Log evidence of laws at a place, shape (K,); functions : in units of their scales, as of `Form.values`."""
+        found = []
+        for share, screen in self.screens:
+            G, b = screen.products(seam.columns * seam.size, functions)
+            found.append(share + screen.gains(G, b))
+        return log_mean(np.stack(found))
