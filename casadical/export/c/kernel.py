@@ -247,12 +247,10 @@ def rows_source(shape: Shape) -> str:
 
 def build(shape: Shape, sources: list[Path], folder: Path, compiler: Compiler, flags: tuple[str, ...] = ()) -> Kernel:
     """Compile an export's sources with the loops over rows into a new library in a folder, and load it."""
-    wrapper = folder / f"{shape.name}_rows.c"
+    how = hashlib.sha256(" ".join(flags).encode()).hexdigest()[:8]
+    library = folder / f"{shape.name}_{Path(compiler.command).name}_{how}.so"
+    wrapper = library.with_suffix(".c")  # of its own: compilers may work at the same time
     wrapper.write_text(rows_source(shape), encoding="utf-8")
-    library = (
-        folder
-        / f"{shape.name}_{Path(compiler.command).name}_{hashlib.sha256(' '.join(flags).encode()).hexdigest()[:8]}.so"
-    )
     include = f"-I{sources[0].parent}"
     shared_library(compiler, [*sources, wrapper], library, ("-O2", include, *flags))
     return Kernel(shape, library)

@@ -1,13 +1,14 @@
 """The exported C compiled and compared: with the NumPy reference bit for bit, with CasADi's doubles in micrometres."""
 
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.export.c.kernel import Kernel, Shape, build
+from casadical.export.c.kernel import Shape, build
 from casadical.export.c.products import mapped
 from casadical.export.c.reference import Status
 from casadical.export.c.self_test import comparison_inputs, functions, inside
@@ -51,24 +52,23 @@ def compared(
     if not found:
         return []
     q = comparison_inputs(program, count)
-    expected = {key: compute(program, q) for key, compute in functions(program).items()}
     results: list[Comparison] = []
-    with tempfile.TemporaryDirectory() as folder:
-        for compiler in found:
-            kernel = _built(program, name, files, Path(folder), compiler)
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(len(found)) as pool:
+        sources = [Path(folder) / file for file in (f"{name}.h", f"{name}.c", f"{name}_self_test.c")]
+        for source in sources:
+            source.write_bytes(files[source.name])
+        shape = shape_of(program, name)
+        kernels = [pool.submit(build, shape, sources[1:], Path(folder), compiler, WARNINGS) for compiler in found]
+        # The compilers work in processes of their own meanwhile.
+        expected = {key: compute(program, q) for key, compute in functions(program).items()}
+        for compiler, built in zip(found, kernels, strict=True):
+            kernel = built.result()
             results.append(Comparison("self_test", compiler.version, 1, 1, int(kernel.self_test() != Status.OK)))
             for key, (out, status) in expected.items():
                 mine, my_status = kernel.rows(key, q)
                 different = int((_bits(mine) != _bits(out)).sum() + (my_status != status).sum())
                 results.append(Comparison(key, compiler.version, count, out.size, different))
     return results
-
-
-def _built(program: TapeProgram, name: str, files: dict[str, bytes], folder: Path, compiler: Compiler) -> Kernel:
-    for file in (f"{name}.h", f"{name}.c", f"{name}_self_test.c"):
-        (folder / file).write_bytes(files[file])
-    sources = [folder / f"{name}.c", folder / f"{name}_self_test.c"]
-    return build(shape_of(program, name), sources, folder, compiler, WARNINGS)
 
 
 def _bits(values: Array) -> Array:
