@@ -233,11 +233,11 @@ def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -
         return tuple(said)
     held = (u.reason.split(";")[0] for u in found.identifiability.held)
     said += dict.fromkeys(reason for reason in held if reason.startswith(WITHOUT))
-    q = np.concatenate([m.q for m in case.others.sets])
-    if len(np.unique(q, axis=0)) < len(q):
+    stops = case.others.stops
+    if stops.most > 1:
         said.append(
-            "rows at the same readings: their noise is taken as independent; what such rows share, joint repeatability "
-            "too, may look like something unknown"
+            f"{len(stops.of)} rows were read at {len(stops.rows)} stops of the robot: rows at equal readings share how "
+            "its joints repeat there; if it moved between them, say so by numbers in a column pose"
         )
     for m, (length, angle) in zip(case.others.sets, case.others.ratios.sigmas, strict=True):
         kind = find_kind(m.kind)

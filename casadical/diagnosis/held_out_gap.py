@@ -147,7 +147,9 @@ def check_refit(found: Diagnosis, show: Callable[[str], None] = lambda _text: No
     for fold in range(FOLDS):
         show(f"refit {fold + 1} of {FOLDS}")
         test = folds == fold
-        left[test] = left_by(refit(case, effects, found.noise, ~test), sets, test)
+        error = left_by(refit(case, effects, found.noise, ~test), sets, test[case.rows])
+        square = np.bincount(case.rows[test[case.rows]], error**2, minlength=len(folds))
+        left[test] = np.sqrt(square[test])
     linear = held_out_errors(case.evidence, found.columns, found.noise, folds)
     return Check(float(left.mean()), float(linear.mean()))
 

@@ -15,7 +15,7 @@ from casadical.diagnosis.cross_validation import fit_of
 from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, SIGMAS, Evidence
 from casadical.diagnosis.linearisation import Columns, linearise
 from casadical.diagnosis.noise_floor import replicates
-from casadical.diagnosis.observations import Observations, Ratios, edges_of, joined, observe, with_far_ends
+from casadical.diagnosis.observations import Observations, Ratios, joined, observe, stops_in, with_far_ends
 from casadical.effects import Effect
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import Identification
@@ -73,6 +73,11 @@ class Case:
     def one_end(self) -> bool:
         """Whether each row depends on one pose; a distance between two poses does not."""
         return self.others is None or self.others.linear.far is None
+
+    @property
+    def rows(self) -> Array:
+        """Of each kept row of the measured sets the number of its pose among the kept ones, shape (rows,)."""
+        return np.arange(int(self.kept.sum())) if self.others is None else self.others.stops.kept(self.kept)
 
     @property
     def apart(self) -> Array | None:
@@ -230,7 +235,9 @@ def make_case(
     free : see `Case`; ratios : of the noise of several sets or of angles, by default as the base fit has them
     """
     sets = identification.measurements
-    m = with_far_ends(joined(sets, identification.given), sets, identification.unknown_points)
+    plain, stops = len(sets) == 1 and sets[0].kind == "position", stops_in(sets)
+    m = sets[0] if plain else joined(sets, identification.given, stops)
+    m = with_far_ends(m, sets, identification.unknown_points, stops)
     m = _with_declared_payload(m, identification.given)
     possible, missing = choose(candidates, m)
     effects = tuple(dict.fromkeys(e for c in possible for v in c.variants for e in v))
@@ -239,9 +246,10 @@ def make_case(
     values = robot.values_of(identification.robot)
     delta0 = _prior_mean(identification) - values
     delta0[[n.startswith(("base_", "tool_r")) for n in robot.parameters.names]] = 0.0
-    if len(sets) > 1 or sets[0].kind != "position":
+    if not plain:
         ratios = ratios or Ratios(identification.problem.sigmas)
-        return _of_kinds(identification, m, values, delta0, ratios, possible, missing, effects, free)
+        seen = observe(identification, m, sets, values, ratios, stops)
+        return _of_kinds(identification, seen, values, delta0, possible, missing, effects, free)
     linear = linearise(robot, m, values)
     p, _ = predicted(identification.robot, m)
     assert m.position is not None
@@ -258,18 +266,16 @@ def make_case(
 
 def _of_kinds(
     identification: Identification,
-    m: Measurements,
+    seen: Observations,
     values: Array,
     delta0: Array,
-    ratios: Ratios,
     possible: Sequence[Candidate],
     missing: dict[str, tuple[str, ...]],
     effects: tuple[Effect, ...],
     free: tuple[str, ...],
 ) -> Case:
     """The case of any kinds of measurement; the priors hold at the noise that the base model leaves."""
-    robot = identification.given
-    seen = observe(identification, m, identification.measurements, values, ratios)
+    robot, m = identification.given, seen.m
     r, numbers = seen.r, np.maximum(seen.measured.sum(axis=1), 1)
     left = robust_std(r)
     kept = seen.measured.any(axis=1) & (np.linalg.norm(r, axis=1) / np.sqrt(numbers) <= GROSS * left)
@@ -305,11 +311,12 @@ def better_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
     fit, known = fit_of(case.evidence, columns, noise), case.others.ratios
     left, pull = fit.rest.reshape(case.evidence.r.shape) ** 2, fit.pull(np.arange(len(case.evidence.r)))
     freedom = case.evidence.measured - np.diagonal(pull, axis1=1, axis2=2)
-    own = np.flatnonzero(case.kept)
-    found = []
-    for m, at, (length, angle) in zip(case.others.sets, edges_of(case.others.sets), known.sigmas, strict=True):
-        poses, kind = np.flatnonzero((own >= at.start) & (own < at.stop)), find_kind(m.kind)
-        parts = (slice(0, kind.lengths), slice(kind.lengths, kind.numbers))
+    place, found = np.cumsum(case.kept) - 1, []
+    for k, (m, (length, angle)) in enumerate(zip(case.others.sets, known.sigmas, strict=True)):
+        poses, places = case.others.numbers_of(k)
+        own, kind = case.kept[poses[:, 0]], find_kind(m.kind)
+        poses, places = place[poses[own]], places[own]
+        parts = (places[:, : kind.lengths], places[:, kind.lengths :])
         factors = [
             float(np.sqrt(left[poses, part].sum() / max(float(freedom[poses, part].sum()), 1.0))) or 1.0
             for part in parts

@@ -8,7 +8,7 @@ composed once for all settings of an effect and evaluated for all poses and sett
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -28,6 +28,15 @@ from casadical.robot.robot import Robot
 BLOCK = 512
 # All poses.
 EVERY = slice(None)
+# Variables of the measured point, the last of the seams.
+POINT = 3
+# Behind a condition's name, before the number of the reading at a pose.
+TURN = "#"
+
+
+def of_turn(condition: str, turn: int) -> str:
+    """The name of a condition of a further reading at a pose; of the first, 0, its own."""
+    return f"{condition}{TURN}{turn}" if turn else condition
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +120,8 @@ class Linearisation:
     model : the robot at its seams, of any pose
     far : readings and what effects look at where the other ends of measurements are, whose seams follow those of the
         poses in S; None for measurements with one end
+    further : readings that a pose has at most beside the first; each has variables of the measured point of its own,
+        behind all other seams, and conditions of its own where there are such (see `of_turn`)
     Of other kinds of measurement than positions, J and S are of what is measured (see `observations`), not of three
     coordinates.
     """
@@ -125,6 +136,7 @@ class Linearisation:
     seen: Array
     constants: Array
     far: tuple[Array, Array] | None = None
+    further: int = 0
 
     @property
     def Jq(self) -> Array:
@@ -155,27 +167,41 @@ class Linearisation:
     def factors(self, parts: Sequence[Part]) -> Factors:
         """The same columns as factors of the seams at which they act; parts : of `plan`."""
         n, found = len(self.q), dict[int, list[tuple[Array, Array]]]()
-        ends = [(self.q, self.seen)] if self.far is None else [(self.q, self.seen), self.far]
-        for end, numbers in enumerate(ends):
+        for numbers, first, least, turn in self._places():
             q, seen = ([c[None] for c in of.T] for of in numbers)
-            first = end * (self.S.shape[2] // len(ends))
             for part in parts:
                 f = part.formula
-                logged = [self._condition(c)[None] for c in f.conditions]
+                if f.rows.max(initial=-1) < least:
+                    continue
+                logged = [self._condition(c, turn)[None] for c in f.conditions]
                 settings = [setting[:, None] for setting in part.settings]
                 (factors,) = f.function(q, logged, list(self.phi), list(self.constants), seen, settings)
                 for seam, column, factor in zip(f.rows.tolist(), f.columns, factors, strict=True):
-                    own = np.broadcast_to(factor, (len(part.starts), n))
-                    found.setdefault(first + seam, []).append((part.starts + column, own))
+                    if seam >= least:
+                        own = np.broadcast_to(factor, (len(part.starts), n))
+                        found.setdefault(first + seam, []).append((part.starts + column, own))
         blocks = tuple(
             (seam, np.concatenate([c for c, _ in own]), np.concatenate([f for _, f in own]))
             for seam, own in sorted(found.items())
         )
         return Factors(blocks, sum(len(part.starts) * part.width for part in parts))
 
-    def _condition(self, name: str) -> Array:
-        if name in self.conditions:
-            return self.conditions[name]
+    def _places(self) -> Iterator[tuple[tuple[Array, Array], int, int, int]]:
+        """Where effects act: readings and what effects look at, number of the first seam, the least that is used, turn.
+
+        Of further readings at a pose it is the measured point alone.
+        """
+        ends = [(self.q, self.seen)] if self.far is None else [(self.q, self.seen), self.far]
+        seams = (self.S.shape[2] - POINT * self.further) // len(ends)
+        for k, end in enumerate(ends):
+            yield end, k * seams, 0, 0
+        for turn in range(1, self.further + 1):
+            yield ends[0], len(ends) * seams + POINT * turn - seams, seams - POINT, turn
+
+    def _condition(self, name: str, turn: int) -> Array:
+        for own in (of_turn(name, turn), name):
+            if own in self.conditions:
+                return self.conditions[own]
         known = dict(zip(self.robot.conditions, self.robot.declared, strict=True))
         return np.full(len(self.q), known[name])
 

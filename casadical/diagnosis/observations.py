@@ -1,9 +1,10 @@
 """The linear problem of any kinds of measurement, several sets together: by each kind's own residual.
 
-Every pose has as many rows as the kind with the most numbers has; rows that were not measured are zero. Rows are in
-units in which the noise of all sets is alike, that of a length of the first set: an angle of a full pose is multiplied
-by the ratio of the two sigmas, a set's lengths by the ratio of the sets'. An unknown point, which poses share, is three
-more parameters of the base model.
+All that was read at one stop of the robot (see `stops`) is one pose with as many numbers: these share how the joints
+repeat, as the coordinates of a position do, and the instruments' own noise they do not share. Every pose has as many
+numbers as the one with the most; what was not measured is zero. They are in units in which the noise of all sets is
+alike, that of a length of the first set: an angle of a full pose is multiplied by the ratio of the two sigmas, a set's
+lengths by the ratio of the sets'. An unknown point, which poses share, is three more parameters of the base model.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.casadi_buffers import call
-from casadical.diagnosis.linearisation import BLOCK, Linearisation
+from casadical.diagnosis.linearisation import BLOCK, POINT, TURN, Linearisation, of_turn
 from casadical.diagnosis.seams import observed_at_seams, seams_of
+from casadical.diagnosis.stops import Stops, stops_of
 from casadical.effects.distance_faults import FAR, FLAGS, WIRES
 from casadical.identification.identification import Identification
 from casadical.measurements.kinds.registry import find_kind
@@ -46,6 +48,7 @@ class Observations:
     """What sets of measurements tell, at the base model calibrated on them.
 
     m : all poses as one table; sets : as given, with the conditions of m; ratios : of their noise
+    stops : at which the sets' rows were read, which are the poses; first : the first of each row's numbers at its pose
     r : measured less modelled, shape (n, numbers); linear : its derivatives
     U : by the unknown points in units of what is known of them, shape (n, numbers, points), and mean, shape (points,)
     measured, size, alike : see `Evidence`; apart : number of what each pose was measured to, for repeats, shape (n,)
@@ -55,6 +58,8 @@ class Observations:
     m: Measurements
     sets: tuple[Measurements, ...]
     ratios: Ratios
+    stops: Stops
+    first: Array
     r: Array
     linear: Linearisation
     U: Array
@@ -65,14 +70,19 @@ class Observations:
     apart: Array
     Jq: Array
 
+    def numbers_of(self, k: int) -> tuple[Array, Array]:
+        """Where a set's numbers stand among those of the poses: poses, shape (rows, 1), and places, (rows, numbers)."""
+        at = edges_of(self.sets)[k]
+        return self.stops.of[at, None], self.first[at, None] + np.arange(find_kind(self.sets[k].kind).numbers)
 
-def joined(sets: Sequence[Measurements], robot: Robot) -> Measurements:
+
+def joined(sets: Sequence[Measurements], robot: Robot, stops: Stops) -> Measurements:
     """All poses as one table, of those columns that every set has; what the robot's model needs is as declared else.
 
     Its positions are not those of a measurement, unless it is one set.
     """
     if len(sets) == 1:
-        return sets[0]
+        return sets[0] if len(stops.rows) == len(sets[0]) else sets[0][stops.rows]
     declared = dict(zip(robot.conditions, robot.declared, strict=True))
     names = [n for n in sets[0].conditions if all(n in m.conditions for m in sets)]
     names += [n for n in declared if n not in names]
@@ -88,18 +98,28 @@ def joined(sets: Sequence[Measurements], robot: Robot) -> Measurements:
         position=np.zeros((len(q), 3)),
         conditions=conditions,
         row=row,
-        source=", ".join(m.source for m in sets),
+        source=", ".join(dict.fromkeys(m.source for m in sets)),
         copies=copies,
-    )
+    )[stops.rows]
 
 
-def with_far_ends(m: Measurements, sets: Sequence[Measurements], where: Mapping[str, Array]) -> Measurements:
+def stops_in(sets: Sequence[Measurements]) -> Stops:
+    """At which stops the rows of some sets were read."""
+    points = [m.label if m.label is not None else np.full(len(m), "") for m in sets]
+    return stops_of(sets, _measured_to(sets, np.unique(np.concatenate(points).astype(str), return_inverse=True)[1]))
+
+
+def with_far_ends(
+    m: Measurements, sets: Sequence[Measurements], where: Mapping[str, Array], stops: Stops
+) -> Measurements:
     """The table of all sets with columns of the instruments that read distances, where there are some.
 
     far_x_m .. : the known far end, or where the base fit has it (see `Identification.unknown_points`); wire1 .. : 1
     where the first such instrument read, else 0. Far ends of one table are those of one instrument each, up to WIRES.
+    Of further rows at a stop they are further columns (see `linearisation.of_turn`).
     """
-    far, wire, count = np.zeros((len(m), 3)), np.zeros(len(m), dtype=np.int64), 0
+    rows = len(stops.of)
+    far, wire, count = np.zeros((rows, 3)), np.zeros(rows, dtype=np.int64), 0
     for k, (part, at) in enumerate(zip(sets, edges_of(sets), strict=True)):
         if part.distance is None or part.other is not None:
             continue
@@ -110,8 +130,13 @@ def with_far_ends(m: Measurements, sets: Sequence[Measurements], where: Mapping[
         count = int(wire[at].max())
     if not 0 < count <= WIRES:
         return m
-    columns = {f: (wire == k).astype(float) for k, f in enumerate(FLAGS, 1)}
-    columns |= dict(zip(FAR, far.T, strict=True))
+    of_row = {f: (wire == k).astype(float) for k, f in enumerate(FLAGS, 1)} | dict(zip(FAR, far.T, strict=True))
+    columns: dict[str, Array] = {}
+    for turn in range(stops.most):
+        own = np.flatnonzero(stops.turn == turn)
+        for name, values in of_row.items():
+            columns[of_turn(name, turn)] = column = np.zeros(len(m))
+            column[stops.of[own]] = values[own]
     return replace(m, conditions={**m.conditions, **columns})
 
 
@@ -121,75 +146,116 @@ def edges_of(sets: Sequence[Measurements]) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(ends)]
 
 
-def separated(sets: Sequence[Measurements], m: Measurements) -> tuple[Measurements, ...]:
+def separated(sets: Sequence[Measurements], m: Measurements, stops: Stops) -> tuple[Measurements, ...]:
     """The sets with the conditions of the table of all."""
+    own = [name for name in m.conditions if TURN not in name]
+    columns = {name: m.conditions[name][stops.of] for name in own}
+    for name in own:
+        for turn in range(1, stops.most):
+            at = np.flatnonzero(stops.turn == turn)
+            if (further := of_turn(name, turn)) in m.conditions:
+                columns[name][at] = m.conditions[further][stops.of[at]]
     return tuple(
-        replace(part, conditions={name: values[at] for name, values in m.conditions.items()})
+        replace(part, conditions={name: values[at] for name, values in columns.items()})
         for part, at in zip(sets, edges_of(sets), strict=True)
     )
 
 
 def observe(
-    identification: Identification, m: Measurements, sets: Sequence[Measurements], values: Array, ratios: Ratios
+    identification: Identification,
+    m: Measurements,
+    sets: Sequence[Measurements],
+    values: Array,
+    ratios: Ratios,
+    stops: Stops,
 ) -> Observations:
     """The sets at the base model's values, shape (P,) [SI]; m : of `joined`, with every condition that is needed."""
     robot = identification.given
-    sets = separated(sets, m)
+    sets = separated(sets, m, stops)
     where = identification.unknown_points
-    numbers = max(find_kind(part.kind).numbers for part in sets)
-    found = [_of_set(robot, part, k, values, where, ratios, numbers) for k, part in enumerate(sets)]
+    found = [_of_set(robot, part, k, values, where, ratios) for k, part in enumerate(sets)]
+    first = _first_numbers(stops, np.concatenate([np.full(len(part.r), part.r.shape[1]) for part in found]))
+    width = max(int(first[at].max()) + part.r.shape[1] for part, at in zip(found, edges_of(sets), strict=True))
     ends = max(part.ends for part in found)
-    S = np.concatenate([part.widened(ends) for part in found])
-    far: tuple[Array, Array] | None = None
-    if ends > 1:
-        far = np.concatenate([part.q[-1] for part in found]), np.concatenate([part.seen[-1] for part in found])
+    seams = found[0].S.shape[2] // found[0].ends
+
+    def together(name: str, *last: int) -> Array:
+        """Numbers of all sets at their poses, shape (n, width, ...), zero where there are none."""
+        out = np.zeros((len(m), width, *last))
+        for part, at in zip(found, edges_of(sets), strict=True):
+            own = getattr(part, name)
+            out[stops.of[at, None], first[at, None] + np.arange(own.shape[1])] = own
+        return out
+
+    S = np.zeros((len(m), width, ends * seams + POINT * (stops.most - 1)))
+    U, points = np.zeros((*S.shape[:2], 3 * len(where))), np.full((len(m), stops.most), -1)
+    for part, at in zip(found, edges_of(sets), strict=True):
+        poses, places = stops.of[at, None], first[at, None] + np.arange(part.r.shape[1])
+        S[poses, places, : part.S.shape[2]] = part.S
+        for turn in range(1, stops.most):
+            # What an instrument does to its own reading, it does to no other of this stop.
+            own = np.flatnonzero(stops.turn[at] == turn)
+            to = ends * seams + POINT * (turn - 1)
+            S[poses[own], places[own], to : to + POINT] = part.S[own, :, seams - POINT : seams]
+            S[poses[own], places[own], seams - POINT : seams] = 0.0
+        for i, k in enumerate(part.point):
+            if k >= 0:
+                U[poses[i], places[i], 3 * k : 3 * k + 3] = part.U[i]
+        points[stops.of[at], stops.turn[at]] = part.point
+    seen, q = (np.concatenate([np.asarray(getattr(part, name)) for part in found], axis=1) for name in ("seen", "q"))
     linear = Linearisation(
         robot,
         seams_of(robot),
         values,
         m.q,
         dict(m.conditions),
-        np.concatenate([part.J for part in found]),
+        together("J", len(values)),
         S,
-        np.concatenate([part.seen[0] for part in found]),
+        seen[0, stops.rows],
         constants_of(robot, robot.torque_scale),
-        far,
+        (q[1, stops.rows], seen[1, stops.rows]) if ends > 1 else None,
+        stops.most - 1,
     )
-    arms = S.reshape(*S.shape[:2], ends, -1)[:, :, :, : robot.n]
-    Jq = arms[:, :, 0] if ends == 1 else np.sqrt((arms**2).sum(axis=2))
-    U = np.zeros((*S.shape[:2], 3 * len(where)))
-    point, offset = np.full(len(m), -1), 0
-    for part in found:
-        for i, k in enumerate(part.point):
-            if k >= 0:
-                U[offset + i, :, 3 * k : 3 * k + 3] = part.U[i]
-        point[offset : offset + len(part.point)] = part.point
-        offset += len(part.point)
+    arms = S[:, :, : ends * seams].reshape(*S.shape[:2], ends, seams)[:, :, :, : robot.n]
     root, mean = _known_points(identification, where)
-    apart = [np.full(len(part), k) for k, part in enumerate(sets)]
-    _, number = np.unique(
-        np.column_stack([np.concatenate(apart), point, _other_ends(sets)]), axis=0, return_inverse=True
-    )
+    apart = np.full((len(m), stops.most), -1)
+    apart[stops.of, stops.turn] = _measured_to(sets, np.concatenate([part.point for part in found]))
     return Observations(
         m=m,
         sets=sets,
         ratios=ratios,
-        r=np.concatenate([part.r for part in found]),
+        stops=stops,
+        first=first,
+        r=together("r"),
         linear=linear,
         U=U @ root,
         mean=mean,
-        measured=np.concatenate([part.measured for part in found]),
-        size=np.concatenate([part.size for part in found]),
+        measured=together("measured") > 0,
+        size=together("size"),
         # What has no unknown point is spread over folds as if each pose were alone.
-        alike=np.where(point < 0, len(where), point) if len(where) else None,
-        apart=number.ravel(),
-        Jq=Jq,
+        alike=_numbered(points) if len(where) else None,
+        apart=_numbered(apart),
+        Jq=arms[:, :, 0] if ends == 1 else np.sqrt((arms**2).sum(axis=2)),
     )
+
+
+def _numbered(keys: Array) -> Array:
+    """A number for each different row of keys, shape (n,)."""
+    return np.asarray(np.unique(keys, axis=0, return_inverse=True)[1].ravel())
+
+
+def _first_numbers(stops: Stops, counts: Array) -> Array:
+    """The place of each row's first number at its stop, shape (rows,); counts : of its numbers, shape (rows,)."""
+    first = np.zeros(len(counts), dtype=np.int64)
+    order = np.lexsort((stops.turn, stops.of))
+    before = np.cumsum(counts[order]) - counts[order]
+    first[order] = before - before[np.searchsorted(stops.of[order], stops.of[order])]
+    return first
 
 
 @dataclass(frozen=True, eq=False)
 class _OfSet:
-    """One set: rows with zeros where it has fewer numbers than others; of q and seen, one for each end."""
+    """One set, row by row; of q and seen, one for each end."""
 
     r: Array
     J: Array
@@ -202,21 +268,8 @@ class _OfSet:
     point: Array
     ends: int
 
-    def widened(self, ends: int) -> Array:
-        """S with seams of further ends, which do nothing."""
-        more = np.zeros((*self.S.shape[:2], self.S.shape[2] // self.ends * (ends - self.ends)))
-        return np.concatenate([self.S, more], axis=2)
 
-
-def _of_set(
-    robot: Robot,
-    m: Measurements,
-    k: int,
-    values: Array,
-    where: Mapping[str, Array],
-    ratios: Ratios,
-    numbers: int,
-) -> _OfSet:
+def _of_set(robot: Robot, m: Measurements, k: int, values: Array, where: Mapping[str, Array], ratios: Ratios) -> _OfSet:
     kind, n = find_kind(m.kind), len(m)
     names = [f"{k}/{name}" for name in kind.point_names(m.arrays)]
     number = {name: i for i, name in enumerate(where)}
@@ -235,17 +288,16 @@ def _of_set(
     length, angle = ratios.of_set(k)
     scale = np.concatenate([np.full(kind.lengths, length), np.full(kind.angles, angle)])
     rows = scale * np.sqrt(m.weight)[:, None]
-    out = [(0, 0), (0, numbers - kind.numbers)]
     size = np.concatenate([np.full(kind.lengths, 1 / length), np.zeros(kind.angles)])
     return _OfSet(
-        r=np.pad(-r[:, :, 0] * rows, out),
-        J=np.pad(J * rows[:, :, None], [*out, (0, 0)]),
-        S=np.pad(S * rows[:, :, None], [*out, (0, 0)]),
-        U=np.pad(U * rows[:, :, None], [*out, (0, 0)]),
+        r=-r[:, :, 0] * rows,
+        J=J * rows[:, :, None],
+        S=S * rows[:, :, None],
+        U=U * rows[:, :, None],
         seen=tuple(seen[:, :, i] for i in (0, at.ends - 1)),
         q=tuple(q[:, :, i] for i in (0, at.ends - 1)),
-        measured=np.pad(np.broadcast_to((m.weight > 0)[:, None], (n, kind.numbers)), out),
-        size=np.pad(np.broadcast_to(size, (n, kind.numbers)), out),
+        measured=np.broadcast_to((m.weight > 0)[:, None], (n, kind.numbers)),
+        size=np.broadcast_to(size, (n, kind.numbers)),
         point=np.array([number[name] for name in names] or [-1] * n),
         ends=at.ends,
     )
@@ -272,12 +324,16 @@ def _known_points(identification: Identification, where: Mapping[str, Array]) ->
     return np.linalg.inv(L).T, np.linalg.solve(L, right)
 
 
-def _other_ends(sets: Sequence[Measurements]) -> Array:
-    """What else each pose was measured to, as numbers, shape (n, k): a known point, or readings at the other end."""
+def _measured_to(sets: Sequence[Measurements], point: Array) -> Array:
+    """Number of the set, the unknown point, and what else each row was measured to, shape (rows,).
+
+    point : number of each row's unknown point, shape (rows,)
+    """
+    number = np.concatenate([np.full(len(m), k) for k, m in enumerate(sets)])
     width = max((3 if m.target is not None else 0) + (m.other.shape[1] if m.other is not None else 0) for m in sets)
     found = []
     for m in sets:
         own = [np.zeros((len(m), 0)), *(a for a in (m.target, m.other) if a is not None)]
         own_ends = np.round(np.concatenate(own, axis=1), 4)
         found.append(np.pad(own_ends, [(0, 0), (0, width - own_ends.shape[1])]))
-    return np.concatenate(found)
+    return _numbered(np.column_stack([number, point, np.concatenate(found)]))

@@ -31,7 +31,7 @@ def refit(case: Case, effects: Sequence[Effect], noise: Noise, use: Array | None
     use : mask over the kept poses of those to identify from, all by default
     """
     sets = refit_measurements(case, effects, noise)
-    sets = sets if use is None else chosen_of(sets, use)
+    sets = sets if use is None else chosen_of(sets, use[case.rows])
     free = ("kinematic", "compliance", *case.free, *dict.fromkeys(e.label for e in effects))
     priors = _priors(case) | _priors_of_effects(case, effects)
     return identify(case.robot.with_effect(*effects), sets, free, priors=priors, prior=case.prior)
@@ -63,7 +63,7 @@ def _priors_of_effects(case: Case, effects: Sequence[Effect]) -> dict[str, tuple
 
 
 def chosen_of(sets: Sequence[Measurements], use: Array) -> tuple[Measurements, ...]:
-    """Those poses of the sets that a mask over all of them chooses; sets without any are left out."""
+    """Those rows of the sets that a mask over all of them chooses; sets without any are left out."""
     parts = [(m, use[at]) for m, at in zip(sets, edges_of(sets), strict=True)]
     return tuple(m[own] for m, own in parts if own.any())
 
@@ -76,14 +76,15 @@ def refit_measurements(case: Case, effects: Sequence[Effect], noise: Noise) -> t
     """
     m, _ = derive(case.m, [c for e in effects for c in e.conditions])
     if case.others:
-        return chosen_of(_with_sigmas(case, separated(case.others.sets, m), noise), case.kept)
+        stops = case.others.stops
+        return chosen_of(_with_sigmas(case, separated(case.others.sets, m, stops), noise), case.kept[stops.of])
     C = covariance(case.whole, noise)[case.kept]
     m = replace(m.positions_alone()[case.kept], kind=PositionCovariance.name, extra={"whitening": whitening(C)})
     return (replace(m, sigma=typical_sigma(C)),)
 
 
 def left_by(found: Identification, sets: Sequence[Measurements], test: Array) -> Array:
-    """Error of each pose that a mask over all sets chooses, shape (k,) [m], as the identification has it.
+    """Error of each row that a mask over all sets chooses, shape (k,) [m], as the identification has it.
 
     A point that it identified too is where it has it, not where these poses would have it.
     """
@@ -108,7 +109,8 @@ def _with_sigmas(case: Case, sets: Sequence[Measurements], noise: Noise) -> list
     assert case.others
     square = np.diagonal(covariance(case.whole, noise), axis1=1, axis2=2) * case.others.measured
     found = []
-    for k, (m, at) in enumerate(zip(sets, edges_of(sets), strict=True)):
+    for k, m in enumerate(sets):
+        at = case.others.numbers_of(k)
         usual = float(np.sqrt(square[at].sum() / max(1, np.count_nonzero(case.others.measured[at]))))
         length, angle = (usual / scale for scale in case.others.ratios.of_set(k))
         found.append(replace(m, sigma=length, sigma_angle=angle))

@@ -11,8 +11,10 @@ from casadical.diagnosis.details import analyse
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.linear_problem import make_case
+from casadical.diagnosis.observations import stops_in
 from casadical.diagnosis.statements import assumptions, statements
 from casadical.effects import Backlash, ThermalGrowth
+from casadical.effects.wire_drift import WireDrift
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
 from casadical.identification.residuals import make_block
@@ -113,13 +115,55 @@ def readings(r: Robot, m: Measurements, made: Measurements) -> np.ndarray:
     return np.asarray(np.linalg.norm(where - far, axis=1))
 
 
+def test_what_an_instrument_does_to_its_reading_it_does_to_no_other_of_the_stop() -> None:
+    """Columns of a drift of each wire at stops with three readings: finite differences of each wire's own reading."""
+    sets = distances(practice("kr210-P02")[:20])
+    found = identify(robot("kr210"), sets, ("geometry",), priors=True)
+    effect = WireDrift()
+    case = make_case(found, candidates_of(robot("kr210"), [effect]))
+    assert case.others is not None
+    assert case.others.r.shape == (20, 3)
+    E = case.whole.take(case.columns[effect])
+    changed = found.robot.with_effect(effect)
+    for k, (name, (size, _)) in enumerate(effect.sizes().items()):
+        values = {f"{effect.label}.{name}": 1e-2 * size}
+        for j, m in enumerate(case.others.sets):
+            more = readings(changed.with_values(values), m, m) - readings(found.robot, m, m)
+            scale = case.others.ratios.of_set(j)[0]
+            np.testing.assert_allclose(E[:, j, k], 1e2 * scale * more, rtol=1e-3, atol=1e-9)
+
+
+def test_rows_of_one_stop_are_one_pose_whatever_table_they_are_in() -> None:
+    m = practice("hh800-P01")[:10]
+    first, second, third = distances(m)
+    stops = stops_in([first, second[np.array([4, 2, 9])], third[:5]])
+    assert len(stops.rows) == 10
+    assert stops.of.tolist() == [*range(10), 4, 2, 9, *range(5)]
+    assert stops.turn.tolist() == [0] * 10 + [1] * 3 + [1, 1, 2, 1, 2]
+    kept = np.arange(10) != 2
+    assert stops.kept(kept).tolist() == [0, 1, *range(2, 9), 3, 8, 0, 1, 2, 3]
+
+
+def test_a_robot_that_went_elsewhere_between_stopped_twice() -> None:
+    m = practice("hh800-P01")[:6]
+    first, second, _ = distances(m)
+    numbers = np.arange(1.0, 7.0)
+    logged = [replace(a, conditions={"pose": numbers + k}) for a, k in ((first, 0.0), (second, 6.0))]
+    # The last pose of the first table and the first of the second are different readings, so all stops are apart.
+    assert len(stops_in(logged).rows) == 12
+    assert len(stops_in([replace(a, conditions={}) for a in (first, second)]).rows) == 6
+    assert len(stops_in([first, first]).rows) == 6
+    # What one instrument reads again to the same end is read at another stop.
+    assert len(stops_in([first[np.array([0, 0, 1])]]).rows) == 3
+
+
 def test_distances_to_three_anchors_name_the_cause_that_positions_name() -> None:
     found = by_distances()
     assert found.verdict == "explained"
     assert [c.label for c in found.causes] == ["thermal_growth"]
     assert found.case.evidence.count == 3 * 60
     assert found.gap.after < 0.6 * found.gap.kept
-    assert any(text.startswith("rows at the same readings: ") for text in assumptions(found))
+    assert any("rows were read at 60 stops" in text for text in assumptions(found))
 
 
 def test_everything_that_a_report_needs_is_made_of_distances() -> None:
