@@ -18,6 +18,8 @@ from casadical.robot.robot import Robot
 
 _TIMED = re.compile(r"progress|time_s|temperature_degC|warmth_\d+s")
 _APPROACH = re.compile(r"approach\d+")
+# The column of candidates that says which socket holds the tool, counted from 0.
+SOCKET = "socket"
 # The timeline's resolution.
 _STEPS = 200
 # After a campaign, an arm is warmed up by at least so much [K] where a column follows the temperature.

@@ -11,10 +11,12 @@ from casadical.identification.identifiability import Unidentifiable
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
-from casadical.pose_selection.candidates import Candidates, Circumstances, candidates_at, draw
+from casadical.pose_selection.candidates import SOCKET, Candidates, Circumstances, candidates_at, draw
+from casadical.pose_selection.closures import held_in, reached
 from casadical.pose_selection.criteria import Criterion, checked
 from casadical.pose_selection.experimental_design import Design, Determinant, Linear, Spectral, inverse
-from casadical.pose_selection.information import independent, noise_covariance, scaled_jacobian, whitened
+from casadical.pose_selection.information import PART, independent, noise_covariance, scaled_jacobian, whitened
+from casadical.pose_selection.instruments import Instrument, without_base
 from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
 
@@ -27,6 +29,7 @@ class DesignProblem:
 
     names, held, measured, task : as of `Selection`; pool : candidates; open : whether new ones may be drawn near them
     fixed : information of what was measured, shape (p, p); weight : W of linear criteria, shape (p, p)
+    instrument : what is read in place of positions; its unknown places are further columns, behind the names
     """
 
     robot: Robot
@@ -41,6 +44,12 @@ class DesignProblem:
     open: bool
     fixed: Array = field(repr=False)
     weight: Array = field(repr=False)
+    instrument: Instrument | None = None
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers a pose gives."""
+        return self.instrument.numbers if self.instrument else 3
 
     def design(self, pool: Candidates, criterion: Criterion, min_distance: float | None) -> Design:
         """The search's state over a pool; see `experimental_design.Design`."""
@@ -48,10 +57,12 @@ class DesignProblem:
         span = upper - lower
         occupied = np.empty((0, self.robot.n)) if self.measured is None else self.measured.q
         plain = criterion in ("O1", "O2", "O3", "O4", "O5")
-        rows = _rows(self.robot, self.names, pool.measurements(self.robot), None if plain else self.noise)
+        rows = _rows(
+            self.robot, self.names, pool.measurements(self.robot), None if plain else self.noise, self.instrument
+        )
         # Passes repeat the same rows: n passes are the rows once, times the root of n.
-        once = rows.reshape(len(pool), pool.size, 3, -1)[:, pool.turn == 0]
-        rows = np.sqrt(self.circumstances.repeats) * once.reshape(len(pool), -1, len(self.names))
+        once = rows.reshape(len(pool), pool.size, *rows.shape[1:])[:, pool.turn == 0]
+        rows = np.sqrt(self.circumstances.repeats) * once.reshape(len(pool), -1, rows.shape[2])
         fixed = self.fixed
         if plain and self.measured is not None:
             A = _rows(self.robot, self.names, self.measured, None).reshape(-1, len(self.names))
@@ -65,8 +76,13 @@ class DesignProblem:
         return Spectral(criterion, *common)
 
 
-def _rows(robot: Robot, names: Sequence[str], m: Measurements, noise: Noise | None) -> Array:
-    """Scaled Jacobian, in units of sigma if noise is given, shape (n, 3, p)."""
+def _rows(
+    robot: Robot, names: Sequence[str], m: Measurements, noise: Noise | None, instrument: Instrument | None = None
+) -> Array:
+    """Scaled Jacobian, in units of sigma if noise is given, shape (n, numbers, p and the instrument's unknowns)."""
+    if instrument is not None:
+        assert noise is not None
+        return instrument.rows(robot, names, m, noise)
     J = scaled_jacobian(robot, names, m)
     return J if noise is None else whitened(J, noise_covariance(robot, m, noise))
 
@@ -86,42 +102,90 @@ def prepare(
     noise: Noise,
     pool: int,
     rng: np.random.Generator,
+    instrument: Instrument | None = None,
 ) -> DesignProblem:
     """Candidates, independent parameters and weights; arguments as of `select_poses`. Raises InputError."""
     criterion = checked(criterion)
     words = ("kinematic", "compliance", *(e.label for e in robot.effects)) if free is None else tuple(free)
     wanted = robot.parameters.select(words)
-    q = (
-        draw(robot, pool, workspace, rng, to_ends=True)
-        if candidates is None
-        else _allowed(robot, candidates, workspace)
-    )
-    ready = candidates_at(robot, q, circumstances, n, rng)
+    if instrument is not None:
+        _refuse(instrument, criterion, measured, candidates)
+    ready = _candidates(robot, candidates, workspace, circumstances, n, pool, rng, instrument)
     m = ready.measurements(robot)
     if measured is not None:
         measured = _with_columns(robot, measured)
     total = n * ready.size + (0 if measured is None else len(measured))
-    names, held = independent(robot, wanted, m, total, noise)
-    if 3 * total < len(names):
+    some = m[np.arange(min(PART, len(m)))]
+    extra, numbers = (instrument.extra, instrument.numbers) if instrument else (0, 3)
+
+    def information(kept: Sequence[str], share: float = total / len(m)) -> Array:
+        A = _rows(robot, kept, m, noise, instrument)
+        A = A.reshape(-1, A.shape[2])
+        return A.T @ A * share + (instrument.before(A.shape[1], noise) if instrument else 0.0)
+
+    names, held = independent(robot, wanted, instrument.sets(some) if instrument else (some,), information)
+    if numbers * total < len(names) + extra:
         raise InputError(
-            f"{total} poses give {3 * total} numbers, but {len(names)} parameters are to be identified; "
-            f"at least {-(-len(names) // 3)} poses are needed, and some more to estimate their accuracy"
+            f"{total} poses give {numbers * total} numbers, but {len(names)} parameters are to be identified"
+            f"{f' and {extra} coordinates of places' if extra else ''}; "
+            f"at least {-(-(len(names) + extra) // numbers)} poses are needed, and some more to estimate their accuracy"
         )
     task_q = draw(robot, TASK_POSES, workspace, rng) if task is None else np.atleast_2d(task)
     one = replace(circumstances, every_payload=False, both_approaches=False, repeats=1)
     goal = candidates_at(robot, task_q, one, n, rng).measurements(robot, "task")
     p = len(names)
-    fixed = np.zeros((p, p))
+    fixed = instrument.before(p + extra, noise) if instrument else np.zeros((p, p))
     if measured is not None:
         A = _rows(robot, names, measured, noise).reshape(-1, p)
         fixed = A.T @ A
     chosen = _chosen(robot, interest, names)
     J = scaled_jacobian(robot, names, goal)
-    A = _rows(robot, names, m, noise).reshape(-1, p)
-    weight = _weight(criterion, J, chosen, inverse(A.T @ A * total / len(m)))
+    if instrument is not None and not instrument.known:
+        J = without_base(robot, J, goal)
+    weight = np.zeros((p + extra, p + extra))
+    weight[:p, :p] = _weight(criterion, J, chosen, inverse(information(names))[:p, :p])
     return DesignProblem(
-        robot, workspace, circumstances, noise, names, held, measured, goal, ready, candidates is None, fixed, weight
-    )
+        robot, workspace, circumstances, noise, names, held, measured, goal, ready,
+        candidates is None and SOCKET not in ready.conditions, fixed, weight, instrument,
+    )  # fmt: skip
+
+
+def _refuse(
+    instrument: Instrument, criterion: Criterion, measured: Measurements | None, candidates: Array | None
+) -> None:
+    """Refuse what is planned for positions alone."""
+    if criterion not in ("V", "A", "D"):
+        raise InputError(f"criterion {criterion} is one of positions; allowed with {instrument.kind}: V, A, D")
+    if measured is not None:
+        raise InputError(
+            f"poses measured before are counted with positions alone, not with {instrument.kind}: plan with the robot "
+            "file that calibrate --out wrote"
+        )
+    if candidates is not None and instrument.kind == "sockets":
+        raise InputError("sockets: poses that hold the tool in them are computed, and are no candidates to be given")
+    if instrument.known and instrument.kind == "sockets":
+        raise InputError("sockets are identified together with the robot; known places are those of wires")
+
+
+def _candidates(
+    robot: Robot,
+    given: Array | None,
+    workspace: Workspace,
+    circumstances: Circumstances,
+    n: int,
+    pool: int,
+    rng: np.random.Generator,
+    instrument: Instrument | None,
+) -> Candidates:
+    """What may be chosen: drawn, given, or poses that hold the tool in sockets."""
+    if instrument is not None and instrument.kind == "sockets":
+        q, which = held_in(robot, instrument.places, pool, workspace, rng)
+        if len(np.unique(which)) < len(instrument.places):
+            reached(robot, instrument.places, len(instrument.places), workspace, rng)
+        ready = candidates_at(robot, q, circumstances, n, rng)
+        return replace(ready, conditions={**ready.conditions, SOCKET: which[:, None] * np.ones(ready.size)})
+    q = draw(robot, pool, workspace, rng, to_ends=True) if given is None else _allowed(robot, given, workspace)
+    return candidates_at(robot, q, circumstances, n, rng)
 
 
 def _weight(criterion: Criterion, J: Array, chosen: Array, C: Array) -> Array:

@@ -4,7 +4,7 @@ Scaled means millimetres per unit of a parameter's scale (1 mm, 1 mrad, or the d
 computes with.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import casadi as ca
@@ -20,12 +20,12 @@ from casadical.robot.robot import Robot
 
 MM = 1e-3
 # Jacobians of more poses than this are computed in parts, which keeps them from being compiled for one use.
-_PART = 1000
+PART = 1000
 
 
 def scaled_jacobian(robot: Robot, names: Sequence[str], m: Measurements) -> Array:
     """Jacobian of the positions by these parameters, at the robot's values, shape (n, 3, p) [mm per unit of scale]."""
-    parts = [m[np.arange(start, min(start + _PART, len(m)))] for start in range(0, len(m), _PART)]
+    parts = [m[np.arange(start, min(start + PART, len(m)))] for start in range(0, len(m), PART)]
     found = [_problem(robot, names, part).evaluate(np.zeros(len(names)))[1] for part in parts]
     return np.asarray(np.concatenate(found).reshape(len(m), 3, -1))
 
@@ -42,14 +42,19 @@ def _by_joints(robot: Robot) -> ca.Function:
     return ca.Function("by_joints", [model.q, model.w, model.phi], [J], ["q", "w", "phi"], ["J"])
 
 
+def by_joints(robot: Robot, m: Measurements) -> Array:
+    """Derivative of the position by the joint variables, shape (n, 3, joints) [m/rad or 1]."""
+    w = m.condition_matrix(robot.conditions, robot.declared)
+    J = _by_joints(robot).map(len(m))(m.q.T, w.T, robot.parameters.values).full()
+    return np.asarray(J.reshape(3, len(m), robot.n).transpose(1, 0, 2))
+
+
 def noise_covariance(robot: Robot, m: Measurements, noise: Noise) -> Array:
     """Covariance of each measured point, shape (n, 3, 3) [mm^2], from the instrument and the joints' repeatability."""
     measured = (noise.sigma / MM) ** 2 * np.eye(3)
     if not noise.repeatability:
         return np.tile(measured, (len(m), 1, 1))
-    w = m.condition_matrix(robot.conditions, robot.declared)
-    J = _by_joints(robot).map(len(m))(m.q.T, w.T, robot.parameters.values).full()
-    J = J.reshape(3, len(m), robot.n).transpose(1, 0, 2) * (noise.repeatability / MM)
+    J = by_joints(robot, m) * (noise.repeatability / MM)
     return np.asarray(measured + J @ J.transpose(0, 2, 1))
 
 
@@ -59,19 +64,21 @@ def whitened(J: Array, covariance: Array) -> Array:
 
 
 def independent(
-    robot: Robot, names: Sequence[str], m: Measurements, poses: float, noise: Noise
+    robot: Robot,
+    names: Sequence[str],
+    sets: Sequence[Measurements],
+    information: Callable[[Sequence[str]], Array],
 ) -> tuple[tuple[str, ...], tuple[Unidentifiable, ...]]:
-    """Names that an identification from this many poses like these would keep, and the others with the reason.
+    """Names that an identification from poses like these would keep, and the others with the reason.
 
     First the independent ones; then, one by one, those are held that the data would determine less accurately than the
-    prior (as in `reduction.reduce_and_solve`). Raises InputError where none is left.
+    prior (as in `reduction.reduce_and_solve`). sets : what would be measured at some of them
+    information : of such names, and of unknown points behind them, in units of scale. Raises InputError: none is left.
     """
-    problem = _problem(robot, names, m[np.arange(min(_PART, len(m)))])
+    problem = LeastSquares(robot, tuple(sets), tuple(names), "linear", False, ((MM, MM),) * len(sets))
     found = problem.identifiability(np.zeros(problem.size))
     kept = list(found.independent)
-    J = scaled_jacobian(robot, kept, m).reshape(-1, len(kept))
-    M = J.T @ J * (MM / noise.sigma) ** 2 * poses / len(m)
-    left, poor, _ = drop_poor([robot.parameters[n] for n in kept], M)
+    left, poor, _ = drop_poor([robot.parameters[n] for n in kept], information(kept))
     if not left:
         raise InputError(f"{robot.name}: poses like these determine none of {', '.join(names)}; free other parameters")
     return tuple(kept[k] for k in left), (*found.held, *poor)

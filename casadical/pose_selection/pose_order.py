@@ -5,7 +5,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import optional
 from casadical.measurements.measurements import Measurements
-from casadical.pose_selection.candidates import Candidates, Circumstances, expected, timeline
+from casadical.pose_selection.candidates import SOCKET, Candidates, Circumstances, expected, timeline
 from casadical.robot.robot import Robot
 
 # Parts of a campaign within which poses planned for a certain time may be reordered.
@@ -77,7 +77,7 @@ def arranged(robot: Robot, chosen: Candidates, circumstances: Circumstances, *, 
             size = len(block)
             block = block[short_path(D[:size, :size], D[size, :size] if order else None)]
         order += block.tolist()
-    kept = {n: v[order] for n, v in rows.items() if n == "payload_kg" or n.startswith("approach")}
+    kept = {n: v[order] for n, v in rows.items() if n in ("payload_kg", SOCKET) or n.startswith("approach")}
     kept |= _timed(robot, q[order], circumstances)
     return expected(robot, q[order], kept, "plan")
 

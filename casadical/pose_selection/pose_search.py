@@ -13,6 +13,7 @@ from casadical.pose_selection.candidates import Candidates, Circumstances, candi
 from casadical.pose_selection.criteria import Criterion
 from casadical.pose_selection.design_problem import DesignProblem, prepare
 from casadical.pose_selection.exchange import improve, search
+from casadical.pose_selection.instruments import Instrument
 from casadical.pose_selection.pose_order import arranged
 from casadical.pose_selection.selection import Selection
 from casadical.pose_selection.workspace import Workspace
@@ -40,6 +41,7 @@ def select_poses(
     pool: int = 1000,
     restarts: int = 2,
     seed: int = 0,
+    instrument: Instrument | None = None,
 ) -> Selection:
     """Choose n readings to measure, by an exchange of candidates.
 
@@ -79,6 +81,8 @@ def select_poses(
         number of searches, of which the best counts
     seed : int, default 0
         of the random generator
+    instrument : Instrument, optional
+        what is read in place of positions: distances to anchors, or the tool in sockets; `noise.sigma` is its own
 
     Returns
     -------
@@ -107,7 +111,7 @@ def select_poses(
     problem = prepare(
         robot, n, criterion, candidates=candidates, workspace=workspace,
         circumstances=circumstances or Circumstances(), measured=measured, free=free, interest=interest, task=task,
-        noise=noise or Noise(), pool=max(pool, 3 * n), rng=rng,
+        noise=noise or Noise(), pool=max(pool, 3 * n), rng=rng, instrument=instrument,
     )  # fmt: skip
     design = problem.design(problem.pool, criterion, min_distance)
     chosen = problem.pool[search(design, n, restarts, seed)]
@@ -149,6 +153,7 @@ def selection(problem: DesignProblem, chosen: Candidates, criterion: Criterion) 
         noise=problem.noise,
         task=problem.task,
         circumstances=problem.circumstances,
+        instrument=problem.instrument,
     )
 
 

@@ -16,6 +16,7 @@ from casadical.pose_selection.candidates import Candidates, Circumstances
 from casadical.pose_selection.criteria import Criterion, observability
 from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.information import MM, noise_covariance, scaled_jacobian
+from casadical.pose_selection.instruments import Instrument, without_base
 from casadical.pose_selection.pose_order import arranged
 from casadical.robot.robot import Robot
 
@@ -46,6 +47,8 @@ class Selection:
         as asked for
     circumstances : Circumstances
         as asked for
+    instrument : Instrument, optional
+        what is read in place of positions
 
     Examples
     --------
@@ -66,6 +69,7 @@ class Selection:
     noise: Noise
     task: Measurements
     circumstances: Circumstances
+    instrument: Instrument | None = None
 
     def __len__(self) -> int:
         return len(self.m)
@@ -101,12 +105,21 @@ class Selection:
 
     @cached_property
     def observability(self) -> dict[str, float]:
-        """Indices O1 to O5 of all poses."""
+        """Indices O1 to O5 of all poses; none of instruments that read no positions."""
+        if self.instrument is not None:
+            return {}
         return observability(self.jacobian.reshape(-1, len(self.names)), len(self.jacobian))
 
     @cached_property
     def _covariance(self) -> Array:
         """Covariance of the parameters in units of scale, by the noise of each pose: H J'N J H with H = (J'J)^-1."""
+        if self.instrument is not None:
+            rows = self.instrument.rows(self.robot, self.names, self.m, self.noise)
+            A = rows.reshape(-1, rows.shape[2])
+            M = A.T @ A + self.instrument.before(A.shape[1], self.noise)
+            p, idle = len(self.names), np.flatnonzero(np.diag(M) == 0)  # sockets that no pose was chosen for
+            M[idle, idle] = 1.0
+            return inverse(M)[:p, :p]
         J = self.jacobian
         noise = np.concatenate([noise_covariance(self.robot, m, self.noise) for m in self._sets])
         H = inverse(np.einsum("kip,kiq->pq", J, J))
@@ -130,6 +143,8 @@ class Selection:
     def expected_error(self, m: Measurements | None = None) -> Array:
         """Expected root mean square position error of the calibrated robot due to noise, shape (n,) [m].
 
+        Where the places of an instrument are not measured, with the base placed again at these poses.
+
         Parameters
         ----------
         m : Measurements, optional
@@ -139,7 +154,10 @@ class Selection:
         -------
         Array, shape (n,) [m]
         """
-        J = scaled_jacobian(self.robot, self.names, self.task if m is None else m)
+        m = self.task if m is None else m
+        J = scaled_jacobian(self.robot, self.names, m)
+        if self.instrument is not None and not self.instrument.known:
+            J = without_base(self.robot, J, m)
         return np.asarray(MM * np.sqrt(np.einsum("kip,pq,kiq->k", J, self._covariance, J, optimize=True)))
 
     @cached_property
@@ -178,6 +196,8 @@ class Selection:
             if name == "payload_kg" or name.startswith("approach"):
                 table[name] = values if name == "payload_kg" else values.astype(int)
         nominal = pd.DataFrame(1e3 * self.m.position, columns=[f"nominal_{c}_mm" for c in "xyz"])
+        if self.instrument is not None:
+            table = pd.concat([table, self.instrument.table(self.m)], axis=1)
         return pd.concat([table, readings_table(self.robot, self.m.q), nominal.round(3)], axis=1)
 
 

@@ -14,7 +14,8 @@ from casadical.pose_selection.candidates import Circumstances
 from casadical.pose_selection.design_problem import prepare
 from casadical.pose_selection.exchange import search
 from casadical.pose_selection.experimental_design import inverse
-from casadical.pose_selection.information import MM, scaled_jacobian
+from casadical.pose_selection.information import MM
+from casadical.pose_selection.instruments import Instrument
 from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
 
@@ -93,6 +94,7 @@ def forecast(
     noise: Noise | None = None,
     pool: int = 1000,
     seed: int = 0,
+    instrument: Instrument | None = None,
 ) -> Forecast:
     """The expected error as poses are added one by one, each the best next one by V-optimality.
 
@@ -120,6 +122,8 @@ def forecast(
         as of `select_poses`
     seed : int, default 0
         of everything random
+    instrument : Instrument, optional
+        as of `select_poses`
 
     Returns
     -------
@@ -144,20 +148,18 @@ def forecast(
     problem = prepare(
         robot, most - before, "V", candidates=None, workspace=workspace or Workspace(),
         circumstances=circumstances or Circumstances(), measured=measured, free=free, interest=(), task=task,
-        noise=noise, pool=pool, rng=np.random.default_rng(seed),
+        noise=noise, pool=pool, rng=np.random.default_rng(seed), instrument=instrument,
     )  # fmt: skip
     design = problem.design(problem.pool, "V", 0.0)
-    each, p = problem.pool.size, len(problem.names)
+    each, p, numbers = problem.pool.size, len(problem.weight), problem.numbers
     # Measurements at one reading hold nearly the same information: only the first of them counts here.
-    if 3 * before < 1.2 * p:
-        first = min(-(-(int(1.2 * p) - 3 * before) // 3), (most - before) // each)
+    if numbers * before < 1.2 * p:
+        first = min(-(-(int(1.2 * p) - numbers * before) // numbers), (most - before) // each)
         design.start(search(design, first, 1, seed).tolist())
-    J = scaled_jacobian(robot, problem.names, problem.task)
-    W = np.einsum("kip,kiq->pq", J, J) / len(J)
     poses, error = [], []
     while True:
         poses.append(before + each * len(design.chosen))
-        error.append(MM * float(np.sqrt(np.sum(W * inverse(design.M)))))
+        error.append(MM * float(np.sqrt(np.sum(problem.weight * inverse(design.M)))))
         k = design.best_to_add()
         if k is None or poses[-1] + each > most:
             return Forecast(np.array(poses), np.array(error))

@@ -19,7 +19,7 @@ import numpy as np
 from casadical import read_robot
 from casadical.pose_selection import Noise, Workspace, observability, select_poses
 from casadical.pose_selection.candidates import draw, expected
-from casadical.pose_selection.information import independent, scaled_jacobian
+from casadical.pose_selection.information import MM, independent, scaled_jacobian
 
 HERE = Path(__file__).parent
 PROBLEMS = HERE.parents[1] / "problems"
@@ -74,7 +74,12 @@ def ours(robot, among, n, min_distance=0.0):
 def compare(name, robot, python):
     q = draw(robot, POOL, Workspace(), np.random.default_rng(1))
     m = expected(robot, q, {}, "pool")
-    names, _ = independent(robot, robot.parameters.select(["kinematic", "compliance"]), m, 50, NOISE)
+
+    def information(kept):
+        rows = scaled_jacobian(robot, kept, m).reshape(-1, len(kept))
+        return rows.T @ rows * (MM / NOISE.sigma) ** 2 * 50 / len(m)
+
+    names, _ = independent(robot, robot.parameters.select(["kinematic", "compliance"]), [m], information)
     J = scaled_jacobian(robot, names, m)
     for found in theirs(J, python):
         n = found["n"]

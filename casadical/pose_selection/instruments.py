@@ -1,0 +1,282 @@
+"""Instruments that cost little: what their readings tell of the parameters, from the positions' Jacobian alone.
+
+A wire reads the distance to its anchor: the derivative of the position along the beam. A socket holds the tool's ball
+at one point: the position less that point. Places that were not measured are further columns, three coordinates each,
+behind those of the parameters; what reads them is placed against the robot, not the other way round.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from math import comb
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.identification.residuals import POINT_SCALE
+from casadical.measurements.measurements import Measurements
+from casadical.measurements.noise import Noise
+from casadical.pose_selection.candidates import SOCKET
+from casadical.pose_selection.experimental_design import inverse
+from casadical.pose_selection.information import noise_covariance, scaled_jacobian, whitened
+from casadical.robot.robot import Robot
+
+MOST_SETS = 20_000
+
+
+@dataclass(frozen=True, eq=False)
+class Instrument:
+    """What is read at every pose, in place of a position.
+
+    Parameters
+    ----------
+    kind : {"wires", "sockets"}
+        distances to every place at each pose, or the ball of the tool in one of the places
+    places : Array, shape (k, 3) [m]
+        anchors or sockets, in the measuring frame, about where they are to be
+    known : bool, default False
+        whether the places are measured too, so that they are no unknowns
+
+    Examples
+    --------
+    >>> wires = casadical.pose_selection.Instrument("wires", np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]]))
+    >>> wires.numbers, wires.extra
+    (3, 9)
+    """
+
+    kind: Literal["wires", "sockets"]
+    places: Array
+    known: bool = False
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers a pose gives."""
+        return len(self.places) if self.kind == "wires" else 3
+
+    @property
+    def extra(self) -> int:
+        """Number of unknown coordinates of the places."""
+        return 0 if self.known else self.places.size
+
+    def sets(self, m: Measurements) -> tuple[Measurements, ...]:
+        """The same poses as a measurement of this kind would give them, without noise.
+
+        Parameters
+        ----------
+        m : Measurements
+            poses at the positions that the model gives
+
+        Returns
+        -------
+        tuple[Measurements, ...]
+            a set for each wire, or one of all sockets
+        """
+        assert m.position is not None
+        if self.kind == "sockets":
+            label = np.array([f"S{int(k) + 1}" for k in m.conditions[SOCKET]], dtype=object)
+            touched = Measurements(m.q, "contact", label=label, conditions=m.conditions)
+            if len(self.places) < 2:
+                return (touched,)
+            i, j = _farthest(self.places)
+            apart = float(np.linalg.norm(self.places[i] - self.places[j]))
+            both = {f"S{i + 1}", f"S{j + 1}"} <= set(label)
+            return (touched.with_separations([(f"S{i + 1}", f"S{j + 1}", apart)]) if both else touched,)
+        return tuple(
+            Measurements(
+                m.q,
+                "distance",
+                distance=np.linalg.norm(m.position - place, axis=1),
+                target=np.tile(place, (len(m), 1)) if self.known else None,
+                conditions=m.conditions,
+            )
+            for place in self.places
+        )
+
+    def rows(self, robot: Robot, names: Sequence[str], m: Measurements, noise: Noise) -> Array:
+        """Scaled Jacobian in units of sigma, shape (n, numbers, len(names) + extra).
+
+        Parameters
+        ----------
+        robot : Robot
+            at whose values
+        names : Sequence[str]
+            parameters
+        m : Measurements
+            poses at the positions that the model gives
+        noise : Noise
+            of a distance, or of a coordinate in a socket, and of the joints
+
+        Returns
+        -------
+        Array, shape (n, numbers, p)
+        """
+        J, covariance = scaled_jacobian(robot, names, m), noise_covariance(robot, m, Noise(1e-12, noise.repeatability))
+        n, k = len(m), len(self.places)
+        if self.kind == "sockets":
+            at = np.zeros((n, 3, k, 3))
+            at[np.arange(n), :, m.conditions[SOCKET].astype(int)] = -np.eye(3)
+            seen, places = J, at.reshape(n, 3, 3 * k)
+        else:
+            beam = self.beams(m)
+            seen = np.einsum("nki,nip->nkp", beam, J)
+            places = np.zeros((n, k, k, 3))
+            places[:, np.arange(k), np.arange(k)] = -beam
+            places = places.reshape(n, k, 3 * k)
+            covariance = beam @ covariance @ beam.transpose(0, 2, 1)
+        whole = seen if self.known else np.concatenate([seen, places], axis=2)
+        own = (noise.sigma / POINT_SCALE) ** 2 * np.eye(self.numbers)
+        return whitened(whole, covariance + own)
+
+    def table(self, m: Measurements) -> pd.DataFrame:
+        """Columns for who measures: which socket, or about how long each wire will be [mm].
+
+        Parameters
+        ----------
+        m : Measurements
+            poses at the positions that the model gives
+
+        Returns
+        -------
+        pd.DataFrame
+            a row for each pose
+        """
+        if self.kind == "sockets":
+            return pd.DataFrame({"point": [f"S{int(k) + 1}" for k in m.conditions[SOCKET]]})
+        assert m.position is not None
+        length = 1e3 * np.linalg.norm(m.position[:, None] - self.places, axis=2)
+        return pd.DataFrame(length.round(1), columns=[f"nominal_wire{k}_mm" for k in range(1, len(self.places) + 1)])
+
+    def beams(self, m: Measurements) -> Array:
+        """Directions from the anchors to the tool, shape (n, k, 3).
+
+        Parameters
+        ----------
+        m : Measurements
+            poses at the positions that the model gives
+
+        Returns
+        -------
+        Array, shape (n, k, 3) [m/m]
+        """
+        assert m.position is not None
+        line = m.position[:, None] - self.places
+        return np.asarray(line / np.maximum(np.linalg.norm(line, axis=2, keepdims=True), 1e-9))
+
+    def before(self, size: int, noise: Noise) -> Array:
+        """Information from what is known without poses, shape (size, size): one distance between two sockets.
+
+        Parameters
+        ----------
+        size : int
+            number of all columns
+        noise : Noise
+            with its sigma the distance is known
+
+        Returns
+        -------
+        Array, shape (size, size) [1]
+        """
+        fixed = np.zeros((size, size))
+        if self.kind == "wires" or self.known or len(self.places) < 2:
+            return fixed
+        i, j = _farthest(self.places)
+        line = self.places[i] - self.places[j]
+        g = np.zeros((len(self.places), 3))
+        g[i], g[j] = line / np.linalg.norm(line), -line / np.linalg.norm(line)
+        row = np.concatenate([np.zeros(size - g.size), g.ravel()]) * POINT_SCALE / noise.sigma
+        return np.outer(row, row)
+
+
+def without_base(robot: Robot, J: Array, m: Measurements) -> Array:
+    """Scaled Jacobian of positions, shape (n, 3, p), less what another base takes up."""
+    names = robot.parameters.select(["base_*"]) if robot.base.unknown != "none" else ()
+    if not names:
+        return J
+    base = scaled_jacobian(robot, names, m).reshape(-1, len(names))
+    flat = J.reshape(-1, J.shape[2])
+    return np.asarray((flat - base @ np.linalg.lstsq(base, flat, rcond=None)[0]).reshape(J.shape))
+
+
+def best_places(
+    robot: Robot,
+    kind: Literal["wires", "sockets"],
+    places: Array,
+    count: int,
+    known: bool,
+    names: Sequence[str],
+    m: Measurements,
+    noise: Noise,
+    weight: Array,
+) -> Array:
+    """Indices of those of the places, shape (K, 3) [m], that give the least mean variance, shape (count,).
+
+    All sets are tried up to MOST_SETS, else exchanges. names, weight : as of `DesignProblem`, shape (p, p)
+    m : poses, of sockets those in each of the places. Raises InputError where there are too few places.
+    """  # fmt: skip
+    if count > len(places):
+        raise InputError(f"{count} places are wanted of {len(places)}; give more candidates, or ask for fewer")
+    each = []
+    for k, place in enumerate(places):
+        some = m
+        if kind == "sockets":
+            some = m[np.flatnonzero(m.conditions[SOCKET] == k)]
+            some = replace(some, conditions={**some.conditions, SOCKET: np.zeros(len(some))})
+        rows = Instrument(kind, place[None], known).rows(robot, names, some, noise)
+        rows = rows.reshape(-1, rows.shape[2])
+        each.append(rows.T @ rows)
+
+    def variance(which: Iterable[int]) -> float:
+        some = list(which)
+        return _variance([each[k] for k in some], Instrument(kind, places[some], known), noise, weight)
+
+    if comb(len(places), count) <= MOST_SETS:
+        return np.array(min(combinations(range(len(places)), count), key=variance))
+    return np.array(sorted(_exchanged(len(places), count, variance)))
+
+
+def _exchanged(K: int, count: int, variance: Callable[[Iterable[int]], float]) -> list[int]:
+    """A set of `count` out of K: the best pair, one by one the best more, then exchanges while they help."""
+    chosen = list(min(combinations(range(K), min(count, 2)), key=variance))
+    while len(chosen) < count:
+        chosen.append(min(set(range(K)) - {*chosen}, key=lambda k: variance([*chosen, k])))
+    value = variance(chosen)
+    while True:
+        others = [[*chosen[:i], k, *chosen[i + 1 :]] for i in range(count) for k in range(K) if k not in chosen]
+        best = min(others, key=variance)
+        if variance(best) > 0.999 * value:
+            return chosen
+        chosen, value = best, variance(best)
+
+
+def _variance(each: Sequence[Array], instrument: Instrument, noise: Noise, weight: Array) -> float:
+    """Mean variance by the information of each place alone, of p parameters and that place's own coordinates."""
+    p = len(weight)
+    M = np.zeros((p + instrument.extra,) * 2)
+    for k, one in enumerate(each):
+        at = np.r_[:p, p + 3 * k : p + 3 * k + len(one) - p]
+        M[np.ix_(at, at)] += one
+    M += instrument.before(len(M), noise) + 1e-9 * np.diag(np.diag(M))
+    return float(np.sum(weight * inverse(M)[:p, :p]))
+
+
+def usual_places(robot: Robot, kind: Literal["wires", "sockets"]) -> Array:
+    """Candidates where none were given, shape (K, 3) [m] in the measuring frame.
+
+    Of wires on posts around the robot, one and a half times its reach away, at heights up to that; of sockets on
+    a table before it and half its reach above.
+    """
+    radii, heights, turns = ((1.5,), (0.0, 0.5, 1.0, 1.5), 12) if kind == "wires" else ((0.45, 0.7), (0.1, 0.5), 8)
+    turn = np.arange(turns) * 2 * np.pi / turns
+    local = [(r * np.cos(a), r * np.sin(a), h) for r in radii for h in heights for a in turn]
+    return np.asarray(robot.reach * np.array(local) @ robot.base.T[:3, :3].T + robot.base.T[:3, 3])
+
+
+def _farthest(places: Array) -> tuple[int, int]:
+    apart = np.linalg.norm(places[:, None] - places, axis=2)
+    i, j = np.unravel_index(int(apart.argmax()), apart.shape)
+    return int(min(i, j)), int(max(i, j))

@@ -1,0 +1,99 @@
+"""Plans for wires and sockets: what they promise against identifications, where anchors go, and the command."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pose_arms import elbow
+
+from casadical import InputError, identify
+from casadical.pose_selection import Instrument, Noise, forecast, place_instrument, select_poses
+from casadical.pose_selection.candidates import SOCKET, expected
+from casadical.pose_selection.instruments import usual_places
+from casadical.pose_selection.places import select_with_places
+
+SIGMA = 5e-5
+ANCHORS = np.array([[1.8, 0.3, 0.0], [-0.9, 1.6, 1.2], [-0.6, -1.7, 0.6]])
+LINE = np.array([[2.0, y, 0.3] for y in (-1.0, 0.0, 1.0, 0.5)])
+SOCKETS = np.array([[0.5, 0.4, 0.2], [-0.5, 0.4, 0.7], [0.4, -0.6, 0.5]])
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return elbow()
+
+
+def plan(robot, instrument, n=40):
+    return select_poses(robot, None, n, noise=Noise(SIGMA), instrument=instrument, pool=150, restarts=1)
+
+
+@pytest.mark.parametrize(
+    "instrument",
+    [
+        Instrument("wires", ANCHORS),
+        Instrument("wires", ANCHORS, known=True),
+        Instrument("wires", ANCHORS[:1]),
+        Instrument("sockets", SOCKETS),
+    ],
+    ids=["three wires", "known places", "one wire", "sockets"],
+)
+def test_expected_standard_errors_are_those_that_an_identification_reports(robot, instrument) -> None:
+    chosen = plan(robot, instrument, 60)
+    rng, sets = np.random.default_rng(0), []
+    for m in instrument.sets(chosen.m):
+        if m.distance is None:
+            sets.append(replace(m, sigma=SIGMA, separation_sigma=SIGMA))
+        else:
+            sets.append(replace(m, distance=m.distance + rng.normal(0, SIGMA, len(m)), sigma=SIGMA))
+    # Of sockets the readings are moved a little, so that something is left.
+    for k, m in enumerate(sets):
+        if m.distance is None:
+            sets[k] = replace(m, q=np.clip(m.q + rng.normal(0, 1e-5, m.q.shape), -2.6, 2.6))
+    found = identify(robot, sets)
+    assert found.names == chosen.names
+    ratio = found.standard_errors / np.sqrt(found.variance) / chosen.standard_errors
+    np.testing.assert_allclose(ratio, 1.0, rtol=0.02)
+    base = [name for name in chosen.names if name.startswith("base_")]
+    assert len(base) == (6 if instrument.known else 0)
+
+
+def test_the_forecast_is_that_of_the_poses_chosen(robot) -> None:
+    instrument = Instrument("wires", ANCHORS)
+    ahead = forecast(robot, 40, noise=Noise(SIGMA), pool=150, instrument=instrument)
+    assert ahead.error[-1] == pytest.approx(plan(robot, instrument).accuracy, rel=0.15)
+    assert (np.diff(ahead.error) <= 0).all()
+
+
+def test_places_are_not_chosen_in_a_line_where_others_are_offered(robot) -> None:
+    found = place_instrument(robot, "wires", np.concatenate([LINE, ANCHORS[1:]]), 3, noise=Noise(SIGMA))
+    spread = np.linalg.svd(found.places - found.places.mean(axis=0), compute_uv=False)
+    assert spread[1] > 0.3 * spread[0]
+
+
+def test_chosen_sockets_promise_more_than_others_and_poses_lie_in_them(robot) -> None:
+    places = usual_places(robot, "sockets")[::6]
+    chosen = select_with_places(robot, 40, "V", "sockets", places, 2, noise=Noise(SIGMA), pool=150, restarts=1)
+    near = plan(robot, Instrument("sockets", np.array([[0.5, 0.4, 0.2], [0.45, 0.35, 0.25]])))
+    assert chosen.accuracy < near.accuracy
+    at = chosen.instrument.places[chosen.m.conditions[SOCKET].astype(int)]
+    np.testing.assert_allclose(expected(robot, chosen.q, {}, "test").position, at, atol=1e-6)
+    assert set(chosen.table["point"]) <= {"S1", "S2"}
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"criterion": "O2"}, "criterion O2 is one of positions; allowed with wires: V, A, D"),
+        ({"measured": True}, "plan with the robot file that calibrate --out wrote"),
+        ({"instrument": Instrument("sockets", SOCKETS), "among": np.zeros((5, 6))}, "no candidates to be given"),
+        ({"instrument": Instrument("sockets", SOCKETS + 9.0)}, "reaches 0 of 3 sockets, and 3 are wanted"),
+        ({"n": 8}, "8 poses give 24 numbers, but 2"),
+    ],
+)
+def test_what_cannot_be_planned_is_refused(robot, options, said) -> None:
+    given = {"among": None, "n": 30, "criterion": "V", "instrument": Instrument("wires", ANCHORS), **options}
+    if given.pop("measured", None):
+        given["measured"] = expected(robot, np.zeros((3, 6)), {}, "measured")
+    among, n, criterion = (given.pop(k) for k in ("among", "n", "criterion"))
+    with pytest.raises(InputError, match=said):
+        select_poses(robot, among, n, criterion, pool=100, **given)
