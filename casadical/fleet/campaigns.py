@@ -19,13 +19,15 @@ from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate, estimate, estimate_of_file
 from casadical.identification.identification import identify
 from casadical.identification.prior import refuse_another
-from casadical.project.problem import read_campaign, read_campaign_robot, read_problem
+from casadical.project.problem import Problem, read_campaign, read_campaign_robot, read_problem
 from casadical.robot.robot_file import read_robot
 
 # A date in a name: 2026-03-14, 2026_03_14, 20260314, 2026-03.
 _DATE = re.compile(r"(?<!\d)(20\d\d)[-_.]?([01]\d)(?:[-_.]?([0-3]\d))?(?!\d)")
 # Between two campaigns some are missing where the gap is so many times the usual one.
 GAP = 1.75
+# Two campaigns so many days apart have a wrong date, more likely than that nothing was measured in between.
+FAR = 1100.0
 EPOCH = date(1970, 1, 1).toordinal()
 
 
@@ -96,7 +98,7 @@ def campaign_estimate(path: Path, robot: str | Path | None = None) -> Estimate:
     if (path / "problem.toml").exists():
         problem = read_problem(path)
         sets = [m for _, m in problem.parts()]
-        return estimate(identify(problem.robot, sets, loss="huber"), label, day)
+        return estimate(identify(problem.robot, sets, loss="huber"), label, day_of_problem(problem))
     if path.is_dir():
         return estimate_of_file(read_robot(result_in(path)), label, day)
     if robot is None:
@@ -128,6 +130,12 @@ def day_of(path: Path) -> float | None:
     return None
 
 
+def day_of_problem(problem: Problem) -> float | None:
+    """By a date in the name of its first table, or of its folder."""
+    first = Path(str(problem.tables[0]["file"])) if problem.tables else Path()
+    return day_of(Path(first.name)) or day_of(problem.folder.resolve())
+
+
 def in_order(campaigns: Sequence[Estimate]) -> tuple[list[Estimate], list[str]]:
     """Campaigns by their days, and what is odd about these; as they are given where a day is not known."""
     said: list[str] = []
@@ -140,7 +148,10 @@ def in_order(campaigns: Sequence[Estimate]) -> tuple[list[Estimate], list[str]]:
         return list(campaigns), [*said, "no dates in the names: the campaigns are in the order given"]
     if len(known) < len(days):
         lost = ", ".join(c.label for c in campaigns if c.day is None)
-        said.append(f"no date in the name of {lost}: the campaigns are in the order given, and dates are not used")
+        said.append(
+            f"no date in the name of {lost}: the campaigns are in the order given, and dates are not used; put the day "
+            "into the name of the table (2026-03-14.csv)"
+        )
         return [replace(c, day=None) for c in campaigns], said
     if known != sorted(known):
         back = [f"{a.label}, then {b.label}" for a, b in pairwise(campaigns) if (a.day or 0) > (b.day or 0)]
@@ -150,6 +161,12 @@ def in_order(campaigns: Sequence[Estimate]) -> tuple[list[Estimate], list[str]]:
     twice = [b.label for b, step in zip(ordered[1:], steps, strict=True) if step == 0]
     if twice:
         said.append(f"two campaigns of one day, both used: {', '.join(twice)}")
+    for (a, b), step in zip(pairwise(ordered), steps, strict=True):
+        if step > FAR:
+            said.append(
+                f"{b.label} is {step / 365.25:.1f} years after {a.label}, by their names: if a clock was wrong, rename "
+                "the file; drifts are counted in these years"
+            )
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     far = (step > GAP * usual > 0 for step in steps)
     gaps = [(a.label, b.label) for (a, b), gap in zip(pairwise(ordered), far, strict=True) if gap]

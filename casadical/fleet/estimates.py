@@ -18,6 +18,7 @@ from casadical.identification.error_bound import Doubts, doubts_of, evaluated
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.identification import Identification, identify
 from casadical.identification.misfit import FURTHER, ORDERS, wide_fit
+from casadical.measurements.clock import clock_faults
 from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.robot.error_bound import doubted
 from casadical.robot.robot import Robot
@@ -171,6 +172,7 @@ def estimate(
     fit = wide_fit(found)
     unit = fit.s2 * fit.misfit
     held = len(found.left_out)
+    clocks = (text for m in found.measurements for text in clock_faults(m))
     whole = Estimate(
         fit.robot,
         fit.doubts.names,
@@ -183,7 +185,7 @@ def estimate(
         fit.poses,
         fit.left,
         fit.misfit,
-        (f"{held} pose{'s' * (held > 1)} left out as outliers",) if held else (),
+        (*([f"{held} pose{'s' * (held > 1)} left out as outliers"] if held else []), *clocks),
     )
     return whole.narrowed(doubted(found.robot, ORDERS))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import time
 import traceback
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,13 @@ from casadical import __version__
 from casadical.core.errors import CasadicalError
 from casadical.core.files import json_text
 from casadical.diagnosis.diagnose import diagnose
-from casadical.fleet.campaigns import day_of, in_order
+from casadical.fleet.campaigns import day_of, day_of_problem, in_order
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate, estimate
 from casadical.identification.identification import identify
 from casadical.project.calibration import calibrate
 from casadical.project.problem import Problem, read_campaign, read_problem
+from casadical.project.problem_file import problem_file
 from casadical.project.tables import judged_on
 from casadical.robot.robot import Robot
 
@@ -37,11 +39,15 @@ NOTHING: dict[str, Any] = {
 
 
 def fingerprint(folder: Path) -> str:
-    """Of the content of all files of a robot's folder, and of the tables that its problem names elsewhere."""
+    """Of the content of all files of a robot's folder, and of the tables and robot that its problem names elsewhere."""
     found = hashlib.sha256()
-    files = [p for p in sorted(folder.rglob("*")) if p.is_file() and not p.name.startswith(".")]
-    for path in files:
-        found.update(str(path.relative_to(folder)).encode())
+    files = {str(p.relative_to(folder)): p for p in folder.rglob("*") if p.is_file() and not p.name.startswith(".")}
+    with suppress(CasadicalError):  # what is wrong with the problem is said when it is computed
+        named = problem_file(folder)
+        others = [named.robot, *(data.file for data in named.measurements)]
+        files |= {name: folder / name for name in others if (folder / name).is_file()}
+    for name, path in sorted(files.items()):
+        found.update(name.encode())
         found.update(path.read_bytes())
     return found.hexdigest()[:32]
 
@@ -66,8 +72,9 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
     found = calibrate(problem)
     method, before, after, _ = judged_on(found.accuracies)
     last = found.identification
-    estimates = [estimate(last, place.name, day_of(place))]
+    estimates = [estimate(last, place.name, day_of_problem(problem))]
     notes = _later(place, problem, estimates)
+    notes += [f"{e.label}: {note}" for e in estimates for note in e.notes]
     row: dict[str, Any] = {
         "type": type_of(problem),
         "type_name": problem.robot.name,

@@ -195,6 +195,9 @@ def test_days_in_names_and_what_is_odd_about_them(before: Estimate) -> None:
     assert order == list("102")
     assert said.startswith("dates go back (0, then 1)")
     assert on(0, None, 60)[1].startswith("no date in the name of 1: the campaigns are in the order given")
+    assert on(0, 30, 13000)[1].startswith(
+        "2 is 35.5 years after 1, by their names: if a clock was wrong, rename the file"
+    )
     assert on(0, 30, names={1: "left arm"})[1] == "the robot is called 'arm' and 'left arm': taken for one, renamed"
 
 

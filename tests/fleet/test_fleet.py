@@ -20,7 +20,7 @@ from casadical import InputError, Robot, read_robot
 from casadical.fleet import run_fleet
 from casadical.fleet.cluster import client_of, results
 from casadical.fleet.hierarchy import common_of, learnt
-from casadical.fleet.one_robot import NOTHING, one_robot
+from casadical.fleet.one_robot import NOTHING, fingerprint, one_robot
 from casadical.fleet.result import fleet_of
 from casadical.fleet.store import KEY, add, parts, rows
 
@@ -193,8 +193,30 @@ def test_a_scheduler_that_dies_is_said_and_what_was_done_is_kept(plant: Path, tm
             assert len(rows(store)) >= 1
         finally:
             process.kill()
+    kept, said = len(rows(store)), []
     with pytest.raises(InputError, match="no scheduler answers"):
-        run_fleet([plant], tmp_path / "other.parquet", scheduler=address)
+        run_fleet([plant], store, scheduler=address, with_diagnosis=False, show=said.append)
+    good = int((rows(store)["status"] == "ok").sum())
+    assert said == [f"robot {good} of 7"]  # it continues with the others
+    assert len(rows(store)) == kept
+
+
+def test_tables_and_robots_elsewhere_count_as_the_robots_own(plant: Path, tmp_path: Path) -> None:
+    """A table beside the folders, as of problems that share a folder of data."""
+    folder = tmp_path / "arm"
+    shutil.copytree(plant / "arm0", folder)
+    (tmp_path / "tables").mkdir()
+    table, drawn = tmp_path / "tables" / "poses.csv", tmp_path / "robot.toml"
+    (folder / "poses.csv").rename(table)
+    (folder / "robot.toml").rename(drawn)
+    text = (folder / "problem.toml").read_text().replace('"poses.csv"', '"../tables/poses.csv"')
+    (folder / "problem.toml").write_text(text.replace("casadical = 1", 'casadical = 1\nrobot = "../robot.toml"'))
+    found = [fingerprint(folder)]
+    for path in (table, drawn):
+        path.write_text(path.read_text() + "\n")
+        found.append(fingerprint(folder))
+    assert len(set(found)) == 3
+    assert fingerprint(folder) == found[-1]
 
 
 def test_a_bug_in_one_robot_is_a_row(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:

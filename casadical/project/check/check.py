@@ -13,6 +13,7 @@ from casadical.identification.identification import by_method
 from casadical.identification.left_open import left_open_before
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against
+from casadical.measurements.clock import clock_faults
 from casadical.measurements.measurements import Measurements
 from casadical.project.check.coverage import (
     JointCoverage,
@@ -226,6 +227,7 @@ def _data_findings(
         if not any(np.array_equal(m.q, before.q) for before in sets[:k]):  # a table for each wire
             found += [*coverage_findings(robot, m), *margin_findings(robot, m)]
         found += unknown_columns([*m.conditions], m.source)
+        found += [Finding("warning", "clock", text) for text in clock_faults(table or m)]
         distinct, _ = repeats(m)
         if distinct < len(m):
             text = f"{m.source}: {len(m)} measurements at {distinct} distinct readings"
