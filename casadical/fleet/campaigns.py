@@ -28,6 +28,8 @@ _DATE = re.compile(r"(?<!\d)(20\d\d)[-_.]?([01]\d)(?:[-_.]?([0-3]\d))?(?!\d)")
 GAP = 1.75
 # Two campaigns so many days apart have a wrong date, more likely than that nothing was measured in between.
 FAR = 1100.0
+# Ranges of a joint in two campaigns are other regions where they share less.
+SHARED = 0.5
 EPOCH = date(1970, 1, 1).toordinal()
 
 
@@ -86,7 +88,7 @@ def compare_files(
         raise InputError(f"{len(found)} of {len(paths)} campaigns can be used; two are needed. {'; '.join(faults)}")
     ordered, said = in_order(found)
     show("what changed")
-    return compare(ordered, same_tool=same_tool, same_frame=same_frame, notes=(*faults, *said))
+    return compare(ordered, same_tool=same_tool, same_frame=same_frame, notes=(*faults, *said, *elsewhere(ordered)))
 
 
 def campaign_estimate(path: Path, robot: str | Path | None = None) -> Estimate:
@@ -105,6 +107,25 @@ def campaign_estimate(path: Path, robot: str | Path | None = None) -> Estimate:
         raise InputError(f"{shown(path)}: a table needs --robot, the problem folder by which it is understood")
     arm = read_campaign_robot(robot)
     return estimate((arm, read_campaign(robot, path, arm, later=True)), label, day)
+
+
+def elsewhere(campaigns: Sequence[Estimate]) -> list[str]:
+    """Says which campaigns cover other regions of the joints than the first one: their models' errors differ."""
+    said, first = [], campaigns[0]
+    for other in campaigns[1:]:
+        if first.readings is None or other.readings is None:
+            continue
+        (a, b), (c, d) = first.readings.T, other.readings.T
+        shared = (np.minimum(b, d) - np.maximum(a, c)) / np.maximum(np.maximum(b, d) - np.minimum(a, c), 1e-9)
+        if few := [f"joint {j + 1}" for j in np.flatnonzero(shared < SHARED)]:
+            said.append(f"{other.label} ({', '.join(few)})")
+    if not said:
+        return []
+    more = f" and {len(said) - 3} more" if len(said) > 3 else ""
+    return [
+        f"other regions of the joints than in {first.label} were measured in {', '.join(said[:3])}{more}: errors that "
+        "the model leaves there may look like a change; measure the same poses in each campaign"
+    ]
 
 
 def result_in(folder: Path) -> Path:

@@ -57,6 +57,8 @@ class Estimate:
         how many times wider than independent noise says
     notes : tuple[str, ...], default ()
         what was assumed
+    readings : Array, shape (n, 2), optional
+        range of each joint in which nine of ten poses lie; of a robot file, in which all do [rad or m]
 
     Examples
     --------
@@ -82,6 +84,7 @@ class Estimate:
     sigma: float | None = None
     misfit: float = 1.0
     notes: tuple[str, ...] = ()
+    readings: Array | None = None
 
     def __repr__(self) -> str:
         noise = "" if self.sigma is None else f", {1e3 * self.sigma:.3g} mm a coordinate left"
@@ -186,6 +189,7 @@ def estimate(
         fit.left,
         fit.misfit,
         (*([f"{held} pose{'s' * (held > 1)} left out as outliers"] if held else []), *clocks),
+        np.quantile(np.concatenate([m.q for m in found.used]), [0.05, 0.95], axis=0).T,
     )
     return whole.narrowed(doubted(found.robot, ORDERS))
 
@@ -269,6 +273,7 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
         known.poses,
         misfit=known.misfit,
         notes=(note,),
+        readings=known.readings if len(known.readings) else None,
     )
     return told.narrowed(doubted(robot, ORDERS))
 

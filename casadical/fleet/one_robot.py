@@ -16,7 +16,7 @@ from casadical import __version__
 from casadical.core.errors import CasadicalError
 from casadical.core.files import json_text
 from casadical.diagnosis.diagnose import diagnose
-from casadical.fleet.campaigns import day_of, day_of_problem, in_order
+from casadical.fleet.campaigns import day_of, day_of_problem, elsewhere, in_order
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate, estimate
 from casadical.identification.identification import identify
@@ -68,7 +68,8 @@ def one_robot(folder: str, with_diagnosis: bool) -> dict[str, Any]:
 
 
 def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
-    problem = replace(read_problem(place), networks=())
+    whole = read_problem(place)
+    problem = replace(whole, networks=(), methods=whole.methods[-1:])  # the row is of the method that counts
     found = calibrate(problem)
     method, before, after, _ = judged_on(found.accuracies)
     last = found.identification
@@ -93,7 +94,7 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
             row |= {"verdict": diagnosis.verdict, "causes": causes}
     if len(estimates) > 1:
         ordered, said = in_order(estimates)
-        estimates, notes = ordered, [*notes, *said]
+        estimates, notes = ordered, [*notes, *said, *elsewhere(ordered)]
         compared = compare(ordered, notes=notes)
         changes = ", ".join(f"{c.cause.label} ({c.course}, {ordered[c.since].label})" for c in compared.changes)
         row |= {"changes": changes, "details": json_text(compared.to_json())}

@@ -15,7 +15,7 @@ from scipy.stats import multivariate_normal
 from casadical import InputError, Robot, calibrate, identify, read_robot, write_robot
 from casadical.core.blocks import plain_text
 from casadical.fleet import Estimate, compare, estimate, estimate_of_file
-from casadical.fleet.campaigns import compare_files, day_of, in_order
+from casadical.fleet.campaigns import compare_files, day_of, elsewhere, in_order
 from casadical.fleet.candidates import candidates_of, shared_names
 from casadical.fleet.evidence import KAPPAS, Told, drifts, jumps, log_evidence, solve, visible
 from casadical.identification.misfit import misfit_of
@@ -199,6 +199,18 @@ def test_days_in_names_and_what_is_odd_about_them(before: Estimate) -> None:
         "2 is 35.5 years after 1, by their names: if a clock was wrong, rename the file"
     )
     assert on(0, 30, names={1: "left arm"})[1] == "the robot is called 'arm' and 'left arm': taken for one, renamed"
+
+
+def test_campaigns_in_other_regions_of_the_joints_are_named(before: Estimate) -> None:
+    """A change may then be an error that the model leaves in one region only."""
+    low, high = np.tile([-1.0, 1.0], (6, 1)), np.tile([-1.0, 1.0], (6, 1))
+    high[1] = [0.5, 2.5]
+    first, other = (replace(before, label=str(k), readings=r) for k, r in enumerate((low, high)))
+    (text,) = elsewhere([first, other])
+    assert text.startswith("other regions of the joints than in 0 were measured in 1 (joint 2): errors that the model")
+    assert elsewhere([first, first]) == []
+    assert before.readings is not None
+    assert before.readings.shape == (6, 2)
 
 
 def test_another_robot_and_one_campaign_are_refused(before: Estimate, tables: Path) -> None:
