@@ -6,11 +6,21 @@ from typing import Annotated, Any
 import typer
 
 from casadical.cli.completion import losses, methods
-from casadical.cli.options import Details, Frozen, Json, Prior, PriorEffects, Problems, Quiet, Report, carried
+from casadical.cli.options import (
+    Details,
+    Frozen,
+    Json,
+    Prior,
+    PriorEffects,
+    Problems,
+    Quiet,
+    Report,
+    carried,
+    problems_of,
+)
 from casadical.cli.progress import working
 from casadical.cli.terminal import WORSE, as_text, as_typed, keep, wrapped
 from casadical.core.blocks import terminal
-from casadical.core.errors import InputError
 
 
 def calibrate(
@@ -78,16 +88,19 @@ def calibrate(
     found: dict[str, Any] = {}
     done: list[work.Calibration] = []
     texts: dict[Path, str] = {}
-    for name, folder in _by_name(problems).items():
+    given = problems_of(problems)
+    for name, (source, tables) in given.items():
         with working(quiet, "reading", name) as show:
-            done.append(work.calibrate(folder, method=method, loss=loss, seed=seed, carried=known, show=show))
+            done.append(
+                work.calibrate(source, method=method, loss=loss, seed=seed, carried=known, tables=tables, show=show)
+            )
         console.print(done[-1].report() if details else terminal(done[-1].brief()))
         console.print()
         if out:
-            texts |= done[-1].files(out if len(problems) == 1 else out / name)
+            texts |= done[-1].files(out if len(given) == 1 else out / name)
         if json_file:
             found[name] = done[-1].to_json()
-    worse = [f"{name}: {c.worse}" for name, c in zip(_by_name(problems), done, strict=True) if c.worse]
+    worse = [f"{name}: {c.worse}" for name, c in zip(given, done, strict=True) if c.worse]
     if worse:
         typer.echo("casadical: nothing was written: " + "\n".join(worse), err=True)
         raise typer.Exit(WORSE)
@@ -101,14 +114,3 @@ def calibrate(
     keep(texts, console)
     if not details:
         console.print("all parameters and figures: --details, --out DIR or --report FILE.html", style="dim")
-
-
-def _by_name(folders: list[Path]) -> dict[str, Path]:
-    """Problem folders by the names that their results get. Raises InputError."""
-    found: dict[str, Path] = {}
-    for folder in folders:
-        name = folder.resolve().name
-        if name in found:
-            raise InputError(f"{folder}: a second problem of the name {name!r}; calibrate them one after the other")
-        found[name] = folder
-    return found

@@ -4,10 +4,10 @@ from typing import Annotated
 
 import typer
 
-from casadical.cli.options import Details, Json, Problems, Quiet
+from casadical.cli.options import Details, Json, Problems, Quiet, problems_of
 from casadical.cli.progress import CHECK, working
 from casadical.cli.terminal import BAD_INPUT, keep_json, wrapped
-from casadical.core.errors import shown
+from casadical.core.errors import InputError, shown
 
 # Slips hide targets, and targets slips: one is repaired after the other.
 REPAIRS = 3
@@ -49,16 +49,18 @@ def check(
 
     console = wrapped(quiet)
     found = []
-    for folder in problems:
+    for name, (folder, tables) in problems_of(problems).items():
         noise = None if noise_mm is None else 1e-3 * noise_mm
-        with working(quiet, "reading", folder.name, CHECK) as show:
-            found.append(precheck(folder, noise, show=show))
+        if repair and tables:
+            raise InputError(f"{name}: --repair writes problem.toml; make a folder of it first: casadical new --data")
+        with working(quiet, "reading", name, CHECK) as show:
+            found.append(precheck(folder, noise, show=show, tables=tables))
         for _ in range(REPAIRS if repair else 0):
             text = repaired(found[-1])
             if not text:
                 break
             console.print(text, markup=False, highlight=False, soft_wrap=True)
-            with working(quiet, "reading again", folder.name, CHECK) as show:
+            with working(quiet, "reading again", name, CHECK) as show:
                 found[-1] = precheck(folder, noise, show=show)
         console.print(report(found[-1]) if details else brief(found[-1]))
         console.print()

@@ -1,12 +1,13 @@
 """Arguments and options that several commands have, in the same words."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from casadical.cli import completion as words
-from casadical.core.errors import InputError
+from casadical.core.errors import InputError, shown
 
 if TYPE_CHECKING:
     from casadical.effects import Effect
@@ -73,7 +74,13 @@ Report = Annotated[
     typer.Option("--report", metavar="FILE.html", help="Write an HTML report in one file (needs plotly and jinja2)."),
 ]
 Details = Annotated[bool, typer.Option("--details", help="Print all figures, parameters and findings.")]
-Problems = Annotated[list[Path], typer.Argument(metavar="PROBLEM_DIR...", help="One or more problem folders.")]
+Problems = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="PROBLEM_DIR...",
+        help="Problem folders. Tables after one (CSV) take the place of its own; a robot file needs them.",
+    ),
+]
 Problem = Annotated[Path, typer.Argument(metavar="PROBLEM_DIR", help="Folder with the robot, or a robot file.")]
 Campaigns = Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.csv...", help="Measured poses, of any kind.")]
 Effects = Annotated[
@@ -109,6 +116,30 @@ Frozen = Annotated[
     ),
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace FILE if it is there.")]
+
+
+def problems_of(paths: Sequence[Path]) -> dict[str, tuple[Path, list[Path]]]:
+    """Problem folders and robot files, each with the tables after it, by the names that results get.
+
+    Raises InputError.
+    """
+    given: list[tuple[Path, list[Path]]] = []
+    for path in paths:
+        if path.is_dir() or path.suffix in ("", ".toml", ".urdf"):
+            given.append((path, []))
+        elif given:
+            given[-1][1].append(path)
+        else:
+            raise InputError(f"{shown(path)}: whose poses? give a problem folder or a robot file before the table")
+    found: dict[str, tuple[Path, list[Path]]] = {}
+    for source, tables in given:
+        if source.is_file() and not tables:
+            raise InputError(f"{shown(source)}: is a robot alone; give its measured poses after it: POSES.csv")
+        name = tables[0].stem if tables else source.resolve().name
+        if name in found:
+            raise InputError(f"{shown(source)}: a second problem of the name {name!r}; give them one after the other")
+        found[name] = source, tables
+    return found
 
 
 def effects_of(text: str | None) -> "str | list[str | Effect]":

@@ -183,7 +183,7 @@ def drop_poor(
 
 def scaled_inverse(H: Array) -> Array:
     """Inverse of a positive semidefinite matrix, scaled first; directions at round-off come out as very uncertain."""
-    root = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    root = np.sqrt(np.maximum(np.diag(H), 1e-200))
     scaled = H / np.outer(root, root)
     if len(H) > MANY:
         with suppress(np.linalg.LinAlgError):

@@ -335,9 +335,10 @@ class LeastSquares:
             return replace(found, independent=tuple(n for n in self.names if n not in dropped))
         J_ordered = np.concatenate([J[:, p:], J[:, :p]], axis=1)
         found = analyse(J_ordered, self.names, 3 * len(self.labels), held)
-        if any(find_kind(m.kind).has_scale or m.separations for m in self.sets) or not self._scale_is_free():
+        scaled = any(find_kind(m.kind).has_scale or m.separations for m in self.sets)
+        longest = max(found.independent, key=lambda n: abs(self._length(n)), default="")
+        if scaled or not longest or not self._scale_is_free():
             return found
-        longest = max(found.independent, key=lambda n: abs(self._length(n)))
         held[longest] = "contacts without known separations do not determine the scale; this length is its reference"
         return analyse(J_ordered, self.names, 3 * len(self.labels), held)
 

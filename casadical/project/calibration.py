@@ -77,7 +77,7 @@ class Calibration:
     >>> len(calibration.brief()) <= len(calibration.blocks())
     True
     >>> sorted(calibration.to_json())[:3]
-    ['data', 'methods', 'problem']
+    ['data', 'kinds', 'methods']
     >>> sorted(path.name for path in calibration.files("results"))
     ['KM.parameters.csv', 'KM.robot.toml', 'result.json']
     >>> calibration.write("results")
@@ -191,6 +191,7 @@ class Calibration:
             "data": problem.data,
             "robot": problem.robot.name,
             "tables": [dict(table) for table in problem.tables],
+            "kinds": {name: m.kind for name, m in problem.parts()},
             "methods": {
                 method: method_figures(result, self.accuracies[method], usual_held_out(problem, result.robot))
                 for method, result in self.identifications.items()
@@ -272,6 +273,7 @@ def calibrate(
     loss: str | None = None,
     seed: int | None = None,
     carried: Carried | None = None,
+    tables: Sequence[str | Path] = (),
     show: Callable[[str], None] = lambda _text: None,
 ) -> Calibration:
     """Identify a problem's robot by each of its methods, and train its networks on what is left.
@@ -279,7 +281,7 @@ def calibrate(
     Parameters
     ----------
     problem : str | Path | Problem
-        its folder, or what `read_problem` gave
+        its folder, a robot file with tables, or what `read_problem` gave
     method : str, optional
         in place of the problem's own; a network method needs SKCM, which is then identified too
     loss : str, optional
@@ -287,8 +289,9 @@ def calibrate(
     seed : int, optional
         of the split into sets and of the networks; of a folder only
     carried : Carried, optional
-        what puts the prior of another campaign into the robot, `lambda robot: carry_over(robot, other)`; of a folder
-        only
+        what puts the prior of another campaign into the robot, as `carry_over` does; of a folder only
+    tables : Sequence[str | Path], default ()
+        measured poses, in place of the folder's own or beside a robot file (see `read_problem`)
     show : Callable[[str], None], optional
         called with a line of progress
 
@@ -317,12 +320,12 @@ def calibrate(
     plain = None
     if not isinstance(problem, Problem):
         folder = problem
-        problem = read_problem(folder, seed, carried or as_it_is)
-        plain = read_problem(folder, seed) if problem.prior else None
+        problem = read_problem(folder, seed, carried or as_it_is, tables)
+        plain = read_problem(folder, seed, tables=tables) if problem.prior else None
     elif seed is not None:
         raise InputError(f"seed {seed}: this problem is split into sets already; give the seed to read_problem")
-    elif carried is not None:
-        raise InputError("prior: this problem is read already; give the prior with its folder")
+    elif carried is not None or tables:
+        raise InputError("prior, tables: this problem is read already; give them with its folder")
     if loss is not None:
         problem = replace(problem, loss=loss)
     if method is not None:
@@ -351,10 +354,9 @@ def calibrate(
 
 
 def _identified(problem: Problem, show: Callable[[str], None], count: int) -> dict[str, Identification]:
-    """By each method. With loss auto, the last method, which models most, says which poses are outliers.
+    """By each method; with loss auto the last, which models most, says which poses are outliers.
 
-    count : of parts of the work, for lines of progress
-    Where none is, the result is the least squares of all poses, as if none had been sought.
+    count : of parts of the work. Without outliers the result is the least squares of all poses.
     """
     sets, last = problem.sets["identify"], problem.methods[-1]
     parts = iter(range(1, count + 1))
@@ -385,8 +387,7 @@ def _identified(problem: Problem, show: Callable[[str], None], count: int) -> di
 def _without_prior(plain: Problem, results: Mapping[str, Identification]) -> Accuracy | None:
     """Of held-out poses, by the last method, as if there were no prior; plain : the problem without it."""
     method, found = list(results.items())[-1]
-    held_out = next((m for name, m in plain.parts() if name.startswith("report")), None)
-    if held_out is None:
+    if (held_out := next((m for name, m in plain.parts() if name.startswith("report")), None)) is None:
         return None
     kept = without_poses(plain.sets["identify"], found.outliers)
     alone = identify(plain.robot, kept, method="KM" if method == "KM" else "SKCM", loss=found.loss, screen=False)
@@ -395,6 +396,5 @@ def _without_prior(plain: Problem, results: Mapping[str, Identification]) -> Acc
 
 def used_poses(problem: Problem, results: Mapping[str, Identification]) -> dict[str, Measurements]:
     """Every set by name, without the poses that any method left out: all methods are judged on the same poses."""
-    out = {place for result in results.values() for place in result.outliers}
-    kept = iter(without_poses(problem.sets["identify"], out))
+    kept = iter(without_poses(problem.sets["identify"], {p for r in results.values() for p in r.outliers}))
     return {name: next(kept) if name.split("/")[0] == "identify" else m for name, m in problem.parts()}

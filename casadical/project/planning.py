@@ -26,7 +26,7 @@ from casadical.robot.robot_file import read_robot
 def robot_of(path: Path) -> Robot:
     """The robot of a problem folder, of a robot file, or of what `calibrate --out` wrote. Raises InputError."""
     if path.is_file():
-        return read_robot(path)
+        return read_campaign_robot(path)
     written = sorted(path.glob("*.robot.toml"))
     if not (path / "problem.toml").exists() and written:
         if len(written) > 1:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +11,6 @@ import numpy as np
 
 from casadical.compensator import network_methods
 from casadical.core.errors import InputError
-from casadical.core.schema import check
 from casadical.identification.prior import Prior
 from casadical.measurements.columns import Columns
 from casadical.measurements.derived_columns import derive
@@ -20,6 +18,7 @@ from casadical.measurements.measurements import SETS, Measurements
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.reading import from_columns, named_columns, readings_alone
 from casadical.project.coupled_readings import with_coupled
+from casadical.project.given_tables import file_of, fitting, tables_of
 from casadical.project.problem_file import (
     BaseMethod,
     DataTable,
@@ -77,6 +76,8 @@ class Problem:
         of the tables, that names each pose's set; None where the split is drawn
     tables : tuple[Mapping[str, Any], ...], default ()
         how the tables are to be understood, as problem.toml says it
+    robot_file : Path, default "robot.toml"
+        what the robot was read from
 
     Examples
     --------
@@ -106,6 +107,7 @@ class Problem:
     prior: Prior | None = None
     set_column: str | None = None
     tables: tuple[Mapping[str, Any], ...] = ()
+    robot_file: Path = Path("robot.toml")
 
     @property
     def origin(self) -> str:
@@ -148,17 +150,24 @@ class Problem:
         return calibrated_urdf_text(self.robot, robot, *self.urdf, measured_link="casadical_measured_point")
 
 
-def read_problem(folder: str | Path, seed: int | None = None, carried: Carried = as_it_is) -> Problem:
+def read_problem(
+    folder: str | Path,
+    seed: int | None = None,
+    carried: Carried = as_it_is,
+    tables: Sequence[str | Path] = (),
+) -> Problem:
     """Read a problem folder; `seed` replaces the one that its file gives for the split.
 
     Parameters
     ----------
     folder : str | Path
-        problem folder, with its problem.toml
+        problem folder, with its problem.toml; or with tables also a robot file
     seed : int, optional
         of the split, in place of the one in the file; None: that of the file
     carried : Carried, default as_it_is
         what puts into the robot what another campaign found (see `casadical.identification.prior.carry_over`)
+    tables : Sequence[str | Path], default ()
+        measured poses in place of the folder's own, understood as these are (see `read_campaign`)
 
     Returns
     -------
@@ -177,9 +186,12 @@ def read_problem(folder: str | Path, seed: int | None = None, carried: Carried =
     {'identify': 25, 'report': 15}
     """
     folder = Path(folder)
-    file, path = problem_file(folder), folder / "problem.toml"
+    file, path = file_of(folder, tables), folder / "problem.toml"
     if not file.measurements:
-        raise InputError(f"{path}: measurements: is missing; a calibration needs at least one table [[measurements]]")
+        raise InputError(
+            f"{path}: measurements: is missing; a calibration needs at least one table: [[measurements]], or a CSV "
+            "after the folder"
+        )
     place, urdf = folder / file.robot, file.urdf or UrdfTable()
     robot, prior = carried(replace(_read_robot(place, urdf), sessions=file.sessions.sessions()))
     sets = file.sets if seed is None else file.sets.model_copy(update={"seed": seed})
@@ -189,13 +201,14 @@ def read_problem(folder: str | Path, seed: int | None = None, carried: Carried =
             split.setdefault(name, []).append(part)
     if "identify" not in split:
         raise InputError(f"{path}: sets: no poses are named 'identify'; there are {', '.join(split)}")
+    rigid = all(j.compliance is None for j in robot.joints) and folder.is_file()
     return Problem(
         folder=folder,
-        title=file.title,
+        title=file.title or f"{robot.name}: {', '.join(Path(t).name for t in tables)}",
         data=file.data,
         robot=robot,
         sets={name: tuple(parts) for name, parts in split.items()},
-        methods=base_methods(file.methods),
+        methods=base_methods(["KM"] if rigid else file.methods),
         loss=file.loss,
         urdf=(place, urdf.base_link, urdf.tip_link) if place.suffix == ".urdf" else None,
         networks=tuple(m for m in network_methods() if m in file.methods),
@@ -204,6 +217,7 @@ def read_problem(folder: str | Path, seed: int | None = None, carried: Carried =
         prior=prior,
         set_column=sets.column,
         tables=tuple(data.understood for data in file.measurements),
+        robot_file=place,
     )
 
 
@@ -218,7 +232,7 @@ def read_campaign_robot(folder: str | Path) -> Robot:
     Parameters
     ----------
     folder : str | Path
-        problem folder, or a robot file
+        problem folder, or a robot file (TOML or URDF)
 
     Returns
     -------
@@ -235,7 +249,8 @@ def read_campaign_robot(folder: str | Path) -> Robot:
     >>> casadical.read_campaign_robot("problems/planar").name
     'Planar arm of two links'
     """
-    return read_robot(folder) if Path(folder).is_file() else _robot_of(Path(folder), campaign=True)
+    folder = Path(folder)
+    return _read_robot(folder, UrdfTable()) if folder.is_file() else _robot_of(folder, campaign=True)
 
 
 def _robot_of(folder: Path, campaign: bool) -> Robot:
@@ -268,7 +283,7 @@ def read_campaign(
     Raises InputError.
     """
     folder, raw = Path(folder), read_table(path)
-    data = _fitting(folder, raw, _tables_of(folder))
+    data = fitting(folder, raw, tables_of(folder))
     columns, joints = _columns(raw, data, robot), [j.kind for j in robot.joints]
     if later:
         columns = columns.without(columns.lost_rows, "the table")
@@ -294,30 +309,6 @@ def _of_kind(columns: Columns, joints: Sequence[str], data: DataTable) -> Measur
 def _separations(data: DataTable) -> list[tuple[str, str, float]]:
     """Known distances between touched points [m]."""
     return [(s.between[0], s.between[1], s.distance_mm * 1e-3) for s in data.separation]
-
-
-def _tables_of(folder: Path) -> Sequence[DataTable]:
-    """How the tables of a problem are to be understood, or those that a robot file was calibrated from."""
-    if (folder / "problem.toml").exists():
-        return problem_file(folder).measurements
-    try:
-        listed = json.loads((folder.parent / "result.json").read_text(encoding="utf-8"))["tables"]
-        return [check(DataTable, table, "result.json") for table in listed]
-    except (OSError, ValueError, KeyError, TypeError, InputError):
-        return []
-
-
-def _fitting(folder: Path, raw: RawTable, tables: Sequence[DataTable]) -> DataTable:
-    """How a problem's tables say that this one is to be understood; a copy of one of them is that one."""
-    for data in tables:
-        own = folder / data.file
-        if own.resolve() == raw.path.resolve() or (own.is_file() and own.read_bytes() == raw.path.read_bytes()):
-            return data
-    for data in tables:
-        found = data.named_in(raw.header)
-        if found.columns or found.point_from:
-            return found
-    return DataTable(file=raw.path.name)
 
 
 def _columns(raw: RawTable, data: DataTable, robot: Robot) -> Columns:

@@ -15,12 +15,15 @@ from casadical.core.blocks import Table, Words, mm
 from casadical.core.errors import InputError
 from casadical.identification.accuracy import errors
 from casadical.identification.identification import LeftOut, identify, rows_in_words
+from casadical.identification.sessions import with_sessions
+from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.raw_table import read_table
 from casadical.project.check.targets import recognised
 from casadical.project.problem import read_campaign
 from casadical.project.target_names import names_in
 from casadical.robot.robot_file import read_robot
 
+POSITION = "position"
 # A robot that keeps its promise is said to break it once in a hundred checks.
 QUANTILE = 2.326
 # A pose with more than so many times the promised error is named.
@@ -96,44 +99,55 @@ class Verification:
 def verify(robot: str | Path, table: str | Path, promised_mm: float | None = None) -> Verification:
     """Check a calibrated robot by poses that were measured later; base and tool are fitted again.
 
-    robot : file as `casadical calibrate --out` writes it; table : measured positions
-    promised_mm : rms position error [mm]; None: of the held-out poses, see `promised_rms`
+    robot : file as `casadical calibrate --out` writes it; table : measured poses, of any kind
+    promised_mm : rms error [mm] of this kind; None: of the held-out poses, see `promised_rms`
 
-    With `found` of 3 n - k degrees of freedom, k numbers of base and tool, its limit is the 99 % quantile of
-    chi-squared (Wilson and Hilferty 1931). Raises InputError.
+    With `found` of c n - k degrees of freedom, c numbers a pose (3 of a position), k those of base, tool and unknown
+    points, its limit is the 99 % quantile of chi-squared (Wilson and Hilferty 1931). Base and tool may stand elsewhere
+    in each session. Raises InputError.
     """
     place = Path(robot)
     arm = read_robot(place)
-    promised = 1e-3 * promised_mm if promised_mm is not None else promised_rms(place)
     m = read_campaign(place, table, arm, later=True)
+    kind = m.kind if m.position is None else POSITION
+    promised = 1e-3 * promised_mm if promised_mm is not None else promised_rms(place, kind)
     if arm.targets and not names_in(m):  # the tool is fitted again, whichever it was
         arm = replace(arm, targets=(), tool_name="")
     if (several := recognised(arm, m)) and several.turning:
         raise InputError(several.in_words(m.source))
     lost = tuple(row for row in read_table(table).line if row not in {*m.row.tolist(), *m.copies})
-    if m.position is None:
-        raise InputError(f"{table}: kind {m.kind}; a check needs measured positions")
-    groups = [g for g in ("base", "tool") if g in arm.parameters.groups]
+    m = m.positions_alone() if m.position is not None else m
+    arm, sessions = with_sessions(arm, [m])
+    groups = [g for g in ("base", "tool", *sessions) if g in arm.parameters.groups]
+    numbers = find_kind(m.kind).lengths
+    points = 3 * len(set(find_kind(m.kind).point_names(m.arrays)))
     k = len(arm.parameters.select(groups)) if groups else 0
-    freedom = 3 * len(m) - k
+    freedom = numbers * len(m) - points - k
     if freedom < 6:
-        raise InputError(f"{table}: {len(m)} poses; base and tool have {k} numbers: measure {-(-(k + 6) // 3)} or more")
-    placed = identify(arm, m, groups).robot if groups else arm
+        raise InputError(
+            f"{table}: {len(m)} poses; base and tool have {k} numbers{f', the points {points}' if points else ''}: "
+            f"measure {-(-(k + points + 6) // numbers)} or more"
+        )
+    placed = arm
+    if groups:
+        fitted = identify(arm, m, groups)
+        placed, k = fitted.robot, len(fitted.names)  # contacts do not tell where the base is
     e = errors(placed, m)
-    found, limit = _scatter(e, k), _limit(promised, 3 * len(m) - k)
+    shared = points + k
+    found, limit = _scatter(e, k, numbers * len(m) - shared), _limit(promised, numbers * len(m) - shared)
     far = [LeftOut(m.source, int(m.row[i]), float(e[i])) for i in np.argsort(-e) if e[i] > FAR * promised]
     without = None
     if found > limit and groups:  # a few gross errors draw base and tool, and so all others, towards themselves
         robust = identify(arm, m, groups, loss="huber")
         if 0 < len(robust.outliers) <= len(m) // 3:
             kept = robust.used[0]
-            far, without = list(robust.left_out), _scatter(errors(robust.robot, kept), k)
+            far, without = list(robust.left_out), _scatter(errors(robust.robot, kept), k, numbers * len(kept) - shared)
     return Verification(arm.name, promised, found, limit, len(m), tuple(far[: len(m) // 3]), without, lost)
 
 
-def _scatter(e: Array, k: int) -> float:
-    """Rms of errors of which k numbers were fitted, the fit's own share made up for [m]."""
-    return float(np.sqrt(3 * np.sum(e**2) / (3 * len(e) - k)))
+def _scatter(e: Array, k: int, freedom: int) -> float:
+    """Rms of errors of which k numbers were fitted, the fit's own share made up for [m]; freedom : what is left."""
+    return float(np.sqrt(np.mean(e**2) * (freedom + k) / freedom))
 
 
 def _limit(promised: float, freedom: int) -> float:
@@ -142,8 +156,10 @@ def _limit(promised: float, freedom: int) -> float:
     return float(promised * share**1.5)
 
 
-def promised_rms(robot: Path) -> float:
+def promised_rms(robot: Path, kind: str = POSITION) -> float:
     """Rms error of held-out poses [m] that the file beside METHOD.robot.toml or diagnosed.robot.toml states.
+
+    kind : of measurement; full poses are judged by their positions
 
     Of result.json it is that of the report set, without poses that were far off; diagnosis.json and discovery.json
     state a mean, which is taken for that of normally distributed errors. Raises InputError.
@@ -154,14 +170,23 @@ def promised_rms(robot: Path) -> float:
     path = robot.parent / "result.json"
     remedy = "give the promised rms error with --promised-mm"
     try:
-        methods = json.loads(path.read_text(encoding="utf-8"))["methods"]
+        stated = json.loads(path.read_text(encoding="utf-8"))
+        methods = stated["methods"]
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError(f"{path}: no figures of a calibration; {remedy}") from None
     sets: Mapping[str, Any] = methods.get(robot.name.removesuffix(".robot.toml"), {}).get("sets", {})
-    held = [figures for name, figures in sets.items() if name.split("/")[0] == "report"]
+    held = [
+        figures
+        for name, figures in sets.items()
+        if name.split("/")[0] == "report" and stated.get("kinds", {}).get(name, kind) in _alike(kind)
+    ]
     if not held:
-        raise InputError(f"{path}: no held-out poses of {robot.name}; {remedy}")
+        raise InputError(f"{path}: no held-out poses of {robot.name} (kind {kind}); {remedy}")
     return 1e-3 * float(held[0].get("without_far_off", held[0])["rms_mm"])
+
+
+def _alike(kind: str) -> tuple[str, ...]:
+    return (POSITION, "pose", "position_covariance") if kind == POSITION else (kind,)
 
 
 def _mean_of(path: Path) -> float | None:

@@ -44,7 +44,7 @@ def calibration_report(calibrations: Sequence[Calibration], command: Sequence[st
     >>> html[:15]
     '<!doctype html>'
     """
-    files = [path for c in calibrations for path in problem_files(c.problem.folder)]
+    files = [path for c in calibrations for path in problem_files(c.problem)]
     return report_html("Calibration", [calibration_part(c) for c in calibrations], provenance_of(files, command))
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from casadical.core.errors import InputError
 from casadical.core.schema import load_toml
+from casadical.project.problem import Problem
 
 PACKAGES = ("casadical", "casadi", "numpy", "pandas", "plotly")
 
@@ -47,20 +48,21 @@ def sha256(path: Path) -> str:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
 
 
-def problem_files(folder: Path) -> list[Path]:
-    """What a problem folder was read from: problem.toml, robot and measurements."""
-    path = folder / "problem.toml"
-    file = load_toml(path)
-    names = [file.get("robot", "robot.toml"), *(data["file"] for data in file.get("measurements", []))]
-    return [path, *(Path(_short(folder / name)) for name in names)]
+def problem_files(problem: Problem) -> list[Path]:
+    """What a problem was read from: problem.toml, robot and measurements."""
+    path = problem.folder / "problem.toml"
+    names = [problem.robot_file, *(problem.folder / table["file"] for table in problem.tables)]
+    return [*([path] if path.is_file() else []), *(Path(_short(name)) for name in names)]
 
 
-def campaign_files(folder: Path, campaigns: Sequence[Path]) -> list[Path]:
-    """What a diagnosis was read from: problem.toml, the campaign's robot and the campaigns."""
-    path = folder / "problem.toml"
+def campaign_files(source: Path, campaigns: Sequence[Path]) -> list[Path]:
+    """What a diagnosis was read from: problem.toml, the campaign's robot, or a robot file; and the campaigns."""
+    if source.is_file():
+        return [source, *campaigns]
+    path = source / "problem.toml"
     file = load_toml(path)
     robot = file.get("campaign_robot", file.get("robot", "robot.toml"))
-    return [path, Path(_short(folder / robot)), *campaigns]
+    return [path, Path(_short(source / robot)), *campaigns]
 
 
 def _short(path: Path) -> str:

@@ -21,8 +21,9 @@ from casadical.core.blocks import plain_text
 from casadical.diagnosis import analyse, describe_unlisted
 from casadical.diagnosis.brief import brief
 from casadical.identification.accuracy import errors
+from casadical.measurements.derived_columns import derive
 from casadical.project.calibration import calibrate
-from casadical.project.problem import read_campaign, read_campaign_robot, read_problem
+from casadical.project.problem import read_campaign, read_campaign_robot
 
 CAMPAIGNS = {
     "fr3_camera": "fr3_camera/fr3_114.csv",
@@ -36,9 +37,13 @@ def judged(entry: tuple[str, int]) -> Row:
     """One split; errors in mm."""
     name, seed = entry
     folder = ROOT / "problems" / name
-    problem = read_problem(folder, seed)
-    (test,) = problem.sets["report"]
-    found = diagnose(problem.robot, problem.sets["identify"])
+    robot = read_campaign_robot(folder)
+    m = read_campaign(folder, ROOT / "data" / CAMPAIGNS[name], robot)
+    # When a pose was taken, and from where, is known of all poses before they are split.
+    m, _ = derive(m, ["progress", *(f"approach{i}" for i in range(1, robot.n + 1))])
+    parts = m.split({"identify": 0.7, "report": 0.3}, seed)
+    test = parts["report"]
+    found = diagnose(robot, parts["identify"])
     unlisted = describe_unlisted(found)
     robots = {"calibrated": calibrate(folder, seed=seed).robot, "base": found.identification.robot}
     robots["causes"] = found.apply() if found.effects() else robots["base"]

@@ -58,7 +58,7 @@ def judged(entry: tuple[str, Plan]) -> Row:
     physics, plan = entry
     robot = read_campaign_robot(ROOT / "problems" / plan.robot)
     table = json.loads((ROOT / "data" / "campaigns" / "robots" / f"{plan.robot}.json").read_text())
-    made = campaign_of(physics_named(physics), table, to_toml(robot), plan)
+    made = campaign_of(physics, table, to_toml(robot), plan)
     m = from_table(pd.read_csv(StringIO(made.seen)), robot.n, "position")
     unseen = pd.read_csv(StringIO(made.unseen))
     unseen[POSITION] = np.array(made.secret.measured_mm)

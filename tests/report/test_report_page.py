@@ -14,6 +14,7 @@ from pathlib import Path
 from command_line import run
 
 from casadical.core.blocks import Words
+from casadical.project.problem import read_problem
 from casadical.report import calibration_report
 from casadical.report.diagnosis import diagnosis_part
 from casadical.report.provenance import campaign_files, problem_files, provenance_of
@@ -96,7 +97,7 @@ def test_the_diagnosis_tells_what_it_cannot_see_and_what_chance_does(diagnosis, 
 
 
 def test_provenance_names_hash_versions_command_and_date() -> None:
-    files = problem_files(ROOT / "problems/hh800")
+    files = problem_files(read_problem(ROOT / "problems/hh800"))
     found = provenance_of(files, ["casadical", "calibrate", "my robot"], datetime(2026, 11, 21, 5, 7, tzinfo=UTC))
     hashes = dict(found.files)
     data = next(path for path in hashes if path.endswith("hh800_twin.csv"))

@@ -27,18 +27,14 @@ def robot_to_write(
 ) -> tuple[Robot, Diagnosis | None]:
     """The robot, and the diagnosis where a campaign is given.
 
-    source : a robot file, taken as it is, or a problem folder, which is calibrated; campaign : measured positions from
-    which the folder's robot is calibrated and diagnosed; effects : as of `casadical diagnose`
+    source : a robot file, taken as it is, or a problem folder, which is calibrated; campaign : measured poses from
+    which the robot of either is calibrated and diagnosed; effects : as of `casadical diagnose`
     Raises InputError, ConvergenceError.
     """
     if not source.exists():
         raise InputError(f"{source}: no such problem folder or robot file")
-    if source.is_file():
-        if campaign is not None:
-            raise InputError(f"--campaign needs the problem folder, not {source}: it is calibrated from the campaign")
-        return read_robot(source), None
     if campaign is None:
-        return calibrated(source).robot, None
+        return read_campaign_robot(source) if source.is_file() else calibrated(source).robot, None
     robot = read_campaign_robot(source)
     m = read_campaign(source, campaign, robot)
     found = diagnose(robot, m, effects.split(",") if effects else "standard", show=show)
@@ -53,7 +49,7 @@ def into_users(
     nominal : robot file from before the calibration, needed where source is a robot file; joints : names by commas
     Raises InputError.
     """
-    if source.is_file() and nominal is None:
+    if source.is_file() and nominal is None and campaign is None:
         raise InputError("--into needs the robot before its calibration too: give --nominal, or the problem folder")
     if nominal is not None:
         before = read_robot(nominal)

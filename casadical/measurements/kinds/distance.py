@@ -13,6 +13,8 @@ from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpre
 
 # Gauss-Newton steps to the far end, and by which share each must reduce the sum of squares.
 STEPS, GAIN = 20, 1e-6
+# Points whose third spread is less than this share of their second lie in a plane.
+FLAT = 1e-6
 
 
 class Distance(MeasurementKind):
@@ -61,12 +63,17 @@ def _far_end(arrays: Arrays, p: Array) -> Array:
     """The far end that distances from p, shape (n, 3) [m], fit best, shape (3,) [m].
 
     First |p|^2 - L^2 = 2 p.P - |P|^2 by least squares, which takes |P| as one more unknown; then Gauss-Newton steps of
-    the distances themselves, as long as they help.
+    the distances themselves, as long as they help. Of points in a plane they tell how far it is from the plane, not on
+    which side.
     """
     centre, distance = p.mean(axis=0), arrays["distance"]
     local = p - centre
     A = np.column_stack([2 * local, -np.ones(len(p))])
-    P = np.linalg.lstsq(A, (local**2).sum(axis=1) - distance**2, rcond=None)[0][:3]
+    *start, square = np.linalg.lstsq(A, (local**2).sum(axis=1) - distance**2, rcond=None)[0]
+    P = np.array(start)
+    spread, axes = np.linalg.svd(local, full_matrices=False)[1:]
+    if len(axes) == 3 and spread[2] < FLAT * spread[1]:
+        P += np.sqrt(max(square - P @ P, 0.0)) * axes[2]
     left = distance - np.linalg.norm(P - local, axis=1)
     for _ in range(STEPS):
         line = P - local

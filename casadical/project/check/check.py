@@ -1,6 +1,6 @@
 """The check of a whole problem before a solve: its files, its data, and the accuracy to expect."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,7 +39,7 @@ from casadical.project.check.repair import in_words, left_mm, other_lengths
 from casadical.project.check.slips import Slips, search_slips
 from casadical.project.check.table_faults import table_faults, unknown_columns
 from casadical.project.check.targets import Targets, middles, recognised, whole_table
-from casadical.project.problem import Problem, read_problem, read_problem_robot
+from casadical.project.problem import Problem, read_campaign_robot, read_problem
 from casadical.project.target_names import unfitted, unmeasured
 from casadical.robot.robot import Robot
 
@@ -91,21 +91,23 @@ def precheck(
     noise: float | None = None,
     seed: int | None = None,
     show: Callable[[str], None] = lambda _text: None,
+    tables: Sequence[str | Path] = (),
 ) -> Precheck:
     """Examine a problem folder and its data without solving anything.
 
     noise : one sigma of a measured coordinate [m] for the forecasts; None: what a linear step leaves of the data
     seed : of the split, instead of the problem's; show : called with a line of progress
+    tables : measured poses, in place of the folder's own or beside a robot file (see `read_problem`)
     Faults of the input are findings, not exceptions.
     """
     folder = Path(folder)
     try:
-        problem = read_problem(folder, seed)
+        problem = read_problem(folder, seed, tables=tables)
     except InputError as error:
-        return Precheck(folder, (Finding("error", "reading", str(error)), *_more_faults(folder)))
+        return Precheck(folder, (Finding("error", "reading", str(error)), *_more_faults(folder, tables)))
     show("comparing with the nominal robot")
     sets = problem.sets["identify"]
-    others = other_conventions(folder)
+    others = other_conventions(problem.robot_file)
     table = whole_table(problem)
     found, usable = _data_findings(problem.robot, sets, others, table)
     targets = recognised(problem.robot, table) if table is not None else None
@@ -118,7 +120,9 @@ def precheck(
         slips = _slips(problem.robot, table, targets, [*others.values()], show)
     if slips and slips.explains and _says_more(slips, problem.robot, targets, found):
         found = [f for f in found if not (f.topic == "units" and f.level == "error")]
-        found.insert(0, _slip_finding(slips, problem.robot, convention_of(folder) == "standard", sets[0].source))
+        found.insert(
+            0, _slip_finding(slips, problem.robot, convention_of(problem.robot_file) == "standard", sets[0].source)
+        )
     found += _held_out_findings(problem)
     found += limits_findings(problem.robot)
     known, source = _noise(noise, sets)
@@ -196,13 +200,13 @@ def _slip_finding(slips: Slips, robot: Robot, standard: bool, source: str) -> Fi
     return Finding("error", "units", f"{text}. casadical check --repair writes the first")
 
 
-def _more_faults(folder: Path) -> list[Finding]:
+def _more_faults(folder: Path, tables: Sequence[str | Path]) -> list[Finding]:
     """Of the tables of a problem that cannot be read."""
     joints: int | None = None
     with suppress(InputError):
-        joints = read_problem_robot(folder).n
+        joints = read_campaign_robot(folder).n
     try:
-        return table_faults(folder, joints)
+        return table_faults(folder, joints, tables)
     except InputError:
         return []
 

@@ -93,29 +93,23 @@ def far_rows(robot: Robot, m: Measurements) -> list[Finding]:
     return [Finding("warning", "rows", text)]
 
 
-def other_conventions(folder: Path) -> dict[str, Robot]:
-    """The robot of a problem folder with its DH rows read by the other convention; none for a URDF."""
+def other_conventions(path: Path) -> dict[str, Robot]:
+    """The robot of a robot file with its DH rows read by the other convention; none for a URDF."""
     found: dict[str, Robot] = {}
     # The reader of the problem reports faults of its files.
     with suppress(InputError):
-        path = _robot_file(folder)
         if path.suffix == ".toml":
             data = dict(load_toml(path))
-            said = convention_of(folder)
+            said = convention_of(path)
             other = {"modified": "standard", "standard": "modified"}[said]
             words = f"the DH rows are of the {other} convention, not {said} (convention in {path.name})"
             found[words] = robot_from({**data, "convention": other}, path.name)
     return found
 
 
-def convention_of(folder: Path) -> str:
-    """Of the DH rows in the robot file of a problem folder; modified for a URDF. Raises InputError."""
-    path = _robot_file(folder)
+def convention_of(path: Path) -> str:
+    """Of the DH rows in a robot file; modified for a URDF. Raises InputError."""
     return str(load_toml(path).get("convention", "modified")) if path.suffix == ".toml" else "modified"
-
-
-def _robot_file(folder: Path) -> Path:
-    return folder / str(load_toml(folder / "problem.toml").get("robot", "robot.toml"))
 
 
 def rigid(robot: Robot) -> Robot:

@@ -22,13 +22,14 @@ KNOWN = ("payload_kg", "temperature_degC", "time_s", "warmth_K", "weight", "set"
 CLOSE = 0.84
 
 
-def table_faults(folder: Path, joints: int | None) -> list[Finding]:
-    """Missing joint columns and cells that are no numbers, in every table that problem.toml names.
+def table_faults(folder: Path, joints: int | None, tables: Sequence[str | Path] = ()) -> list[Finding]:
+    """Missing joint columns and cells that are no numbers, in every table that problem.toml names, or in these.
 
     joints : how many readings a row must have; None where the robot could not be read
     """
     found: list[Finding] = []
-    for data in _tables(folder):
+    given: Sequence[Mapping[str, Any]] = [{"file": str(Path(t).resolve())} for t in tables]
+    for data in given or _tables(folder):
         path = folder / str(data.get("file", ""))
         try:
             table = read_table(path)
