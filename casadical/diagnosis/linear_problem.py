@@ -10,6 +10,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.parameters import Parameter
+from casadical.diagnosis.camera_columns import with_images
 from casadical.diagnosis.candidates import Candidate, choose
 from casadical.diagnosis.cross_validation import fit_of
 from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, SIGMAS, Evidence
@@ -237,7 +238,7 @@ def make_case(
     sets = identification.measurements
     plain, stops = len(sets) == 1 and sets[0].kind == "position", stops_in(sets)
     m = sets[0] if plain else joined(sets, identification.given, stops)
-    m = with_far_ends(m, sets, identification.unknown_points, stops)
+    m = with_images(with_far_ends(m, sets, identification.unknown_points, stops), sets, stops)
     m = _with_declared_payload(m, identification.given)
     possible, missing = choose(candidates, m)
     effects = tuple(dict.fromkeys(e for c in possible for v in c.variants for e in v))

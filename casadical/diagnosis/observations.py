@@ -131,13 +131,18 @@ def with_far_ends(
     if not 0 < count <= WIRES:
         return m
     of_row = {f: (wire == k).astype(float) for k, f in enumerate(FLAGS, 1)} | dict(zip(FAR, far.T, strict=True))
+    return replace(m, conditions={**m.conditions, **by_turn(of_row, stops, len(m))})
+
+
+def by_turn(of_row: Mapping[str, Array], stops: Stops, poses: int) -> dict[str, Array]:
+    """Columns of rows, shape (rows,), as those of poses, of further rows at a stop with names of their own."""
     columns: dict[str, Array] = {}
     for turn in range(stops.most):
         own = np.flatnonzero(stops.turn == turn)
         for name, values in of_row.items():
-            columns[of_turn(name, turn)] = column = np.zeros(len(m))
+            columns[of_turn(name, turn)] = column = np.zeros(poses)
             column[stops.of[own]] = values[own]
-    return replace(m, conditions={**m.conditions, **columns})
+    return columns
 
 
 def edges_of(sets: Sequence[Measurements]) -> list[slice]:

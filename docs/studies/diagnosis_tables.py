@@ -77,6 +77,8 @@ def _columns(c: Candidate) -> str:
     for column in needed:
         if column.startswith(("far_", "wire")):
             words.add("measured distances")
+        elif column.startswith(("fixed_", "carried_")):
+            words.add("measured full poses")
         elif column.startswith("warmth"):
             words |= {"temperature_degC", "time_s"}
         elif column.startswith("approach"):

@@ -44,14 +44,16 @@ def with_columns(name: str, effects: tuple[Effect, ...]) -> Measurements:
     return found
 
 
-# What reads distances has columns of its own, of where it measures to.
-OF_WIRES = {"wire_offset", "wire_scale", "wire_drift", "station_step"}
+# What reads distances or full poses has columns of its own, of where it measures to.
+OF_INSTRUMENTS = {
+    "wire_offset", "wire_scale", "wire_drift", "station_step", "lens_scale", "hand_eye_step", "stand_step",
+}  # fmt: skip
 
 
 def every_effect(name: str, rng: np.random.Generator, listed: bool) -> tuple[Effect, ...]:
     """One effect of every label, its settings drawn from the grid and moved off it."""
     by_label: dict[str, list[Effect]] = {}
-    for c in (c for c in extended_candidates(robot(name)) if c.name not in OF_WIRES):
+    for c in (c for c in extended_candidates(robot(name)) if c.name not in OF_INSTRUMENTS):
         for effect in (e for v in c.variants for e in v if c.listed is listed):
             by_label.setdefault(effect.label, []).append(effect)
     chosen = [found[rng.integers(len(found))] for found in by_label.values()]
