@@ -20,9 +20,9 @@ def methods(incomplete: str) -> list[str]:
 
 def losses(incomplete: str) -> list[str]:
     """Words for `--loss`."""
-    from casadical.project.problem_file import PROBLEM_LOSSES
+    from casadical.identification.residuals import ALL_LOSSES
 
-    return _begun(PROBLEM_LOSSES, incomplete)
+    return _begun(ALL_LOSSES, incomplete)
 
 
 def criteria(incomplete: str) -> list[str]:

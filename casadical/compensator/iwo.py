@@ -24,12 +24,12 @@ def seed_counts(losses: Array, seeds_min: int, seeds_max: int) -> Array:
 
     losses : array, shape (members,). A member whose loss is not finite has the fewest children.
     """
-    finite = losses[np.isfinite(losses)]
-    best, worst = finite.min(initial=np.inf), finite.max(initial=-np.inf)
-    if not best < worst:
-        ratio = (losses == losses.min()).astype(float)
-    else:
-        ratio = (worst - np.minimum(losses, worst)) / (worst - best)
+    best, worst = losses.min(), losses.max()
+    if not np.isfinite(worst):
+        finite = losses[np.isfinite(losses)]
+        best, worst = finite.min(initial=np.inf), finite.max(initial=-np.inf)
+        losses = np.minimum(losses, worst) if best < worst else losses
+    ratio = (worst - losses) / (worst - best) if best < worst else losses == losses.min()
     return np.asarray((seeds_min + (seeds_max - seeds_min) * ratio).astype(np.int64))
 
 
@@ -126,8 +126,9 @@ class InvasiveWeeds:
         self.dimension = dimension
         self._random = np.random.default_rng(seed)
         try:
-            self._lower = np.broadcast_to(np.asarray(self.settings.lower, dtype=float), (dimension,))
-            self._upper = np.broadcast_to(np.asarray(self.settings.upper, dtype=float), (dimension,))
+            # One number for all is clipped at faster than an array of them.
+            self._lower, self._upper = (np.asarray(b, float) for b in (self.settings.lower, self.settings.upper))
+            np.broadcast_to(self._lower + self._upper, (dimension,))
         except ValueError:
             raise InputError(f"bounds must be one number or {dimension}; got {self.settings}") from None
         self.members = np.empty((0, dimension))
@@ -170,8 +171,9 @@ class InvasiveWeeds:
         new = np.array(losses, dtype=np.float64)
         if new.shape != (len(self._asked),):
             raise InputError(f"one loss for each of the {len(self._asked)} points is needed; got shape {new.shape}")
-        new[np.isnan(new)] = np.inf
-        before = self.losses.min(initial=np.inf)
+        if np.isnan(new.sum()):
+            new[np.isnan(new)] = np.inf
+        before = self.losses[0] if len(self.losses) else np.inf
         merged = np.concatenate([self.losses, new])
         order = merged.argsort(kind="stable")[: self.settings.maximum]
         self.members = np.concatenate([self.members, self._asked])[order]

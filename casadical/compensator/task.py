@@ -48,15 +48,9 @@ class Loss:
         -------
         Array, shape (P,) [mm^2]
         """
-        return self._of_squares(np.square(errors))
-
-    def _of_squares(self, squares: Array) -> Array:
-        """As `of`, from the squares of the errors."""
-        _, outputs, samples = squares.shape
-        totals = squares[:, 0] + squares[:, 1] if outputs > 1 else squares[:, 0]
-        for output in range(2, outputs):
-            totals += squares[:, output]
-        mean = totals @ np.full(samples, self.mean / samples, squares.dtype)
+        _, outputs, samples = errors.shape
+        totals = np.einsum("pon,pon->pn", errors, errors)
+        mean = totals @ np.full(samples, self.mean / samples, errors.dtype)
         return np.asarray((mean + self.max * totals.max(axis=1)) / outputs)
 
     def slope(self, errors: Array) -> Array:
@@ -127,7 +121,7 @@ class Task:
             memory = Memory()
         errors = forward(self.layout, weights, self.inputs, memory)
         errors -= self.targets
-        losses = self.loss._of_squares(np.square(errors, out=errors))
+        losses = self.loss.of(errors)
         self._idle.append(memory)
         return np.asarray(self.scale_mm**2 * losses)
 

@@ -13,8 +13,8 @@ from casadical.diagnosis.cross_validation import Fit
 from casadical.diagnosis.evidence import log_sum
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.result import Change
-from casadical.identification.least_squares import robust_std
 from casadical.identification.prior import Prior
+from casadical.identification.variance import robust_std
 from casadical.measurements.noise import Noise
 
 # Probability, before any data, that a part of what was known has changed between two campaigns.

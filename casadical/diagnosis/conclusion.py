@@ -12,7 +12,7 @@ from casadical.diagnosis.noise_floor import noise_floor, outlier_probability, re
 from casadical.diagnosis.result import Cause, Diagnosis, Gap, Outlier, Verdict
 from casadical.diagnosis.search import End, State, Step
 from casadical.diagnosis.thresholds import DETECT_FURTHER, LEAST_SHARE, MISMATCH, MUCH, OUT, SET_CLAIM, SET_SIZE, WORSE
-from casadical.identification.identification import Identification
+from casadical.identification.result import Identification
 from casadical.measurements.noise import Noise
 
 

@@ -18,12 +18,13 @@ from casadical.diagnosis.posterior import Rivals, no_rivals
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import Show, State, search
 from casadical.effects import Effect, LinkMasses, PayloadError
-from casadical.identification.identification import Identification, identify
-from casadical.identification.least_squares import robust_std
+from casadical.identification.identification import identify
 from casadical.identification.placement import place_frames
 from casadical.identification.prior import Prior, carry_over
+from casadical.identification.result import Identification
 from casadical.identification.sessions import sessions_in, with_sessions
 from casadical.identification.unknown_masses import with_unknown_masses
+from casadical.identification.variance import robust_std
 from casadical.measurements.kinds.position_covariance import PositionCovariance
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements

@@ -19,9 +19,9 @@ from casadical.diagnosis.noise_floor import replicates
 from casadical.diagnosis.observations import Observations, Ratios, joined, observe, stops_in, with_far_ends
 from casadical.effects import Effect
 from casadical.identification.accuracy import predicted
-from casadical.identification.identification import Identification
-from casadical.identification.least_squares import robust_std
 from casadical.identification.prior import Prior
+from casadical.identification.result import Identification
+from casadical.identification.variance import robust_std
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements

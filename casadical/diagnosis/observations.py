@@ -21,7 +21,7 @@ from casadical.diagnosis.linearisation import BLOCK, POINT, TURN, Linearisation,
 from casadical.diagnosis.seams import observed_at_seams, seams_of
 from casadical.diagnosis.stops import Stops, stops_of
 from casadical.effects.distance_faults import FAR, FLAGS, WIRES
-from casadical.identification.identification import Identification
+from casadical.identification.result import Identification
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.model import constants_of

@@ -11,8 +11,9 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.observations import edges_of, separated
 from casadical.effects import Effect
 from casadical.identification.accuracy import errors
-from casadical.identification.identification import Identification, identify
+from casadical.identification.identification import identify
 from casadical.identification.residuals import make_block
+from casadical.identification.result import Identification
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.position_covariance import PositionCovariance, typical_sigma, whitening
 from casadical.measurements.kinds.registry import find_kind

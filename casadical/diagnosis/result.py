@@ -16,8 +16,8 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_floor import Replicates
 from casadical.diagnosis.posterior import Ranking
 from casadical.effects import Effect
-from casadical.identification.identification import Identification
 from casadical.identification.prior import Prior
+from casadical.identification.result import Identification
 from casadical.measurements.noise import Noise
 from casadical.robot.robot import Robot
 

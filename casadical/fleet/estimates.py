@@ -16,8 +16,9 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.identification.error_bound import Doubts, doubts_of, evaluated
 from casadical.identification.identifiability import scaled_inverse
-from casadical.identification.identification import Identification, identify
+from casadical.identification.identification import identify
 from casadical.identification.misfit import FURTHER, ORDERS, wide_fit
+from casadical.identification.result import Identification
 from casadical.measurements.clock import clock_faults
 from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.robot.error_bound import doubted

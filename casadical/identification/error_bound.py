@@ -16,8 +16,8 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.identification.identifiability import scaled_inverse
-from casadical.identification.identification import Identification
 from casadical.identification.residuals import make_block
+from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.robot.error_bound import doubted
 from casadical.robot.knowledge import ErrorBound

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.identification.identification import Identification
+from casadical.identification.result import Identification
 
 # A deflection is named from this many standard errors on.
 SURE = 3.0

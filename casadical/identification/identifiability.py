@@ -22,8 +22,8 @@ INVISIBLE = 1e-9
 CANCELLED = 0.7
 # Condition number from which on some parameters are nearly confounded.
 CONFOUNDED = 1000
-# From so many parameters on, Cholesky's factors give the inverse faster, if no scaled variance is greater than this.
-MANY, CERTAIN = 40, 1e8
+# Cholesky's factors give the inverse faster, and well if no scaled variance is greater than this.
+CERTAIN = 1e8
 
 
 @dataclass(frozen=True)
@@ -185,12 +185,11 @@ def scaled_inverse(H: Array) -> Array:
     """Inverse of a positive semidefinite matrix, scaled first; directions at round-off come out as very uncertain."""
     root = np.sqrt(np.maximum(np.diag(H), 1e-200))
     scaled = H / np.outer(root, root)
-    if len(H) > MANY:
-        with suppress(np.linalg.LinAlgError):
-            L = np.linalg.inv(np.linalg.cholesky(scaled))
-            inverse = np.asarray(L.T @ L)
-            if np.diag(inverse).max() < CERTAIN:  # no direction is at round-off
-                return np.asarray(inverse / np.outer(root, root))
+    with suppress(np.linalg.LinAlgError):
+        L = np.linalg.inv(np.linalg.cholesky(scaled))
+        inverse = np.asarray(L.T @ L)
+        if np.diag(inverse).max(initial=0.0) < CERTAIN:  # no direction is at round-off
+            return np.asarray(inverse / np.outer(root, root))
     eigenvalues, V = np.linalg.eigh(scaled)
     return np.asarray((V / np.maximum(eigenvalues, 1e-15)) @ V.T / np.outer(root, root))
 

@@ -1,356 +1,27 @@
-"""Identify a robot's parameters from measurements: bounded least squares, and the accuracy of the result."""
+"""Identify a robot's parameters from measurements by bounded least squares."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
+from functools import partial
 from typing import Literal
 
-import numpy as np
-import pandas as pd
-
-from casadical.core.arrays import Array
-from casadical.core.blocks import Table, Words, mm
 from casadical.core.errors import InputError
-from casadical.core.notebook import html
-from casadical.core.statistics import student_t
-from casadical.identification.accuracy import Accuracy, errors, predicted, summarise
-from casadical.identification.identifiability import Identifiability
-from casadical.identification.least_squares import (
-    SIGMA_ANGLE_GUESS,
-    SIGMA_GUESS,
-    LeastSquares,
-    variance,
-)
+from casadical.identification.least_squares import LeastSquares, first_sigmas
 from casadical.identification.plausibility import check_against
-from casadical.identification.prediction import covariance_of_all
 from casadical.identification.prior import Prior, carry_over
-from casadical.identification.reduction import POOR_FIT
-from casadical.identification.residuals import LOSSES, POINT_SCALE, Loss, make_block
+from casadical.identification.residuals import ALL_LOSSES, AnyLoss
+from casadical.identification.result import Identification, learnt_from
 from casadical.identification.screening import SCREENINGS, solve_without_outliers
 from casadical.identification.sessions import place_sessions, with_sessions
-from casadical.identification.solver import Progress, Solution
+from casadical.identification.solver import Progress
 from casadical.identification.unknown_masses import with_unknown_masses
-from casadical.measurements.measurements import Measurements, unmeasured
-from casadical.robot.knowledge import Knowledge, blocks
-from casadical.robot.robot import Robot, modified_dh
-from casadical.robot.robot_file import to_toml
+from casadical.identification.variance import variance
+from casadical.measurements.measurements import Measurements
+from casadical.robot.knowledge import Knowledge
+from casadical.robot.robot import Robot
 
 Method = Literal["KM", "SKCM"]
 METHODS: dict[str, tuple[str, ...]] = {"KM": ("kinematic",), "SKCM": ("kinematic", "compliance")}
-
-
-@dataclass(frozen=True)
-class LeftOut:
-    """A pose that was not used: its source and row there, and what the calibrated model leaves at it [m]."""
-
-    source: str
-    row: int
-    error: float
-
-
-def rows_in_words(rows: Sequence[LeftOut], most: int = 8) -> str:
-    """Rows with their errors, the files named where there are several."""
-    several = len({out.source for out in rows}) > 1
-    words = [f"{f'{out.source} ' if several else ''}row {out.row} ({mm(out.error)} mm)" for out in rows[:most]]
-    return ", ".join(words) + (f" and {len(rows) - most} more" if len(rows) > most else "")
-
-
-@dataclass(frozen=True, eq=False)
-class Identification:
-    """What was identified, from what, and how sure it is.
-
-    Parameters
-    ----------
-    given : Robot
-        the robot as handed in
-    start : Robot
-        with its frames placed
-    robot : Robot
-        calibrated
-    measurements : tuple[Measurements, ...]
-        what was used
-    method : str
-        KM, SKCM, or the parameters that were free
-    loss : Loss
-        of the residuals
-    identifiability : Identifiability
-        which parameters are independent, which are not and why
-    problem : LeastSquares
-        the least squares that was solved
-    solution : Solution
-        where the solver ended
-    variance : float
-        of a residual, in units of the sigmas used
-    degrees_of_freedom : int
-        residuals and priors less variables
-    outliers : tuple[tuple[int, int], ...], default ()
-        (set, pose) indices of poses that a robust loss left out
-
-    Examples
-    --------
-    >>> found.parameters[["name", "value", "std_error", "unit"]].head(2).round(4)
-         name     value  std_error unit
-    0  tool_x  299.3005     0.0033   mm
-    1  tool_y   -2.0832     0.0045   mm
-    >>> position, covariance = found.predict(poses.q[:2])
-    >>> position.round(3)
-    array([[ 0.622,  0.223,  0.   ],
-           [-0.394,  0.246,  0.   ]])
-    >>> {state: round(1e3 * a.mean, 3) for state, a in found.accuracy(poses).items()}  # mm
-    {'nominal': 1.735, 'placed': 1.694, 'calibrated': 0.029}
-    >>> found.correlations(above=0.9).shape[1], found.is_optimal()
-    (3, True)
-    >>> found.to_toml().splitlines()[0]
-    '# Calibrated by casadical.'
-    """
-
-    given: Robot
-    start: Robot
-    robot: Robot
-    measurements: tuple[Measurements, ...]
-    method: str
-    loss: Loss
-    identifiability: Identifiability
-    problem: LeastSquares
-    solution: Solution
-    variance: float
-    degrees_of_freedom: int
-    outliers: tuple[tuple[int, int], ...] = ()
-
-    def __repr__(self) -> str:
-        used = sum(map(len, self.used))
-        held, left = len(self.identifiability.held), max(1e3 * sigma for sigma, _ in self.sigmas)
-        return (
-            f"<Identification {self.method} of {self.given.name!r}: {len(self.names)} parameters from {used} poses, "
-            f"{held} not identifiable, {left:.3g} mm a coordinate left>"
-        )
-
-    def _repr_html_(self) -> str:
-        """For a notebook: the verdict, every parameter, and the errors of what was used."""
-        rows = [
-            (str(r["name"]), f"{r['nominal']:.4f}", f"{r['value']:.4f}", f"{r['std_error']:.2g}", str(r["unit"]),
-             str(r["reason"] or r["status"]))
-            for r in self.shown.to_dict("records")
-        ]  # fmt: skip
-        head = ("parameter", "nominal", "value", "std error", "unit", "status")
-        table = Table("All parameters", head, rows, frozenset({1, 2, 3}), folded=True)
-        bars = []
-        for m in self.used:
-            a = summarise(errors(self.robot, m))
-            bars += [(f"{m.kind}, mean", a.mean), (f"{m.kind}, 95 % below", a.p95)]
-        return html([Words(self.verdict), table], bars, repr(self)[1:-1])
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Identified parameters."""
-        return self.problem.names
-
-    @cached_property
-    def estimate(self) -> Array:
-        """Of `names`, shape (p,) [SI]."""
-        return np.array(list(self.problem.values(self.solution.v).values()))
-
-    @cached_property
-    def covariance(self) -> Array:
-        """Of `estimate`, shape (p, p) [SI]; NaN for parameters at a bound."""
-        return self.problem.covariance(self.solution.v, self.variance)
-
-    @cached_property
-    def standard_errors(self) -> Array:
-        """Of `estimate`, shape (p,) [SI]; NaN for parameters at a bound."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
-
-    @cached_property
-    def knowledge(self) -> Knowledge:
-        """Covariance of the calibrated robot, and where it was learnt, as a robot file keeps it."""
-        return _learnt(self, self.given.knowledge or Knowledge())
-
-    @property
-    def at_bounds(self) -> tuple[str, ...]:
-        """Identified parameters that stopped at a bound."""
-        mask = self.problem.at_bounds(self.solution.v)[: len(self.names)]
-        return tuple(n for n, stopped in zip(self.names, mask, strict=True) if stopped)
-
-    @property
-    def used(self) -> tuple[Measurements, ...]:
-        """The measurements without the poses that were left out."""
-        return without_poses(self.measurements, self.outliers)
-
-    @cached_property
-    def left_out(self) -> tuple[LeftOut, ...]:
-        """The poses that were left out, the farthest first."""
-        found = []
-        for k, m in enumerate(self.measurements):
-            poses = [i for place, i in self.outliers if place == k]
-            if poses:
-                e = errors(self.robot, m)
-                found += [LeftOut(m.source, int(m.row[i]), float(e[i])) for i in poses]
-        return tuple(sorted(found, key=lambda out: -out.error))
-
-    @property
-    def unknown_points(self) -> dict[str, Array]:
-        """Where the points are that were identified too, by number of the set and name ("0/A"), shape (3,) [m] each."""
-        _, u = self.problem.separate(self.solution.v)
-        return dict(zip(self.problem.labels, self.problem.points + POINT_SCALE * u, strict=True))
-
-    @property
-    def sigmas(self) -> tuple[tuple[float, float], ...]:
-        """Standard deviation of one coordinate [m] and of one angle [rad] that the residuals show, for each set."""
-        scale = float(np.sqrt(self.variance))
-        return tuple((s * scale, a * scale) for s, a in self.problem.sigmas)
-
-    @cached_property
-    def parameters(self) -> pd.DataFrame:
-        """A row per parameter: name, group, nominal, value, std_error, low, high (95 %), unit, status, reason."""
-        quantile = student_t(0.975, self.degrees_of_freedom)
-        reasons = {u.name: u.reason for u in self.identifiability.held}
-        place_of = {name: k for k, name in enumerate(self.names)}
-        rows = []
-        for p in self.start.parameters:
-            nominal = p.readable(p.value)
-            value, error, status, reason = nominal, np.nan, "held", "not asked for"
-            if p.name in place_of:
-                k = place_of[p.name]
-                value, error = p.readable(self.estimate[k]), p.readable(self.standard_errors[k])
-                status, reason = ("at bound", "its bound stops it") if p.name in self.at_bounds else ("identified", "")
-            elif p.name in reasons:
-                status, reason = "not identifiable", reasons[p.name]
-            low, high = value - quantile * error, value + quantile * error
-            rows.append((p.name, p.group, nominal, value, error, low, high, p.readable_unit, status, reason))
-        columns = ["name", "group", "nominal", "value", "std_error", "low", "high", "unit", "status", "reason"]
-        return pd.DataFrame(rows, columns=columns)
-
-    @property
-    def shown(self) -> pd.DataFrame:
-        """`parameters` without those of effects that have too many to be shown, as joint_error_curve has."""
-        return self.parameters[self.parameters["name"].isin(self.start.shown)].reset_index(drop=True)
-
-    def correlations(self, above: float = 0.95) -> pd.DataFrame:
-        """Pairs of identified parameters whose estimates are correlated by more than `above`, the strongest first.
-
-        Parameters
-        ----------
-        above : float, default 0.95
-            least absolute correlation that is listed
-
-        Returns
-        -------
-        DataFrame
-            one row a pair: two names, and their correlation
-        """
-        C = self.covariance / np.outer(self.standard_errors, self.standard_errors)
-        i, j = np.nonzero(np.tril(np.abs(C) > above, -1))
-        pairs = pd.DataFrame(
-            {"parameter": np.array(self.names)[i], "with": np.array(self.names)[j], "correlation": C[i, j]}
-        )
-        return pairs.sort_values("correlation", key=np.abs, ascending=False, ignore_index=True)
-
-    def predict(self, q: Array, conditions: Mapping[str, Array] | None = None) -> tuple[Array, Array]:
-        """Positions of the calibrated robot, shape (n, 3) [m], and their covariances, shape (n, 3, 3) [m^2].
-
-        The covariance is that of the model's position; a new measurement adds its own noise. It holds the parameters
-        that were not identified too, by their covariance in the robot's file or else their priors (see `prediction`).
-
-        Parameters
-        ----------
-        q : Array, shape (n, joints) [rad or m]
-            joint readings
-        conditions : Mapping[str, Array], optional
-            logged columns by name, each of shape (n,)
-
-        Returns
-        -------
-        tuple[Array, Array]
-            positions, and the covariance of each
-        """
-        q = np.atleast_2d(q)
-        m = unmeasured(q, conditions)
-        p, _ = predicted(self.robot, m)
-        problem, x, C = self._everything
-        block = make_block(self.start, m, problem.names, 1.0, 1.0, np.zeros((0, 3)), np.zeros(len(q), int))
-        J = block.evaluate(x, np.zeros((0, 3)))[1] / problem.scale
-        return p, J @ C @ J.transpose(0, 2, 1)
-
-    @cached_property
-    def _everything(self) -> tuple[LeastSquares, Array, Array]:
-        """Of all parameters that are not known exactly: their problem, departures from nominal, and covariance [SI]."""
-        return covariance_of_all(self.problem, self.solution.v, self.variance)
-
-    def accuracy(self, m: Measurements) -> dict[str, Accuracy]:
-        """Errors on any measurements: "nominal", "placed" (base and tool fitted) and "calibrated".
-
-        Parameters
-        ----------
-        m : Measurements
-            poses, those of the identification or others
-
-        Returns
-        -------
-        dict[str, Accuracy]
-            state -> error figures [m]
-        """
-        return {
-            "nominal": summarise(errors(self.given, m)),
-            "placed": summarise(errors(self.placed, m)),
-            "calibrated": summarise(errors(self.robot, m)),
-        }
-
-    @cached_property
-    def placed(self) -> Robot:
-        """The given robot with only base and tool frames fitted: the comparison that "before calibration" means."""
-        groups = [g for g in ("base", "tool") if g in self.given.parameters.groups]
-        try:
-            return identify(self.given, self.used, groups, loss=self.loss).robot if groups else self.start
-        except InputError:  # relative measurements do not determine the frames
-            return self.start
-
-    def is_optimal(self, tolerance: float = 1e-4) -> bool:
-        """Whether no step inside the bounds lowers the cost; recomputed from the data, not by the solver.
-
-        Parameters
-        ----------
-        tolerance : float, default 0.0001
-            what one more Gauss-Newton step may gain in chi-squared; 1e-4 is about 1 % of a standard error
-
-        Returns
-        -------
-        bool
-            true at an optimum
-        """
-        round_off = 1e-12 * self.problem.cost(np.zeros(self.problem.size))
-        return self.problem.decrement(self.solution.v) < tolerance * self.variance + round_off
-
-    def to_toml(self) -> str:
-        """The calibrated robot as the text of a robot file that `read_robot` reads again.
-
-        Returns
-        -------
-        str
-            text of the file
-        """
-        return to_toml(self.robot, f"Calibrated by casadical.\n{self.verdict}")
-
-    @property
-    def dh_table(self) -> pd.DataFrame:
-        """The corrected modified DH table, a row per joint, in millimetres and degrees."""
-        return pd.DataFrame(modified_dh(self.robot))
-
-    @property
-    def verdict(self) -> str:
-        """The result in one sentence."""
-        used = sum(len(m) for m in self.measurements) - len(self.outliers)
-        text = (
-            f"{self.method}: {len(self.names)} parameters identified from {used} poses, "
-            f"{len(self.identifiability.held)} not identifiable"
-        )
-        if self.at_bounds:
-            text += f"; AT BOUNDS: {', '.join(self.at_bounds)} - widen the bounds or doubt the model"
-        if self.outliers:
-            text += f"; left out as outliers: {rows_in_words(self.left_out)}"
-        left = max(sigma for sigma, _ in self.sigmas)
-        if left > POOR_FIT * self.robot.reach:
-            text += f"; THE MODEL DOES NOT FIT: {1e3 * left:.3g} mm are left - check joint signs, zeros and units"
-        return f"{text}. {self.solution.message}"
 
 
 def identify(
@@ -359,7 +30,7 @@ def identify(
     free: Iterable[str] = ("kinematic", "compliance"),
     *,
     method: Method | None = None,
-    loss: Loss = "linear",
+    loss: AnyLoss = "linear",
     priors: bool | Mapping[str, tuple[float, float]] = False,
     prior: Robot | Prior | None = None,
     screen: bool = True,
@@ -377,8 +48,9 @@ def identify(
         parameters by group (base, geometry, loop, tool, compliance), union (kinematic, placement), name or pattern
     method : {"KM", "SKCM"}, optional
         the paper's KM (kinematics only, joints rigid) or SKCM (with compliance), instead of `free`
-    loss : {"linear", "huber", "soft_l1"}, default "linear"
-        linear, huber or soft_l1; the robust ones leave poses that noise explains once in 100 000 out of a last solve
+    loss : {"linear", "huber", "soft_l1", "auto"}, default "linear"
+        the robust ones, huber and soft_l1, leave poses that noise explains once in 100 000 out of a last solve; auto is
+        huber where that finds such poses, else linear, as in the command `calibrate`
     priors : bool | Mapping[str, tuple[float, float]], default False
         whether departures from nominal are held back by the robot's prior widths; or name -> (mean, one sigma) [SI]
         of parameters with another prior, the others' being the robot's own
@@ -415,6 +87,11 @@ def identify(
     a1 = 400.601 mm
     """
     sets = _as_sets(measurements)
+    if loss == "auto":
+        free = free if isinstance(free, str) else tuple(free)
+        by = partial(identify, robot, sets, free, method=method, priors=priors, prior=prior, progress=progress)
+        robust = by(loss="huber", screen=screen)
+        return robust if robust.outliers else by(loss="linear")
     if isinstance(prior, Robot):
         robot, prior = carry_over(robot, prior)
     prior = prior or Prior()
@@ -429,8 +106,8 @@ def identify(
     if prior.free:
         free = (*([free] if isinstance(free, str) else free), *prior.free)
         priors = {**prior.means, **(priors if isinstance(priors, Mapping) else {})}
-    if loss not in LOSSES:
-        raise InputError(f"loss {loss!r} is not known; allowed: {', '.join(LOSSES)}")
+    if loss not in ALL_LOSSES:
+        raise InputError(f"loss {loss!r} is not known; allowed: {', '.join(ALL_LOSSES)}")
     for m in sets:
         check_against(robot, m)
     start = place_sessions(robot, sets)
@@ -439,8 +116,7 @@ def identify(
         raise InputError(
             f"free={list(free)} chooses no parameter of {robot.name}; groups: {', '.join(start.parameters.groups)}"
         )
-    sigmas = tuple((m.sigma or SIGMA_GUESS, m.sigma_angle or SIGMA_ANGLE_GUESS) for m in sets)
-    problem = LeastSquares(start, sets, names, loss, priors, sigmas, known=prior.known)
+    problem = LeastSquares(start, sets, names, loss, priors, first_sigmas(sets), known=prior.known)
     (reduced, solution, found), outliers = solve_without_outliers(problem, SCREENINGS if screen else 0, progress)
     result = Identification(
         given=replace(robot, effect_values=start.effect_values) if sessions else robot,
@@ -458,36 +134,9 @@ def identify(
     )
     if not robot.effects:
         return result
-    learnt = _learnt(result, known)
+    learnt = learnt_from(result, known)
     learnt = prior.knowledge.joined(learnt) if prior.free else learnt
     return replace(result, robot=replace(result.robot, knowledge=learnt))
-
-
-def _learnt(found: Identification, before: Knowledge) -> Knowledge:
-    """What is known of a robot with effects: of values that were held, what was known before.
-
-    The ranges are those on which the effects were learnt: of these measurements, where one of their parameters is free.
-    """
-    labels = {e.label for e in found.robot.effects}
-    groups = [found.robot.parameters[name].group for name in found.names]
-    owners = [group if group in labels else "" for group in groups]
-    kept = before.without(found.names)
-    own = blocks(found.names, owners, found.covariance)
-    if labels and not any(owners):
-        return replace(kept, covariance=(*own, *kept.covariance))
-    sets = found.problem.sets
-    q = np.concatenate([m.q for m in sets])
-    columns = (*found.robot.conditions, *(c for e in found.robot.effects for c in e.needs))
-    logged = {c: [m.conditions[c] for m in sets if c in m.conditions] for c in columns}
-    ranges = {c: (float(min(map(min, v))), float(max(map(max, v)))) for c, v in logged.items() if v}
-    readings = np.column_stack([q.min(axis=0), q.max(axis=0)])
-    return Knowledge((*own, *kept.covariance), ", ".join(m.source for m in sets), len(q), readings, ranges)
-
-
-def without_poses(sets: Sequence[Measurements], out: Iterable[tuple[int, int]]) -> tuple[Measurements, ...]:
-    """Measurements without some poses; out : (set, pose) indices."""
-    left = set(out)
-    return tuple(m[[i for i in range(len(m)) if (k, i) not in left]] for k, m in enumerate(sets))
 
 
 def _as_sets(measurements: Measurements | Sequence[Measurements]) -> tuple[Measurements, ...]:

@@ -1,20 +1,35 @@
 """What a least squares problem computed last: at one point it is asked for cost, gradient and statistics in turn."""
 
-from collections.abc import Callable
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from casadical.core.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Of all poses at one point: cost and gradient with the priors, J'WJ without, residuals of every set."""
+    """Of all poses at one point, without priors: cost, gradient, J'WJ, and the residuals of every set.
+
+    square : sum of the squared residuals, without the loss; residuals : None of so many poses that they are not kept
+    triangle : triangular factor of J, without the loss, where it was asked for
+    """
 
     cost: float
     gradient: Array
     information: Array
-    residuals: list[Array]
+    square: float
+    residuals: list[Array] | None
+    triangle: Array | None = None
+
+    def of(self, columns: Sequence[int]) -> Sums:
+        """The same poses for some of the variables alone."""
+        at = np.array(columns, dtype=int)
+        return Sums(self.cost, self.gradient[at], self.information[np.ix_(at, at)], self.square, self.residuals)
 
 
 class Last:
@@ -34,6 +49,9 @@ class Last:
 
     def __call__(self, v: Array, compute: Callable[[Array], Any]) -> Any:
         """Its answer at v, computed where v is another point."""
-        if not self.holds(v):
-            self.point, self.answer = v.copy(), compute(v)
-        return self.answer
+        return self.answer if self.holds(v) else self.keep(v, compute(v))
+
+    def keep(self, v: Array, answer: Any) -> Any:
+        """An answer at v that was computed elsewhere."""
+        self.point, self.answer = v.copy(), answer
+        return answer

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 import casadi as ca
 import numpy as np
@@ -17,11 +18,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.parameters import Parameter
 from casadical.identification.accuracy import predicted
-from casadical.identification.identifiability import (
-    Identifiability,
-    analyse,
-    scaled_inverse,
-)
+from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.last_answer import Last, Sums
 from casadical.identification.residuals import POINT_SCALE, Block, Loss, loss_slope, loss_value, make_block
 from casadical.identification.solver import ACCEPTABLE, OPTIMUM, Progress, Solution, minimise
@@ -33,21 +30,8 @@ from casadical.robot.robot import Robot
 SIGMA_GUESS, SIGMA_ANGLE_GUESS = 1e-4, 1e-4
 # What one more step gains at an optimum [chi-squared]: a ten-thousandth of a standard error.
 ROUND_OFF = 1e-8
-# More parameters than this, held back by priors, are not all tested for independence.
-WIDE = 200
-# Numbers of a Jacobian that are kept from one question to the next.
+# Numbers of a Jacobian, or of residuals, that are kept from one question to the next.
 KEPT = 2_000_000
-
-# They move the robot as a whole.
-_WHOLE_ROBOT = (
-    "alpha0",
-    "a0",
-    "beta0",
-    "b0",
-    "d1",
-    "theta1",
-    *(f"base_{c}" for c in ("x", "y", "z", "rx", "ry", "rz")),
-)
 
 _Part = tuple[int, Array, Array]
 
@@ -150,8 +134,15 @@ class LeastSquares:
             matrix[np.ix_(places, places)] = inverse
         return matrix
 
+    @property
+    def _is_held(self) -> bool:
+        """Whether there are priors."""
+        return bool(self.priors or self.known)
+
     def prior_square(self, v: Array) -> float:
         """Squared distance of v from the priors' mean in units of their covariance."""
+        if not self._is_held:
+            return 0.0
         departure = v - self.prior_mean
         return float(departure @ self.prior_matrix @ departure)
 
@@ -196,13 +187,32 @@ class LeastSquares:
         """
         last = self._last_sums
         if last.point is None or last.holds(v) or self._last_gradient.holds(last.point):
-            return self._sums(v).cost
+            return self._sums(v).cost + 0.5 * self.prior_square(v)
         return float(self._last_cost(v, self._cost))
 
     def gradient(self, v: Array) -> tuple[Array, Array]:
         """Gradient and Gauss-Newton Hessian of the cost at v, shapes (size,) and (size, size)."""
+        found: tuple[Array, Array] = self._last_gradient(v, self._gradient)
+        return found
+
+    def _gradient(self, v: Array) -> tuple[Array, Array]:
         sums = self._sums(v)
-        return sums.gradient, self._last_gradient(v, lambda _: sums.information + self.prior_matrix)
+        if not self._is_held:
+            return sums.gradient, sums.information
+        P = self.prior_matrix
+        return sums.gradient + P @ (v - self.prior_mean), sums.information + P
+
+    def triangle(self, v: Array) -> Array:
+        """Triangular factor of the Jacobian at v, without loss and priors, shape (size, size) or less rows.
+
+        As good as the whole Jacobian, and as small as the variables are; the sums at v come with it.
+        """
+        last = self._last_sums
+        known: Sums | None = last.answer if last.holds(v) else None
+        if known is None or known.triangle is None:
+            known = last.keep(v, self._summed(v, triangle=True))
+        assert known.triangle is not None
+        return known.triangle
 
     def information(self, v: Array) -> Array:
         """J'WJ at v without the priors, shape (size, size); W : the weights that the loss gives."""
@@ -210,32 +220,53 @@ class LeastSquares:
 
     def residuals(self, v: Array) -> list[Array]:
         """Of every set, shape (n, m), and of the known separations, where there are any, shape (separations, 1)."""
-        return self._sums(v).residuals
+        found = self._sums(v).residuals
+        return self._joined((k, r) for k, r, _ in self._parts(v)) if found is None else found
+
+    def square(self, v: Array) -> float:
+        """Sum of the squares of all residuals, without the loss."""
+        return self._sums(v).square
+
+    @staticmethod
+    def _joined(parts: Iterable[tuple[int, Array]]) -> list[Array]:
+        """Residuals of every set."""
+        of_set: dict[int, list[Array]] = {}
+        for k, r in parts:
+            of_set.setdefault(k, []).append(r)
+        return [np.concatenate(some) if len(some) > 1 else some[0] for some in of_set.values()]
 
     def _sums(self, v: Array) -> Sums:
         found: Sums = self._last_sums(v, self._summed)
         return found
 
-    def _summed(self, v: Array) -> Sums:
-        cost, gradient, information = 0.0, np.zeros(self.size), np.zeros((self.size, self.size))
-        residuals: dict[int, list[Array]] = {}
+    def _summed(self, v: Array, *, triangle: bool = False) -> Sums:
+        cost = square = 0.0
+        gradient, information = np.zeros(self.size), np.zeros((self.size, self.size))
+        residuals: list[tuple[int, Array]] = []
+        R = np.zeros((0, self.size))
         for k, r, J in self._parts(v):
-            loss = self._loss_of(k)
-            cost += float(loss_value(loss, r).sum())
-            residuals.setdefault(k, []).append(r)
-            slope = np.repeat(loss_slope(loss, r), r.shape[1]) if loss != "linear" else None
-            rows = J if slope is None else J * np.sqrt(slope)[:, None]
+            if self.residual_count <= KEPT:
+                residuals.append((k, r))
+            if triangle:
+                R = np.asarray(np.linalg.qr(np.concatenate([R, J]) if len(R) else J, mode="r"))
+            rows, y = J, r.ravel()
+            square += (own := float(y @ y))
+            if (loss := self._loss_of(k)) == "linear":
+                cost += own
+            else:
+                cost += float(loss_value(loss, r).sum())
+                root = np.sqrt(np.repeat(loss_slope(loss, r), r.shape[1]))
+                rows, y = J * root[:, None], root * y
             information += rows.T @ rows
-            gradient += J.T @ (r.ravel() if slope is None else slope * r.ravel())
-        gradient += self.prior_matrix @ (v - self.prior_mean)
-        cost = 0.5 * (cost + self.prior_square(v))
-        return Sums(cost, gradient, information, [np.concatenate(parts) for parts in residuals.values()])
+            gradient += rows.T @ y
+        kept = self._joined(residuals) if residuals else None
+        return Sums(0.5 * cost, gradient, information, square, kept, R if triangle else None)
 
     def _cost(self, v: Array) -> float:
         """The cost from residuals alone."""
         x, u = self.separate(v)
-        found = [(k, r) for k, block in enumerate(self.blocks) for r in block.residuals(x, u)]
-        found += [(k, r) for k, r, _ in self._separated(v)]
+        of_sets = ((k, r) for k, block in enumerate(self.blocks) for r in block.residuals(x, u))
+        found = chain(of_sets, ((k, r) for k, r, _ in self._separated(v)))
         return 0.5 * (sum(float(loss_value(self._loss_of(k), r).sum()) for k, r in found) + self.prior_square(v))
 
     def _loss_of(self, k: int) -> Loss:
@@ -312,54 +343,6 @@ class LeastSquares:
         free = ~self.at_bounds(v) | inward
         return float(0.5 * g[free] @ scaled_inverse(H[np.ix_(free, free)]) @ g[free])
 
-    def identifiability(self, v: Array) -> Identifiability:
-        """Which of the names the data determine, by the Jacobian at v, with fixed loads if joints are compliant."""
-        loaded = any(j.compliance is not None for j in self.robot.joints) or bool(self.robot.effects)
-        problem = self if loaded == self.fixed_loads else replace(self, fixed_loads=loaded)
-        J = np.zeros((0, self.size))  # its triangular factor: as good as the whole, and as small as the parameters are
-        for _, _, part in problem._parts(v):
-            J = np.asarray(np.linalg.qr(np.concatenate([J, part]) if len(J) else part, mode="r"))
-        p = len(self.names)
-        held = {p.name: p.held for p in self._own if p.held}
-        if not any(find_kind(m.kind).at_rest(m.arrays) for m in self.sets):
-            held |= dict.fromkeys(_WHOLE_ROBOT, "nothing at rest was measured: moving the whole robot changes nothing")
-        if self.priors and self.residual_count <= self.size:
-            # Too few numbers to say what is confounded.
-            J = np.concatenate([J, np.diag(np.sqrt(np.diag(self.prior_matrix)))])
-        of_effects = {e.label for e in self.robot.effects}
-        if self.priors and p > WIDE:  # what a prior of an effect holds back needs no test of independence
-            own = [k for k, p in enumerate(self._own) if p.group not in of_effects]
-            base = tuple(self.names[k] for k in own)
-            found = analyse(J[:, [*range(p, self.size), *own]], base, 3 * len(self.labels), held)
-            dropped = {u.name for u in found.held}
-            return replace(found, independent=tuple(n for n in self.names if n not in dropped))
-        J_ordered = np.concatenate([J[:, p:], J[:, :p]], axis=1)
-        found = analyse(J_ordered, self.names, 3 * len(self.labels), held)
-        scaled = any(find_kind(m.kind).has_scale or m.separations for m in self.sets)
-        longest = max(found.independent, key=lambda n: abs(self._length(n)), default="")
-        if scaled or not longest or not self._scale_is_free():
-            return found
-        held[longest] = "contacts without known separations do not determine the scale; this length is its reference"
-        return analyse(J_ordered, self.names, 3 * len(self.labels), held)
-
-    def _length(self, name: str) -> float:
-        """Nominal value of a parameter that is a length [m]; zero for others."""
-        parameter = self.robot.parameters[name]
-        return parameter.value if parameter.unit == "m" else 0.0
-
-    def _scale_is_free(self) -> bool:
-        """Whether all lengths grow together unseen.
-
-        Contact residuals p - u are then homogeneous in lengths and points, and Euler's theorem says J (lengths, points)
-        = residuals. Compliance breaks this by its share in the position, which is no measure: hence one per cent.
-        """
-        residuals, J = self.evaluate(np.zeros(self.size))
-        lengths = np.array([self._length(n) for n in self.names]) / self.scale
-        growth = np.concatenate([lengths, (self.points - self.robot.base.T[:3, 3]).ravel() / POINT_SCALE])
-        r = np.concatenate([part.ravel() for part in residuals])
-        robot_alone = np.linalg.norm(J[:, : lengths.size] @ lengths)
-        return bool(robot_alone > 0 and np.linalg.norm(J @ growth - r) < 0.01 * robot_alone)
-
     def covariance(self, v: Array, variance: float) -> Array:
         """Of the parameters, shape (p, p) [SI], points marginalised; NaN for those at a bound.
 
@@ -388,33 +371,19 @@ class LeastSquares:
             yield np.repeat(loss_slope(self._loss_of(k), r), r.shape[1]), J
 
     def with_names(self, names: Sequence[str]) -> LeastSquares:
-        """With others of the robot's parameters: data and, of some of the same, the Jacobian at the start stay."""
+        """With others of the robot's parameters: data and, of some of the same, the sums at the start stay."""
         other = replace(self, names=tuple(names))
         if "blocks" in vars(self):
             blocks = tuple(block.with_names(self.robot, other.names) for block in self.blocks)
             vars(other).update(labels=self.labels, points=self.points, blocks=blocks)
         place_of = {name: k for k, name in enumerate(self.names)}
-        if (parts := self._last_parts.at_zero) and place_of.keys() >= set(other.names):
+        if (sums := self._last_sums.at_zero) and place_of.keys() >= set(other.names):
             columns = [*(place_of[n] for n in other.names), *range(len(self.names), self.size)]
-            other._last_parts(np.zeros(other.size), lambda _: tuple((k, r, J[:, columns]) for k, r, J in parts))
+            other._last_sums(np.zeros(other.size), lambda _: sums.of(columns))
+            other.gradient(np.zeros(other.size))
         return other
 
 
-def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float:
-    """Of a residual, in units of sigma: the sum of squares over the degrees of freedom.
-
-    With a robust loss, and unless outliers were trimmed, from the median absolute residuals instead.
-    """
-    residuals = problem.residuals(v)
-    freedom = problem.degrees_of_freedom
-    if problem.loss != "linear" and not trimmed:
-        typical = float(np.median([robust_std(r) ** 2 for r in residuals]))
-        return typical * problem.residual_count / max(1, freedom)
-    chi2 = sum(float((r**2).sum()) for r in residuals) + problem.prior_square(v)
-    return chi2 / max(1, freedom)
-
-
-def robust_std(r: Array) -> float:
-    """Standard deviation of residuals from their median absolute value, robust to outliers; zeros have weight zero."""
-    counted = np.abs(r[r != 0])
-    return float(1.4826 * np.median(counted)) if counted.size else 0.0
+def first_sigmas(sets: Iterable[Measurements]) -> tuple[tuple[float, float], ...]:
+    """Of each set one sigma of a coordinate [m] and of an angle [rad], as given, or else a guess."""
+    return tuple((m.sigma or SIGMA_GUESS, m.sigma_angle or SIGMA_ANGLE_GUESS) for m in sets)

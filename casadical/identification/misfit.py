@@ -15,7 +15,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.identification.error_bound import Doubts, Sums, doubts_of, evaluated, posterior_of, sums_of
 from casadical.identification.identifiability import scaled_inverse
-from casadical.identification.identification import Identification
+from casadical.identification.result import Identification
 from casadical.robot.error_bound import doubted
 from casadical.robot.robot import Robot
 

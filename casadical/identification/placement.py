@@ -14,10 +14,10 @@ from casadical.robot.robot import Robot
 
 # Singular values of less than this share of the greatest are noise: the directions stay as they are.
 UNDETERMINED = 1e-3
-# A start needs no more poses than about so many.
-START_POSES = 10_000
-# Poses that a start that is held by the robot file looks at.
-HELD_POSES = 300
+# A start needs no more poses than so many, drawn by chance: every k-th may be alike where a grid was measured.
+START_POSES = 200
+# Of Kabsch's method and the tool in turns.
+ROUNDS = 3
 # Numbers of a start that is held: fewer say nothing.
 FEWEST = 6
 # Weight [m^2] of the rotation before, where the points determine none.
@@ -38,7 +38,8 @@ def place_frames(robot: Robot, m: Measurements | Sequence[Measurements]) -> Robo
     sets = (m,) if isinstance(m, Measurements) else tuple(m)
     m = next((part for part in sets if part.position is not None), sets[0])
     used = np.flatnonzero(m.weight > 0)
-    used = used[:: max(1, len(used) // START_POSES)]
+    if not robot.targets and len(used) > START_POSES:
+        used = np.sort(np.random.default_rng(0).choice(used, START_POSES, replace=False))
     m = m if len(used) == len(m) else m[used]
     if robot.base.unknown != "pose":
         return robot
@@ -65,8 +66,7 @@ def _placed(
 ) -> tuple[Array, Array]:
     """Base and tool from positions y, shape (n, 3); as in the robot file where these do not determine them."""
     file = robot.tool.T[:3, 3]
-    some = np.linspace(0, len(p) - 1, min(len(p), HELD_POSES)).round().astype(int)
-    held = Held([Readings(p[some], R[some], y[some])], robot.base.T, file, tool_known=known is not None)
+    held = Held([Readings(p, R, y)], robot.base.T, file, tool_known=known is not None)
     starts = []
     if len(p) >= FEWEST:
         T, tool = solve_placement(p, R, y, known, T_M0, t)
@@ -84,7 +84,7 @@ def _by_distances(robot: Robot, sets: Sequence[Measurements]) -> Robot:
     known = [m[m.weight > 0] for m in sets if m.distance is not None and m.target is not None]
     if not known or robot.targets or sum(len(m) for m in known) < FEWEST:
         return robot
-    step = max(1, sum(len(m) for m in known) // HELD_POSES)
+    step = max(1, sum(len(m) for m in known) // START_POSES)
     T, tool = robot.base.T, robot.tool.T[:3, 3]
     readings = []
     for m in known:
@@ -164,7 +164,7 @@ def solve_placement(
     yR = (cR + np.multiply.outer(centre, S)).reshape(9, 3)
     G = np.block([[n * np.eye(3), S.T], [S, n * np.eye(3)]])
     inverse, p_sum = _seen_inverse(G), p.sum(axis=0)
-    for _ in range(5):
+    for _ in range(ROUNDS):
         if known_tool is None:
             e = n * centre @ R_B - p_sum
             before = np.concatenate([t, (e - S @ t) / n])

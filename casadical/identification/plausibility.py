@@ -23,8 +23,8 @@ def check_against(robot: Robot, m: Measurements) -> None:
         raise InputError(f"{m.source}: {m.q.shape[1]} joint columns, but {robot.name} has {robot.n} joints")
     lower = np.array([j.lower for j in robot.joints])
     upper = np.array([j.upper for j in robot.joints])
-    outside = (m.q < lower - 1e-6) | (m.q > upper + 1e-6)
-    if outside.any():
+    if (m.q.min(axis=0) < lower - 1e-6).any() or (m.q.max(axis=0) > upper + 1e-6).any():
+        outside = (m.q < lower - 1e-6) | (m.q > upper + 1e-6)
         k, i = (int(v[0]) for v in np.nonzero(outside))
         unit, factor = ("deg", 180 / np.pi) if robot.joints[i].kind == "revolute" else ("mm", 1e3)
         raise InputError(

@@ -9,8 +9,10 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import ConvergenceError, InputError
 from casadical.identification.identifiability import Identifiability, Unidentifiable, drop_poor
-from casadical.identification.least_squares import LeastSquares, variance
+from casadical.identification.independence import independent_parameters
+from casadical.identification.least_squares import LeastSquares
 from casadical.identification.solver import Progress, Solution
+from casadical.identification.variance import variance
 
 # Residuals of this share of the reach are no measuring error.
 POOR_FIT = 0.005
@@ -30,7 +32,7 @@ def reduce_and_solve(
     Independence is decided at the start, where exact dependences are exact. Raises InputError where the data determine
     no parameter at all, or are no more numbers than there are unknowns.
     """
-    found = problem.identifiability(np.zeros(problem.size))
+    found = independent_parameters(problem)
     reduced = problem.with_names(found.independent)
     if not problem.priors and reduced.residual_count <= reduced.size:
         raise InputError(

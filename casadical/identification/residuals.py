@@ -25,9 +25,14 @@ from casadical.robot.model import Expressions, expressions
 from casadical.robot.robot import Robot
 
 Loss = Literal["linear", "huber", "soft_l1"]
+# auto : huber where it finds outliers, else linear
+AnyLoss = Literal["auto", Loss]
 
 LOSSES: tuple[Loss, ...] = ("linear", "huber", "soft_l1")
+ALL_LOSSES: tuple[AnyLoss, ...] = ("auto", *LOSSES)
 POINT_SCALE = 1e-3
+# Of so many poses the data of the kernel are kept; of more they are put together again where they are evaluated.
+HELD = 100_000
 
 # Square of the normalised residual at which a robust loss leaves the parabola: the 95 % quantile of a chi-squared
 # distribution with as many degrees of freedom as the kind observes.
@@ -134,12 +139,12 @@ def data_columns(
 class Block:
     """One set of measurements, ready to be evaluated for the chosen parameters.
 
-    data : shape (numbers, n); group : index of each pose's point among all unknown points, shape (n,)
+    data : of some poses, shape (numbers, k); group : index of each pose's point among all unknown points, shape (n,)
     robot : see `robot_numbers`
     """
 
     kernel: PoseFunctions
-    data: Array
+    data: Callable[[slice], Array]
     group: Array
     robot: Array
 
@@ -170,9 +175,9 @@ class Block:
     def _called(self, function: MappedFunction, x: Array, u: Array) -> Iterator[tuple[slice, list[Array]]]:
         """Outputs of one of the kernel's functions, some poses at a time."""
         shared = np.concatenate([x, self.robot])
-        for start in range(0, self.data.shape[1], CHUNK):
-            some = slice(start, min(start + CHUNK, self.data.shape[1]))
-            data = self.data[:, some]
+        for start in range(0, len(self.group), CHUNK):
+            some = slice(start, min(start + CHUNK, len(self.group)))
+            data = self.data(some)
             yield some, function(np.concatenate([data, u[self.group[some]].T]) if self.kernel.point else data, shared)
 
 
@@ -188,11 +193,16 @@ def make_block(
     fixed_loads: bool = False,
 ) -> Block:
     """Measurements as a block; points : shape (K, 3) [m], all points' starts; group, fixed_loads : see above."""
-    start = points[group] if len(points) else np.zeros((len(m), 3))
     kind = find_kind(m.kind)
     found = kernel(robot, kind, bool(kind.point_names(m.arrays)), tuple(names), fixed_loads)
-    data = data_columns(robot, m, found.observed, start, sigma, sigma_angle)
-    return Block(found, data, group, robot_numbers(robot, names))
+
+    def data(m: Measurements, at: slice) -> Array:
+        start = points[group[at]] if len(points) else np.zeros((len(m), 3))
+        return data_columns(robot, m, found.observed, start, sigma, sigma_angle)
+
+    whole = data(m, slice(None)) if len(m) <= HELD else None
+    of_some = (lambda at: whole[:, at]) if whole is not None else (lambda at: data(m[at], at))
+    return Block(found, of_some, group, robot_numbers(robot, names))
 
 
 def loss_value(loss: Loss, r: Array) -> Array:

@@ -6,9 +6,10 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.identification.identifiability import Identifiability
-from casadical.identification.least_squares import LeastSquares, robust_std
+from casadical.identification.least_squares import LeastSquares
 from casadical.identification.reduction import Optima, reduce_and_solve
 from casadical.identification.solver import Progress, Solution
+from casadical.identification.variance import robust_std
 from casadical.measurements.kinds.registry import find_kind
 
 Solved = tuple[LeastSquares, Solution, Identifiability]

@@ -138,6 +138,8 @@ class _Solver:
                 "bound_relax_factor": 0.0,
                 # No search along a step that is a millionth of each scale: the cost is round-off there.
                 "tiny_step_tol": TINY_STEP,
+                # A step is refined where its residual is great, not always: the next one corrects it.
+                "min_refinement_steps": 0,
                 # Robust losses converge linearly: stop where the cost no longer changes.
                 "acceptable_tol": 1e-3,
                 "acceptable_iter": 3,

@@ -6,7 +6,7 @@ from typing import Any
 from casadical.core.blocks import Table, Words
 from casadical.identification.gravity import in_words
 from casadical.identification.identifiability import CONFOUNDED
-from casadical.identification.identification import Identification
+from casadical.identification.result import Identification
 
 NEARLY_CONFOUNDED = (
     f" A condition number above {CONFOUNDED} means that some parameters are nearly confounded: trust the robot as a "

@@ -307,6 +307,9 @@ def _refuse_malformed(m: Measurements) -> None:
     for name, value in [("q", m.q), *arrays.items(), *m.conditions.items()]:
         if not np.issubdtype(value.dtype, np.number):
             continue  # names of points
+        with np.errstate(over="ignore", invalid="ignore"):
+            if np.isfinite(value.sum()):
+                continue
         bad = ~np.isfinite(value.reshape(len(m), -1)).all(axis=1)
         if bad.any():
             k = int(np.argmax(bad))
@@ -319,8 +322,8 @@ def _refuse_weights(m: Measurements) -> None:
     for name, sigma in (("sigma", m.sigma), ("sigma_angle", m.sigma_angle), ("separation_sigma", m.separation_sigma)):
         if sigma is not None and not 0 < sigma < np.inf:
             raise InputError(f"{m.source}: {name} is {sigma:.6g}; a standard deviation must be positive and finite")
-    bad = ~(np.isfinite(m.weight) & (m.weight >= 0))
-    if bad.any():
+    if not (m.weight.min() >= 0 and m.weight.max() < np.inf):
+        bad = ~(np.isfinite(m.weight) & (m.weight >= 0))
         k = int(np.argmax(bad))
         raise InputError(
             f"{m.source}: row {m.row[k]}, column 'weight': {m.weight[k]:.6g}; a weight must be zero or more and finite"

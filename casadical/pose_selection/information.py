@@ -13,6 +13,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.identification.identifiability import Unidentifiable, drop_poor
+from casadical.identification.independence import independent_parameters
 from casadical.identification.least_squares import LeastSquares
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
@@ -76,7 +77,7 @@ def independent(
     information : of such names, and of unknown points behind them, in units of scale. Raises InputError: none is left.
     """
     problem = LeastSquares(robot, tuple(sets), tuple(names), "linear", False, ((MM, MM),) * len(sets))
-    found = problem.identifiability(np.zeros(problem.size))
+    found = independent_parameters(problem)
     kept = list(found.independent)
     left, poor, _ = drop_poor([robot.parameters[n] for n in kept], information(kept))
     if not left:

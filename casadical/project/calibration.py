@@ -15,10 +15,11 @@ from casadical.core.files import claimed, json_text, write_together
 from casadical.core.notebook import html
 from casadical.identification.accuracy import Accuracy
 from casadical.identification.error_bound import learn_bound
-from casadical.identification.identification import Identification, identify, without_poses
+from casadical.identification.identification import identify
 from casadical.identification.misfit import misfit_of
 from casadical.identification.plausibility import check_against
-from casadical.identification.residuals import Loss
+from casadical.identification.residuals import ALL_LOSSES, AnyLoss
+from casadical.identification.result import Identification, without_poses
 from casadical.identification.tables import correlated, held_table, how_sure, parameter_tables
 from casadical.measurements.measurements import Measurements
 from casadical.project.check.targets import unnamed_targets
@@ -35,7 +36,7 @@ from casadical.project.outcome import (
     worse_than_before,
 )
 from casadical.project.problem import Carried, Problem, as_it_is, read_problem
-from casadical.project.problem_file import BASE_METHODS, PROBLEM_LOSSES, BaseMethod, all_methods, base_methods
+from casadical.project.problem_file import BASE_METHODS, BaseMethod, all_methods, base_methods
 from casadical.project.tables import Accuracies, error_tables, judged_on, network_tables, paper_tables, verdict
 from casadical.project.target_names import unfitted
 from casadical.robot.robot import Robot
@@ -315,8 +316,8 @@ def calibrate(
     """
     if method is not None and method not in all_methods():
         raise InputError(f"--method {method}: not known; allowed: {', '.join(all_methods())}")
-    if loss is not None and loss not in PROBLEM_LOSSES:
-        raise InputError(f"--loss {loss}: not known; allowed: {', '.join(PROBLEM_LOSSES)}")
+    if loss is not None and loss not in ALL_LOSSES:
+        raise InputError(f"--loss {loss}: not known; allowed: {', '.join(ALL_LOSSES)}")
     plain = None
     if not isinstance(problem, Problem):
         folder = problem
@@ -336,7 +337,7 @@ def calibrate(
             raise InputError(fault)
     for _, m in problem.parts():  # held-out poses count in the figures, so that they are checked like the others
         check_against(problem.robot, m)
-    count = (problem.loss == "auto") + len(problem.methods) + len(problem.networks)
+    count = len(problem.methods) + len(problem.networks)
     results = _identified(problem, show, count)
     used = used_poses(problem, results)
     trained = None
@@ -358,10 +359,12 @@ def _identified(problem: Problem, show: Callable[[str], None], count: int) -> di
 
     count : of parts of the work. Without outliers the result is the least squares of all poses.
     """
-    sets, last = problem.sets["identify"], problem.methods[-1]
+    sets, (*others, last) = problem.sets["identify"], problem.methods
     parts = iter(range(1, count + 1))
 
-    def by(method: BaseMethod, loss: Loss, among: Sequence[Measurements] = sets, screen: bool = True) -> Identification:
+    def by(
+        method: BaseMethod, loss: AnyLoss, among: Sequence[Measurements] = sets, screen: bool = True
+    ) -> Identification:
         part = next(parts)
 
         def progress(iteration: int, cost: float) -> None:
@@ -371,17 +374,12 @@ def _identified(problem: Problem, show: Callable[[str], None], count: int) -> di
             problem.robot, among, method=method, loss=loss, prior=problem.prior, screen=screen, progress=progress
         )
 
-    if problem.loss != "auto":
-        return {method: by(method, problem.loss) for method in problem.methods}
-    robust = by(last, "huber")
-    if not robust.outliers:
-        return {method: by(method, "linear") for method in problem.methods}
-    kept = without_poses(sets, robust.outliers)
-    others = {method: by(method, "huber", kept, screen=False) for method in problem.methods[:-1]}
-    return {
-        **{method: replace(r, measurements=sets, outliers=robust.outliers) for method, r in others.items()},
-        last: robust,
-    }
+    found = by(last, problem.loss)
+    if problem.loss != "auto" or not found.outliers:
+        return {**{method: by(method, found.loss) for method in others}, last: found}
+    kept = without_poses(sets, found.outliers)
+    judged = {method: by(method, found.loss, kept, screen=False) for method in others}
+    return {**{m: replace(r, measurements=sets, outliers=found.outliers) for m, r in judged.items()}, last: found}
 
 
 def _without_prior(plain: Problem, results: Mapping[str, Identification]) -> Accuracy | None:

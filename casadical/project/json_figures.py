@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import Any
 
 from casadical.identification.accuracy import Accuracy
-from casadical.identification.identification import Identification
+from casadical.identification.result import Identification
 from casadical.project.networks import NetworkResult
 from casadical.project.problem_file import Paper
 from casadical.robot.robot import modified_dh

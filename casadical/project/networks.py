@@ -9,7 +9,7 @@ from casadical.compensator import Compensator, Trainer, network_methods
 from casadical.compensator.training import Progress
 from casadical.core.arrays import Array
 from casadical.identification.accuracy import Accuracy, residual_mm, summarise
-from casadical.identification.identification import Identification
+from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
 from casadical.project.problem import Problem
 from casadical.robot.robot import Robot

@@ -11,8 +11,8 @@ from casadical.core.arrays import Array
 from casadical.core.blocks import Table, Words, mm
 from casadical.core.errors import shown
 from casadical.identification.accuracy import Accuracy, errors, summarise
-from casadical.identification.identification import Identification, LeftOut, rows_in_words
 from casadical.identification.left_open import left_open
+from casadical.identification.result import Identification, LeftOut, rows_in_words
 from casadical.project.check.coverage import coverage
 from casadical.project.networks import Networks
 from casadical.project.problem import Problem

@@ -12,6 +12,7 @@ import numpy as np
 from casadical.compensator import network_methods
 from casadical.core.errors import InputError
 from casadical.identification.prior import Prior
+from casadical.identification.residuals import AnyLoss
 from casadical.measurements.columns import Columns
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import SETS, Measurements
@@ -23,7 +24,6 @@ from casadical.project.problem_file import (
     BaseMethod,
     DataTable,
     Paper,
-    ProblemLoss,
     SetsTable,
     UrdfTable,
     base_methods,
@@ -60,7 +60,7 @@ class Problem:
         by name, one `Measurements` for each kind; no pose is in two sets
     methods : tuple[BaseMethod, ...]
         identification methods of `casadical calibrate`
-    loss : ProblemLoss
+    loss : AnyLoss
         how far poses are weighted, of `casadical calibrate`
     urdf : tuple[Path, str | None, str | None], optional
         file, base link and tip link where the robot came from a URDF
@@ -99,7 +99,7 @@ class Problem:
     robot: Robot
     sets: Mapping[str, tuple[Measurements, ...]]
     methods: tuple[BaseMethod, ...]
-    loss: ProblemLoss
+    loss: AnyLoss
     urdf: tuple[Path, str | None, str | None] | None = None
     networks: tuple[str, ...] = ()
     seed: int = 0

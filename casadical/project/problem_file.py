@@ -12,7 +12,7 @@ from casadical.compensator import network_methods
 from casadical.core.errors import InputError
 from casadical.core.parts import Sessions
 from casadical.core.schema import FaultError, check, load_toml
-from casadical.identification.residuals import LOSSES, Loss
+from casadical.identification.residuals import AnyLoss
 from casadical.measurements.columns import Source
 from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.measurements import SETS
@@ -22,8 +22,6 @@ BaseMethod = Literal["KM", "SKCM"]
 BASE_METHODS: tuple[BaseMethod, ...] = get_args(BaseMethod)
 
 # auto: huber where it finds outliers, else linear.
-ProblemLoss = Literal["auto", Loss]
-PROBLEM_LOSSES: tuple[ProblemLoss, ...] = ("auto", *LOSSES)
 
 Three = Annotated[list[float], Field(min_length=3, max_length=3)]
 
@@ -181,7 +179,7 @@ class ProblemFile(_Strict):
     campaign_robot: str | None = None
     urdf: UrdfTable | None = None
     methods: list[Annotated[str, AfterValidator(_known_method)]] = Field(default=["KM", "SKCM"], min_length=1)
-    loss: ProblemLoss = "auto"
+    loss: AnyLoss = "auto"
     paper: Paper | None = None
     measurements: list[DataTable] = []
     sets: SetsTable = SetsTable()

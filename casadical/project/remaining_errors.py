@@ -11,7 +11,7 @@ from casadical.core.arrays import Array
 from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.localisation import Localisation, localise_residual
 from casadical.identification.accuracy import errors, residual_mm
-from casadical.identification.identification import LeftOut
+from casadical.identification.result import LeftOut
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.project.calibration import Calibration, used_poses

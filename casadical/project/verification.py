@@ -14,7 +14,8 @@ from casadical.core.arrays import Array
 from casadical.core.blocks import Table, Words, mm
 from casadical.core.errors import InputError
 from casadical.identification.accuracy import errors
-from casadical.identification.identification import LeftOut, identify, rows_in_words
+from casadical.identification.identification import identify
+from casadical.identification.result import LeftOut, rows_in_words
 from casadical.identification.sessions import with_sessions
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.raw_table import read_table

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 from casadical.core.blocks import Words, mm
-from casadical.identification.identification import Identification
+from casadical.identification.result import Identification
 from casadical.identification.tables import correlated, held_table, how_sure, parameter_tables
 from casadical.project.calibration import Calibration
 from casadical.project.networks import Networks

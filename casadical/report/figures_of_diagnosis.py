@@ -8,7 +8,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.diagnosis.cross_validation import fitted_without, partitioned_errors
-from casadical.identification.identification import LeftOut
+from casadical.identification.result import LeftOut
 from casadical.project.remaining_errors import ModelErrors, PoseErrors
 from casadical.report.cause_figures import gap_course, posteriors, shrinks
 from casadical.report.curve_figures import curve_figures

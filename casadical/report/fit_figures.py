@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.identification.identification import Identification
+from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
 from casadical.report.page import Drawing
 from casadical.report.style import BLUE, GREY, GRID, INK, LINE, MUTED, ORANGE, RED, Figure, new_figure, plain

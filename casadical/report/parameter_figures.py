@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from casadical.identification.identification import Identification
+from casadical.identification.result import Identification
 from casadical.report.share_figures import intervals
 from casadical.report.style import MUTED, RED, Figure, plain
 

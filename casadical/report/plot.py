@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, overload
 from casadical.core.errors import InputError
 from casadical.diagnosis.result import Diagnosis
 from casadical.fleet.changes import Comparison
-from casadical.identification.identification import Identification
+from casadical.identification.result import Identification
 from casadical.project.calibration import Calibration
 from casadical.report.figures_of_calibration import calibration_figures
 from casadical.report.figures_of_diagnosis import diagnosis_figures

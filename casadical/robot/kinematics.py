@@ -101,6 +101,8 @@ def _driven(arm: Arm, k: int, angles: tuple[Symbolic, Symbolic], side: int, valu
 
 def assembly_sides(arm: Arm) -> dict[int, int]:
     """Assembly of every uncrossed loop, at mid range of its joints' limits. Raises InputError where it cannot close."""
+    if not arm.loops:
+        return {}
     middle = [0.5 * (j.lower + j.upper) for j in arm.joints]
     nominal = {p.name: p.value for p in parameters_of(arm)}
     own, sides = list(middle), {}

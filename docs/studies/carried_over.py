@@ -19,8 +19,8 @@ from real_diagnoses import ROOT, campaign
 from casadical import identify, read_robot, write_robot
 from casadical.effects import JointErrorCurve
 from casadical.identification.accuracy import errors
-from casadical.identification.identification import Identification
 from casadical.identification.prior import carry_over
+from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
 from casadical.project.problem import read_problem
 from casadical.robot.robot import Robot

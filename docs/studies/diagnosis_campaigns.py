@@ -31,7 +31,8 @@ from casadical.diagnosis.cross_validation import held_out_errors, likely_noise, 
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.thresholds import PARTITIONS
-from casadical.identification.identification import Identification, identify
+from casadical.identification.identification import identify
+from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.measurements.reading import from_table

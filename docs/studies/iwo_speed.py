@@ -163,6 +163,16 @@ def compare_products(task: Task, colony: int = 125) -> None:
             x @ a
             hidden @ b
 
+    stacked_single, inputs_single = stacked.astype(np.float32), task.inputs.astype(np.float32)
+    sums_single, z_single = sums.astype(np.float32), z.astype(np.float32)
+    last_single, out_single = last.astype(np.float32), out.astype(np.float32)
+
+    def whole_colony_single():
+        np.matmul(stacked_single, inputs_single, out=sums_single)
+        np.matmul(last_single, z_single, out=out_single)
+
+    tanh_of = np.random.default_rng(3).normal(0, 1.5, sums.shape)  # sums of these weights and inputs spread so
+    tanh_of_single, tanhs, tanhs_single = tanh_of.astype(np.float32), sums.copy(), sums_single.copy()
     single = Iwo(precision="single").begin(task, 0)._task
     weights_single = weights.astype(np.float32)
     search = InvasiveWeeds(task.layout.count)
@@ -176,7 +186,13 @@ def compare_products(task: Task, colony: int = 125) -> None:
     rows = {
         "bare products, one network at a time": one_by_one,
         "bare products, whole colony at once": whole_colony,
-        "  and the tansig": lambda: (whole_colony(), np.tanh(sums, out=sums)),
+        "  the tansig alone": lambda: np.tanh(tanh_of, out=tanhs),
+        "  products and tansig": lambda: (whole_colony(), np.tanh(tanh_of, out=tanhs)),
+        "the same products, single": whole_colony_single,
+        "  products and tansig, single": lambda: (
+            whole_colony_single(),
+            np.tanh(tanh_of_single, out=tanhs_single),
+        ),
         "forward pass": lambda: forward(task.layout, weights, task.inputs),
         "forward pass and loss": lambda: task.losses(weights),
         "forward pass and loss, single": lambda: single.losses(weights_single),
@@ -188,6 +204,11 @@ def compare_products(task: Task, colony: int = 125) -> None:
     print(f"{'':38}{'us':>7}{'of one at a time':>19}{'of whole colony':>18}")
     for name, cost in costs.items():
         print(f"{name:38}{cost:7.2f}{cost / alone:19.2f}{cost / batched:18.2f}")
+    floor = costs["  products and tansig"]
+    print(
+        f"products and tansig alone, which no loss can do without: {floor / batched:.2f} of the products; "
+        f"the whole loss is {costs['forward pass and loss'] / floor:.2f} of them"
+    )
     draws = best_of(generation) / len(search.ask()) * 1e6
     print(f"{'making a child (random numbers, clip)':38}{draws:7.2f}{draws / alone:19.2f}{draws / batched:18.2f}")
 

@@ -22,7 +22,7 @@ from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.refit import refit
 from casadical.effects import AxisWobble, Effect, FrictionWindup, GearEccentricity, JointScale
 from casadical.identification.accuracy import errors
-from casadical.identification.identification import Identification
+from casadical.identification.result import Identification
 from casadical.measurements.derived_columns import derive
 
 ROOT = Path(__file__).parents[2]

@@ -11,7 +11,8 @@ from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case, make_case
-from casadical.identification.identification import Identification, identify
+from casadical.identification.identification import identify
+from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table, read_measurements
 from casadical.project.problem import read_campaign_robot

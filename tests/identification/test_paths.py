@@ -51,7 +51,7 @@ def test_chunks_sum_to_the_whole(n, monkeypatch):
 def one_pose(least_squares, k, v):
     """Residual and Jacobian of one pose, by the kernel itself."""
     (block,) = least_squares.blocks
-    r, J = block.kernel.residual(block.data[:, [k]], np.concatenate([v, block.robot]))
+    r, J = block.kernel.residual(block.data(slice(k, k + 1)), np.concatenate([v, block.robot]))
     return r.squeeze(), J.T
 
 

@@ -142,6 +142,19 @@ def test_outliers_of_ten_sigma_all_one_way(built):
     assert robust.is_optimal()
 
 
+def test_loss_auto_is_huber_where_it_finds_outliers_and_else_linear(built):
+    m = arms.positions(built, arms.readings(built, 60, 14), 15)
+    plain, auto = (identify(ARM, m, iter(["placement", "a2"]), loss=loss) for loss in ("linear", "auto"))
+    assert (auto.loss, auto.outliers, auto.solution.v.tolist()) == ("linear", (), plain.solution.v.tolist())
+    wrong = m.position.copy()
+    wrong[7] += 0.01
+    robust, auto = (
+        identify(ARM, replace(m, position=wrong), ["placement", "a2"], loss=loss) for loss in ("huber", "auto")
+    )
+    assert (auto.loss, auto.outliers) == ("huber", ((0, 7),))
+    assert auto.solution.v.tolist() == robust.solution.v.tolist()
+
+
 def test_a_weight_of_zero_is_a_pose_left_out(built):
     m = arms.positions(built, arms.readings(built, 60, 14), 15)
     weight = np.ones(60)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from casadical.core.errors import InputError
-from casadical.identification.identification import LeftOut
+from casadical.identification.result import LeftOut
 from casadical.project.remaining_errors import ModelErrors, PoseErrors
 from casadical.report import calibration_figures, dark, diagnosis_figures
 from casadical.report import optional_imports as libraries

@@ -26,7 +26,7 @@ from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.diagnosis.thresholds import CLAIM, DETECT_FURTHER
 from casadical.effects import Effect
 from casadical.effects.law import Law
-from casadical.identification.identification import Identification
+from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.robot.robot import Robot

@@ -19,7 +19,8 @@ from casadical.export.mjcf.drives import counterparts
 from casadical.export.mjcf.equilibrium import positions
 from casadical.export.mjcf.mjcf import MjcfExport, mjcf
 from casadical.identification.accuracy import Accuracy, predicted, summarise
-from casadical.identification.identification import Identification, identify
+from casadical.identification.identification import identify
+from casadical.identification.result import Identification
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot

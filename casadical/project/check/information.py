@@ -12,6 +12,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.identification.identifiability import Unidentifiable, drop_poor
+from casadical.identification.independence import independent_parameters
 from casadical.identification.least_squares import SIGMA_ANGLE_GUESS, SIGMA_GUESS, LeastSquares
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
@@ -79,7 +80,7 @@ def outlook(
     """
     sigmas = tuple((noise or m.sigma or SIGMA_GUESS, m.sigma_angle or SIGMA_ANGLE_GUESS) for m in sets)
     problem = LeastSquares(robot, tuple(sets), robot.parameters.select(free), "linear", False, sigmas)
-    found = problem.identifiability(np.zeros(problem.size))
+    found = independent_parameters(problem)
     problem = problem.with_names(found.independent)
     residuals, J = problem.evaluate(np.zeros(problem.size))
     scatter = _scatter(np.concatenate([r.ravel() for r in residuals]), J, problem.residual_count - problem.size)

@@ -1,0 +1,372 @@
+"""What an identification found: parameters with their standard errors, accuracy, predictions."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import pandas as pd
+
+from casadical.core.arrays import Array
+from casadical.core.blocks import Table, Words, mm
+from casadical.core.errors import InputError
+from casadical.core.notebook import html
+from casadical.core.statistics import student_t
+from casadical.identification.accuracy import Accuracy, errors, predicted, summarise
+from casadical.identification.identifiability import Identifiability
+from casadical.identification.least_squares import LeastSquares, first_sigmas
+from casadical.identification.prediction import covariance_of_all
+from casadical.identification.reduction import POOR_FIT
+from casadical.identification.residuals import POINT_SCALE, Loss, make_block
+from casadical.identification.screening import SCREENINGS, solve_without_outliers
+from casadical.identification.solver import Solution
+from casadical.measurements.measurements import Measurements, unmeasured
+from casadical.robot.knowledge import Knowledge, blocks
+from casadical.robot.robot import Robot, modified_dh
+from casadical.robot.robot_file import to_toml
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A pose that was not used: its source and row there, and what the calibrated model leaves at it [m]."""
+
+    source: str
+    row: int
+    error: float
+
+
+def rows_in_words(rows: Sequence[LeftOut], most: int = 8) -> str:
+    """Rows with their errors, the files named where there are several."""
+    several = len({out.source for out in rows}) > 1
+    words = [f"{f'{out.source} ' if several else ''}row {out.row} ({mm(out.error)} mm)" for out in rows[:most]]
+    return ", ".join(words) + (f" and {len(rows) - most} more" if len(rows) > most else "")
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """What was identified, from what, and how sure it is.
+
+    Parameters
+    ----------
+    given : Robot
+        the robot as handed in
+    start : Robot
+        with its frames placed
+    robot : Robot
+        calibrated
+    measurements : tuple[Measurements, ...]
+        what was used
+    method : str
+        KM, SKCM, or the parameters that were free
+    loss : Loss
+        of the residuals
+    identifiability : Identifiability
+        which parameters are independent, which are not and why
+    problem : LeastSquares
+        the least squares that was solved
+    solution : Solution
+        where the solver ended
+    variance : float
+        of a residual, in units of the sigmas used
+    degrees_of_freedom : int
+        residuals and priors less variables
+    outliers : tuple[tuple[int, int], ...], default ()
+        (set, pose) indices of poses that a robust loss left out
+
+    Examples
+    --------
+    >>> found.parameters[["name", "value", "std_error", "unit"]].head(2).round(4)
+         name     value  std_error unit
+    0  tool_x  299.3005     0.0033   mm
+    1  tool_y   -2.0832     0.0045   mm
+    >>> position, covariance = found.predict(poses.q[:2])
+    >>> position.round(3)
+    array([[ 0.622,  0.223,  0.   ],
+           [-0.394,  0.246,  0.   ]])
+    >>> {state: round(1e3 * a.mean, 3) for state, a in found.accuracy(poses).items()}  # mm
+    {'nominal': 1.735, 'placed': 1.694, 'calibrated': 0.029}
+    >>> found.correlations(above=0.9).shape[1], found.is_optimal()
+    (3, True)
+    >>> found.to_toml().splitlines()[0]
+    '# Calibrated by casadical.'
+    """
+
+    given: Robot
+    start: Robot
+    robot: Robot
+    measurements: tuple[Measurements, ...]
+    method: str
+    loss: Loss
+    identifiability: Identifiability
+    problem: LeastSquares
+    solution: Solution
+    variance: float
+    degrees_of_freedom: int
+    outliers: tuple[tuple[int, int], ...] = ()
+
+    def __repr__(self) -> str:
+        used = sum(map(len, self.used))
+        held, left = len(self.identifiability.held), max(1e3 * sigma for sigma, _ in self.sigmas)
+        return (
+            f"<Identification {self.method} of {self.given.name!r}: {len(self.names)} parameters from {used} poses, "
+            f"{held} not identifiable, {left:.3g} mm a coordinate left>"
+        )
+
+    def _repr_html_(self) -> str:
+        """For a notebook: the verdict, every parameter, and the errors of what was used."""
+        rows = [
+            (str(r["name"]), f"{r['nominal']:.4f}", f"{r['value']:.4f}", f"{r['std_error']:.2g}", str(r["unit"]),
+             str(r["reason"] or r["status"]))
+            for r in self.shown.to_dict("records")
+        ]  # fmt: skip
+        head = ("parameter", "nominal", "value", "std error", "unit", "status")
+        table = Table("All parameters", head, rows, frozenset({1, 2, 3}), folded=True)
+        bars = []
+        for m in self.used:
+            a = summarise(errors(self.robot, m))
+            bars += [(f"{m.kind}, mean", a.mean), (f"{m.kind}, 95 % below", a.p95)]
+        return html([Words(self.verdict), table], bars, repr(self)[1:-1])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Identified parameters."""
+        return self.problem.names
+
+    @cached_property
+    def estimate(self) -> Array:
+        """Of `names`, shape (p,) [SI]."""
+        return np.array(list(self.problem.values(self.solution.v).values()))
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Of `estimate`, shape (p, p) [SI]; NaN for parameters at a bound."""
+        return self.problem.covariance(self.solution.v, self.variance)
+
+    @cached_property
+    def standard_errors(self) -> Array:
+        """Of `estimate`, shape (p,) [SI]; NaN for parameters at a bound."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @cached_property
+    def knowledge(self) -> Knowledge:
+        """Covariance of the calibrated robot, and where it was learnt, as a robot file keeps it."""
+        return learnt_from(self, self.given.knowledge or Knowledge())
+
+    @property
+    def at_bounds(self) -> tuple[str, ...]:
+        """Identified parameters that stopped at a bound."""
+        mask = self.problem.at_bounds(self.solution.v)[: len(self.names)]
+        return tuple(n for n, stopped in zip(self.names, mask, strict=True) if stopped)
+
+    @property
+    def used(self) -> tuple[Measurements, ...]:
+        """The measurements without the poses that were left out."""
+        return without_poses(self.measurements, self.outliers)
+
+    @cached_property
+    def left_out(self) -> tuple[LeftOut, ...]:
+        """The poses that were left out, the farthest first."""
+        found = []
+        for k, m in enumerate(self.measurements):
+            poses = [i for place, i in self.outliers if place == k]
+            if poses:
+                e = errors(self.robot, m)
+                found += [LeftOut(m.source, int(m.row[i]), float(e[i])) for i in poses]
+        return tuple(sorted(found, key=lambda out: -out.error))
+
+    @property
+    def unknown_points(self) -> dict[str, Array]:
+        """Where the points are that were identified too, by number of the set and name ("0/A"), shape (3,) [m] each."""
+        _, u = self.problem.separate(self.solution.v)
+        return dict(zip(self.problem.labels, self.problem.points + POINT_SCALE * u, strict=True))
+
+    @property
+    def sigmas(self) -> tuple[tuple[float, float], ...]:
+        """Standard deviation of one coordinate [m] and of one angle [rad] that the residuals show, for each set."""
+        scale = float(np.sqrt(self.variance))
+        return tuple((s * scale, a * scale) for s, a in self.problem.sigmas)
+
+    @cached_property
+    def parameters(self) -> pd.DataFrame:
+        """A row per parameter: name, group, nominal, value, std_error, low, high (95 %), unit, status, reason."""
+        quantile = student_t(0.975, self.degrees_of_freedom)
+        reasons = {u.name: u.reason for u in self.identifiability.held}
+        place_of = {name: k for k, name in enumerate(self.names)}
+        rows = []
+        for p in self.start.parameters:
+            nominal = p.readable(p.value)
+            value, error, status, reason = nominal, np.nan, "held", "not asked for"
+            if p.name in place_of:
+                k = place_of[p.name]
+                value, error = p.readable(self.estimate[k]), p.readable(self.standard_errors[k])
+                status, reason = ("at bound", "its bound stops it") if p.name in self.at_bounds else ("identified", "")
+            elif p.name in reasons:
+                status, reason = "not identifiable", reasons[p.name]
+            low, high = value - quantile * error, value + quantile * error
+            rows.append((p.name, p.group, nominal, value, error, low, high, p.readable_unit, status, reason))
+        columns = ["name", "group", "nominal", "value", "std_error", "low", "high", "unit", "status", "reason"]
+        return pd.DataFrame(rows, columns=columns)
+
+    @property
+    def shown(self) -> pd.DataFrame:
+        """`parameters` without those of effects that have too many to be shown, as joint_error_curve has."""
+        return self.parameters[self.parameters["name"].isin(self.start.shown)].reset_index(drop=True)
+
+    def correlations(self, above: float = 0.95) -> pd.DataFrame:
+        """Pairs of identified parameters whose estimates are correlated by more than `above`, the strongest first.
+
+        Parameters
+        ----------
+        above : float, default 0.95
+            least absolute correlation that is listed
+
+        Returns
+        -------
+        DataFrame
+            one row a pair: two names, and their correlation
+        """
+        C = self.covariance / np.outer(self.standard_errors, self.standard_errors)
+        i, j = np.nonzero(np.tril(np.abs(C) > above, -1))
+        pairs = pd.DataFrame(
+            {"parameter": np.array(self.names)[i], "with": np.array(self.names)[j], "correlation": C[i, j]}
+        )
+        return pairs.sort_values("correlation", key=np.abs, ascending=False, ignore_index=True)
+
+    def predict(self, q: Array, conditions: Mapping[str, Array] | None = None) -> tuple[Array, Array]:
+        """Positions of the calibrated robot, shape (n, 3) [m], and their covariances, shape (n, 3, 3) [m^2].
+
+        The covariance is that of the model's position; a new measurement adds its own noise. It holds the parameters
+        that were not identified too, by their covariance in the robot's file or else their priors (see `prediction`).
+
+        Parameters
+        ----------
+        q : Array, shape (n, joints) [rad or m]
+            joint readings
+        conditions : Mapping[str, Array], optional
+            logged columns by name, each of shape (n,)
+
+        Returns
+        -------
+        tuple[Array, Array]
+            positions, and the covariance of each
+        """
+        q = np.atleast_2d(q)
+        m = unmeasured(q, conditions)
+        p, _ = predicted(self.robot, m)
+        problem, x, C = self._everything
+        block = make_block(self.start, m, problem.names, 1.0, 1.0, np.zeros((0, 3)), np.zeros(len(q), int))
+        J = block.evaluate(x, np.zeros((0, 3)))[1] / problem.scale
+        return p, J @ C @ J.transpose(0, 2, 1)
+
+    @cached_property
+    def _everything(self) -> tuple[LeastSquares, Array, Array]:
+        """Of all parameters that are not known exactly: their problem, departures from nominal, and covariance [SI]."""
+        return covariance_of_all(self.problem, self.solution.v, self.variance)
+
+    def accuracy(self, m: Measurements) -> dict[str, Accuracy]:
+        """Errors on any measurements: "nominal", "placed" (base and tool fitted) and "calibrated".
+
+        Parameters
+        ----------
+        m : Measurements
+            poses, those of the identification or others
+
+        Returns
+        -------
+        dict[str, Accuracy]
+            state -> error figures [m]
+        """
+        return {
+            "nominal": summarise(errors(self.given, m)),
+            "placed": summarise(errors(self.placed, m)),
+            "calibrated": summarise(errors(self.robot, m)),
+        }
+
+    @cached_property
+    def placed(self) -> Robot:
+        """The given robot with only base and tool frames fitted: the comparison that "before calibration" means."""
+        groups = [g for g in ("base", "tool") if g in self.given.parameters.groups]
+        if not groups:
+            return self.start
+        names = self.start.parameters.select(groups)
+        free = LeastSquares(self.start, self.used, names, self.loss, False, first_sigmas(self.used))
+        try:
+            (problem, solution, _), _ = solve_without_outliers(free, SCREENINGS, None)
+            return self.start.with_values(problem.values(solution.v))
+        except InputError:  # relative measurements do not determine the frames
+            return self.start
+
+    def is_optimal(self, tolerance: float = 1e-4) -> bool:
+        """Whether no step inside the bounds lowers the cost; recomputed from the data, not by the solver.
+
+        Parameters
+        ----------
+        tolerance : float, default 0.0001
+            what one more Gauss-Newton step may gain in chi-squared; 1e-4 is about 1 % of a standard error
+
+        Returns
+        -------
+        bool
+            true at an optimum
+        """
+        round_off = 1e-12 * self.problem.cost(np.zeros(self.problem.size))
+        return self.problem.decrement(self.solution.v) < tolerance * self.variance + round_off
+
+    def to_toml(self) -> str:
+        """The calibrated robot as the text of a robot file that `read_robot` reads again.
+
+        Returns
+        -------
+        str
+            text of the file
+        """
+        return to_toml(self.robot, f"Calibrated by casadical.\n{self.verdict}")
+
+    @property
+    def dh_table(self) -> pd.DataFrame:
+        """The corrected modified DH table, a row per joint, in millimetres and degrees."""
+        return pd.DataFrame(modified_dh(self.robot))
+
+    @property
+    def verdict(self) -> str:
+        """The result in one sentence."""
+        used = sum(len(m) for m in self.measurements) - len(self.outliers)
+        text = (
+            f"{self.method}: {len(self.names)} parameters identified from {used} poses, "
+            f"{len(self.identifiability.held)} not identifiable"
+        )
+        if self.at_bounds:
+            text += f"; AT BOUNDS: {', '.join(self.at_bounds)} - widen the bounds or doubt the model"
+        if self.outliers:
+            text += f"; left out as outliers: {rows_in_words(self.left_out)}"
+        left = max(sigma for sigma, _ in self.sigmas)
+        if left > POOR_FIT * self.robot.reach:
+            text += f"; THE MODEL DOES NOT FIT: {1e3 * left:.3g} mm are left - check joint signs, zeros and units"
+        return f"{text}. {self.solution.message}"
+
+
+def learnt_from(found: Identification, before: Knowledge) -> Knowledge:
+    """What is known of a robot with effects: of values that were held, what was known before.
+
+    The ranges are those on which the effects were learnt: of these measurements, where one of their parameters is free.
+    """
+    labels = {e.label for e in found.robot.effects}
+    groups = [found.robot.parameters[name].group for name in found.names]
+    owners = [group if group in labels else "" for group in groups]
+    kept = before.without(found.names)
+    own = blocks(found.names, owners, found.covariance)
+    if labels and not any(owners):
+        return replace(kept, covariance=(*own, *kept.covariance))
+    sets = found.problem.sets
+    q = np.concatenate([m.q for m in sets])
+    columns = (*found.robot.conditions, *(c for e in found.robot.effects for c in e.needs))
+    logged = {c: [m.conditions[c] for m in sets if c in m.conditions] for c in columns}
+    ranges = {c: (float(min(map(min, v))), float(max(map(max, v)))) for c, v in logged.items() if v}
+    readings = np.column_stack([q.min(axis=0), q.max(axis=0)])
+    return Knowledge((*own, *kept.covariance), ", ".join(m.source for m in sets), len(q), readings, ranges)
+
+
+def without_poses(sets: Sequence[Measurements], out: Iterable[tuple[int, int]]) -> tuple[Measurements, ...]:
+    """Measurements without some poses; out : (set, pose) indices."""
+    left = set(out)
+    return tuple(m[[i for i in range(len(m)) if (k, i) not in left]] for k, m in enumerate(sets))
