@@ -1,7 +1,7 @@
 """The command `casadical plan`."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -10,6 +10,9 @@ from casadical.cli.options import Json, Quiet
 from casadical.cli.progress import PLAN, working
 from casadical.cli.terminal import keep, wrapped
 from casadical.core.errors import InputError
+
+if TYPE_CHECKING:
+    from casadical.project.planning import Places
 
 
 def plan(
@@ -56,7 +59,9 @@ def plan(
     repeats: Annotated[int, typer.Option(min=1, max=1000, help="Passes over all poses.")] = 1,
     noise_mm: Annotated[
         float | None,
-        typer.Option(min=0, help="Noise of a coordinate, one sigma; default: 0.02, or estimated from --measured."),
+        typer.Option(
+            min=0, help="Noise of a coordinate or distance, one sigma; default: 0.02, or estimated from --measured."
+        ),
     ] = None,
     joint_noise_urad: Annotated[float, typer.Option(min=0, help="Repeatability of a joint, one sigma.")] = 0.0,
     min_distance: Annotated[
@@ -71,6 +76,22 @@ def plan(
     order: Annotated[
         bool, typer.Option("--order/--no-order", help="Order the poses for short travel (needs networkx).")
     ] = True,
+    wires: Annotated[
+        int | None,
+        typer.Option(min=1, max=4, help="Plan for so many draw wires, and where they end, in place of positions."),
+    ] = None,
+    sockets: Annotated[
+        int | None,
+        typer.Option(min=1, max=30, help="Plan for the tool's ball in so many sockets, in place of positions."),
+    ] = None,
+    places: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv",
+            help="Where wires or sockets may be: columns x_mm, y_mm, z_mm; default: about the robot.",
+        ),
+    ] = None,
+    known_places: Annotated[bool, typer.Option(help="The wires' ends will be measured, too.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
     json_file: Json = None,
     quiet: Quiet = False,
@@ -109,6 +130,7 @@ def plan(
         found = run(
             robot, n, added, criterion=word, workspace=workspace, circumstances=circumstances, measured=before,
             noise=noise, min_distance=min_distance, order=order, target=target, seed=seed, show=show,
+            places=_places(wires, sockets, places, known_places),
         )  # fmt: skip
     place = out if n is None else out or Path("plan.csv")
     texts = found.files(place) if place else {}
@@ -118,6 +140,20 @@ def plan(
     console.print(found.report())
     console.print(planned_with(problem, measured))
     keep(texts, console)
+
+
+def _places(wires: int | None, sockets: int | None, candidates: Path | None, known: bool) -> "Places | None":
+    """What is planned for in place of positions. Raises InputError where the options contradict each other."""
+    from casadical.project.planning import Places, read_places
+
+    if wires and sockets:
+        raise InputError("--wires and --sockets: give one of them; each is a plan of its own")
+    if not (wires or sockets):
+        if candidates is not None or known:
+            raise InputError("--places and --known-places are of --wires N or --sockets N; give one of these, too")
+        return None
+    where = read_places(candidates) if candidates else None
+    return Places("wires", wires, where, known) if wires else Places("sockets", sockets or 1, where, known)
 
 
 def _numbers(text: str | None) -> tuple[float, ...]:

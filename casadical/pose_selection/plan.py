@@ -5,11 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from rich.console import RenderableType
 
 from casadical.core.arrays import Array
 from casadical.core.blocks import Table, Words, terminal
 from casadical.core.files import json_text
+from casadical.pose_selection.instruments import Instrument
 from casadical.pose_selection.pose_order import travel
 from casadical.pose_selection.selection import Selection
 from casadical.pose_selection.stopping_rule import Forecast
@@ -23,24 +25,28 @@ class MeasurementPlan:
 
     forecast : expected error against the number of poses; selection : the poses in order, None for the forecast alone
     target : accuracy that is wanted [m]; checked_for_obstacles : whether a workspace said where poses may lie
+    instrument : what is read in place of positions, at the places chosen
     """
 
     forecast: Forecast
     selection: Selection | None = None
     target: float | None = None
     checked_for_obstacles: bool = False
+    instrument: Instrument | None = None
 
     def report(self) -> RenderableType:
         """What `casadical plan` prints."""
         plan = self.selection
         if plan is None:
-            return _how_many(self)
+            return terminal([*_places(self), Words(_how_many(self))])
         indices = ", ".join(f"{name} {value:.3g}" for name, value in plan.observability.items())
+        indices = f"observability {indices}; " if indices else ""
         turned = np.rad2deg(travel(plan.robot, plan.q))
         return terminal(
             [
                 Words(_verdict(plan), "verdict"),
-                Words(f"Criterion {plan.criterion}; observability {indices}; travel {turned:.0f} deg."),
+                Words(f"Criterion {plan.criterion}; {indices}travel {turned:.0f} deg."),
+                *_places(self),
                 Words(_how_many(self)),
                 *([] if self.checked_for_obstacles else _below_the_base(plan)),
                 _map(plan),
@@ -50,7 +56,9 @@ class MeasurementPlan:
 
     def to_json(self) -> dict[str, Any]:
         """The figures as plain data: poses, expected error [mm], observability indices, the forecast's two columns."""
-        forecast = {"forecast": self.forecast.table.to_dict("list")}
+        forecast: dict[str, Any] = {"forecast": self.forecast.table.to_dict("list")}
+        if self.instrument is not None:
+            forecast |= {self.instrument.kind: (1e3 * self.instrument.places).round(3).tolist()}
         plan = self.selection
         if plan is None:
             return forecast
@@ -60,22 +68,44 @@ class MeasurementPlan:
     def files(self, path: Path) -> dict[Path, str]:
         """Texts by path: the poses, and beside them expected standard errors, error map and figures.
 
-        Beside FILE.csv these are FILE.expected.csv, FILE.map.csv and FILE.json. Of a forecast alone: its table.
+        Beside FILE.csv these are FILE.expected.csv, FILE.map.csv and FILE.json, of wires or sockets FILE.places.csv.
+        Of a forecast alone: its table.
         """
         plan = self.selection
         if plan is None:
             return {path: self.forecast.table.to_csv(index=False, float_format="%.6g")}
-        return {
+        texts = {
             path: plan.table.to_csv(index=False, float_format="%.10g"),
             path.with_suffix(".expected.csv"): plan.parameters.to_csv(index=False, float_format="%.6g"),
             path.with_suffix(".map.csv"): plan.error_map.to_csv(index=False, float_format="%.6g"),
             path.with_suffix(".json"): json_text(self.to_json()),
         }
+        if self.instrument is not None:
+            where = pd.DataFrame((1e3 * self.instrument.places).round(1), columns=["x_mm", "y_mm", "z_mm"])
+            texts[path.with_suffix(".places.csv")] = where.to_csv(index=False, float_format="%.6g")
+        return texts
+
+
+def _places(plan: MeasurementPlan) -> list[Words]:
+    """Where wires or sockets go, and what is taken for granted of them."""
+    instrument = plan.instrument
+    if instrument is None:
+        return []
+    each = "; ".join("({:.0f}, {:.0f}, {:.0f})".format(*p) for p in 1e3 * instrument.places)
+    letter, name = ("", "Wires end") if instrument.kind == "wires" else ("S1 first: ", "Sockets are")
+    text = f"{name} at {letter}{each} mm in the measuring frame"
+    if instrument.known:
+        return [Words(f"{text}; measure these places, the plan takes them as known.")]
+    text += "; a hand's breadth beside them changes nothing, as they are identified too"
+    if instrument.kind == "sockets" and len(instrument.places) > 1:
+        text += "; measure the distance between the two farthest, it gives the scale"
+    return [Words(f"{text}. Expected errors are those of the robot in itself: where its base stands is not measured.")]
 
 
 def _verdict(plan: Selection) -> str:
     before = 0 if plan.measured is None else len(plan.measured)
-    noise = f"{1e3 * plan.noise.sigma:.3g} mm a coordinate"
+    of = "a distance" if plan.instrument and plan.instrument.kind == "wires" else "a coordinate"
+    noise = f"{1e3 * plan.noise.sigma:.3g} mm {of}"
     if plan.noise.repeatability:
         noise += f", {1e6 * plan.noise.repeatability:.3g} urad a joint"
     return (

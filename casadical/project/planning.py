@@ -1,21 +1,29 @@
 """A plan of what to measure: the robot calibrated with what was measured, the next poses, their order, the forecast."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.effects import Effect
 from casadical.identification.identification import identify
+from casadical.measurements.columns import Columns
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
+from casadical.measurements.raw_table import read_table
 from casadical.pose_selection.candidates import Circumstances
 from casadical.pose_selection.criteria import Criterion
+from casadical.pose_selection.instruments import usual_places
+from casadical.pose_selection.places import place_instrument, select_with_places
 from casadical.pose_selection.plan import MeasurementPlan
 from casadical.pose_selection.pose_search import select_poses
+from casadical.pose_selection.selection import Selection
 from casadical.pose_selection.stopping_rule import forecast
 from casadical.pose_selection.workspace import Workspace
 from casadical.project.problem import read_campaign_robot
@@ -34,6 +42,29 @@ def robot_of(path: Path) -> Robot:
             raise InputError(f"{path}: {len(written)} calibrated robots; give the one to plan with: {names}")
         return read_robot(written[0])
     return read_campaign_robot(path)
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Wires or sockets to be planned for: how many, and where they may be.
+
+    candidates : shape (K, 3) [m] in the measuring frame, None: the usual ones (see `usual_places`)
+    known : whether the places will be measured, too
+    """
+
+    kind: Literal["wires", "sockets"]
+    count: int
+    candidates: Array | None = None
+    known: bool = False
+
+    def of(self, robot: Robot) -> Array:
+        """Candidates for a robot, shape (K, 3) [m]."""
+        return usual_places(robot, self.kind) if self.candidates is None else self.candidates
+
+
+def read_places(path: Path) -> Array:
+    """Columns x_mm, y_mm, z_mm (or _m) of a table, shape (K, 3) [m]. Raises InputError."""
+    return Columns.of_file(read_table(path)).vector("")
 
 
 def planned_with(path: Path, measured: Path | None) -> str:
@@ -89,15 +120,22 @@ def plan(
     order: bool = True,
     target: float | None = None,
     seed: int = 0,
+    places: Places | None = None,
     show: Callable[[str], None] = lambda _text: None,
 ) -> MeasurementPlan:
     """Poses in order and the forecast beyond them.
 
     n : how many; None: the stopping rule alone, the accuracy to expect of up to 100 poses more
     effects : to identify, besides the accuracy over the task; measured : poses measured already; order : for
-    little travel; target : accuracy that is wanted [m]; other arguments as of `select_poses`
+    little travel; target : accuracy that is wanted [m]; places : of wires or sockets, in place of positions
+    other arguments as of `select_poses`
     show : called with a line of progress. Raises InputError.
     """
+    if places is not None and measured is not None:
+        raise InputError(
+            f"poses measured before are counted with positions alone, not with {places.kind}: plan with the robot file "
+            "that calibrate --out wrote"
+        )
     known = {e.label for e in robot.effects}
     if effects:
         robot = robot.with_effect(*(e for e in effects if e.label not in known))
@@ -112,15 +150,31 @@ def plan(
     found = None
     if n is not None:
         show("choosing poses")
-        found = select_poses(
-            robot, workspace, n, criterion, circumstances=circumstances, measured=measured,
+        choose: Callable[..., Selection] = partial(select_poses, among=None)
+        if places is not None:
+            choose = partial(
+                select_with_places,
+                kind=places.kind,
+                places=places.of(robot),
+                count=places.count,
+                known=places.known,
+            )
+        found = choose(
+            robot, n=n, criterion=criterion, workspace=workspace, circumstances=circumstances, measured=measured,
             interest=tuple(e.label for e in effects), noise=noise, free=free, min_distance=min_distance, seed=seed,
         )  # fmt: skip
         total += len(found)
     most = total + (100 if n is None else max(20, total // 2))
+    instrument = found.instrument if found else None
+    if places is not None and instrument is None:
+        instrument = place_instrument(
+            robot, places.kind, places.of(robot), places.count, known=places.known, workspace=workspace, free=free,
+            noise=noise, seed=seed,
+        )  # fmt: skip
     show("accuracy of further poses")
     ahead = forecast(
         robot, most, workspace=workspace, circumstances=circumstances, measured=measured, noise=noise,
-        free=free, seed=seed,
+        free=free, seed=seed, instrument=instrument,
     )  # fmt: skip
-    return MeasurementPlan(ahead, found.ordered() if found and order else found, target, workspace is not None)
+    chosen = found.ordered() if found and order else found
+    return MeasurementPlan(ahead, chosen, target, workspace is not None, instrument)

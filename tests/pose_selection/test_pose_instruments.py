@@ -1,12 +1,15 @@
 """Plans for wires and sockets: what they promise against identifications, where anchors go, and the command."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
+from command_line import main
 from pose_arms import elbow
 
-from casadical import InputError, identify
+from casadical import InputError, identify, write_robot
 from casadical.pose_selection import Instrument, Noise, forecast, place_instrument, select_poses
 from casadical.pose_selection.candidates import SOCKET, expected
 from casadical.pose_selection.instruments import usual_places
@@ -97,3 +100,42 @@ def test_what_cannot_be_planned_is_refused(robot, options, said) -> None:
     among, n, criterion = (given.pop(k) for k in ("among", "n", "criterion"))
     with pytest.raises(InputError, match=said):
         select_poses(robot, among, n, criterion, pool=100, **given)
+
+
+def command(monkeypatch, tmp_path, *words) -> int:
+    write_robot(elbow(), tmp_path / "arm.toml")
+    pd.DataFrame(1e3 * np.concatenate([LINE, ANCHORS]), columns=["x_mm", "y_mm", "z_mm"]).to_csv(
+        tmp_path / "places.csv", index=False
+    )
+    return main(monkeypatch, "plan", tmp_path / "arm.toml", "--no-order", *words)
+
+
+def test_the_command_plans_wires_among_given_places(monkeypatch, tmp_path, capsys) -> None:
+    out = tmp_path / "next.csv"
+    words = ("-n", 30, "--wires", 2, "--places", tmp_path / "places.csv", "--noise-mm", 0.05, "--out", out)
+    assert command(monkeypatch, tmp_path, *words) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "noise of 0.05 mm a distance" in text
+    assert "Wires end at (" in text
+    places = json.loads((tmp_path / "next.json").read_text())["wires"]
+    offered = (1e3 * np.concatenate([LINE, ANCHORS])).round(3).tolist()
+    assert len(places) == 2
+    assert all(place in offered for place in places)
+    np.testing.assert_allclose(pd.read_csv(tmp_path / "next.places.csv").to_numpy(), places, atol=0.06)
+    table = pd.read_csv(out)
+    assert len(table) == 30
+    at = table[[f"nominal_{c}_mm" for c in "xyz"]].to_numpy()
+    np.testing.assert_allclose(table["nominal_wire2_mm"], np.linalg.norm(at - places[1], axis=1), atol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--wires", 2, "--sockets", 2), "give one of them"),
+        (("--known-places",), "are of --wires N or --sockets N"),
+        (("--wires", 4, "--places", "none.csv"), "none.csv: no such file"),
+    ],
+)
+def test_options_that_contradict_each_other_are_refused(monkeypatch, tmp_path, capfd, words, said) -> None:
+    assert command(monkeypatch, tmp_path, "-n", 30, *words) == 2
+    assert said in " ".join(capfd.readouterr().err.split())
