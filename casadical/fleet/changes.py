@@ -272,7 +272,7 @@ def _campaigns(found: Comparison) -> Table:
     rows = [
         (
             c.label,
-            "" if c.day is None else str(np.datetime64("1970-01-01") + np.timedelta64(int(c.day), "D")),
+            c.date,
             str(c.poses),
             "" if c.sigma is None else mm(c.sigma),
             f"{c.misfit:.2f}",

@@ -92,6 +92,11 @@ class Estimate:
         return f"<Estimate {self.label!r}: {len(self.names)} parameters from {self.poses} poses{noise}>"
 
     @property
+    def date(self) -> str:
+        """The day as 2026-03-14; empty where it is not known."""
+        return date_text(self.day)
+
+    @property
     def scale(self) -> Array:
         """Unit of each parameter, shape (k,) [SI]."""
         return np.array([self.robot.parameters[n].scale for n in self.names])
@@ -139,6 +144,13 @@ class Estimate:
         own = H[np.ix_(kept, kept)] - H[np.ix_(kept, rest)] @ inverse
         score = b[kept] - inverse.T @ b[rest]
         return own, score + own @ ((self.values[kept] - values) / self.scale[kept])
+
+
+def date_text(day: float | None) -> str:
+    """Days since 1970 as 2026-03-14; empty where they are not known."""
+    if day is None or not np.isfinite(day):
+        return ""
+    return str(np.datetime64("1970-01-01") + np.timedelta64(int(day), "D"))
 
 
 def estimate(

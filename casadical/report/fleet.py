@@ -8,8 +8,10 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.blocks import Table, Words
+from casadical.fleet.estimates import date_text
 from casadical.fleet.hierarchy import Common
 from casadical.fleet.result import Fleet, records
+from casadical.report.life import left_figure
 from casadical.report.page import Block, Drawing, Part, Section, Tile, report_html
 from casadical.report.provenance import provenance_of
 from casadical.report.style import BLUE, GREY, ORANGE, RED, Figure, new_figure, plain
@@ -140,20 +142,11 @@ def _map(found: Fleet) -> Figure:
 
 def _trends(good: pd.DataFrame) -> Figure:
     several = good[good["campaigns"] > 1].sort_values("changes", ascending=False).head(COURSES)
-    figure = new_figure("Left in each campaign", "campaign", "one sigma of a coordinate [mm]", height=340)
+    lives = []
     for r in records(several):
-        days = list(r["days"])
-        dated = all(np.isfinite(days))
-        x = [str(np.datetime64("1970-01-01") + np.timedelta64(int(d), "D")) for d in days] if dated else None
-        figure.add_scatter(
-            x=x,
-            y=list(r["left_mm"]),
-            mode="lines+markers",
-            line={"color": RED if r["changes"] else GREY, "width": 2 if r["changes"] else 1},
-            name=plain(r["robot"]),
-            showlegend=False,
-        )
-    return figure.update_yaxes(rangemode="tozero")
+        dates = [date_text(day) for day in r["days"]]
+        lives.append((r["robot"], dates if all(dates) else None, r["left_mm"], bool(r["changes"])))
+    return left_figure(lives, height=340)
 
 
 def _common(c: Common) -> Figure:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from casadical.core.blocks import Words, mm
 from casadical.fleet.changes import Change, Comparison
 from casadical.report.page import Drawing, Part, Section, Tile, report_html
 from casadical.report.provenance import provenance_of
-from casadical.report.style import BLUE, GREY, ORANGE, Figure, new_figure, plain
+from casadical.report.style import BLUE, GREY, ORANGE, RED, Figure, new_figure, plain
 
 _COURSE = (
     "The change along its own direction as each campaign alone shows it, in units of the whole change, with a 95 % "
@@ -99,10 +97,8 @@ def _tiles(found: Comparison) -> Iterator[Tile]:
 
 def _places(found: Comparison) -> list[Any]:
     """Where each campaign stands on the axis: its day, or its label."""
-    days = [c.day for c in found.campaigns]
-    if any(d is None for d in days):
-        return [plain(c.label) for c in found.campaigns]
-    return [str(np.datetime64("1970-01-01") + np.timedelta64(int(d or 0), "D")) for d in days]
+    dates = [c.date for c in found.campaigns]
+    return dates if all(dates) else [plain(c.label) for c in found.campaigns]
 
 
 def _course(found: Comparison, change: Change) -> Figure:
@@ -127,14 +123,21 @@ def _course(found: Comparison, change: Change) -> Figure:
 
 
 def _left(found: Comparison) -> Figure:
-    figure = new_figure("Left in each campaign", "campaign", "one sigma of a coordinate [mm]", height=260)
-    figure.add_scatter(
-        x=_places(found),
-        y=[None if c.sigma is None else 1e3 * c.sigma for c in found.campaigns],
-        mode="markers",
-        marker={"size": 8, "color": GREY},
-        text=[plain(c.label) for c in found.campaigns],
-        hovertemplate="<b>%{text}</b><br>%{y:.4f} mm<extra></extra>",
-        showlegend=False,
-    )
+    left = [None if c.sigma is None else 1e3 * c.sigma for c in found.campaigns]
+    return left_figure([(found.campaigns[0].robot.name, _places(found), left, False)], height=260)
+
+
+def left_figure(lives: Iterable[tuple[str, Sequence[Any] | None, Sequence[float | None], bool]], height: int) -> Figure:
+    """What nothing explains in each campaign of robots: (name, places on the axis, scatter [mm], changed) of each."""
+    figure = new_figure("Left in each campaign", "campaign", "one sigma of a coordinate [mm]", height=height)
+    for name, x, left, changed in lives:
+        figure.add_scatter(
+            x=x,
+            y=list(left),
+            mode="lines+markers",
+            line={"color": RED if changed else GREY, "width": 2 if changed else 1},
+            text=[plain(name)] * len(left),
+            hovertemplate="<b>%{text}</b>, %{x}<br>%{y:.4f} mm<extra></extra>",
+            showlegend=False,
+        )
     return figure.update_yaxes(rangemode="tozero")

@@ -15,7 +15,9 @@ the noise are known exactly, base and tool are found by the poses, and the model
 20 poses, the goal is out of reach.
 
 Of each robot type and spread the answers are a file of the folder --scratch. The rules were committed before seeds 11
-and 12 were run; of an earlier form of the study (`identify(priors=)`, seeds 1 and 2, 8 robots) figures were seen.
+and 12 were run; of an earlier form of the study (`identify(priors=)`, seeds 1 and 2, 8 robots) figures were seen. The
+HH800's instrument stood beyond the bounds of its file then, so that nothing was identified; it was put nearer, and the
+HH800 run again with seeds 13 and 14, after the figures of the others were seen.
 """
 
 from __future__ import annotations
@@ -48,7 +50,7 @@ FULL, POSES, OTHER, NOISE = 60, (10, 15, 20, 30, 40, 60), 200, 3e-5
 FAULT, SOFTER, SHARE = 3e-4, 1.3, 0.1
 FAULTY = "a2"
 CLOSED = 0.05
-FLEET, NEW = 11, 12
+SEEDS = {"hh800": (13, 14), "kr210": (11, 12), "ur10e": (11, 12)}
 TOOL, DRAWS = 1e-3, 50
 
 
@@ -63,7 +65,9 @@ def built(robot: Robot, spread: float, rng: np.random.Generator) -> Robot:
         elif p.group == "tool":
             values[p.name] = p.value + TOOL * rng.normal()
     moved = robot.with_values(values)
-    T = frame(from_rpy(rng.uniform(-0.3, 0.3, 3)), rng.uniform(-1, 1, 3))
+    # The bounds of the HH800's first row, which places it, are 1 m and 20 degrees.
+    near = 0.4 if "b0" in robot.parameters.names else 1.0
+    T = frame(from_rpy(near * rng.uniform(-0.3, 0.3, 3)), near * rng.uniform(-1, 1, 3))
     return replace(moved, base=replace(moved.base, T=moved.base.T @ T))
 
 
@@ -132,11 +136,12 @@ def needed(poses: Array, means: Array, wanted: float) -> float:
 def study(name: str, mm: float, robots: int, new: int) -> dict[str, Any]:
     """Of one type and spread."""
     spread, nominal = 1e-3 * mm, read_campaign_robot(ROOT / "problems" / name)
+    old_ones, new_ones = SEEDS[name]
     with tempfile.TemporaryDirectory() as scratch:
         place = Path(scratch)
         rows = []
         for k in range(robots):
-            rng = np.random.default_rng([FLEET, k])
+            rng = np.random.default_rng([old_ones, k])
             m = measured(built(nominal, spread, rng), FULL, rng)
             rows.append(one_robot(str(folder_of(place / f"fleet{k}", nominal, m)), False))
         fleet = fleet_of(pd.DataFrame(rows))
@@ -144,12 +149,12 @@ def study(name: str, mm: float, robots: int, new: int) -> dict[str, Any]:
             prior.write_text(text)
         means: dict[str, list[list[float]]] = {"alone": [], "with the fleet": [], "least possible": []}
         for k in range(new):
-            truth = built(nominal, spread, np.random.default_rng([NEW, k]))
-            other = measured(truth, OTHER, np.random.default_rng([NEW, k, 999]), noise=0.0)
+            truth = built(nominal, spread, np.random.default_rng([new_ones, k]))
+            other = measured(truth, OTHER, np.random.default_rng([new_ones, k, 999]), noise=0.0)
             for row in means.values():
                 row.append([])
             for n in POSES:
-                m = measured(truth, n, np.random.default_rng([NEW, k, n]))
+                m = measured(truth, n, np.random.default_rng([new_ones, k, n]))
                 folder = folder_of(place / f"new{k}-{n}", nominal, m)
                 means["alone"][-1].append(error(folder, None, other))
                 means["with the fleet"][-1].append(error(folder, prior, other))
