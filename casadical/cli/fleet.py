@@ -63,6 +63,8 @@ def fleet(
         found = run_fleet(folders, store, scheduler=scheduler, workers=workers, with_diagnosis=diagnose, show=show)
     console.print(terminal(found.blocks()))
     texts = dict(found.prior_files(priors)) if priors else {}
+    if priors and not texts:
+        console.print("note: no prior is written: no type has five calibrated robots or more.", style="yellow")
     if report_file:
         from casadical.report import fleet_report
 

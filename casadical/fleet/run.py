@@ -73,7 +73,7 @@ def run_fleet(
                 tasks = [(str(robots[name].resolve()), with_diagnosis) for name in left]
                 _compute(results(client, one_robot, tasks), place, len(robots), len(left), show)
         whole = rows(place)
-    return fleet_of(whole[whole["robot"].isin(robots)].reset_index(drop=True), notes)
+    return fleet_of(whole[whole["robot"].isin(robots)].sort_values("robot", ignore_index=True), notes)
 
 
 def robots_in(folders: Iterable[str | Path]) -> dict[str, Path]:

@@ -18,6 +18,8 @@ from casadical.report.style import BLUE, GREY, ORANGE, RED, Figure, new_figure, 
 
 # Rows of the table, and robots whose course is drawn.
 MOST, COURSES = 2000, 60
+# Robots whose names stand on the axis of the map.
+NAMED = 30
 _MAP = (
     "Mean error of held-out poses, a point a robot, on a logarithmic axis: grey before, blue after calibration, orange "
     "where it stands out from its type (four scaled median absolute deviations)."
@@ -114,7 +116,8 @@ def _all(robots: pd.DataFrame) -> Table:
     rows = []
     for r in records(robots.head(MOST)):
         error = r["error"].strip().splitlines()[-1] if r["error"] else ""
-        figures = (f"{r['before_mm']:.4f}", f"{r['after_mm']:.4f}", str(r["poses"]), str(r["campaigns"]))
+        errors = (f"{v:.4f}" if np.isfinite(v) else "" for v in (r["before_mm"], r["after_mm"]))
+        figures = (*errors, str(r["poses"]), str(r["campaigns"]))
         verdict = " ".join(filter(None, (r["verdict"], r["causes"])))
         rows.append((r["robot"], r["type_name"], r["status"], *figures, verdict, r["changes"], error))
     head = ("robot", "type", "status", "before", "after", "poses", "campaigns", "diagnosis", "changed", "error")
@@ -137,6 +140,8 @@ def _map(found: Fleet) -> Figure:
             text=[plain(n) for n in good["robot"]],
             hovertemplate="<b>%{text}</b><br>%{y:.4f} mm<extra></extra>",
         )
+    if len(good) <= NAMED:
+        figure.update_xaxes(tickvals=x, ticktext=[plain(n) for n in good["robot"]])
     return figure.update_yaxes(type="log")
 
 
