@@ -46,7 +46,7 @@ def compare_files(
     Parameters
     ----------
     paths : Sequence[str | Path]
-        robot files with a covariance, folders of results, problem folders, or tables of measured positions
+        robot files with a covariance, folders of results, problem folders, or tables of measurements
     robot : str | Path, optional
         problem folder or robot file by which tables are understood
     same_tool : bool, default False

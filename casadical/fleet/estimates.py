@@ -8,6 +8,7 @@ of two campaigns differently where their poses differ.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -69,8 +70,8 @@ class Estimate:
     >>> H, b = told.about(("a1", "theta2"), np.array([0.4, 0.0]))
     >>> H.shape, b.shape
     ((2, 2), (2,))
-    >>> len(told.narrowed(found.robot).names) < len(told.names)
-    True
+    >>> told.date, len(told.narrowed(found.robot).names) < len(told.names)
+    ('', True)
     """
 
     robot: Robot
@@ -154,13 +155,15 @@ def date_text(day: float | None) -> str:
 
 
 def estimate(
-    campaign: Identification | tuple[Robot, Measurements], label: str = "", day: float | None = None
+    campaign: Identification | tuple[Robot, Measurements | Sequence[Measurements]],
+    label: str = "",
+    day: float | None = None,
 ) -> Estimate:
-    """What measured positions tell of all parameters.
+    """What measurements of any kind tell of all parameters.
 
     Parameters
     ----------
-    campaign : Identification | tuple[Robot, Measurements]
+    campaign : Identification | tuple[Robot, Measurements | Sequence[Measurements]]
         an identification, or a nominal robot and measurements, by which it is identified first
     label : str, default ""
         of the campaign; empty: the source of its measurements
@@ -175,7 +178,7 @@ def estimate(
     Raises
     ------
     InputError
-        nothing measured a position
+        known distances between touched points, which cannot be compared
     ConvergenceError
         Ipopt finds no optimum
 

@@ -13,9 +13,11 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.identification.error_bound import Doubts, Sums, doubts_of, evaluated, posterior_of, sums_of
+from casadical.identification.error_bound import Doubts, Sums, doubts_of, posterior_of, sums_of
 from casadical.identification.identifiability import scaled_inverse
+from casadical.identification.residuals import make_block
 from casadical.identification.result import Identification
+from casadical.measurements.kinds.registry import find_kind
 from casadical.robot.error_bound import doubted
 from casadical.robot.robot import Robot
 
@@ -25,11 +27,28 @@ ORDERS, FURTHER = 2, 6
 PARTS = 12
 # So many standard deviations of the misfit factor are taken for chance.
 CHANCE = 2.0
+# Directions of unknown points that are seen by a smaller share of the best seen one are not seen.
+POINT = 1e-9
 _MM = 1e-3
 
 
 # Repeatability of the joints over the noise of a coordinate [rad/m].
 RHOS = (0.0, 0.3, 0.8, 2.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """All measurements of a fit at its values, each pose with as many rows as the kind with the most numbers has.
+
+    Lengths in mm; what is more or less accurate than the lengths of the first set is in units of its noise. r : shape
+    (n, numbers); J : (n, numbers, k); U : by the unknown points, (n, numbers, 3 points); count : of numbers measured
+    beside those that determine the points
+    """
+
+    r: Array
+    J: Array
+    U: Array
+    count: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,42 +74,83 @@ class WideFit:
 
 
 def wide_fit(found: Identification) -> WideFit:
-    """The fit of all positions that an identification used. Raises InputError where nothing measured a position."""
-    sets = [m.positions_alone() for m in found.used if m.position is not None]
-    if not sets:
-        raise InputError(f"{found.measurements[0].source}: nothing measured a position; a comparison needs positions")
+    """The fit of all that an identification used. Raises InputError for known distances between touched points."""
     robot = doubted(found.robot, FURTHER)
     doubts = doubts_of(robot, found.names)
     low = [joint[: 2 * ORDERS] for joint in doubts.joints]
     doubts = replace(doubts, joints=(*low, *(joint[2 * ORDERS :] for joint in doubts.joints)))
-    r, J = evaluated(robot, sets, doubts.names)
-    q = np.concatenate([m.q for m in sets])
-    tried = [_at(rho, r, J, doubts) for rho in RHOS]
+    rows = _rows(found, robot, doubts.names)
+    q = np.concatenate([m.q for m in found.used])
+    tried = [_at(rho, rows, doubts) for rho in RHOS]
     best = int(np.argmax([log_likelihood for log_likelihood, _ in tried]))
     white, Jw, sums, (s2, mean, _, variance) = tried[best][1]
     times = _misfit(white + Jw @ mean, Jw, q, s2, variance)
-    left = _MM * float(np.sqrt(np.mean((r + J @ mean) ** 2) * sums.count / max(1, sums.count - len(found.names))))
+    r, J = _without_points(rows.r, rows.J, rows.U)[:2]
+    left = _MM * float(np.sqrt(np.sum((r + J @ mean) ** 2) / max(1, sums.count - len(found.names))))
     return WideFit(robot, doubts, sums, s2, RHOS[best], variance, times, left, len(r))
+
+
+def _rows(found: Identification, robot: Robot, names: tuple[str, ...]) -> _Rows:
+    sets = [m.positions_alone() if m.kind == "position_covariance" else m for m in found.used]
+    if any(m.separations for m in sets):
+        raise InputError(
+            f"{sets[0].source}: known distances between touched points cannot be compared yet; leave them out"
+        )
+    where = found.unknown_points
+    number = {name: k for k, name in enumerate(where)}
+    points = np.array([*where.values()]).reshape(-1, 3)
+    width = max(find_kind(m.kind).numbers for m in sets)
+    parts: list[list[Array]] = [[], [], []]
+    count = -points.size
+    (first, _) = found.problem.sigmas[0]
+    for k, (m, sigmas) in enumerate(zip(sets, found.problem.sigmas, strict=True)):
+        kind, p = find_kind(m.kind), len(names)
+        at = [number[f"{k}/{name}"] for name in kind.point_names(m.arrays)]
+        length, angle = (_MM * sigma / first for sigma in sigmas)
+        block = make_block(robot, m, names, length, angle, points, np.array(at or [0] * len(m)))
+        r, J = block.evaluate(np.zeros(p), np.zeros_like(points))
+        U = np.zeros((*r.shape, points.size))
+        for i, point in enumerate(at):
+            U[i, :, 3 * point : 3 * point + 3] = J[i, :, p:]
+        out = [(0, 0), (0, width - r.shape[1])]
+        for part, value in zip(parts, (r, J[:, :, :p], U), strict=True):
+            part.append(np.pad(value, [*out, (0, 0)][: value.ndim]))
+        count += r.size
+    r, J, U = (np.concatenate(part) for part in parts)
+    return _Rows(r, J, U, count)
+
+
+def _without_points(r: Array, J: Array, U: Array) -> tuple[Array, Array, float]:
+    """Residuals and Jacobians of which the unknown points are projected out, and the log of what these are seen by."""
+    if not U.shape[2]:
+        return r, J, 0.0
+    Q, seen, _ = np.linalg.svd(U.reshape(-1, U.shape[2]), full_matrices=False)
+    Q, seen = Q[:, seen > POINT * seen[0]], seen[seen > POINT * seen[0]]
+    both = np.concatenate([r[:, :, None], J], axis=2)
+    flat = both.reshape(-1, both.shape[2])
+    both = (flat - Q @ (Q.T @ flat)).reshape(both.shape)
+    return both[:, :, 0], both[:, :, 1:], float(np.log(seen).sum())
 
 
 _Posterior = tuple[float, Array, Array, Array]
 
 
-def _at(rho: float, r: Array, J: Array, doubts: Doubts) -> tuple[float, tuple[Array, Array, Sums, _Posterior]]:
+def _at(rho: float, rows: _Rows, doubts: Doubts) -> tuple[float, tuple[Array, Array, Sums, _Posterior]]:
     """Log marginal likelihood with noise s2 (I + rho^2 Jq Jq'), and whitened residuals and Jacobians with their fit.
 
-    Jq : motion of the point by each joint, shape (n, 3, joints) [mm/mrad], as the zeros of the joints move it
+    Jq : how each joint moves what is measured, shape (n, numbers, joints) [mm/mrad], as the zeros of the joints do
     """
     zeros = [k for k, name in enumerate(doubts.names) if name.startswith("theta")]
-    Jq = J[:, :, zeros]
-    L = np.linalg.cholesky(np.eye(3) + rho**2 * Jq @ Jq.transpose(0, 2, 1))
-    white, Jw = np.linalg.solve(L, r[:, :, None])[:, :, 0], np.linalg.solve(L, J)
-    sums = sums_of(white, Jw)
+    Jq = rows.J[:, :, zeros]
+    L = np.linalg.cholesky(np.eye(rows.r.shape[1]) + rho**2 * Jq @ Jq.transpose(0, 2, 1))
+    white, Jw, U = (np.linalg.solve(L, part) for part in (rows.r[:, :, None], rows.J, rows.U))
+    white, Jw, seen = _without_points(white[:, :, 0], Jw, U)
+    sums = replace(sums_of(white, Jw), count=rows.count)
     s2, mean, S, variance = posterior_of(sums, doubts)
     root = np.sqrt(np.diag(S))
     log_det = float(np.log(variance).sum() - 2 * np.log(root).sum() - np.linalg.slogdet(S / np.outer(root, root))[1])
     fitted = sums.square + 2 * mean @ sums.g + mean @ sums.H @ mean
-    spread = float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum())
+    spread = float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum()) + seen
     square = float(fitted / s2 + np.sum(mean**2 / variance))
     return -0.5 * (sums.count * np.log(s2) + square + log_det) - spread, (
         white,
@@ -101,7 +161,7 @@ def _at(rho: float, r: Array, J: Array, doubts: Doubts) -> tuple[float, tuple[Ar
 
 
 def misfit_of(found: Identification) -> float:
-    """By how much the variances of an identification are to be multiplied, at least 1; 1 without positions.
+    """By how much the variances of an identification are to be multiplied, at least 1; 1 where it is not known.
 
     As a mean over the directions of its parameters, each in units of the variance that the identification states.
     """
