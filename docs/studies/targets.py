@@ -1,6 +1,6 @@
 """Several targets on one flange without a column that names them: recognised from repeats, with their distances.
 
-    python docs/studies/targets.py [--tables N] [--clean N] [--seed S]
+    python docs/studies/targets.py [--tables N] [--accuracy N] [--clean N] [--seed S]
 
 Arms, poses and departures from the drawing are plain numpy (see slips.py). Each pose has one row for each of three
 targets of a nest, in one order or in a random one, with readings that differ by up to 0.003 deg and noise of 0.05 to
@@ -11,10 +11,15 @@ Recognised: three targets, every distance within 0.5 mm of the nest's, and no mo
 aside) of the wrong target. Clean tables have one target, measured up to four times at each pose: with bad rows, a
 station that moves by 5 to 200 mm or turns, drift, readings one row off, or backlash. None may be split into targets.
 That repeats disagree (a warning) may be said where the station moves or drifts.
+
+Accuracy: the arm calibrated with the three targets of a table as they were recognised, and with each of them alone,
+bad rows included; errors at 200 poses that were not measured, against the arm as built, without noise. The best
+alone is the target whose own calibration has the least error at that target.
 """
 
 import argparse
 import sys
+from dataclasses import dataclass, replace
 from itertools import permutations
 from pathlib import Path
 
@@ -25,10 +30,18 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "cli"))
 import first_hour
 from slips import ARMS, robots
 
+from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.parts import Target
+from casadical.core.transforms import frame
+from casadical.identification.accuracy import predicted
+from casadical.identification.identification import identify
+from casadical.measurements.measurements import unmeasured
 from casadical.measurements.reading import from_table
 from casadical.project.check.targets import recognised
+from casadical.robot.robot import Robot
 
 WITHIN = 0.5
+UNSEEN = 200
 CLEAN = ("repeats", "bad rows", "station moved", "station turned", "drift", "shifted", "backlash", "one row a pose")
 
 
@@ -59,8 +72,12 @@ def arm_of(rng: np.random.Generator, k: int) -> tuple[np.ndarray, np.ndarray]:
 
 def measured(rng: np.random.Generator, built: np.ndarray, q: np.ndarray, tool: np.ndarray, noise: float) -> np.ndarray:
     """Positions [mm] in the station's frame."""
-    p = first_hour.positions(q, built, tool)
-    return p @ turn(np.random.default_rng(5)).T + [1800, -700, 400] + rng.normal(0, noise, p.shape)
+    p = station(first_hour.positions(q, built, tool))
+    return p + rng.normal(0, noise, p.shape)
+
+
+def station(p: np.ndarray) -> np.ndarray:
+    return p @ turn(np.random.default_rng(5)).T + [1800, -700, 400]
 
 
 def answer(rows: np.ndarray, q: np.ndarray, p: np.ndarray):
@@ -70,8 +87,22 @@ def answer(rows: np.ndarray, q: np.ndarray, p: np.ndarray):
     return recognised(robots([], rows)[0], from_table(table, len(rows), "position"))
 
 
-def nested(k: int, seed: int) -> tuple[bool, str]:
-    """One table of a nest: whether it is recognised, and what was found."""
+@dataclass(frozen=True, eq=False)
+class Nested:
+    """One table of a nest: readings q (n, 6) [deg], positions p (n, 3) [mm], the true target of each row, bad rows."""
+
+    rows: np.ndarray
+    built: np.ndarray
+    points: np.ndarray
+    noise: float
+    q: np.ndarray
+    p: np.ndarray
+    which: np.ndarray
+    bad: np.ndarray
+    poses: int
+
+
+def table_of(k: int, seed: int) -> Nested:
     rng = np.random.default_rng([seed, k])
     rows, built = arm_of(rng, k)
     points, noise = nest(rng), rng.uniform(0.05, 0.3)
@@ -92,7 +123,14 @@ def nested(k: int, seed: int) -> tuple[bool, str]:
     if messy:
         bad[rng.choice(len(p), max(1, len(p) // 30), replace=False)] = True
         p[bad] += rng.normal(0, 60, (bad.sum(), 3))
-    found = answer(rows, q, p)
+    return Nested(rows, built, points, noise, q, p, which, bad, poses)
+
+
+def nested(k: int, seed: int) -> tuple[bool, str]:
+    """One table of a nest: whether it is recognised, and what was found."""
+    t = table_of(k, seed)
+    points, poses, which, bad, noise = t.points, t.poses, t.which, t.bad, t.noise
+    found = answer(t.rows, t.q, t.p)
     if found is None:
         return False, f"{poses} poses: nothing"
     sides = np.sort([np.linalg.norm(points[a] - points[b]) for a, b in ((0, 1), (0, 2), (1, 2))])
@@ -105,6 +143,52 @@ def nested(k: int, seed: int) -> tuple[bool, str]:
     text = f"{poses} poses, sides {sides.round(1)} mm, noise {noise:.2f}: {off:.2f} mm off, "
     text += f"{100 * wrong:.0f} % of rows wrong"
     return off < WITHIN and wrong <= 0.01, text
+
+
+def accuracies(k: int, seed: int) -> tuple[float, float, float] | None:
+    """Errors of one table at poses that were not measured, means [mm] against the arm as built, or None.
+
+    Of each target calibrated alone, the least, at its own target; of the three together, as they were recognised, at
+    the same target, and at all three. None where a target alone has too few poses for the arm, or nothing was
+    recognised.
+    """
+    t = table_of(k, seed)
+    rng = np.random.default_rng([seed, k, 2])
+    found = answer(t.rows, t.q, t.p)
+    if found is None or found.which is None or found.points is None:
+        return None
+    robot = robots([], t.rows)[0]
+    names = [*(f"q{i}_deg" for i in range(1, 7)), "x_mm", "y_mm", "z_mm"]
+    table = pd.DataFrame(np.column_stack([t.q, t.p]), columns=names).assign(tool=np.array(found.names)[found.which])
+    q = rng.uniform(-100, 100, (UNSEEN, 6))
+    # The names that were given, in the order of the nest.
+    given = [np.bincount(found.which[t.which == j], minlength=3).argmax() for j in range(3)]
+    truth = [station(first_hour.positions(q, t.built, t.points[j])) for j in range(3)]
+
+    def errors(arm: Robot) -> list[float]:
+        means = []
+        for j in range(3):
+            at = {target.column: np.full(UNSEEN, float(target.name == found.names[given[j]])) for target in arm.targets}
+            p, _ = predicted(arm, unmeasured(np.deg2rad(q), at))
+            means.append(float(np.linalg.norm(1e3 * p - truth[j], axis=1).mean()))
+        return means
+
+    alone = []
+    for j in range(3):
+        own = from_table(table[found.which == given[j]].drop(columns="tool"), 6, "position")
+        try:
+            arm = identify(robot, own, method="KM", loss="huber").robot
+        except (InputError, ConvergenceError):
+            return None
+        alone.append(errors(arm)[j])
+    tool = robot.tool.T
+    targets = tuple(Target(n, point) for n, point in zip(found.names[1:], found.points[1:], strict=True))
+    first = frame(tool[:3, :3], found.points[0])
+    several = replace(robot, tool=replace(robot.tool, T=first), tool_name=found.names[0], targets=targets)
+    m = from_table(table, 6, "position")
+    together = errors(identify(several, m, method="KM", loss="huber").robot)
+    best = int(np.argmin(alone))
+    return alone[best], together[best], float(np.mean(together))
 
 
 def clean(k: int, seed: int) -> tuple[str, bool, bool]:
@@ -139,10 +223,25 @@ def clean(k: int, seed: int) -> tuple[str, bool, bool]:
     return kind, found is not None and found.which is not None, found is not None
 
 
+def print_accuracy(tables: int, seed: int) -> None:
+    found = np.array([r for k in range(tables) if (r := accuracies(k, seed)) is not None])
+    if not len(found):
+        return
+    alone, same, every = found.T
+    print(f"calibrated with all three targets, of {len(found)} tables in which each target alone has poses enough:")
+    print(f"   mean error [mm] of the best target alone {alone.mean():.3f}; of all three at that target "
+          f"{same.mean():.3f}, at all targets {every.mean():.3f}")  # fmt: skip
+    for what, e in (("at that target", same), ("at all targets", every)):
+        r = e / alone
+        print(f"   {what}: at least as accurate as the best alone in {np.mean(r <= 1):.0%}; ratio median "
+              f"{np.median(r):.3f}, largest {r.max():.3f}")  # fmt: skip
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tables", type=int, default=50)
     parser.add_argument("--clean", type=int, default=200)
+    parser.add_argument("--accuracy", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     print(f"{given.tables} made-up tables of three targets without a column that names them; seed {given.seed}")
@@ -153,6 +252,7 @@ def main() -> None:
         if not ok:
             print(f"   {list(ARMS)[k % len(ARMS)]}, table {k}: {text}", flush=True)
     print(f"recognised with right distances: {good} of {given.tables}")
+    print_accuracy(given.accuracy, given.seed)
     kinds = {kind: [0, 0, 0] for kind in CLEAN}
     for k in range(given.clean):
         kind, split, said = clean(k, given.seed)
