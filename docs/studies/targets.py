@@ -89,7 +89,7 @@ def answer(rows: np.ndarray, q: np.ndarray, p: np.ndarray):
 
 @dataclass(frozen=True, eq=False)
 class Nested:
-    """One table of a nest: readings q (n, 6) [deg], positions p (n, 3) [mm], the true target of each row, bad rows."""
+    """One table of a nest: readings q (n, joints) [deg], positions p (n, 3) [mm], the true target of each row, bad rows."""
 
     rows: np.ndarray
     built: np.ndarray
@@ -158,9 +158,10 @@ def accuracies(k: int, seed: int) -> tuple[float, float, float] | None:
     if found is None or found.which is None or found.points is None:
         return None
     robot = robots([], t.rows)[0]
-    names = [*(f"q{i}_deg" for i in range(1, 7)), "x_mm", "y_mm", "z_mm"]
+    joints = t.q.shape[1]
+    names = [*(f"q{i}_deg" for i in range(1, joints + 1)), "x_mm", "y_mm", "z_mm"]
     table = pd.DataFrame(np.column_stack([t.q, t.p]), columns=names).assign(tool=np.array(found.names)[found.which])
-    q = rng.uniform(-100, 100, (UNSEEN, 6))
+    q = rng.uniform(-100, 100, (UNSEEN, joints))
     # The names that were given, in the order of the nest.
     given = [np.bincount(found.which[t.which == j], minlength=3).argmax() for j in range(3)]
     truth = [station(first_hour.positions(q, t.built, t.points[j])) for j in range(3)]
@@ -175,7 +176,7 @@ def accuracies(k: int, seed: int) -> tuple[float, float, float] | None:
 
     alone = []
     for j in range(3):
-        own = from_table(table[found.which == given[j]].drop(columns="tool"), 6, "position")
+        own = from_table(table[found.which == given[j]].drop(columns="tool"), joints, "position")
         try:
             arm = identify(robot, own, method="KM", loss="huber").robot
         except (InputError, ConvergenceError):
@@ -185,7 +186,7 @@ def accuracies(k: int, seed: int) -> tuple[float, float, float] | None:
     targets = tuple(Target(n, point) for n, point in zip(found.names[1:], found.points[1:], strict=True))
     first = frame(tool[:3, :3], found.points[0])
     several = replace(robot, tool=replace(robot.tool, T=first), tool_name=found.names[0], targets=targets)
-    m = from_table(table, 6, "position")
+    m = from_table(table, joints, "position")
     together = errors(identify(several, m, method="KM", loss="huber").robot)
     best = int(np.argmin(alone))
     return alone[best], together[best], float(np.mean(together))
