@@ -89,7 +89,7 @@ def answer(rows: np.ndarray, q: np.ndarray, p: np.ndarray):
 
 @dataclass(frozen=True, eq=False)
 class Nested:
-    """One table of a nest: readings q (n, joints) [deg], positions p (n, 3) [mm], the true target of each row, bad rows."""
+    """One table of a nest: readings q (n, joints) [deg], positions p (n, 3) [mm], the true target of each row, bad."""
 
     rows: np.ndarray
     built: np.ndarray
