@@ -9,14 +9,15 @@ from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.statements import TIED, Statement, statements
 
 THINGS, CAUSES = 3, 6
-# Characters of a thing to know: two to three lines of a terminal.
-LONGEST = 230
+# Characters of a thing to know: three lines of a terminal.
+LONGEST = 290
 # Of these only what casts a doubt is told.
 _DOUBTS = ("CANNOT", "AFTER")
 # What a reader must know besides the verdict, the most important first, in words where a sentence needs its subject.
 _ABOUT = {
     "PRIOR": "Prior: ", "CANNOT": "These data cannot ", "UNKNOWN": "Left: ", "LAW": "Law: ", "AFTER": "", "OUT": "",
-    "WHERE": "Where: ", "NEXT": "Next: ", "MISSING": "", "GRAVITY": "In the model: ", "ASSUMED": "Assumed: ",
+    "WHERE": "Where: ", "RULED": "Ruled ", "NEXT": "Next: ", "MISSING": "", "GRAVITY": "In the model: ",
+    "ASSUMED": "Assumed: ",
 }  # fmt: skip
 
 

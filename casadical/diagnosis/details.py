@@ -1,13 +1,14 @@
 """What is computed from a diagnosis to be reported: where the gap lies, what the poses show, what to measure next."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import pandas as pd
 
 from casadical.diagnosis.held_out_gap import Check, NetworkGap, check_refit, network_gaps
 from casadical.diagnosis.isolability import Isolability, isolability
 from casadical.diagnosis.laws.discovery import Discovery, laws_beside
+from casadical.diagnosis.limits import ruled_out
 from casadical.diagnosis.localisation import Localisation, localise
 from casadical.diagnosis.next_poses import next_poses
 from casadical.diagnosis.result import Diagnosis, Unlisted
@@ -43,6 +44,8 @@ class Details:
         see `next_poses`
     file : str, default ""
         name of the file that they are written to, if they are
+    ruled_out : Mapping[str, Sequence[str]], optional
+        causes that are not there: multiple of their usual size -> labels (see `casadical.diagnosis.limits`)
 
     Examples
     --------
@@ -60,6 +63,7 @@ class Details:
     laws: Discovery | None = None
     poses: pd.DataFrame | None = None
     file: str = ""
+    ruled_out: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
 
 def analyse(
@@ -119,4 +123,6 @@ def analyse(
     show("poses to measure next")
     chosen = next_poses(found, poses, workspace=workspace)
     show("what these poses can show")
-    return Details(where, isolability(found), describe_unlisted(found), check, gaps, curves, laws, chosen, file)
+    unlisted = describe_unlisted(found)
+    out = ruled_out(found, unlisted)
+    return Details(where, isolability(found), unlisted, check, gaps, curves, laws, chosen, file, out)

@@ -139,7 +139,7 @@ def isolability(
     {}
     """
     if isinstance(robot, Diagnosis):
-        return _of_case(robot.case, robot.noise)
+        return of_case(robot.case, robot.noise)
     if m is None:
         raise InputError("poses are missing; give isolability(robot, measurements), or a diagnosis alone")
     candidates = [c for c in candidates_of(robot, effects) if c.listed]
@@ -155,10 +155,12 @@ def isolability(
     return _judged(evidence, groups, noise, missing)
 
 
-def _of_case(case: Case, noise: Noise) -> Isolability:
+def of_case(case: Case, noise: Noise, also: Sequence[Effect] = ()) -> Isolability:
+    """Isolability at the poses of a case; also : effects that are in the base model, too."""
     listed = [c for c in case.candidates if c.listed]
     groups = {c.label: [case.group(v) for v in c.variants] for c in listed}
-    return _judged(replace(case.evidence, reference=noise.sigma), groups, noise, case.missing)
+    evidence = case.evidence.with_base(np.unique(case.group(also))) if also else case.evidence
+    return _judged(replace(evidence, reference=noise.sigma), groups, noise, case.missing)
 
 
 def _whole(candidates: Sequence[Candidate]) -> dict[str, tuple[tuple[Effect, ...], ...]]:

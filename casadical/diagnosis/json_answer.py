@@ -11,10 +11,11 @@ from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import NetworkGap
 from casadical.diagnosis.laws.answer import laws_as_json
 from casadical.diagnosis.layers import as_json as layers_as_json
+from casadical.diagnosis.limits import cannot_tell
 from casadical.diagnosis.next_poses import discrimination_probability
 from casadical.diagnosis.result import Cause, CauseSet, Diagnosis, Unlisted
 from casadical.diagnosis.spectrum_report import as_json as curves_as_json
-from casadical.diagnosis.statements import assumptions, cannot_tell, headline, missing_columns
+from casadical.diagnosis.statements import assumptions, headline, missing_columns
 from casadical.diagnosis.text import page_of
 from casadical.identification.gravity import as_json as gravity_as_json
 from casadical.identification.prior import Prior
@@ -71,6 +72,7 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
         "outlier_rows": [o.row for o in d.outliers],
         **({"assumed": list(said)} if (said := assumptions(d)) else {}),
         **({"cannot": list(missing)} if (missing := cannot_tell(d)) else {}),
+        **({"ruled_out": {k: list(v) for k, v in more.ruled_out.items()}} if more.ruled_out else {}),
         **({"gravity": gravity_as_json(d.identification)} if d.identification.given.masses == "estimated" else {}),
         "missing_columns": {label: list(columns) for label, columns in missing_columns(d).items()},
         "next_measurements": _next(poses),

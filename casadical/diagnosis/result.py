@@ -157,6 +157,8 @@ class Unlisted:
         share by which it falls
     shrink_interval : tuple[float, float]
         of `shrink`, 95 %
+    beside : Ranking, optional
+        what is most probable beside these forms
 
     Examples
     --------
@@ -171,6 +173,7 @@ class Unlisted:
     after: float
     shrink: float
     shrink_interval: tuple[float, float]
+    beside: Ranking | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -77,8 +77,9 @@ def _forms(
         forms[better] = found
     columns = np.unique(np.concatenate([named[0], *(case.group(e) for e in forms.values())]))
     before = partitioned_errors(case.evidence, named[0], noise, seed)
-    after = partitioned_errors(case.evidence, columns, ranked().noise[""], seed)
+    last = ranked()
+    after = partitioned_errors(case.evidence, columns, last.noise[""], seed)
     means = float(before.mean()), float(after.mean())
     interval = shrink_interval(before, after, seed)
     effects = tuple(e for found in forms.values() for e in found)
-    return Unlisted(tuple(forms), effects, *means, 1 - means[1] / means[0], interval)
+    return Unlisted(tuple(forms), effects, *means, 1 - means[1] / means[0], interval, last)

@@ -11,16 +11,12 @@ from casadical.diagnosis.changes import NEW
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import Check, NetworkGap, of_time
 from casadical.diagnosis.laws.answer import law_in_words
+from casadical.diagnosis.limits import cannot_tell, indistinguishable, invisible
 from casadical.diagnosis.next_poses import discrimination_probability, kinds_of_poses
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.thresholds import CLAIM, SET_CLAIM
 from casadical.identification.gravity import in_words as gravity_in_words
-from casadical.identification.left_open import left_open
 
-# An effect is invisible if the base absorbs so much of it, or if it must be so many times its usual size to be found.
-ABSORBED, OUT_OF_REACH = 0.98, 5.0
-# Effects below this rms [mm] move nothing.
-NO_MARK = 1e-6
 # From this share of the gap on, what lies above the noise floor and has no named cause is reported.
 REST = 0.05
 # Stands between words of an item that is not broken over two lines.
@@ -32,7 +28,7 @@ class Statement:
     """One statement.
 
     about : VERDICT, PRIOR, GAP, ASSUMED, GRAVITY, WHERE, WHICH (then come the causes, see `cause_rows`), SET, AFTER,
-        LAYERS (then come these, see `layer_rows`), CANNOT, UNKNOWN, LAW, OUT, MISSING, NEXT
+        LAYERS (then come these, see `layer_rows`), CANNOT, RULED, UNKNOWN, LAW, OUT, MISSING, NEXT
     doubtful : whether it is a warning
     """
 
@@ -55,6 +51,7 @@ def statements(d: Diagnosis, more: Details | None = None) -> list[Statement]:
         _after(d, more),
         _layered(d),
         _cannot(d, more),
+        _ruled_out(more),
         _unknown(d, more),
         _law(more),
     ]
@@ -274,49 +271,19 @@ def _change(ratio: float) -> str:
     return f"{abs(100 * (ratio - 1)):.0f} % {'more' if ratio > 1 else 'less'}"
 
 
-def cannot_tell(d: Diagnosis) -> tuple[str, ...]:
-    """What these kinds of readings cannot tell at all, each with what would; the ends of "these data cannot ..."."""
-    return tuple(left_open(d.identification.measurements, d.identification.unknown_points))
-
-
 def _cannot(d: Diagnosis, more: Details) -> Iterator[Statement]:
     for text in cannot_tell(d):
         yield Statement("CANNOT", text, doubtful=True)
-    for label, others in _indistinguishable(d, more).items():
+    for label, others in indistinguishable(d, more.isolability).items():
         yield Statement("CANNOT", f"tell {label} from {others}", doubtful=True)
-    for why, labels in _invisible(d, more).items():
+    for why, labels in invisible(d, more.isolability).items():
         yield Statement("CANNOT", f"see, {why}: {labels}")
 
 
-def _indistinguishable(d: Diagnosis, more: Details) -> dict[str, str]:
-    """Label of a cause -> those that these data cannot tell from it, with the share that looks alike."""
-    table = more.isolability.alike if more.isolability else pd.DataFrame()
-    return {
-        c.label: ", ".join(
-            f"{k} ({100 * float(table.loc[c.label, k]):.0f} % similar here)"  # type: ignore[arg-type]
-            if c.label in table.index and k in table.columns
-            else k
-            for k in c.indistinguishable
-        )
-        for c in d.causes
-        if c.indistinguishable
-    }
-
-
-def _invisible(d: Diagnosis, more: Details) -> dict[str, str]:
-    """Why -> effects that these poses cannot show, those of several joints gathered; claimed causes left out."""
-    if more.isolability is None:
-        return {}
-    seen = more.isolability.effects.drop(index=[c.label for c in d.causes], errors="ignore")
-    idle = seen["size_mm"] < NO_MARK
-    absorbed = ~idle & (seen["absorbed"] > ABSORBED)
-    weak = ~idle & ~absorbed & (seen["findable_from"] > OUT_OF_REACH)
-    reasons = {
-        "as nothing here causes them (no masses in the robot file, an idle joint)": seen.index[idle],
-        f"as the base model takes up {100 * ABSORBED:.0f} % or more of each in these poses": seen.index[absorbed],
-        f"against this noise, unless {OUT_OF_REACH:.0f} times their usual size": seen.index[weak],
-    }
-    return {why: gathered(labels) for why, labels in reasons.items() if len(labels)}
+def _ruled_out(more: Details) -> Iterator[Statement]:
+    parts = [f"from {times} times its usual size {gathered(labels)}" for times, labels in more.ruled_out.items()]
+    if parts:
+        yield Statement("RULED", f"out, as these poses would show it: {'; '.join(parts)}")
 
 
 def _unknown(d: Diagnosis, more: Details) -> Iterator[Statement]:
@@ -351,7 +318,7 @@ def _resembles(d: Diagnosis, more: Details) -> str:
     return (
         f"{words}; with {', '.join(u.labels[:-1])}{' and ' if u.labels[1:] else ''}{u.labels[-1]} in the model, causes "
         f"or not, {1e3 * u.before:.3f} -> {1e3 * u.after:.3f} mm on poses "
-        f"held out, {low:.0f} to {high:.0f} % less (--out DIR --unlisted has them in a robot file)"
+        f"held out, {low:.0f} to {high:.0f} % less (--out DIR --unlisted writes them)"
     )
 
 

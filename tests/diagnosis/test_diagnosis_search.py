@@ -15,6 +15,7 @@ from casadical.diagnosis.claims import cause_set
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.json_answer import as_json, diagnosis_files
+from casadical.diagnosis.limits import ruled_out
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.posterior import PRIOR_FURTHER, Ranking, Rival, rank
 from casadical.diagnosis.search import State, Step, indistinguishable
@@ -134,6 +135,13 @@ def test_a_bump_in_a_joints_own_angle_is_unknown_and_its_joint_named(tmp_path: P
     assert u.shrink_interval[0] > 0.1
     assert as_json(d, "bump", Details(unlisted=u))["unlisted"]["forms"] == list(u.labels)
     assert "in the model, causes or not, " in " ".join(page_of(d, Details(unlisted=u)).split())
+    out = ruled_out(d, u)
+    # What acts as the joint's own angle does is not ruled out, what acts elsewhere is.
+    absent = {label for labels in out.values() for label in labels}
+    assert "gear_eccentricity@3" not in absent
+    assert {"gear_eccentricity@1", "gear_eccentricity@2"} <= absent
+    assert as_json(d, "bump", Details(unlisted=u, ruled_out=out))["ruled_out"] == out
+    assert ruled_out(d, None) == {}
     assert d.effects() == ()
     assert len(d.effects(unlisted=u)) == len(u.labels)
     with_forms, without = (
