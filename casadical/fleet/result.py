@@ -17,6 +17,8 @@ from casadical.robot.robot_file import to_toml
 
 # A robot stands out from its type by so many scaled median absolute deviations of the logarithm of its error.
 FAR = 4.0
+# Of a campaign that could not be used, in a robot's notes.
+LEFT_OUT = "is left out:"
 # Rows that the terminal shows.
 SHOWN = 12
 
@@ -130,6 +132,7 @@ class Fleet:
             self.robots["robot"].isin(self.outliers)
             | (self.robots["changes"] != "")
             | (self.robots["at_bounds"] != "")
+            | self.robots["notes"].str.contains(LEFT_OUT, regex=False)
             | ~self.robots["verdict"].isin(["", "none"])
         ]
         rows = []
