@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -114,8 +115,10 @@ class SetsTable(_Strict):
         return self
 
     def sizes(self) -> dict[str, float]:
-        """Of the sets, shares or numbers of poses."""
+        """Of the sets, shares or numbers of poses; identify = 1 alone is the whole table."""
         given = self.model_dump(include={*SETS}, exclude_none=True)
+        if given == {"identify": 1.0}:  # the whole table, not one pose
+            return {"identify": math.nextafter(1.0, 0.0)}
         return given or {"identify": 0.7, "report": 0.3}
 
 

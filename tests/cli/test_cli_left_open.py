@@ -110,6 +110,17 @@ def test_a_distance_between_two_sockets_gives_the_size(tmp_path: Path) -> None:
     assert not [f for f in found if f["text"].startswith("these readings cannot ")]
 
 
+def test_a_single_distance_of_each_wire_is_refused_and_one_of_the_set_is_all(tmp_path: Path) -> None:
+    arm = problem(tmp_path, lambda folder: wires(folder, ABOUT, False))
+    text = (arm / "problem.toml").read_text()
+    for size, said in (("1", ""), ("2", "6 numbers were measured, but at least")):
+        (arm / "problem.toml").write_text(f"{text}\n[sets]\nidentify = {size}\n")
+        done = run("calibrate", arm, "-q")
+        assert done.returncode == (2 if said else 0)
+        assert said in done.stderr
+    assert Distance().point_starts({"distance": np.array([1.2])}, np.zeros((1, 3))).tolist() == [[0.0, 0.0, 1.2]]
+
+
 def test_far_ends_are_those_that_fit_the_distances_best() -> None:
     """Poses held out have far ends of their own: from few of them, distances in error by 0.1 mm stay that well fitted.
 

@@ -13,8 +13,8 @@ import pytest
 from site_of_docs import ROOT, TUTORIALS
 
 
-def test_there_are_eight() -> None:
-    assert [name.split("_")[1] for name in TUTORIALS] == list("12345678")
+def test_there_are_nine() -> None:
+    assert [name.split("_")[1] for name in TUTORIALS] == list("123456789")
 
 
 @pytest.mark.parametrize("name", TUTORIALS)

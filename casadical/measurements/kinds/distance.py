@@ -11,6 +11,8 @@ from casadical.core.transforms import Symbolic
 from casadical.measurements.columns import Columns
 from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpression, PositionsAt
 
+# A pose as near to a far end as this has the same place [m].
+NEAREST = 1e-6
 # Gauss-Newton steps to the far end, and by which share each must reduce the sum of squares.
 STEPS, GAIN = 20, 1e-6
 # Points whose third spread is less than this share of their second lie in a plane.
@@ -74,6 +76,8 @@ def _far_end(arrays: Arrays, p: Array) -> Array:
     spread, axes = np.linalg.svd(local, full_matrices=False)[1:]
     if len(axes) == 3 and spread[2] < FLAT * spread[1]:
         P += np.sqrt(max(square - P @ P, 0.0)) * axes[2]
+    if np.linalg.norm(P - local, axis=1).min() < NEAREST:  # too few poses: a length of zero has no direction
+        P = np.array([0.0, 0.0, distance.mean()])
     left = distance - np.linalg.norm(P - local, axis=1)
     for _ in range(STEPS):
         line = P - local
