@@ -213,7 +213,9 @@ def _about(sources: Sources, what: str, networked: bool) -> list[str]:
         lines += [f"LEFT OUT {line}" for line in followed(sources)[1]]
         lines += [f"NO BOUND of the error that remains: {why}" for why in [bound_of(sources)[1]] if why]
         lines.append("readings within the joint limits of the robot file are corrected, others are CLAMPED")
-        lines += measured_range(robot_of(sources.robot))
+        lines += measured_range(arm := robot_of(sources.robot))
+        if arm.gravity_frame == "logged":
+            lines.append("LEFT OUT the tilt of the base: gravity is as the robot file declares it, the base level")
         lines.append(f"payload: {mass}; tool: {sources.tool}; positions in the robot's own base frame")
     return lines
 

@@ -25,6 +25,8 @@ from casadical.core.parts import (
 )
 
 STANDARD_GRAVITY = 9.80665
+# Columns of the direction of gravity in the robot's base frame, where it was logged at every pose.
+GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +35,8 @@ class Arm:
 
     joints : the rows, from base to flange
     base : T_M0, robot base in the measuring frame; tool : T_nE, measured point in the last link's frame
-    gravity : shape (3,) [m/s^2], given in `gravity_frame`
+    gravity : shape (3,) [m/s^2], given in `gravity_frame`; where that is "logged", in the base frame while nothing
+        was logged, and its size counts
     payload : declared mass and mass centre in the last link's frame; poses may carry another mass (column payload_kg)
     tool_name : of the measured point, where there are several; targets : the others, named in the column `tool`
     widths : how far the parameters of each group may be off; body_width : masses and mass centres of the links
@@ -48,7 +51,7 @@ class Arm:
     tool: Placement = field(default_factory=lambda: Placement(np.eye(4)))
     loops: tuple[FourBar, ...] = ()
     gravity: Array = field(default_factory=lambda: np.array([0.0, 0.0, -STANDARD_GRAVITY]))
-    gravity_frame: Literal["measuring", "base"] = "measuring"
+    gravity_frame: Literal["measuring", "base", "logged"] = "measuring"
     payload: Body | None = None
     widths: Mapping[str, Width] = field(default_factory=lambda: dict(WIDTHS))
     body_width: BodyWidth = field(default_factory=BodyWidth)

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from casadical.core.arm import GRAVITY
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.measurements.columns import Columns, Source
 from casadical.measurements.headings import understand
@@ -149,7 +151,7 @@ def from_columns(
     q = columns.joints(each)
     arrays = observed.read(columns, q)
     patterns = [k.pattern for k in kinds().values()]
-    conditions = columns.conditions(patterns) | columns.tools() | columns.sessions()
+    conditions = with_gravity(columns.conditions(patterns), columns) | columns.tools() | columns.sessions()
     found = Measurements(
         q=q,
         kind=observed.name,
@@ -164,6 +166,25 @@ def from_columns(
         **{name: values for name, values in arrays.items() if name in FIELDS},  # type: ignore[arg-type]
     )
     return _without_copies(found)
+
+
+def with_gravity(conditions: dict[str, Array], columns: Columns) -> dict[str, Array]:
+    """Logged columns, and the direction of gravity in the base frame where two tilts were logged.
+
+    A base that is level, turned by tilt_x about its x axis, then by tilt_y about the new y axis. Raises InputError for
+    an accelerometer that reads nothing.
+    """
+    tilts = [f"tilt_{c}_{unit}" for unit in ("deg", "rad") for c in "xy"]
+    given = [name for name in tilts if name in conditions]
+    if len(given) == 2 and not {*GRAVITY} & conditions.keys():
+        x, y = (conditions[n] * (np.pi / 180 if n.endswith("deg") else 1.0) for n in sorted(given))
+        down = (np.cos(x) * np.sin(y), -np.sin(x), -np.cos(x) * np.cos(y))
+        return conditions | dict(zip(GRAVITY, down, strict=True))
+    if {*GRAVITY} <= conditions.keys():
+        still = np.linalg.norm([conditions[name] for name in GRAVITY], axis=0) == 0
+        if still.any():
+            raise InputError(f"{columns.at(int(np.argmax(still)))}: {', '.join(GRAVITY)} are all zero; gravity is not")
+    return conditions
 
 
 def readings_alone(columns: Columns, joints: int | Sequence[str]) -> Measurements:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from casadical.core.arm import GRAVITY
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.identification.accuracy import predicted
@@ -190,6 +191,8 @@ def candidates_at(robot: Robot, q: Array, circumstances: Circumstances, n: int, 
             columns[name] = np.array(states)[(start + payload) % len(states)] * np.ones((N, g))
         elif _APPROACH.fullmatch(name):
             columns[name] = rng.choice([-1.0, 1.0], (N, 1)) * np.where(side, -1.0, 1.0)
+        elif name in GRAVITY:  # the robot stands as it is declared
+            columns[name] = np.full((N, g), robot.declared[robot.conditions.index(name)])
         elif not _TIMED.fullmatch(name):
             raise InputError(f"column {name!r} is needed by an effect and cannot be planned; leave that effect out")
     timed = [name for name in robot.conditions if _TIMED.fullmatch(name)]
@@ -283,6 +286,8 @@ def _later(name: str, logged: Array | None, warm: Array, states: Array, rng: np.
         return rng.choice(states, len(warm))
     if logged is None:
         return np.zeros(len(warm))
+    if name in GRAVITY:
+        return np.full(len(warm), logged.mean())
     if name.startswith("warmth_"):
         return np.asarray(np.where(warm, max(logged.max(), logged.min() + RISE_K), logged.min()))
     return rng.choice(np.unique(logged), len(warm))

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from casadical.compensator import network_methods
+from casadical.core.arm import GRAVITY
 from casadical.core.errors import InputError
 from casadical.identification.prior import Prior
 from casadical.identification.residuals import AnyLoss
@@ -338,6 +339,11 @@ def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
     And where its column `tool` names a point that the robot file does not have.
     """
     m = with_known_targets(m, robot)
+    if robot.gravity_frame == "logged" and not {*GRAVITY} <= m.conditions.keys():
+        raise InputError(
+            f'{m.source}: robot {robot.name!r} stands on what tilts ([gravity] frame = "logged"), and no columns say '
+            f"how: log tilt_x_deg and tilt_y_deg of its base, or {', '.join(GRAVITY)}"
+        )
     if not robot.effects:
         return m
     found, missing = derive(m, robot.conditions)

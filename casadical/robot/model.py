@@ -12,7 +12,7 @@ from functools import cached_property, lru_cache
 import casadi as ca
 import numpy as np
 
-from casadical.core.arm import Arm
+from casadical.core.arm import GRAVITY, Arm
 from casadical.core.arrays import Array
 from casadical.core.mapped_function import MappedFunction
 from casadical.core.parameters import Parameters
@@ -204,14 +204,17 @@ def rigid_context(
 
     torque_scale : shape (n,) [N m or N]; base : nominal T_M0, shape (4, 4) [m]
     """
-    gravity = gravity_in_base(arm, base_frame(arm, values, base))
+    gravity = gravity_in_base(arm, base_frame(arm, values, base), conditions)
     rigid = link_frames(arm, ca.vertsplit(q), values)
     return Context(arm, torque_scale, q, conditions, values, rigid, gravity)
 
 
-def gravity_in_base(arm: Arm, T_M0: Symbolic) -> Symbolic:
-    """Gravity in the robot's base frame, shape (3,) [m/s^2]."""
+def gravity_in_base(arm: Arm, T_M0: Symbolic, conditions: Mapping[str, Symbolic]) -> Symbolic:
+    """Gravity in the robot's base frame, shape (3,) [m/s^2]; of logged columns the direction counts."""
     gravity = ca.DM(arm.gravity)
+    if arm.gravity_frame == "logged":
+        down = ca.vertcat(*(conditions[name] for name in GRAVITY))
+        return ca.norm_2(gravity) * down / ca.norm_2(down)
     return T_M0[:3, :3].T @ gravity if arm.gravity_frame == "measuring" else gravity
 
 

@@ -14,7 +14,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from casadical.core.arm import Arm
+from casadical.core.arm import GRAVITY, Arm
 from casadical.core.arrays import Array
 from casadical.core.blocks import Table, Words
 from casadical.core.notebook import html
@@ -127,16 +127,20 @@ class Robot(Arm):
     @cached_property
     def conditions(self) -> tuple[str, ...]:
         """Logged columns that the model uses, besides the joint readings."""
-        own = (*(("payload_kg",) if self.payload else ()), *(t.column for t in self.targets))
+        tilting = GRAVITY if self.gravity_frame == "logged" else ()
+        own = (*(("payload_kg",) if self.payload else ()), *(t.column for t in self.targets), *tilting)
         return tuple(dict.fromkeys((*own, *(c for e in self.effects for c in e.conditions))))
 
     @cached_property
     def declared(self) -> Array:
         """Values of `conditions` where nothing was logged, shape (k,) [of the column].
 
-        The declared payload; progress 1, as the robot stands after its campaign; else zero: of several tools the first.
+        The declared payload and gravity; progress 1, as the robot stands after its campaign; else zero: of several
+        tools the first.
         """
         known = {"payload_kg": self.payload.mass if self.payload else 0.0, "progress": 1.0}
+        size = max(float(np.linalg.norm(self.gravity)), 1e-9)
+        known |= dict(zip(GRAVITY, self.gravity / size, strict=True))
         return np.array([known.get(c, 0.0) for c in self.conditions])
 
     @cached_property

@@ -159,7 +159,7 @@ class _FourBar(TomlTable):
 
 
 class _Gravity(TomlTable):
-    frame: Literal["measuring", "base"] = "measuring"
+    frame: Literal["measuring", "base", "logged"] = "measuring"
     vector_m_per_s2: Triple = Field(default=[0.0, 0.0, -STANDARD_GRAVITY])
 
 

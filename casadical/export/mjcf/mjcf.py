@@ -84,7 +84,7 @@ def mjcf(robot: Robot) -> MjcfExport:
     root = ET.Element("mujoco", model=robot.name)
     root.append(ET.Comment(_about(found)))
     ET.SubElement(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
-    R = robot.base.T[:3, :3] if robot.gravity_frame == "base" else np.eye(3)
+    R = robot.base.T[:3, :3] if robot.gravity_frame != "measuring" else np.eye(3)
     ET.SubElement(
         root, "option", timestep=numbers(STEP), integrator="implicitfast", gravity=numbers(*(R @ robot.gravity))
     )
