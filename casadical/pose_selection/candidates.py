@@ -21,6 +21,8 @@ _TIMED = re.compile(r"progress|time_s|temperature_degC|warmth_\d+s")
 _APPROACH = re.compile(r"approach\d+")
 # The column of candidates that says which socket holds the tool, counted from 0.
 SOCKET = "socket"
+# How columns of the sessions begin.
+SESSION = "session_"
 # The timeline's resolution.
 _STEPS = 200
 # After a campaign, an arm is warmed up by at least so much [K] where a column follows the temperature.
@@ -191,6 +193,8 @@ def candidates_at(robot: Robot, q: Array, circumstances: Circumstances, n: int, 
             columns[name] = np.array(states)[(start + payload) % len(states)] * np.ones((N, g))
         elif _APPROACH.fullmatch(name):
             columns[name] = rng.choice([-1.0, 1.0], (N, 1)) * np.where(side, -1.0, 1.0)
+        elif name.startswith(SESSION):  # the last is the one that goes on
+            columns[name] = np.full((N, g), float(name == [c for c in robot.conditions if c.startswith(SESSION)][-1]))
         elif name in GRAVITY:  # the robot stands as it is declared
             columns[name] = np.full((N, g), robot.declared[robot.conditions.index(name)])
         elif not _TIMED.fullmatch(name):

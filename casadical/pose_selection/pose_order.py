@@ -6,7 +6,7 @@ from casadical.core.arm import GRAVITY
 from casadical.core.arrays import Array
 from casadical.core.errors import optional
 from casadical.measurements.measurements import Measurements
-from casadical.pose_selection.candidates import SOCKET, Candidates, Circumstances, expected, timeline
+from casadical.pose_selection.candidates import SESSION, SOCKET, Candidates, Circumstances, expected, timeline
 from casadical.robot.robot import Robot
 
 # Parts of a campaign within which poses planned for a certain time may be reordered.
@@ -80,14 +80,14 @@ def arranged(robot: Robot, chosen: Candidates, circumstances: Circumstances, *, 
             size = len(block)
             block = block[short_path(D[:size, :size], D[size, :size] if order else None)]
         order += block.tolist()
-    kept = {n: v[order] for n, v in rows.items() if n in KEPT or n.startswith("approach")}
+    kept = {n: v[order] for n, v in rows.items() if n in KEPT or n.startswith(("approach", SESSION))}
     kept |= _timed(robot, q[order], circumstances)
     return expected(robot, q[order], kept, "plan")
 
 
 def _timed(robot: Robot, q: Array, circumstances: Circumstances) -> dict[str, Array]:
     """Columns that depend on time, in the order of measuring."""
-    names = [n for n in robot.conditions if n not in KEPT and not n.startswith("approach")]
+    names = [n for n in robot.conditions if n not in KEPT and not n.startswith(("approach", SESSION))]
     if not names:
         return {}
     progress = np.arange(len(q)) / max(1, len(q) - 1)

@@ -10,7 +10,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.effects import Effect
+from casadical.effects import Effect, Session
 from casadical.identification.identification import identify
 from casadical.measurements.columns import Columns
 from casadical.measurements.derived_columns import derive
@@ -87,7 +87,7 @@ def continued(
     lost = [name for name in missing if name != "payload_kg"]
     if lost:
         raise InputError(f"{m.source}: column {lost[0]!r} is missing, which the effects to plan for need")
-    result = identify(robot, m, free)
+    result = identify(robot, m, free)  # of several sessions, further poses are measured in the last
     return result.robot, m, noise or Noise(result.sigmas[0][0])
 
 
@@ -144,6 +144,7 @@ def plan(
     if measured is not None:
         show("calibrating with the poses measured so far")
         robot, measured, noise = continued(robot, measured, noise, free)
+        free = (*free, *(e.label for e in robot.effects if isinstance(e, Session)))
     robot, measured = _of_first_target(robot, measured)
     circumstances = _mounted(circumstances, effects, measured)
     total = 0 if measured is None else len(measured)

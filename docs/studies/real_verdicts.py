@@ -69,13 +69,15 @@ def verdict(name: str) -> Row:
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--splits", type=int, default=10)
+    parser.add_argument("--robot", choices=[*CAMPAIGNS], action="append", help="these alone")
     add_options(parser, "real_verdicts")
     given = parser.parse_args()
-    said = rows_of([(name, name) for name in CAMPAIGNS], verdict, given)
-    todo = [(f"{name} {seed}", (name, seed)) for seed in range(given.splits) for name in CAMPAIGNS]
+    robots = given.robot or [*CAMPAIGNS]
+    said = rows_of([(name, name) for name in robots], verdict, given)
+    todo = [(f"{name} {seed}", (name, seed)) for seed in range(given.splits) for name in robots]
     rows = rows_of(todo, judged, given)
     print(f"held out, mean of the splits [mm]\n{'robot':12s}{'splits':>7s}" + "".join(f"{s:>12s}" for s in STATES))
-    for name in CAMPAIGNS:
+    for name in robots:
         some = [r for r in rows if r["robot"] == name]
         means = [np.mean([r["held_out"][s] for r in some]) for s in STATES]
         print(f"{name:12s}{len(some):7d}" + "".join(f"{m:12.3f}" for m in means))

@@ -7,6 +7,10 @@ import pandas as pd
 import pytest
 
 from casadical import InputError, calibrate, read_problem, read_robot
+from casadical.project.check import precheck
+from casadical.project.planning import plan
+from casadical.project.problem import read_campaign
+from casadical.project.verification import verify
 
 ROBOT = """\
 casadical = 1
@@ -92,3 +96,25 @@ def test_what_is_anew_is_one_of_two_words(folder: Path) -> None:
     (folder / "problem.toml").write_text(PROBLEM.replace('"shared"', '"free"'))
     with pytest.raises(InputError, match=r"sessions\.zeros"):
         read_problem(folder)
+
+
+def test_sessions_are_known_to_the_check_the_verification_and_the_plan(folder: Path) -> None:
+    both = pd.concat([pd.read_csv(folder / f"{name}.csv").assign(session=name) for name in ("May", "June")])
+    both.to_csv(folder / "both.csv", index=False)
+    # Taken for one session, base and tool moved between them contradict the robot.
+    both.drop(columns="session").to_csv(folder / "one.csv", index=False)
+    robot = folder / "robot.toml"
+    assert precheck(robot, tables=[folder / "both.csv"]).ok
+    assert not precheck(robot, tables=[folder / "one.csv"]).ok
+
+    calibrate(robot, tables=[folder / "both.csv"]).write(folder / "out")
+    calibrated = folder / "out" / "KM.robot.toml"
+    assert verify(calibrated, folder / "both.csv").valid
+    with pytest.raises(InputError, match="does not fit"):
+        verify(calibrated, folder / "one.csv")
+
+    nominal, m = read_robot(robot), read_campaign(robot, folder / "both.csv", read_robot(robot))
+    further = plan(nominal, 5, measured=m, order=False).selection
+    assert further is not None
+    # Further poses are measured in the last session.
+    assert set(further.m.conditions["session_June"]) == {1.0}

@@ -11,8 +11,8 @@ from casadical.core.errors import InputError, shown
 from casadical.identification.identifiability import CONFOUNDED
 from casadical.identification.identification import by_method
 from casadical.identification.left_open import left_open_before
-from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against
+from casadical.identification.sessions import apart, place_sessions, with_sessions
 from casadical.measurements.clock import clock_faults
 from casadical.measurements.measurements import Measurements
 from casadical.project.check.coverage import (
@@ -106,9 +106,10 @@ def precheck(
     except InputError as error:
         return Precheck(folder, (Finding("error", "reading", str(error)), *_more_faults(folder, tables)))
     show("comparing with the nominal robot")
-    sets = problem.sets["identify"]
+    sets = apart(problem.sets["identify"])
     others = other_conventions(problem.robot_file)
     table = whole_table(problem)
+    table = apart([table])[0] if table is not None else None
     found, usable = _data_findings(problem.robot, sets, others, table)
     targets = recognised(problem.robot, table) if table is not None else None
     wrong = misnamed(problem.robot, table) if table is not None else None
@@ -129,14 +130,15 @@ def precheck(
     outlooks: list[Outlook] = []
     show("accuracy to expect")
     trusted = [m[np.flatnonzero(~far_off(problem.robot, m)[0])] for m in sets] if usable else []
-    start = place_frames(problem.robot, trusted or sets)
+    start = place_sessions(problem.robot, trusted or sets)
     found += [
         Finding("warning", "kind", f"these readings cannot {t}") for t in left_open_before(start, trusted or sets)
     ]
     for method in problem.methods if usable else ():
         try:
-            taken, free = by_method(start, method, trusted)
-            outlooks.append(outlook(taken, trusted, free, method, noise))
+            several, sessions = with_sessions(start, trusted)
+            taken, free = by_method(place_sessions(several, trusted) if sessions else several, method, trusted)
+            outlooks.append(outlook(taken, trusted, (*free, *sessions), method, noise))
         except (InputError, np.linalg.LinAlgError) as error:
             found.append(Finding("error", "identifiability", f"{method}: {error}"))
     for view in outlooks:
