@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.errors import InputError
 from casadical.core.parameters import Parameter
 from casadical.diagnosis.camera_columns import with_images
 from casadical.diagnosis.candidates import Candidate, choose
@@ -157,6 +158,11 @@ class Case:
 
     def with_kept(self, kept: Array) -> Case:
         """The case with other poses left out."""
+        if 2 * kept.sum() < len(kept):
+            raise InputError(
+                f"{self.m.source}: the model does not fit: {len(kept) - int(kept.sum())} of {len(kept)} poses are far "
+                "off; check the signs and zeros of the joints, their order, units and the DH convention"
+            )
         if np.array_equal(kept, self.kept):
             return self
         lost, gained = (self.whole.at(np.flatnonzero(a & ~b)) for a, b in ((self.kept, kept), (kept, self.kept)))

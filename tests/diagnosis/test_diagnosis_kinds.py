@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from casadical.core.errors import InputError
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.details import analyse
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
@@ -240,3 +241,10 @@ def test_effects_of_distances_are_no_candidates_of_positions() -> None:
     found = make_case(identified("hh800-P01"), candidates_of(robot("hh800"), ("standard",)))
     labels = {c.label for c in found.candidates} | found.missing.keys()
     assert not labels & {"wire_offset", "wire_scale", "wire_drift", "station_step"}
+
+
+def test_a_robot_that_fits_hardly_any_pose_is_refused() -> None:
+    case = make_case(identified("hh800-P01"), [])
+    few = np.arange(len(case.kept)) < len(case.kept) // 3
+    with pytest.raises(InputError, match="poses are far off; check the signs and zeros of the joints"):
+        case.with_kept(few)
