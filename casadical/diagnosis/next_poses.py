@@ -16,6 +16,7 @@ from casadical.diagnosis.linearisation import linearise
 from casadical.diagnosis.pose_separation import Predictive, noise_at, pick, predict_cause
 from casadical.diagnosis.result import Diagnosis
 from casadical.effects import Effect
+from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import unmeasured
 from casadical.measurements.noise import Noise
 from casadical.pose_selection.candidates import LaterPoses, campaign_payloads, later_poses
@@ -48,7 +49,7 @@ def next_poses(
     the pose repeats, if any; state, cold or warm, where a cause follows the temperature; new, what the campaign had
     not (a wider range of a joint, another payload, approach or thermal state); separation, the expected log Bayes
     factor in favour of the truth among the labels, of this pose and those before it, the smallest of all truths;
-    and, empty, the columns to be logged.
+    and, empty, the columns to be logged, those of the campaign's own kinds of measurement among them.
 
     Parameters
     ----------
@@ -162,7 +163,8 @@ def _table(
     table["repeats"] = [f"row {case.m.row[k]}" if k >= 0 else "" for k in source]
     table["new"] = _new(case, drawn, picked)
     table["separation"] = np.round(gained, 3)
-    for name in ("time_s", "temperature_degC", "x_mm", "y_mm", "z_mm"):
+    sets = (case.m,) if case.others is None else case.others.sets
+    for name in dict.fromkeys(("time_s", "temperature_degC", *(c for m in sets for c in find_kind(m.kind).fill))):
         table[name] = np.nan
     return table
 

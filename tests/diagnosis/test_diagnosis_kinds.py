@@ -12,6 +12,7 @@ from casadical.diagnosis.details import analyse
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.linear_problem import make_case
+from casadical.diagnosis.next_poses import next_poses
 from casadical.diagnosis.observations import stops_in
 from casadical.diagnosis.statements import assumptions, statements
 from casadical.effects import Backlash, ThermalGrowth
@@ -177,6 +178,10 @@ def test_everything_that_a_report_needs_is_made_of_distances() -> None:
     assert len(more.where.joints)
     assert as_json(found, "distances", more)["verdict"] == "explained"
     assert any("distance" in s.text for s in statements(found, more) if s.about == "ASSUMED")
+    # What to measure next is read as this was, by distances.
+    further = next_poses(found, 2, ["thermal_growth", "frame_drift"], pool=60)
+    assert "distance_mm" in further
+    assert "x_mm" not in further
 
 
 def test_angles_have_a_noise_of_their_own() -> None:

@@ -114,6 +114,8 @@ class MeasurementKind(ABC):
         its row of the table in docs/measurements.md
     pattern
         of the columns that it reads, which are no conditions
+    fill
+        columns that a table of poses to be measured leaves empty for it
     arrays
         names of the arrays that it needs: fields of `Measurements`, else entries of its `extra`
     lengths
@@ -150,6 +152,7 @@ class MeasurementKind(ABC):
     columns: ClassVar[str]
     unknown: ClassVar[str] = ""
     pattern: ClassVar[str]
+    fill: ClassVar[tuple[str, ...]] = ()
     arrays: ClassVar[tuple[str, ...]]
     lengths: ClassVar[int]
     angles: ClassVar[int] = 0

@@ -20,6 +20,7 @@ class Contact(MeasurementKind):
     name = "contact"
     columns = "`point`: poses of the same name hold the tool at the same point"
     unknown = "the points"
+    fill = ("point",)
     pattern = "point"
     arrays = ("label",)
     lengths = 3

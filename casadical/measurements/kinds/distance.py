@@ -25,6 +25,7 @@ class Distance(MeasurementKind):
     name = "distance"
     columns = "`distance_mm` (or `_m`) to a point: known `to_x_mm, to_y_mm, to_z_mm` (or `_m`), or none of these"
     unknown = "the point"
+    fill = ("distance_mm",)
     pattern = "distance_mm?|to_[xyz]_mm?"
     arrays = ("distance",)
     lengths = 1

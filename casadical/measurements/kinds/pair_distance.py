@@ -18,6 +18,7 @@ class PairDistance(MeasurementKind):
 
     name = "pair_distance"
     columns = "`distance_mm` (or `_m`) to where the tool is at another pose: `pose` and `other_pose`"
+    fill = ("other_pose", "distance_mm")
     pattern = "distance_mm?"
     arrays = ("distance", "other")
     lengths = 1

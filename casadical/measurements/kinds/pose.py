@@ -21,6 +21,7 @@ class Pose(Position):
         "those of `position` and one of `rx_deg, ry_deg, rz_deg` (rotations about x, then the new y, then the new z; "
         "or `_rad`), `R00` .. `R22`, or `qw, qx, qy, qz`"
     )
+    fill = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
     pattern = f"{Position.pattern}|r[xyz]_(deg|rad)|R[012]{{2}}|q[wxyz]"
     arrays = ("position", "orientation")
     angles = 3

@@ -16,6 +16,7 @@ class Position(MeasurementKind):
 
     name = "position"
     columns = "`x_mm, y_mm, z_mm` (or `_m`)"
+    fill: ClassVar[tuple[str, ...]] = ("x_mm", "y_mm", "z_mm")
     pattern = "[xyz]_mm?"
     arrays: ClassVar[tuple[str, ...]] = ("position",)
     lengths = 3

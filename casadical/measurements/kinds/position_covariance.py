@@ -24,6 +24,7 @@ class PositionCovariance(Position):
 
     name = "position_covariance"
     columns = "those of `position` and `cov_xx_mm2, cov_xy_mm2, cov_xz_mm2, cov_yy_mm2, cov_yz_mm2, cov_zz_mm2`"
+    fill = ("x_mm", "y_mm", "z_mm")
     pattern = "[xyz]_mm?|cov_(xx|xy|xz|yy|yz|zz)_mm2"
     arrays: ClassVar[tuple[str, ...]] = ("position", "whitening")
 
