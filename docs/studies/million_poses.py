@@ -1,4 +1,4 @@
-"""Time and memory of many poses: python docs/studies/million_poses.py | tee docs/studies/million_poses.txt (2 minutes)
+"""Time and memory of many poses: python docs/studies/million_poses.py | tee docs/studies/million_poses.txt (a minute)
 
 The arm of benchmarks.py with its 27 parameters (synthetic, .02 mm noise), in tables of a growing number of rows. Each
 run is a process of its own with one thread: the table is read at once (`from_table`, Parquet by pandas) or some rows at
@@ -21,7 +21,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE / "benchmarks"))
-ROWS = (50_000, 200_000, 1_000_000, 2_000_000)
+ROWS = (50_000, 200_000, 1_000_000)
 GROUP = 65_536
 
 

@@ -145,7 +145,7 @@ def on_terminal(*arguments: str) -> tuple[str, str]:
 
 def test_progress_is_shown_on_a_terminal_and_nowhere_else() -> None:
     out, shown = on_terminal("calibrate", "problems/planar")
-    assert "planar: part 2 of 2: KM iteration" in re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown)
+    assert "planar: part 1 of 1: KM iteration" in re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown)
     assert "iteration" not in out
     done = subprocess.run(
         [BIN / "casadical", "calibrate", "problems/planar"], cwd=ROOT, capture_output=True, text=True, check=True

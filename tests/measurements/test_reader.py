@@ -118,5 +118,5 @@ def test_diagnose_takes_the_headers_of_the_problem(tmp_path: Path) -> None:
         assert (done.returncode, done.stderr) == (0, "")
     first, second = (json.loads((tmp_path / f"{name}.json").read_text()) for name in "ab")
     assert first | {"campaign": ""} == second | {"campaign": ""}
-    with pytest.raises(InputError, match=r"a calibration needs at least one table \[\[measurements\]\]"):
+    with pytest.raises(InputError, match=r"a calibration needs at least one table: \[\[measurements\]\]"):
         read_problem(folder)
