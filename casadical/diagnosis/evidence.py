@@ -73,6 +73,8 @@ class Evidence:
         positions there are others than three, in units in which their noise is alike
     size : of each number in the error that reports tell [m], shape (n, 3), one by default
     alike : number of the unknown point that each pose shares with others, shape (n,), where there are such
+    absorbed : numbers that the base model's parameters take, which tell nothing of the noise; with one number at a
+        pose they are a large share, and a cause that follows noise would gain by them (compare REML: Harville 1977)
     """
 
     r: Array
@@ -89,6 +91,7 @@ class Evidence:
     measured: Array | None = None
     size: Array | None = None
     alike: Array | None = None
+    absorbed: float = 0.0
 
     @property
     def count(self) -> int:
@@ -362,7 +365,7 @@ class Judge:
 
 def log_over_sigmas(e: Evidence, square: float, log_norm: float) -> Array:
     """Log likelihood of the residuals, shape (sigmas,), from the two numbers of `Added`."""
-    return np.asarray(log_norm - e.count * np.log(e.sigmas) - 0.5 * square / e.sigmas**2)
+    return np.asarray(log_norm - (e.count - e.absorbed) * np.log(e.sigmas) - 0.5 * square / e.sigmas**2)
 
 
 def log_repeats(e: Evidence, Jq: Array, k: int) -> Array:

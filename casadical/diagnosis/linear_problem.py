@@ -302,10 +302,18 @@ def _of_kinds(
         size=seen.size,
         alike=seen.alike,
     )
+    whole = replace(whole, absorbed=absorbed_by_base(whole))
     columns = column_numbers(effects, 0)
     return Case(
         identification.robot, robot, values, m, tuple(possible), missing, whole, kept, columns, free, others=seen
     )
+
+
+def absorbed_by_base(e: Evidence) -> float:
+    """How many numbers the base model's parameters take: the trace of what projects on them, priors included."""
+    A = e.J.reshape(e.r.size, -1) * (e.prior / e.reference)
+    square = np.linalg.svd(A, compute_uv=False) ** 2
+    return float((square / (1 + square)).sum())
 
 
 def better_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:

@@ -22,6 +22,7 @@ from casadical.diagnosis.seams import observed_at_seams, seams_of
 from casadical.diagnosis.stops import Stops, stops_of
 from casadical.effects.distance_faults import FAR, FLAGS, WIRES
 from casadical.identification.result import Identification
+from casadical.measurements.kinds.distance import Distance
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.model import constants_of
@@ -121,7 +122,7 @@ def with_far_ends(
     rows = len(stops.of)
     far, wire, count = np.zeros((rows, 3)), np.zeros(rows, dtype=np.int64), 0
     for k, (part, at) in enumerate(zip(sets, edges_of(sets), strict=True)):
-        if part.distance is None or part.other is not None:
+        if part.kind != Distance.name or part.distance is None:
             continue
         names = [f"{k}/{name}" for name in find_kind(part.kind).point_names(part.arrays)]
         far[at] = part.target if part.target is not None else np.array([where[name] for name in names])

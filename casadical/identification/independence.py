@@ -68,7 +68,10 @@ def _scale_is_free(problem: LeastSquares) -> bool:
     """
     residuals, J = problem.evaluate(np.zeros(problem.size))
     lengths = np.array([_length(problem, n) for n in problem.names]) / problem.scale
-    growth = np.concatenate([lengths, (problem.points - problem.robot.base.T[:3, 3]).ravel() / POINT_SCALE])
+    of = {name: find_kind(m.kind) for k, m in enumerate(problem.sets) for name in problem.pose_labels(k)}
+    places, origin = zip(problem.labels, problem.points, strict=True), problem.robot.base.T[:3, 3]
+    moved = [of[name].grown(point[None], origin).ravel() / POINT_SCALE for name, point in places]
+    growth = np.concatenate([lengths, *moved])
     r = np.concatenate([part.ravel() for part in residuals])
     robot_alone = np.linalg.norm(J[:, : lengths.size] @ lengths)
     return bool(robot_alone > 0 and np.linalg.norm(J @ growth - r) < 0.01 * robot_alone)

@@ -58,9 +58,9 @@ class LeastSquares:
     @cached_property
     def labels(self) -> tuple[str, ...]:
         """Names of all unknown points."""
-        return tuple(dict.fromkeys(name for k in range(len(self.sets)) for name in self._pose_labels(k)))
+        return tuple(dict.fromkeys(name for k in range(len(self.sets)) for name in self.pose_labels(k)))
 
-    def _pose_labels(self, k: int) -> list[str]:
+    def pose_labels(self, k: int) -> list[str]:
         m = self.sets[k]
         return [f"{k}/{name}" for name in find_kind(m.kind).point_names(m.arrays)]
 
@@ -69,7 +69,7 @@ class LeastSquares:
         """Start of every unknown point, shape (K, 3) [m]."""
         start: dict[str, Array] = {}
         for k, m in enumerate(self.sets):
-            if labels := self._pose_labels(k):
+            if labels := self.pose_labels(k):
                 p, _ = predicted(self.robot, m)
                 start |= dict(zip(labels, find_kind(m.kind).point_starts(m.arrays, p), strict=True))
         return np.array([start[name] for name in self.labels]).reshape(-1, 3)
@@ -79,7 +79,7 @@ class LeastSquares:
         index = {name: k for k, name in enumerate(self.labels)}
         made = []
         for k, (m, (sigma, sigma_angle)) in enumerate(zip(self.sets, self.sigmas, strict=True)):
-            group = np.array([index[name] for name in self._pose_labels(k)] or [0] * len(m), dtype=np.int64)
+            group = np.array([index[name] for name in self.pose_labels(k)] or [0] * len(m), dtype=np.int64)
             of_set = (self.robot, m, self.names, sigma, sigma_angle, self.points, group)
             made.append(make_block(*of_set, fixed_loads=self.fixed_loads))
         return tuple(made)

@@ -7,6 +7,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.sessions import not_shared
+from casadical.measurements.kinds.distance import Distance
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
@@ -29,7 +30,7 @@ def left_open(sets: Sequence[Measurements], where: Mapping[str, Array]) -> Itera
             "tell the size of the robot: no distance between touched points is known, and the longest length is taken "
             "as it is; one distance between two of them gives it ([[measurements.separation]])"
         )
-    if any(m.distance is None or m.other is not None for m in sets):
+    if any(m.kind != Distance.name for m in sets):
         return
     places = np.unique(np.concatenate([_far_ends(k, m, where) for k, m in enumerate(sets)]).round(4), axis=0)
     if len(places) == 1:

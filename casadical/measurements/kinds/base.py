@@ -47,6 +47,8 @@ class PoseExpression:
     >>> pose = casadical.measurements.PoseExpression(model, x, ca.SX.sym("point", 3))
     >>> pose.take("position", 3).shape, pose.position_at(2 * x).shape, pose.from_point().shape
     ((3, 1), (3, 1), (3, 1))
+    >>> pose.unknown_point().shape
+    (3, 1)
     >>> sorted(pose.observed)
     ['point', 'position']
     """
@@ -97,8 +99,17 @@ class PoseExpression:
         -------
         Symbolic, shape (3,) [m]
         """
+        return self.p - self.unknown_point()
+
+    def unknown_point(self) -> Symbolic:
+        """The unknown point that is identified too, for kinds with one; of a plane see `planes`.
+
+        Returns
+        -------
+        Symbolic, shape (3,) [m]
+        """
         assert self.point is not None
-        return self.p - self.take("point", 3) - self.point
+        return self.take("point", 3) + self.point
 
 
 class MeasurementKind(ABC):
@@ -142,6 +153,8 @@ class MeasurementKind(ABC):
     >>> contact.point_starts({"label": np.array(["A", "A"])}, np.array([[0.0, 0, 0], [0.2, 0, 0]])).round(2)
     array([[0.1, 0. , 0. ],
            [0.1, 0. , 0. ]])
+    >>> contact.grown(np.array([[1.0, 0, 0]]), np.array([0.5, 0, 0]))
+    array([[0.5, 0. , 0. ]])
     >>> import casadi as ca
     >>> x = ca.SX.sym("q", 2)
     >>> kind.residual(casadical.measurements.PoseExpression(lambda q: (ca.vertcat(q, 0), ca.SX.eye(3)), x, None)).shape
@@ -278,6 +291,23 @@ class MeasurementKind(ABC):
         Array, shape (n, 3) [m]
         """
         raise NotImplementedError(f"kind {self.name!r} names unknown points but does not estimate them")
+
+    def grown(self, points: Array, origin: Array) -> Array:
+        """How unknown points move where everything grows about a place, for kinds without scale.
+
+        Parameters
+        ----------
+        points : Array, shape (K, 3) [m]
+            unknown points
+        origin : Array, shape (3,) [m]
+            the place that stays
+
+        Returns
+        -------
+        Array, shape (K, 3) [m]
+            by their own distance from it, by default
+        """
+        return points - origin
 
     def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
         """What is wrong with the lengths, in words, where they must be in another unit; else nothing.

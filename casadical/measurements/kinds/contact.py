@@ -1,6 +1,6 @@
 """Poses that hold the tool at one point, whose place is unknown."""
 
-from collections.abc import Sequence, Set
+from collections.abc import Iterator, Sequence, Set
 
 import numpy as np
 
@@ -31,12 +31,7 @@ class Contact(MeasurementKind):
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         """Labels of the points. Raises InputError: an empty label, or no point that is touched twice."""
-        if "point" not in columns.table:
-            raise InputError(f"{columns.source}: column 'point' is missing; it says which point each pose touches")
-        empty = columns.table["point"].isna().to_numpy()
-        if empty.any():
-            raise InputError(f"{columns.at(int(np.argmax(empty)))}, column 'point' is empty; name the point")
-        label = columns.table["point"].astype(str).to_numpy(dtype=object)
+        label = labels_of(columns, "point", "it says which point each pose touches")
         names, counts = np.unique(label.astype(str), return_counts=True)
         if counts.max() < 2:
             raise InputError(
@@ -62,3 +57,20 @@ class Contact(MeasurementKind):
         sums = np.zeros((group.max() + 1, 3))
         np.add.at(sums, group, p)
         return np.asarray((sums / np.bincount(group)[:, None])[group])
+
+
+def labels_of(columns: Columns, name: str, meaning: str) -> Array:
+    """A column of names, shape (n,). Raises InputError: it is missing, or a cell is empty; meaning : what it says."""
+    if name not in columns.table:
+        raise InputError(f"{columns.source}: column {name!r} is missing; {meaning}")
+    empty = columns.table[name].isna().to_numpy()
+    if empty.any():
+        raise InputError(f"{columns.at(int(np.argmax(empty)))}, column {name!r} is empty; {meaning}")
+    return np.asarray(columns.table[name].astype(str).to_numpy(dtype=object))
+
+
+def each_label(label: Array) -> Iterator[Array]:
+    """The poses of each label, as their numbers."""
+    _, group = np.unique(label.astype(str), return_inverse=True)
+    for k in range(int(group.max()) + 1):
+        yield np.flatnonzero(group.ravel() == k)

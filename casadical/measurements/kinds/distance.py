@@ -1,6 +1,7 @@
 """Measured distances from the tool to a point at rest."""
 
 from collections.abc import Sequence, Set
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -10,6 +11,7 @@ from casadical.core.errors import InputError
 from casadical.core.transforms import Symbolic
 from casadical.measurements.columns import Columns
 from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpression, PositionsAt
+from casadical.measurements.kinds.contact import each_label, labels_of
 
 # A pose as near to a far end as this has the same place [m].
 NEAREST = 1e-6
@@ -23,35 +25,46 @@ class Distance(MeasurementKind):
     """Distance to a point, which is known or identified too."""
 
     name = "distance"
-    columns = "`distance_mm` (or `_m`) to a point: known `to_x_mm, to_y_mm, to_z_mm` (or `_m`), or none of these"
-    unknown = "the point"
+    columns = (
+        "`distance_mm` (or `_m`) to a point: known `to_x_mm, to_y_mm, to_z_mm` (or `_m`), or none of these; of several "
+        "unknown ones `anchor` names each row's"
+    )
+    unknown = "the point, or each of several"
     fill = ("distance_mm",)
-    pattern = "distance_mm?|to_[xyz]_mm?"
-    arrays = ("distance",)
+    pattern = "distance_mm?|to_[xyz]_mm?|anchor"
+    arrays: ClassVar[tuple[str, ...]] = ("distance",)
     lengths = 1
 
     def matches(self, names: Set[str]) -> bool:
         return bool(names & {"distance_mm", "distance_m"})
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        known = any(str(name).startswith("to_x") for name in columns.table)
-        return {"distance": positive_distances(columns)} | ({"target": columns.vector("to_")} if known else {})
+        """Distances [m], their far ends where these are known, and the far ends' names where there are any."""
+        found = {"distance": positive_distances(columns)}
+        if any(str(name).startswith("to_x") for name in columns.table):
+            found["target"] = columns.vector("to_")
+        if "anchor" in columns.table:
+            found["label"] = labels_of(columns, "anchor", "it names the far end of each distance")
+        return found
 
     def residual(self, pose: PoseExpression) -> Symbolic:
         line = pose.p - pose.take("target", 3) if pose.point is None else pose.from_point()
         return ca.norm_2(line) - pose.take("distance", 1)
 
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
-        return distance_errors(arrays, p, arrays["target"] if "target" in arrays else _far_end(arrays, p))
+        return distance_errors(arrays, p, arrays["target"] if "target" in arrays else self.point_starts(arrays, p))
 
     def at_rest(self, arrays: Arrays) -> bool:
         return "target" in arrays
 
     def point_names(self, arrays: Arrays) -> Sequence[str]:
-        return () if "target" in arrays else ["far end"] * len(arrays["distance"])
+        return () if "target" in arrays else list(_labels(arrays))
 
     def point_starts(self, arrays: Arrays, p: Array) -> Array:
-        return np.tile(_far_end(arrays, p), (len(p), 1))
+        out = np.empty_like(p)
+        for own in each_label(_labels(arrays)):
+            out[own] = _far_end(arrays["distance"][own], p[own])
+        return out
 
     def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
         if "target" in arrays:
@@ -62,14 +75,19 @@ class Distance(MeasurementKind):
         return _fault(distance, reach, np.ptp(distance) > 20 * reach, distance.max() < 0.02 * moved)
 
 
-def _far_end(arrays: Arrays, p: Array) -> Array:
+def _labels(arrays: Arrays) -> Array:
+    """The name of each distance's far end."""
+    return arrays["label"] if "label" in arrays else np.full(len(arrays["distance"]), "far end")
+
+
+def _far_end(distance: Array, p: Array) -> Array:
     """The far end that distances from p, shape (n, 3) [m], fit best, shape (3,) [m].
 
     First |p|^2 - L^2 = 2 p.P - |P|^2 by least squares, which takes |P| as one more unknown; then Gauss-Newton steps of
     the distances themselves, as long as they help. Of points in a plane they tell how far it is from the plane, not on
     which side.
     """
-    centre, distance = p.mean(axis=0), arrays["distance"]
+    centre = p.mean(axis=0)
     local = p - centre
     A = np.column_stack([2 * local, -np.ones(len(p))])
     *start, square = np.linalg.lstsq(A, (local**2).sum(axis=1) - distance**2, rcond=None)[0]

@@ -17,6 +17,8 @@ _OURS = (
     "casadical.measurements.kinds.position:Position",
     "casadical.measurements.kinds.pair_distance:PairDistance",
     "casadical.measurements.kinds.distance:Distance",
+    "casadical.measurements.kinds.sphere:Sphere",
+    "casadical.measurements.kinds.plane:Plane",
     "casadical.measurements.kinds.contact:Contact",
 )
 
