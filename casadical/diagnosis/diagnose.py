@@ -25,7 +25,6 @@ from casadical.identification.result import Identification
 from casadical.identification.sessions import sessions_in, with_sessions
 from casadical.identification.unknown_masses import with_unknown_masses
 from casadical.identification.variance import robust_std
-from casadical.measurements.kinds.position_covariance import PositionCovariance
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
@@ -203,7 +202,6 @@ def _of(
     Orientations of another convention than the robot's would spoil it: they are left aside where they do not fit.
     """
     show("calibrating the base model")
-    sets = tuple(m.positions_alone() if m.kind == PositionCovariance.name else m for m in sets)
     turned = any(m.orientation is not None for m in sets)
     if turned and robot.tool.unknown == "position":
         robot = replace(robot, tool=replace(robot.tool, unknown="pose"))

@@ -24,6 +24,7 @@ from casadical.identification.prior import Prior
 from casadical.identification.result import Identification
 from casadical.identification.variance import robust_std
 from casadical.measurements.derived_columns import derive
+from casadical.measurements.kinds.position_covariance import PositionCovariance
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
@@ -98,7 +99,7 @@ class Case:
         """Of each kept pose what the base model leaves of its position, shape (kept, 3) [m]; None without positions."""
         if self.others is None:
             return self.evidence.r
-        several = len(self.others.sets) > 1 or self.m.position is None
+        several = len(self.others.sets) > 1 or self.m.position is None or self.m.kind == PositionCovariance.name
         return None if several else self.evidence.r[:, :3]
 
     @property

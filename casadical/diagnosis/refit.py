@@ -10,7 +10,6 @@ from casadical.diagnosis.cross_validation import covariance
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.observations import edges_of, separated
 from casadical.effects import Effect
-from casadical.identification.accuracy import errors
 from casadical.identification.identification import identify
 from casadical.identification.residuals import make_block
 from casadical.identification.result import Identification
@@ -95,11 +94,10 @@ def left_by(found: Identification, sets: Sequence[Measurements], test: Array) ->
 
 
 def _left(found: Identification, k: int, m: Measurements, where: Mapping[str, Array]) -> Array:
+    """What is left of each row's lengths, as the evidence counts them."""
     kind = find_kind(m.kind)
     names = [f"{k}/{name}" for name in kind.point_names(m.arrays)]
-    if not names:
-        return errors(found.robot, m)
-    points = np.array([where[name] for name in names])
+    points = np.array([where[name] for name in names]).reshape(-1, 3)
     block = make_block(found.robot, m, (), 1.0, 1.0, points, np.arange(len(m)))
     r, _ = block.evaluate(np.zeros(0), np.zeros((len(m), 3)))
     return np.asarray(np.linalg.norm(r[:, : kind.lengths], axis=1))

@@ -150,6 +150,7 @@ def from_columns(
     observed = find_kind(kind, source) if kind else kind_of(columns)
     q = columns.joints(each)
     arrays = observed.read(columns, q)
+    counted = arrays.pop("counted", np.ones(len(q)))
     patterns = [k.pattern for k in kinds().values()]
     conditions = with_gravity(columns.conditions(patterns), columns) | columns.tools() | columns.sessions()
     found = Measurements(
@@ -159,7 +160,7 @@ def from_columns(
         unused=columns.unused(conditions, patterns),
         sigma=None if sigma_mm is None else sigma_mm * 1e-3,
         sigma_angle=None if sigma_deg is None else float(np.deg2rad(sigma_deg)),
-        weight=columns.column("weight") if "weight" in columns.table else np.ones(len(q)),
+        weight=counted * columns.column("weight") if "weight" in columns.table else counted,
         row=columns.row,
         source=source,
         extra={name: values for name, values in arrays.items() if name not in FIELDS},

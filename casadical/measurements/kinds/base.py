@@ -47,8 +47,8 @@ class PoseExpression:
     >>> pose = casadical.measurements.PoseExpression(model, x, ca.SX.sym("point", 3))
     >>> pose.take("position", 3).shape, pose.position_at(2 * x).shape, pose.from_point().shape
     ((3, 1), (3, 1), (3, 1))
-    >>> pose.unknown_point().shape
-    (3, 1)
+    >>> pose.unknown_point().shape, pose.pose_at(2 * x)[1].shape
+    ((3, 1), (3, 3))
     >>> sorted(pose.observed)
     ['point', 'position']
     """
@@ -90,7 +90,23 @@ class PoseExpression:
         -------
         Symbolic, shape (3,) [m]
         """
-        return self._model(q)[0]
+        return self.pose_at(q)[0]
+
+    def pose_at(self, q: Symbolic) -> tuple[Symbolic, Symbolic]:
+        """The measured point and its orientation at other readings, under the same conditions.
+
+        Parameters
+        ----------
+        q : Symbolic
+            joint readings
+
+        Returns
+        -------
+        tuple[Symbolic, Symbolic], shapes (3,) [m] and (3, 3)
+            position and orientation
+        """
+        p, R = self._model(q)
+        return p, R
 
     def from_point(self) -> Symbolic:
         """The measured point less the unknown point that is identified too, for kinds with one.
@@ -205,7 +221,7 @@ class MeasurementKind(ABC):
         Returns
         -------
         dict[str, Array]
-            name -> array [SI], a row per pose
+            name -> array [SI], a row per pose; under `counted` 0 for rows at which nothing was measured, else 1
 
         Raises
         ------

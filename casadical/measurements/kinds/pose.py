@@ -12,6 +12,9 @@ from casadical.measurements.columns import Columns
 from casadical.measurements.kinds.base import PoseExpression
 from casadical.measurements.kinds.position import Position
 
+# Columns of an orientation, as a pattern.
+ORIENTATION = "r[xyz]_(deg|rad)|R[012]{2}|q[wxyz]"
+
 
 class Pose(Position):
     """Position and orientation; the reported error is that of the position."""
@@ -22,7 +25,7 @@ class Pose(Position):
         "or `_rad`), `R00` .. `R22`, or `qw, qx, qy, qz`"
     )
     fill = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
-    pattern = f"{Position.pattern}|r[xyz]_(deg|rad)|R[012]{{2}}|q[wxyz]"
+    pattern = f"{Position.pattern}|{ORIENTATION}"
     arrays = ("position", "orientation")
     angles = 3
 
@@ -30,17 +33,21 @@ class Pose(Position):
         return super().matches(names) and bool(names & {"rx_deg", "rx_rad", "R00", "qw"})
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        return {**super().read(columns, q), "orientation": _orientation(columns)}
+        return {**super().read(columns, q), "orientation": orientations(columns)}
 
     def residual(self, pose: PoseExpression) -> Symbolic:
-        shift = super().residual(pose)
-        # CasADi fills by columns, so this is the transpose of the measured orientation.
-        E = ca.reshape(pose.take("orientation", 9), 3, 3) @ pose.R
-        # sin(angle) times the axis: smooth, and the rotation vector itself to third order.
-        return ca.vertcat(shift, 0.5 * ca.vertcat(E[2, 1] - E[1, 2], E[0, 2] - E[2, 0], E[1, 0] - E[0, 1]))
+        return ca.vertcat(super().residual(pose), turned_off(pose.R, pose.take("orientation", 9)))
 
 
-def _orientation(columns: Columns) -> Array:
+def turned_off(R: Symbolic, measured: Symbolic) -> Symbolic:
+    """Rotation vector, shape (3,) [rad], from an orientation as measured, its nine numbers row by row, to R, (3, 3)."""
+    # CasADi fills by columns, so this is the transpose of the measured orientation.
+    E = ca.reshape(measured, 3, 3) @ R
+    # sin(angle) times the axis: smooth, and the rotation vector itself to third order.
+    return 0.5 * ca.vertcat(E[2, 1] - E[1, 2], E[0, 2] - E[2, 0], E[1, 0] - E[0, 1])
+
+
+def orientations(columns: Columns) -> Array:
     """Rotation matrices, shape (n, 3, 3). Raises InputError."""
     if "R00" in columns.table:
         R = np.stack([columns.column(f"R{i}{j}") for i in range(3) for j in range(3)], axis=1).reshape(-1, 3, 3)
