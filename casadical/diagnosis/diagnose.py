@@ -238,6 +238,12 @@ def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -
             f"{len(stops.of)} rows were read at {len(stops.rows)} stops of the robot: rows at equal readings share how "
             "its joints repeat there; if it moved between them, say so by numbers in a column pose"
         )
+    ends = [np.concatenate([m.q, m.other]) for m in case.others.sets if m.other is not None]
+    if any(len(np.unique(q, axis=0)) < len(q) for q in ends):
+        said.append(
+            "rows between poses that share a pose: their noise is taken as independent; what they share, joint "
+            "repeatability too, may look like something unknown"
+        )
     for m, (length, angle) in zip(case.others.sets, case.others.ratios.sigmas, strict=True):
         kind = find_kind(m.kind)
         parts = [f"{1e3 * length:.3g} mm of a length"] * bool(kind.lengths)

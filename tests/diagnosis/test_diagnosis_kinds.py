@@ -68,7 +68,22 @@ def by_distances() -> Diagnosis:
     return diagnose(robot("kr210"), distances(practice("kr210-P02")), ["thermal_growth", "frame_drift", "backlash"])
 
 
-@pytest.mark.parametrize("kind", ["distance", "pair_distance", "pose", "contact"])
+def motions(m: Measurements) -> Measurements:
+    """From each pose to the next, in the tool's frame."""
+    whole = poses(m)
+    assert whole.orientation is not None
+    assert whole.position is not None
+    R, p = whole.orientation, whole.position
+    shift = np.einsum("nji,nj->ni", R[:-1], p[1:] - p[:-1])
+    turn = np.einsum("nji,njk->nik", R[:-1], R[1:])
+    conditions = {name: values[1:] for name, values in m.conditions.items()}
+    extra = {"shift": shift, "turn": turn}
+    return Measurements(m.q[1:], "relative_pose", other=m.q[:-1], extra=extra, conditions=conditions)
+
+
+@pytest.mark.parametrize(
+    "kind", ["distance", "pair_distance", "pose", "contact", "plane", "sphere", "dial", "relative_pose"]
+)
 def test_columns_of_the_base_model_are_those_of_the_kinds_own_residual(kind: str) -> None:
     m = practice("hh800-P01")[:24]
     made = {
@@ -76,12 +91,16 @@ def test_columns_of_the_base_model_are_those_of_the_kinds_own_residual(kind: str
         "pair_distance": lambda: pairs(m),
         "pose": lambda: poses(m),
         "contact": lambda: Measurements(m.q, "contact", label=np.array(["A", "B"] * 12)),
+        "plane": lambda: Measurements(m.q, "plane", label=np.array(["A", "B"] * 12)),
+        "sphere": lambda: replace(distances(m)[0], kind="sphere", label=np.array(["A"] * 24), target=None),
+        "dial": lambda: Measurements(m.q, "dial", extra={"reading": m.position @ [0.6, 0.0, 0.8]}),
+        "relative_pose": lambda: motions(m),
     }[kind]()
     found = identify(robot("hh800"), made, ("geometry",), priors=True)
     case = make_case(found, [])
     names, labels = found.given.parameters.select(["geometry"]), found.problem.labels
     points = np.array([*found.unknown_points.values()]).reshape(-1, 3)
-    group = np.arange(len(m)) % max(len(labels), 1)
+    group = np.arange(len(made)) % max(len(labels), 1)
     block = make_block(found.robot, made, names, *found.problem.sigmas[0], points, group)
     r, J = block.evaluate(np.zeros(len(names)), np.zeros((max(len(labels), 1), 3)))
     # In units of sigma and of the parameters' scales there; in metres and SI units here.
@@ -182,6 +201,44 @@ def test_everything_that_a_report_needs_is_made_of_distances() -> None:
     further = next_poses(found, 2, ["thermal_growth", "frame_drift"], pool=60)
     assert "distance_mm" in further
     assert "x_mm" not in further
+
+
+@pytest.mark.parametrize("sigma", [1e-6, 1e-5, 1e-4, 1e-3, 1e-2])
+def test_instruments_from_a_micrometre_to_a_centimetre_raise_no_alarm(sigma: float) -> None:
+    """Positions and three wires at the same stops, of a robot that is off in its geometry alone."""
+    rng, kr210 = np.random.default_rng(7), robot("kr210")
+    geometry = [p for p in kr210.parameters.select(["geometry"]) if not p.startswith("base_")]
+    real = kr210.with_values({n: kr210.parameters[n].value + rng.normal(0, 2e-4) for n in geometry})
+    m = practice("kr210-P02")[:60]
+    exact = replace(m, position=predicted(real, m)[0])
+    assert exact.position is not None
+    read = replace(exact, position=exact.position + rng.normal(0, sigma, (60, 3)))
+    wires = [replace(w, distance=w.distance + rng.normal(0, sigma, 60)) for w in distances(exact)]
+    found = diagnose(kr210, [read[:30], *wires], ["backlash", "thermal_growth", "transmission_ripple"])
+    assert found.verdict == "none"
+    # The instruments' and the joints' noise together; coarse ones hardly tell one from the other.
+    arm = np.sqrt((found.case.evidence.Jq**2).sum() / found.case.evidence.count)
+    assert 0.5 < np.hypot(found.noise.sigma, found.noise.repeatability * arm) / sigma < 1.5
+
+
+def test_motions_that_share_poses_are_said_to_share_their_noise() -> None:
+    found = diagnose(robot("hh800"), motions(practice("hh800-P01")[:60]), ["backlash", "joint_coupling"], laws=False)
+    assert any("share a pose" in text for text in assumptions(found))
+    assert not found.case.one_end
+
+
+def test_covariances_of_positions_weigh_them() -> None:
+    """A third of the poses is far worse, and the table says so: the cause is found as without them."""
+    m = practice("hh800-P01")
+    assert m.position is not None
+    rng, bad = np.random.default_rng(3), np.arange(len(m)) % 3 == 0
+    sigma = np.where(bad, 1e-3, 2e-5)
+    noisy = m.position + np.where(bad, 1e-3, 0.0)[:, None] * rng.standard_normal((len(m), 3))
+    whitening = np.eye(3) * (np.sqrt((sigma**2).mean()) / sigma)[:, None, None]
+    told = replace(m, position=noisy, kind="position_covariance", extra={"whitening": whitening})
+    found = diagnose(robot("hh800"), told, ["backlash", "joint_coupling"])
+    assert [c.label for c in found.causes] == ["backlash@5"]
+    assert found.case.vectors is None
 
 
 def test_angles_have_a_noise_of_their_own() -> None:

@@ -12,7 +12,6 @@ from casadical.measurements.kinds.base import MeasurementKind
 GROUP = "casadical.measurement_kinds"
 # Tried on a table in this order, so that a kind comes before those that need fewer columns; plug-ins come last.
 _OURS = (
-    "casadical.measurements.kinds.relative_pose:RelativePose",
     "casadical.measurements.kinds.pose:Pose",
     "casadical.measurements.kinds.position_covariance:PositionCovariance",
     "casadical.measurements.kinds.position:Position",
@@ -22,6 +21,7 @@ _OURS = (
     "casadical.measurements.kinds.sphere:Sphere",
     "casadical.measurements.kinds.plane:Plane",
     "casadical.measurements.kinds.contact:Contact",
+    "casadical.measurements.kinds.relative_pose:RelativePose",
 )
 
 

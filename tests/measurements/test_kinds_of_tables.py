@@ -1,0 +1,67 @@
+"""The tables that the docs show of each kind are read as that kind; what is wrong with others is said."""
+
+import io
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from casadical import InputError
+from casadical.measurements.kinds.registry import kinds
+from casadical.measurements.reading import from_table, read_measurements
+
+PAGE = (Path(__file__).parents[2] / "docs" / "measurements.md").read_text(encoding="utf-8")
+SHOWN = dict(re.findall(r"<!-- (\w+) -->\n```csv\n(.*?)```", PAGE, flags=re.DOTALL))
+READINGS = {"q1_deg": [10.0, 30, -40, 15, 20], "q2_deg": [20.0, -15, 25, 5, 0]}
+
+
+def test_every_kind_has_a_table() -> None:
+    assert set(SHOWN) | {"position"} == set(kinds())
+
+
+@pytest.mark.parametrize("kind", SHOWN)
+def test_a_table_of_the_docs_is_read_as_its_kind(kind: str, tmp_path: Path) -> None:
+    file = tmp_path / "table.csv"
+    file.write_text(SHOWN[kind])
+    m = read_measurements(file, 2)
+    assert m.kind == kind
+    assert len(m) == len(SHOWN[kind].splitlines()) - 1
+    assert set(m.conditions) <= {"pose", "other_pose"}
+    assert m.residuals > 0
+
+
+def test_the_far_ends_of_a_table_are_named() -> None:
+    m = from_table(pd.read_csv(io.StringIO(SHOWN["distance"])), 2)
+    assert kinds()["distance"].point_names(m.arrays) == ["left", "right", "left", "right"]
+
+
+def test_the_first_row_of_motions_is_no_measurement() -> None:
+    m = from_table(pd.read_csv(io.StringIO(SHOWN["relative_pose"])), 2)
+    assert m.weight.tolist() == [0.0, 1.0, 1.0]
+    assert m.residuals == 2 * 6
+    assert m.other is not None
+    np.testing.assert_array_equal(m.other[1:], m.q[:-1])
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        ({"plane": ["a", "a", "a", "b", "b"]}, "'a' is touched 3 times; three touches only say where the plane is"),
+        ({"plane": ["a", "a", None, "a", "a"]}, "row 4, column 'plane' is empty"),
+        ({"sphere": ["a"] * 5}, "column 'radius_mm' is missing; a ball tells nothing of the robot unless"),
+        ({"sphere": ["a"] * 5, "radius_mm": [25.4] * 4 + [-1]}, "row 6, column 'radius': -1 mm; a radius must be"),
+        ({"sphere": ["a"] * 4 + ["b"], "radius_mm": [25.4] * 5}, "'a' is touched 4 times; touch it at 5 poses"),
+        ({"reading_mm": [1.0] * 5, "along_x": [0.0] * 5, "along_y": [0.0] * 5, "along_z": [2.0] * 5}, "length 2;"),
+        ({"reading_mm": [1.0] * 5, "dial": ["a", "a", "b", "b", "b"]}, "2 readings of one gauge; its axis and zero"),
+        ({"distance_mm": [900.0] * 5, "anchor": ["a", None, "b", "b", "b"]}, "row 3, column 'anchor' is empty"),
+        (
+            {c: [1.0] * 5 for c in ("dx_mm", "dy_mm", "dz_mm")} | {f"r{c}_deg": [0.0] * 5 for c in "xyz"},
+            "row 2: has no row before that it could be relative to",
+        ),
+    ],
+)
+def test_what_is_wrong_with_a_table_is_said(columns: dict[str, list[object]], said: str) -> None:
+    with pytest.raises(InputError, match=re.escape(said)):
+        from_table(pd.DataFrame(READINGS).assign(**columns), 2)
