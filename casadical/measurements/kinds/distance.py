@@ -30,7 +30,7 @@ class Distance(MeasurementKind):
         "unknown ones `anchor` names each row's"
     )
     unknown = "the point, or each of several"
-    fill = ("distance_mm",)
+    fill: ClassVar[tuple[str, ...]] = ("distance_mm",)
     pattern = "distance_mm?|to_[xyz]_mm?|anchor"
     arrays: ClassVar[tuple[str, ...]] = ("distance",)
     lengths = 1

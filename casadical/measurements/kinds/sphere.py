@@ -30,7 +30,7 @@ class Sphere(Distance):
         "point: the ball's and the tip's together"
     )
     unknown = "the centres"
-    fill = ("sphere", "radius_mm")
+    fill: ClassVar[tuple[str, ...]] = ("sphere", "radius_mm")
     pattern = "sphere|radius_mm?"
     arrays: ClassVar[tuple[str, ...]] = ("distance", "label")
 
