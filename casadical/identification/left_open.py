@@ -26,9 +26,12 @@ def left_open(sets: Sequence[Measurements], where: Mapping[str, Array]) -> Itera
     if any(m.position is not None for m in sets):
         return
     if not any(find_kind(m.kind).has_scale or m.separations for m in sets):
+        gives = "one distance between two of them gives it ([[measurements.separation]])"
+        if not any(find_kind(m.kind).places for m in sets):
+            gives = "touches of a ball of known radius give it (kind sphere)"
         yield (
             "tell the size of the robot: no distance between touched points is known, and the longest length is taken "
-            "as it is; one distance between two of them gives it ([[measurements.separation]])"
+            f"as it is; {gives}"
         )
     if any(m.kind != Distance.name for m in sets):
         return

@@ -334,6 +334,12 @@ def _refuse_weights(m: Measurements) -> None:
 
 def _refuse_separations(m: Measurements) -> None:
     present = set() if m.label is None else {str(name) for name in m.label}
+    if m.separations and not find_kind(m.kind).places:
+        first, second, _ = m.separations[0]
+        raise InputError(
+            f"{m.source}: separation {first!r} - {second!r}: kind {m.kind!r} has no points whose distance could be "
+            "known; allowed: touched points, centres of balls, far ends of distances"
+        )
     for first, second, length in m.separations:
         unknown = sorted({first, second} - present)
         if unknown:

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from casadical import Measurements
+from casadical import InputError, Measurements
 from casadical.core.transforms import from_rpy
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
+from casadical.identification.left_open import left_open
 from tests.identification import arms
 
 FREE = ["kinematic"]
@@ -66,6 +67,14 @@ def test_planes_tell_ratios_of_lengths_and_nothing_of_base_and_size() -> None:
     points = np.array([*found.unknown_points.values()])
     normals = points / np.linalg.norm(points, axis=1)[:, None]
     np.testing.assert_allclose(np.abs(normals @ normals.T), np.abs(NORMALS @ NORMALS.T), atol=5e-3)
+
+
+def test_what_planes_leave_open_is_said_and_no_distance_between_them_is_taken() -> None:
+    touched = Measurements(np.zeros((4, 6)), "plane", label=np.array(["A", "A", "B", "B"]))
+    (said,) = left_open([touched], {})
+    assert "kind sphere" in said
+    with pytest.raises(InputError, match="kind 'plane' has no points whose distance could be known"):
+        touched.with_separations([("A", "B", 0.1)])
 
 
 def test_balls_of_known_radius_tell_the_size() -> None:

@@ -149,6 +149,8 @@ class MeasurementKind(ABC):
         numbers that are observed at a pose [m] and [rad], at least one and at most six together
     angles
         numbers that are observed at a pose [m] and [rad], at least one and at most six together
+    places
+        whether its unknown points are places, between which distances may be known
     has_scale
         whether it determines the scale: not where robots of one shape and any size fit alike
 
@@ -185,6 +187,7 @@ class MeasurementKind(ABC):
     arrays: ClassVar[tuple[str, ...]]
     lengths: ClassVar[int]
     angles: ClassVar[int] = 0
+    places: ClassVar[bool] = True
     has_scale: ClassVar[bool] = True
 
     @property

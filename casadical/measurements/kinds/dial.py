@@ -38,6 +38,7 @@ class Dial(MeasurementKind):
     arrays = ("reading",)
     fill = ("reading_mm",)
     lengths = 1
+    places = False
 
     def matches(self, names: Set[str]) -> bool:
         return bool(names & {"reading_mm", "reading_m"})

@@ -30,6 +30,7 @@ class Plane(MeasurementKind):
     pattern = "plane"
     arrays = ("label",)
     lengths = 1
+    places = False
     has_scale = False
 
     def matches(self, names: Set[str]) -> bool:
