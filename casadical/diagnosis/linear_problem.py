@@ -158,7 +158,7 @@ class Case:
         return self.whole.E.growth if isinstance(self.whole.E, Columns) else 1.0
 
     def with_kept(self, kept: Array) -> Case:
-        """The case with other poses left out."""
+        """The case with other poses left out. Raises InputError where most of them are."""
         if 2 * kept.sum() < len(kept):
             raise InputError(
                 f"{self.m.source}: the model does not fit: {len(kept) - int(kept.sum())} of {len(kept)} poses are far "
