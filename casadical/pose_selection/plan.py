@@ -96,7 +96,7 @@ def _places(plan: MeasurementPlan) -> list[Words]:
     text = f"{name} at {letter}{each} mm in the measuring frame"
     if instrument.known:
         return [Words(f"{text}; measure these places, the plan takes them as known.")]
-    text += "; a hand's breadth beside them changes nothing, as they are identified too"
+    text += "; some centimetres beside them will do, as they are identified too"
     if instrument.kind == "sockets" and len(instrument.places) > 1:
         text += "; measure the distance between the two farthest, it gives the scale"
     return [Words(f"{text}. Expected errors are those of the robot in itself: where its base stands is not measured.")]
