@@ -16,7 +16,8 @@ from casadical import InputError, Robot, calibrate, identify, read_robot, write_
 from casadical.core.blocks import plain_text
 from casadical.fleet import Estimate, compare, estimate, estimate_of_file
 from casadical.fleet.campaigns import compare_files, day_of, elsewhere, in_order
-from casadical.fleet.candidates import candidates_of, shared_names
+from casadical.fleet.candidates import Candidate, candidates_of, shared_names
+from casadical.fleet.comparison import as_wide_as_needed, found_in
 from casadical.fleet.evidence import KAPPAS, Told, drifts, jumps, log_evidence, solve, visible
 from casadical.identification.misfit import misfit_of
 from casadical.robot.error_bound import doubted
@@ -63,6 +64,21 @@ def test_the_directions_of_what_is_anew_are_projected_out() -> None:
     assert np.abs(b).max() < 1e-4 * np.abs(J.T @ J[:, 0]).max()
     Q = np.eye(30) - np.outer(J[:, 0], J[:, 0]) / (J[:, 0] @ J[:, 0])
     assert pytest.approx(J[:, 1:].T @ Q @ J[:, 1:], rel=1e-5) == H
+
+
+def test_harmonics_that_every_campaign_shows_are_no_change_after_the_first() -> None:
+    """Thirty campaigns alike, a harmonic twenty times as large as the residuals of one campaign would have it."""
+    rng = np.random.default_rng(3)
+    names = ("a2", "theta3", "joint_error_curve.s1_q3", "joint_error_curve.c1_q3")
+    J = rng.normal(size=(30, 12, 4)) / 3
+    truth = np.array([0.0, 0.0, 4.0, 0.0])
+    y = J @ truth + rng.normal(size=(30, 12))
+    told = Told(J.transpose(0, 2, 1) @ J, np.einsum("nij,ni->nj", J, y), np.array([1.0, 1.0, 0.2, 0.2]) ** -2.0)
+    curve = Candidate("joint_curve", 3, names[2:], np.eye(4)[:, 2:], np.full(2, 3.0))
+    times = np.arange(30) / 12
+    narrow, wide = (found_in(t, [curve], times, dated=False) for t in (told, as_wide_as_needed(told, names)))
+    assert narrow[0]
+    assert not wide[0]
 
 
 def test_courses() -> None:

@@ -23,8 +23,8 @@ def arm() -> tuple[Robot, Robot]:
 
 
 def wires(robot: Robot, seed: int, *, known: bool) -> list[Measurements]:
-    """Distances to three places, a table for each; 60 poses."""
-    m = measured(robot, seed, 60)
+    """Distances to three places, a table for each; 100 poses."""
+    m = measured(robot, seed, 100)
     p, _ = predicted(robot, m)
     rng = np.random.default_rng(seed)
     return [wire(m.q, p, a, rng, known=known) for a in ANCHORS]
