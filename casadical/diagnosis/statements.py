@@ -281,7 +281,10 @@ def _cannot(d: Diagnosis, more: Details) -> Iterator[Statement]:
 
 
 def _ruled_out(more: Details) -> Iterator[Statement]:
-    parts = [f"from {times} times its usual size {gathered(labels)}" for times, labels in more.ruled_out.items()]
+    parts = [
+        f"from {'' if times == '1' else f'{times} times '}its usual size {gathered(labels)}"
+        for times, labels in more.ruled_out.items()
+    ]
     if parts:
         yield Statement("RULED", f"out, as these poses would show it: {'; '.join(parts)}")
 

@@ -6,8 +6,8 @@ Of each UR10 series, N poses drawn from the first 60 % of the campaign are diagn
 model is then tried on other poses of the same 60 % ("same time") and on the last 40 % ("later"), beside the calibrated
 base model and the compensator's network, trained on what either leaves of the same N poses. Blunders (errors beyond
 3 mm with the base model) are left out of these figures, alike for all. No figure of these sets had a part in any
-threshold of the diagnosis. The causes found in one series are then carried to the others, of the same robot. The other
-sets show where a diagnosis has nothing to stand on.
+threshold of the diagnosis. The causes found in one series are then carried to the others, of the same robot. For
+robots that no tracker measured see real_verdicts.py.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from casadical import Diagnosis, InputError, diagnose, identify, isolability
+from casadical import Diagnosis, diagnose, identify, isolability
 from casadical.compensator import Compensator
 from casadical.diagnosis import Details, check_refit, describe_unlisted, localise, page_of
 from casadical.identification.accuracy import errors, predicted
@@ -138,20 +138,6 @@ def carried(found: dict[str, Diagnosis], poses: int) -> None:
     print("  (the largest hundredth of the errors, blunders among them, left out of each)\n", flush=True)
 
 
-def refusals() -> None:
-    """Sets that cannot carry a diagnosis, and what the product says of them."""
-    for name in ("panda_1", "panda_3", "fr3_camera"):
-        problem = read_problem(ROOT / "problems" / name)
-        m = problem.sets["identify"][0]
-        print(f"== {name}: {m.kind}, {len(m)} poses")
-        try:
-            found = diagnose(problem.robot, m)
-            print(page_of(found))
-        except InputError as error:
-            print(f"refused: {error}")
-        print(flush=True)
-
-
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--poses", type=int, default=150)
@@ -161,4 +147,3 @@ if __name__ == "__main__":
     found = {name: study(name, given.poses) for name in SERIES if given.only in ("", name)}
     if not given.only:
         carried(found, given.poses)
-        refusals()
