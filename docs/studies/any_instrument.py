@@ -129,7 +129,7 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def _detected(rows: Sequence[Row]) -> str:
-    return f"{sum(r['verdict'] != 'none' for r in rows):8d} of {len(rows):3d}"
+    return f"{sum(r['verdict'] not in ('none', 'refused') for r in rows):8d} of {len(rows):3d}"
 
 
 def faults(count: int, seed: int) -> None:
