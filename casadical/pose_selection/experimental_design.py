@@ -220,6 +220,10 @@ class Spectral(Design):
 
 
 def inverse(M: Array) -> Array:
-    """Inverse of a positive definite matrix, shape (p, p), scaled to a unit diagonal first."""
+    """Inverse of a positive definite matrix, shape (p, p), scaled to a unit diagonal first.
+
+    What no reading tells of, such as the height of a wire's end beside a planar arm, is alone and has variance one.
+    """
+    M = M + np.diag(np.diag(M) == 0)
     root = np.sqrt(np.diag(M))
     return np.asarray(np.linalg.inv(M / np.outer(root, root)) / np.outer(root, root))

@@ -12,6 +12,7 @@ from pose_arms import elbow
 from casadical import InputError, identify, write_robot
 from casadical.pose_selection import Instrument, Noise, forecast, place_instrument, select_poses
 from casadical.pose_selection.candidates import SOCKET, expected
+from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.instruments import usual_places
 from casadical.pose_selection.places import select_with_places
 
@@ -139,3 +140,10 @@ def test_the_command_plans_wires_among_given_places(monkeypatch, tmp_path, capsy
 def test_options_that_contradict_each_other_are_refused(monkeypatch, tmp_path, capfd, words, said) -> None:
     assert command(monkeypatch, tmp_path, "-n", 30, *words) == 2
     assert said in " ".join(capfd.readouterr().err.split())
+
+
+def test_what_no_reading_tells_of_is_left_aside() -> None:
+    told = np.array([[4.0, 1.0], [1.0, 2.0]])
+    M = np.zeros((3, 3))
+    M[:2, :2] = told
+    np.testing.assert_allclose(inverse(M)[:2, :2] @ told, np.eye(2), atol=1e-14)
