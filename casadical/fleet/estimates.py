@@ -8,7 +8,7 @@ of two campaigns differently where their poses differ.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -191,7 +191,7 @@ def estimate(
     fit = wide_fit(found)
     unit = fit.s2 * fit.misfit
     held = len(found.left_out)
-    clocks = (text for m in found.measurements for text in clock_faults(m))
+    noted = [text for m in found.measurements for text in (*_left_out(m), *clock_faults(m))]
     whole = Estimate(
         fit.robot,
         fit.doubts.names,
@@ -204,10 +204,18 @@ def estimate(
         fit.poses,
         fit.left,
         fit.misfit,
-        (*([f"{held} pose{'s' * (held > 1)} left out as outliers"] if held else []), *clocks),
+        (*([f"{held} pose{'s' * (held > 1)} left out as outliers"] if held else []), *noted),
         np.quantile(np.concatenate([m.q for m in found.used]), [0.05, 0.95], axis=0).T,
     )
     return whole.narrowed(doubted(found.robot, ORDERS))
+
+
+def _left_out(m: Measurements) -> Iterator[str]:
+    if m.lost:
+        rows = ", ".join(map(str, m.lost))
+        yield f"{m.source}: row{'s' * (len(m.lost) > 1)} {rows} not used, a reading or a position is empty"
+    if m.copies:
+        yield m.copies_in_words
 
 
 def _values(robot: Robot, doubts: Doubts) -> Array:

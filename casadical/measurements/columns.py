@@ -247,10 +247,20 @@ class Columns:
     @property
     def lost_rows(self) -> tuple[int, ...]:
         """Rows of the file in which a reading or a position is no number; none where these are no few."""
-        needed = [name for name in map(str, self.table) if _POINT.fullmatch(name) or _READING.fullmatch(name)]
-        bad = np.zeros(len(self.row), dtype=bool)
-        for name in needed:
-            bad |= ~np.isfinite(pd.to_numeric(self.table[name], errors="coerce").to_numpy(dtype=float))
+        return self._rows_of(self._needed.apply(pd.to_numeric, errors="coerce").abs() < np.inf)
+
+    @property
+    def empty_rows(self) -> tuple[int, ...]:
+        """Those of `lost_rows` in which a cell is empty: a lost reading, where a word may be a typing error."""
+        return self._rows_of(self._needed.notna())
+
+    @property
+    def _needed(self) -> pd.DataFrame:
+        names = (str(name) for name in self.table)
+        return self.table[[name for name in names if _POINT.fullmatch(name) or _READING.fullmatch(name)]]
+
+    def _rows_of(self, good: pd.DataFrame) -> tuple[int, ...]:
+        bad = ~good.all(axis=1).to_numpy(dtype=bool)
         return tuple(int(k) for k in self.row[bad]) if 2 * bad.sum() <= len(bad) else ()
 
     @property

@@ -66,6 +66,8 @@ class Measurements:
         columns that were left out: of words, or without a cell
     copies : tuple[int, ...], default ()
         lines that repeat another to the last digit and were left out
+    lost : tuple[int, ...], default ()
+        lines that were left out because a reading or a position is not there
 
     Raises
     ------
@@ -107,6 +109,7 @@ class Measurements:
     source: str = "table"
     unused: tuple[str, ...] = ()
     copies: tuple[int, ...] = ()
+    lost: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.q)

@@ -270,7 +270,13 @@ def _read_robot(path: Path, urdf: UrdfTable) -> Robot:
 
 
 def read_campaign(
-    folder: str | Path, path: str | Path, robot: Robot, *, readings_only: bool = False, later: bool = False
+    folder: str | Path,
+    path: str | Path,
+    robot: Robot,
+    *,
+    readings_only: bool = False,
+    later: bool = False,
+    words: bool = False,
 ) -> Measurements:
     """A table of measured poses beside a problem, its columns understood as the problem's own tables are.
 
@@ -279,16 +285,17 @@ def read_campaign(
     folder : of the problem, or a robot's file, with the tables of its calibration in the result.json beside it; where
     there is neither, the table's headers are taken as ours
     readings_only : of poses that are planned but not measured: every position is zero; later : of a check after the
-    calibration, which need not say which of several targets was measured; rows without numbers are left out
+    calibration, which need not say which of several targets was measured; rows with an empty cell are left out, and of
+    words also those with a word for a number
 
     Raises InputError.
     """
     folder, raw = Path(folder), read_table(path)
     data = fitting(folder, raw, tables_of(folder))
     columns, joints = _columns(raw, data, robot), [j.kind for j in robot.joints]
-    if later:
-        columns = columns.without(columns.lost_rows, "the table")
-    found = readings_alone(columns, joints) if readings_only else _of_kind(columns, joints, data)
+    lost = (columns.lost_rows if words else columns.empty_rows) if later else ()
+    columns = columns.without(lost, "the table")
+    found = replace(readings_alone(columns, joints) if readings_only else _of_kind(columns, joints, data), lost=lost)
     if not (readings_only or later):
         refuse_nameless(found, robot)
     return _with_conditions(found, robot)

@@ -18,7 +18,6 @@ from casadical.identification.identification import identify
 from casadical.identification.result import LeftOut, rows_in_words
 from casadical.identification.sessions import with_sessions
 from casadical.measurements.kinds.registry import find_kind
-from casadical.measurements.raw_table import read_table
 from casadical.project.check.targets import recognised
 from casadical.project.problem import read_campaign
 from casadical.project.target_names import names_in
@@ -109,14 +108,13 @@ def verify(robot: str | Path, table: str | Path, promised_mm: float | None = Non
     """
     place = Path(robot)
     arm = read_robot(place)
-    m = read_campaign(place, table, arm, later=True)
+    m = read_campaign(place, table, arm, later=True, words=True)
     kind = m.kind if m.position is None else POSITION
     promised = 1e-3 * promised_mm if promised_mm is not None else promised_rms(place, kind)
     if arm.targets and not names_in(m):  # the tool is fitted again, whichever it was
         arm = replace(arm, targets=(), tool_name="")
     if (several := recognised(arm, m)) and several.turning:
         raise InputError(several.in_words(m.source))
-    lost = tuple(row for row in read_table(table).line if row not in {*m.row.tolist(), *m.copies})
     m = m.positions_alone() if m.position is not None else m
     arm, sessions = with_sessions(arm, [m])
     groups = [g for g in ("base", "tool", *sessions) if g in arm.parameters.groups]
@@ -143,7 +141,7 @@ def verify(robot: str | Path, table: str | Path, promised_mm: float | None = Non
         if 0 < len(robust.outliers) <= len(m) // 3:
             kept = robust.used[0]
             far, without = list(robust.left_out), _scatter(errors(robust.robot, kept), k, numbers * len(kept) - shared)
-    return Verification(arm.name, promised, found, limit, len(m), tuple(far[: len(m) // 3]), without, lost)
+    return Verification(arm.name, promised, found, limit, len(m), tuple(far[: len(m) // 3]), without, m.lost)
 
 
 def _scatter(e: Array, k: int, freedom: int) -> float:

@@ -190,6 +190,23 @@ def test_a_life_in_tables_with_units_that_changed_midway(tables: Path) -> None:
         compare_files(files[:2], problem)
 
 
+def test_a_word_for_a_number_is_refused_and_an_empty_cell_is_said(tables: Path, tmp_path: Path) -> None:
+    problem = Path(__file__).parents[2] / "problems/ur10e"
+    first, _, third, *_ = sorted(tables.glob("*.csv"))
+    rows = third.read_text().splitlines()
+    cells = {k: rows[k].split(",") for k in (4, 7, 9)}
+    slip, gaps = tmp_path / "2026-03-02.csv", tmp_path / "2026-03-03.csv"
+    slip.write_text("\n".join([*rows[:4], ",".join([*cells[4][:3], "l64.254", *cells[4][4:]]), *rows[5:]]))
+    rows[7], rows[9] = (",".join([*cells[k][:j], "", *cells[k][j + 1 :]]) for k, j in ((7, 3), (9, 6)))
+    gaps.write_text("\n".join(rows))
+    with pytest.raises(InputError, match=r"2026-03-02.csv: row 5, column 'q4_deg': 'l64.254' is not a finite number"):
+        compare_files([first, slip], problem)
+    found = compare_files([first, slip, gaps], problem)
+    assert any("2026-03-02.csv is left out: 2026-03-02.csv: row 5, column 'q4_deg'" in note for note in found.notes)
+    assert [c.poses for c in found.campaigns] == [40, 38]
+    assert found.campaigns[1].notes == ("2026-03-03.csv: rows 8, 10 not used, a reading or a position is empty",)
+
+
 def test_days_in_names_and_what_is_odd_about_them(before: Estimate) -> None:
     assert day_of(Path("a/2026-03-14.csv")) == day_of(Path("2026_03_14/KM.robot.toml"))
     assert day_of(Path("x/20260314-ur10.csv")) == day_of(Path("2026-03-14"))

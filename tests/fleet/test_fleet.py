@@ -66,6 +66,9 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Path:
     later = pd.read_csv(folder / "arm5" / "campaigns" / "2026-03-01.csv")
     later[["x_mm", "y_mm", "z_mm"]] *= 1e-3  # metres under the old heading
     later.to_csv(folder / "arm5" / "campaigns" / "2026-04-01.csv", index=False)
+    slip = (folder / "arm5" / "campaigns" / "2026-02-01.csv").read_text().splitlines()
+    slip[4] = "l" + slip[4]
+    (folder / "arm5" / "campaigns" / "2026-05-01.csv").write_text("\n".join(slip))
     (folder / "broken").mkdir()
     (folder / "broken" / "problem.toml").write_text("casadical = 1\n")
     return folder
@@ -96,6 +99,7 @@ def test_one_command_does_all_and_one_bad_robot_stops_nobody(
     assert by_name["arm5"]["campaigns"] == 4
     assert "2026-04-01.csv is left out: 2026-04-01.csv: positions" in by_name["arm5"]["notes"]
     assert "2026-04-01.csv is left out" in command.stdout.replace("\n", " ")
+    assert "2026-05-01.csv is left out: 2026-05-01.csv: row 5, column 'q1_deg': 'l" in by_name["arm5"]["notes"]
     assert all(by_name[f"arm{k}"]["after_mm"] < 0.1 < by_name[f"arm{k}"]["before_mm"] for k in range(6))
     assert "Map of accuracies" in (place / "fleet.html").read_text()
     (prior,) = (place / "priors").glob("*.robot.toml")
