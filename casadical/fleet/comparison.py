@@ -99,14 +99,14 @@ def compare(
     names, told, candidates = told_by(campaigns, same_tool=same_tool, same_frame=same_frame)
     times = times_of(campaigns)
     accepted, left = found_in(told, candidates, times, dated=first.day is not None)
-    model = solve(told, _known([a[:3] for a in accepted], len(told.score[0]), len(campaigns)))
+    model = _beside(told, accepted)
     changes = tuple(_change(told, accepted, k, first) for k in range(len(accepted)))
     return Comparison(
         tuple(campaigns),
         names,
         changes,
         left,
-        seen_from(model, candidates, first),
+        seen_from(lambda c: _beside(told, [a for a in accepted if not _same_jump(a, c)]), candidates, first),
         placements_of(campaigns, names, model),
         tuple(dict.fromkeys(notes)),
     )
@@ -183,6 +183,15 @@ def _known(changes: Sequence[tuple[Candidate, Array, float]], p: int, n: int) ->
     columns = [np.einsum("nk,pm->npkm", s, c.columns).reshape(n, p, -1) for c, s, _ in changes]
     sizes = [np.tile(kappa * c.sizes, s.shape[1]) for c, s, kappa in changes]
     return Known(np.concatenate([np.zeros((n, p, 0)), *columns], axis=2), np.concatenate([np.zeros(0), *sizes]))
+
+
+def _beside(told: Told, accepted: Sequence[_Accepted]) -> Model:
+    return solve(told, _known([a[:3] for a in accepted], *told.score.shape[::-1]))
+
+
+def _same_jump(found: _Accepted, candidate: Candidate) -> bool:
+    """Whether it is a jump of the same parameter before the last campaign: a second one is no other change."""
+    return bool(set(found[0].names) & set(candidate.names)) and not found[1][:-1].any()
 
 
 def _best(
@@ -262,7 +271,7 @@ def _change(told: Told, accepted: Sequence[_Accepted], k: int, first: Estimate) 
             rivals[label] = Rival(label, h.course, int(h.since[best]), more)
     m = top.courses.shape[2]
     a, C, _ = amplitude(top.H[at], top.b[at], np.tile(candidate.sizes, m), top.logs[at])
-    others = [other[:3] for i, other in enumerate(accepted) if i != k]
+    others = [other for i, other in enumerate(accepted) if i != k]
     return Change(
         candidate,
         top.course,
@@ -273,7 +282,7 @@ def _change(told: Told, accepted: Sequence[_Accepted], k: int, first: Estimate) 
         odds,
         tuple(sorted(rivals.values(), key=lambda r: -r.probability)),
         tuple(_amounts(candidate, first, a, C, m)),
-        _course_of(solve(told, _known(others, *told.score.shape[::-1])), candidate, a[: len(candidate.sizes)]),
+        _course_of(_beside(told, others), candidate, a[: len(candidate.sizes)]),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -17,19 +17,25 @@ from casadical.robot.parameter_list import SIX
 
 # Standard errors that a change must have to be seen, roughly: what one of a hundred candidates needs.
 SEEN = 5.0
-# A tool is another one from so many standard errors on.
-OTHER_TOOL = 4.0
+# A tool is another one from so many standard errors on, root mean square of a coordinate; beyond the smaller figure it
+# moved further than noise makes it in one of a hundred pairs.
+OTHER_TOOL, MOVED_TOOL = 4.0, 2.0
 # A change that is seen only from so many times its usual size is not seen.
 FAR = 30.0
 
 
-def seen_from(model: Model, candidates: Sequence[Candidate], first: Estimate) -> tuple[tuple[str, float, str], ...]:
-    """(cause, size, unit) of single parameters: the least change since the campaign before last that would be seen."""
-    n = len(model.told.score)
+def seen_from(
+    beside: Callable[[Candidate], Model], candidates: Sequence[Candidate], first: Estimate
+) -> tuple[tuple[str, float, str], ...]:
+    """(cause, size, unit) of single parameters: the least change since the campaign before last that would be seen.
+
+    beside : what is solved for together with a change of the candidate
+    """
     found = []
     for c in candidates:
         if c.columns.shape[1] == 1 and c.kind in ("joint_zero", "joint_stiffness"):
-            H, _ = visible(model, c.columns, jumps(n)[-1:])
+            model = beside(c)
+            H, _ = visible(model, c.columns, jumps(len(model.told.score))[-1:])
             p = first.robot.parameters[c.names[0]]
             size = SEEN / np.sqrt(max(float(H[0, 0, 0]), 1e-30))
             seen = size < FAR * float(c.sizes[0])
@@ -49,34 +55,42 @@ def _tool(
     own = [n for n in SIX["tool"][:3] if n in before.names and n in after.names and n not in names]
     if len(own) < 3:
         return
-    theta = model.mean[: model.p]
-    C = model.inverse[: model.p, : model.p]
-    (a, A, V), (b, B, W) = (_given(c, own, names, first, theta) for c in (before, after))
+    # Parameters of a campaign as the solved ones make them: theta and the changes found by then.
+    X, Y = (np.hstack([np.eye(model.p), model.known.columns[k]]) for k in (-2, -1))
+    a, A, V = _given(before, own, names, first, X, model.mean)
+    b, B, W = _given(after, own, names, first, Y, model.mean)
     apart = b - a
-    cov = V + W + (B - A) @ C @ (B - A).T
+    cov = V + W + (B - A) @ model.inverse @ (B - A).T
     scale = np.array([after.robot.parameters[n].scale for n in own])
     size = float(np.linalg.norm(apart * scale))
     error = float(np.sqrt(np.trace(cov * np.outer(scale, scale)) / 3))
     distance = float(np.sqrt(apart @ np.linalg.solve(cov, apart) / 3))
-    far = distance > OTHER_TOOL
-    words = "another tool, or mounted again" if far else "the same point, as far as these poses show"
+    if distance > OTHER_TOOL:
+        words = "another tool, or mounted again"
+    elif distance > MOVED_TOOL:
+        words = "more than noise alone, too little for another tool"
+    else:
+        words = "the same point, as far as these poses show"
     yield "tool", f"{1e3 * size:.3g} mm from where it was, +/- {1e3 * error:.2g} mm a coordinate: {words}"
 
 
 def _given(
-    c: Estimate, own: Sequence[str], names: Sequence[str], first: Estimate, theta: Array
+    c: Estimate, own: Sequence[str], names: Sequence[str], first: Estimate, X: Array, u: Array
 ) -> tuple[Array, Array, Array]:
-    """Of parameters that are fitted again: mean in units of scale given theta, its slope by theta, and covariance."""
+    """Of parameters that are fitted again: mean in units of scale given u, its slope by u, and covariance.
+
+    u : what is solved for; X u : the shared parameters of this campaign, about the values of the first one
+    """
     place = {n: k for k, n in enumerate(c.names)}
     shared = [place[n] for n in names]
     rest = [k for k in range(len(c.names)) if k not in set(shared)]
     V = scaled_inverse(c.information[np.ix_(rest, rest)] + np.diag(c.spread[rest] ** -2.0))
     G = -V @ c.information[np.ix_(rest, shared)]
     from_first = np.array([first.values[first.names.index(n)] for n in names])
-    departure = (from_first - c.values[shared]) / c.scale[shared] + theta
+    departure = (from_first - c.values[shared]) / c.scale[shared] + X @ u
     mean = c.values[rest] / c.scale[rest] + V @ c.score[rest] + G @ departure
     at = [rest.index(place[n]) for n in own]
-    return mean[at], G[at], V[np.ix_(at, at)]
+    return mean[at], (G @ X)[at], V[np.ix_(at, at)]
 
 
 def _base(before: Estimate, after: Estimate, names: Sequence[str]) -> Iterable[tuple[str, str]]:

@@ -124,6 +124,22 @@ def test_another_tool_is_said_and_is_no_change_of_the_robot(arm: tuple[Robot, Ro
     assert change.cause.label == "tool"
 
 
+def test_what_is_beside_a_change_is_judged_with_it(arm: tuple[Robot, Robot], before: Estimate) -> None:
+    """With joint 3 at another zero the tool is where it was, and another change of that joint would be seen as well."""
+    same, moved = compare([before, after(arm)]), compare([before, after(arm, theta3=8e-4)])
+    assert [c.cause.label for c in moved.changes] == ["joint_zero@3"]
+    usual, far = (float(dict(c.placements)["tool"].split(" mm")[0]) for c in (same, moved))
+    assert far < 1.5 * usual
+    assert dict(moved.placements)["tool"].endswith("the same point, as far as these poses show")
+    limits = [{cause: size for cause, size, _ in c.seen_from}["joint_zero@3"] for c in (same, moved)]
+    assert limits[1] == pytest.approx(limits[0], rel=0.2)
+
+
+def test_a_tool_between_noise_and_another_one_is_said_so(arm: tuple[Robot, Robot], before: Estimate) -> None:
+    words = dict(compare([before, after(arm, tool_x=3e-5)]).placements)["tool"]
+    assert words.endswith("more than noise alone, too little for another tool")
+
+
 def test_a_moved_foot_is_a_change_in_one_frame(arm: tuple[Robot, Robot]) -> None:
     robot, built = arm
     first = estimate((robot, measured(built, 5)), "before")
