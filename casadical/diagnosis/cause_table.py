@@ -1,11 +1,17 @@
 """The table of causes: what the data show, how far the gap shrinks, parameters as they are shown."""
 
+import re
 from dataclasses import dataclass, fields
+
+import numpy as np
 
 from casadical.diagnosis.result import Cause, Diagnosis
 from casadical.effects import Effect
+from casadical.effects.distance_faults import FLAGS
 from casadical.effects.plugins import signature_of
 
+# An instrument is named if one of its parameters is so many standard errors from zero.
+CLEAR = 3.0
 READABLE = {"rad": (1e6, "urad"), "m": (1e6, "um"), "m/m": (1e6, "um/m"), "rad/rad": (1e6, "urad/rad")}
 READABLE |= {"rad/K": (1e6, "urad/K"), "1/K": (1e6, "1e-6/K"), "1/m": (1e6, "um/m^2"), "kg/kg": (1e2, "%")}
 
@@ -43,7 +49,7 @@ def cause_rows(d: Diagnosis) -> list[CauseRow]:
         rows.append(
             CauseRow(
                 c,
-                shown,
+                "; ".join([shown, *(f"{which}: {sizes}" for which, sizes in wires_at_fault(d, c).items())]),
                 f"{c.label}; may be {mechanical}" if mechanical else c.label,
                 " -> ".join(map(mm, _gap_if_added(d, c))) if c.effects else f"{mm(d.gap.before)} with them",
                 f"{low:.0f} to {high:.0f} %" if c.effects else "left out",
@@ -51,6 +57,25 @@ def cause_rows(d: Diagnosis) -> list[CauseRow]:
             )
         )
     return rows
+
+
+def wires_at_fault(d: Diagnosis, c: Cause) -> dict[str, str]:
+    """Table (and anchor) of each instrument for distances that a cause is clearly in -> its parameters in words."""
+    if not c.of_instrument or d.case.others is None:
+        return {}
+    found: dict[str, list[str]] = {}
+    clear: dict[str, float] = {}
+    for name, (value, error, unit) in (c.estimates or {}).items():
+        if part := re.fullmatch(r"(\D+)(\d)", name):
+            for m in d.case.others.sets:
+                here = m.conditions.get(FLAGS[int(part[2]) - 1], np.zeros(len(m))) > 0
+                if here.any():
+                    anchors = [*np.unique(m.label[here])] if m.label is not None else []
+                    which = " ".join([m.source or f"wire {part[2]}", *map(str, anchors)])
+                    shown = _estimate(part[1], value, error, unit)
+                    found.setdefault(which, []).append(f"{shown[0]} {shown[1]} +- {shown[2]} {shown[3]}")
+                    clear[which] = max(clear.get(which, 0.0), abs(value) / error)
+    return {which: ", ".join(words) for which, words in found.items() if clear[which] > CLEAR}
 
 
 def _gap_if_added(d: Diagnosis, c: Cause) -> tuple[float, float]:

@@ -9,12 +9,14 @@ which the data do not need fall to nothing; shares and their spread are those of
 import itertools
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.diagnosis.linear_problem import Case
+from casadical.effects import Effect
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.noise import Noise
 
@@ -27,6 +29,7 @@ SIZE = 30e-6
 LEAST_HALF = 40
 # Harmonics of a joint's own reading, beside the slow ones of every joint.
 FAST = range(3, 13)
+INSTRUMENT = "instrument"
 _NUMBERED = re.compile(r"(alpha|a|beta|b|d)(\d+)")
 
 
@@ -38,8 +41,8 @@ class Components:
     energy: Array
 
 
-def components(case: Case, noise: Noise, seed: int = 0) -> Components:
-    """The parts' shares of what the base model leaves, at a known noise."""
+def components(case: Case, noise: Noise, seed: int = 0, faults: Sequence[Effect] = ()) -> Components:
+    """The parts' shares of what the base model leaves, at a known noise; faults : found in the instrument."""
     rng = np.random.default_rng(seed)
     kept = np.flatnonzero(case.kept)
     if len(kept) > MOST_POSES:
@@ -53,6 +56,8 @@ def components(case: Case, noise: Noise, seed: int = 0) -> Components:
             E[f"joint {j}"] = np.concatenate(
                 [E[f"joint {j}"], SIZE * case.whole.Jq[kept][:, :, [j - 1]] * own[:, None]], axis=2
             )
+    if faults:
+        E[INSTRUMENT] = case.whole.take(np.sort(case.group(faults)), kept)
     widths = [part.shape[2] for part in E.values()]
     white = e.at(kept).white(noise.repeatability / noise.sigma, np.concatenate([*E.values()], axis=2))
     edges = np.cumsum([0, *widths])

@@ -2,16 +2,17 @@
 95 % interval."""
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
 import pandas as pd
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.components import Components, components
+from casadical.diagnosis.components import INSTRUMENT, Components, components
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.result import Diagnosis
+from casadical.effects import Effect
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.noise import Noise
@@ -33,7 +34,7 @@ class Localisation:
         columns part, share, low, high, rms_mm: joints whose smooth errors would account for the gap, the rest as
         "elsewhere"; shares sum to one, intervals are those of the fit
     links : DataFrame
-        the same of base, links and tool
+        the same of base, links and tool, and of the instrument where a cause is in it
     directions : DataFrame
         the same with column frame: base (x, y, z), axis (radial, tangential, vertical about joint 1), tool (x, y, z);
         each frame sums to one, noise included; intervals by bootstrap over poses, as in all that follow
@@ -108,17 +109,21 @@ def localise(found: Diagnosis) -> Localisation:
     >>> where.joints.set_index("part").share.idxmax()
     'elsewhere'
     """
-    return localise_residual(found.case, found.noise, found.seed)
+    faults = [e for c in found.causes if c.of_instrument for e in c.effects]
+    return localise_residual(found.case, found.noise, found.seed, faults)
 
 
-def localise_residual(case: Case, noise: Noise, seed: int = 0) -> Localisation:
-    """Where the residual of a case lies; noise : that is left aside in the shares of joints and links."""
+def localise_residual(case: Case, noise: Noise, seed: int = 0, faults: Sequence[Effect] = ()) -> Localisation:
+    """Where the residual of a case lies.
+
+    noise : that is left aside in the shares of joints and links; faults : found in the instrument
+    """
     # Between two poses no one reading is where the gap lies.
-    found = components(case, noise, seed) if case.one_end else None
+    found = components(case, noise, seed, faults) if case.one_end else None
     split = _Split(case, seed)
     return Localisation(
         joints=_parts(found, "joint"),
-        links=_parts(found, "link", "base", "loop", "tool"),
+        links=_parts(found, "link", "base", "loop", "tool", INSTRUMENT),
         directions=_directions(case, split),
         regions=split.table(*_regions(case)),
         payload=split.table(*_payload(case)),

@@ -114,6 +114,11 @@ class Cause:
         """The effect's name, with @joint where it belongs to one."""
         return self.effect if self.joint is None else f"{self.effect}@{self.joint}"
 
+    @property
+    def of_instrument(self) -> bool:
+        """Whether it is a fault of what measures, such as a wire that drifts, and none of the robot."""
+        return any(e.from_kind for e in self.effects)
+
 
 @dataclass(frozen=True, eq=False)
 class CauseSet:

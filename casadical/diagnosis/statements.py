@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import pandas as pd
 
 from casadical.diagnosis.candidates import columns_to_log, gathered, gathered_by_columns
-from casadical.diagnosis.cause_table import mm
+from casadical.diagnosis.cause_table import mm, wires_at_fault
 from casadical.diagnosis.changes import NEW
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import Check, NetworkGap, of_time
@@ -27,8 +27,8 @@ TIED = "\u00a0"
 class Statement:
     """One statement.
 
-    about : VERDICT, PRIOR, GAP, ASSUMED, GRAVITY, WHERE, WHICH (then come the causes, see `cause_rows`), SET, AFTER,
-        LAYERS (then come these, see `layer_rows`), CANNOT, RULED, UNKNOWN, LAW, OUT, MISSING, NEXT
+    about : VERDICT, PRIOR, GAP, ASSUMED, GRAVITY, CHECK, WHERE, WHICH (then come the causes, see `cause_rows`), SET,
+        AFTER, LAYERS (then come these, see `layer_rows`), CANNOT, RULED, UNKNOWN, LAW, OUT, MISSING, NEXT
     doubtful : whether it is a warning
     """
 
@@ -46,6 +46,7 @@ def statements(d: Diagnosis, more: Details | None = None) -> list[Statement]:
         _gap(d),
         _assumed(d),
         _gravity(d),
+        _instrument(d),
         _where(d, more),
         _which(d),
         _after(d, more),
@@ -177,6 +178,19 @@ def assumptions(d: Diagnosis) -> tuple[str, ...]:
             f"{1e3 * width.centre:.0f} mm"
         )
     return tuple(said)
+
+
+def _instrument(d: Diagnosis) -> Iterator[Statement]:
+    """What to do about causes that are in the instrument."""
+    if faults := [c for c in d.causes if c.of_instrument]:
+        which = _and(dict.fromkeys(w for c in faults for w in wires_at_fault(d, c)))
+        what = f"{which}, calibrate without" if which else "it"
+        yield Statement(
+            "CHECK",
+            f"the instrument, not the robot, shows {_and(c.label for c in faults)}: check {what}, or go on with "
+            "diagnosed.robot.toml (--out DIR), which has it identified beside the robot",
+            doubtful=True,
+        )
 
 
 def _where(d: Diagnosis, more: Details) -> Iterator[Statement]:

@@ -8,13 +8,16 @@ import pytest
 
 from casadical.core.errors import InputError
 from casadical.diagnosis.candidates import candidates_of
-from casadical.diagnosis.details import analyse
+from casadical.diagnosis.cause_table import wires_at_fault
+from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.linear_problem import make_case
+from casadical.diagnosis.localisation import localise
 from casadical.diagnosis.next_poses import next_poses
 from casadical.diagnosis.observations import stops_in
 from casadical.diagnosis.statements import assumptions, statements
+from casadical.diagnosis.text import page_of
 from casadical.effects import Backlash, ThermalGrowth
 from casadical.effects.wire_drift import WireDrift
 from casadical.identification.accuracy import predicted
@@ -288,13 +291,20 @@ def test_a_wire_that_drifts_is_named_and_no_cause_in_the_robot() -> None:
     assert second.distance is not None
     late = np.linspace(-0.5, 0.5, len(m))
     drifting = replace(second, distance=second.distance + 2e-4 * late)
-    found = diagnose(robot("kr210"), [first, drifting, third])
+    sets = [replace(s, source=f"wire{k}.csv") for k, s in enumerate((first, drifting, third), 1)]
+    found = diagnose(robot("kr210"), sets)
     assert [c.label for c in found.causes] == ["wire_drift"]
     estimates = found.causes[0].estimates
     assert estimates is not None
     assert [*estimates] == ["drift1", "drift2", "drift3"]
     assert estimates["drift2"][0] == pytest.approx(2e-4, rel=0.15)
     assert found.refit().is_optimal()
+    where = localise(found)
+    assert where.links.set_index("part")["share"]["instrument"] > 0.8
+    text = page_of(found, Details(where))
+    ((which, size),) = wires_at_fault(found, found.causes[0]).items()
+    assert (which, size.partition(" ")[0]) == ("wire2.csv", "drift")
+    assert "check wire2.csv, calibrate without" in " ".join(text.split())
     # What the instrument does is not in the robot: at rest it is where it was.
     np.testing.assert_allclose(predicted(found.apply(), m)[0], predicted(found.identification.robot, m)[0], atol=2e-4)
 
