@@ -35,9 +35,9 @@ class LeftOut:
     error: float
 
 
-def rows_in_words(rows: Sequence[LeftOut], most: int = 8) -> str:
-    """Rows with their errors, the files named where there are several."""
-    several = len({out.source for out in rows}) > 1
+def rows_in_words(rows: Sequence[LeftOut], most: int = 8, of: Iterable[Measurements] = ()) -> str:
+    """Rows with their errors, the files named where there are several; of : all tables that they could be of."""
+    several = len({*(out.source for out in rows), *(m.source for m in of)}) > 1
     words = [f"{f'{out.source} ' if several else ''}row {out.row} ({mm(out.error)} mm)" for out in rows[:most]]
     return ", ".join(words) + (f" and {len(rows) - most} more" if len(rows) > most else "")
 
@@ -263,24 +263,21 @@ class Identification:
         """Of all parameters that are not known exactly: their problem, departures from nominal, and covariance [SI]."""
         return covariance_of_all(self.problem, self.solution.v, self.variance)
 
-    def accuracy(self, m: Measurements) -> dict[str, Accuracy]:
+    def accuracy(self, *m: Measurements) -> dict[str, Accuracy]:
         """Errors on any measurements: "nominal", "placed" (base and tool fitted) and "calibrated".
 
         Parameters
         ----------
-        m : Measurements
-            poses, those of the identification or others
+        *m : Measurements
+            poses, those of the identification or others; of several tables, the figures are over all of them
 
         Returns
         -------
         dict[str, Accuracy]
             state -> error figures [m]
         """
-        return {
-            "nominal": summarise(errors(self.given, m)),
-            "placed": summarise(errors(self.placed, m)),
-            "calibrated": summarise(errors(self.robot, m)),
-        }
+        robots = {"nominal": self.given, "placed": self.placed, "calibrated": self.robot}
+        return {state: summarise(np.concatenate([errors(r, part) for part in m])) for state, r in robots.items()}
 
     @cached_property
     def placed(self) -> Robot:
@@ -338,7 +335,7 @@ class Identification:
         if self.at_bounds:
             text += f"; AT BOUNDS: {', '.join(self.at_bounds)} - widen the bounds or doubt the model"
         if self.outliers:
-            text += f"; left out as outliers: {rows_in_words(self.left_out)}"
+            text += f"; left out as outliers: {rows_in_words(self.left_out, of=self.measurements)}"
         left = max(sigma for sigma, _ in self.sigmas)
         if left > POOR_FIT * self.robot.reach:
             text += f"; THE MODEL DOES NOT FIT: {1e3 * left:.3g} mm are left - check joint signs, zeros and units"

@@ -35,7 +35,7 @@ from casadical.project.outcome import (
     usual_held_out,
     worse_than_before,
 )
-from casadical.project.problem import Carried, Problem, as_it_is, read_problem
+from casadical.project.problem import Carried, Problem, as_it_is, read_problem, together
 from casadical.project.problem_file import BASE_METHODS, BaseMethod, all_methods, base_methods
 from casadical.project.tables import Accuracies, error_tables, judged_on, network_tables, paper_tables, verdict
 from casadical.project.target_names import unfitted
@@ -57,8 +57,8 @@ class Calibration:
     identifications : Mapping[str, Identification]
         by method, in the order of the problem's methods; the last one counts
     accuracies : Accuracies
-        error figures by method, by set (one of several kinds as SET/KIND), by state: "nominal", "placed" (base and
-        tool fitted), "calibrated"
+        error figures by method, by set (one of several tables as SET/KIND, over all tables of the kind, and of each
+        of them as SET/KIND/FILE), by state: "nominal", "placed" (base and tool fitted), "calibrated"
     networks : Networks, optional
         trained on what SKCM left, or None where the problem lists none
     without_prior : Accuracy, optional
@@ -185,14 +185,14 @@ class Calibration:
         dict[str, Any]
             what `casadical calibrate --json` writes
         """
-        problem = self.problem
+        problem, kinds = self.problem, {name: m.kind for name, m in self.problem.parts()}
         found: dict[str, Any] = {
             "problem": problem.folder.name,
             "title": problem.title,
             "data": problem.data,
             "robot": problem.robot.name,
             "tables": [dict(table) for table in problem.tables],
-            "kinds": {name: m.kind for name, m in problem.parts()},
+            "kinds": {name: kinds[names[0]] for name, names in together(kinds).items()},
             "methods": {
                 method: method_figures(result, self.accuracies[method], usual_held_out(problem, result.robot))
                 for method, result in self.identifications.items()
@@ -337,8 +337,7 @@ def calibrate(
             raise InputError(fault)
     for _, m in problem.parts():  # held-out poses count in the figures, so that they are checked like the others
         check_against(problem.robot, m)
-    count = len(problem.methods) + len(problem.networks)
-    results = _identified(problem, show, count)
+    results = _identified(problem, show, count := len(problem.methods) + len(problem.networks))
     used = used_poses(problem, results)
     trained = None
     if problem.networks:
@@ -349,9 +348,9 @@ def calibrate(
 
         skcm, names = results["SKCM"], problem.networks
         trained = train_networks(problem, skcm, names, seed=problem.seed, show=progress, judged=used)
-    accuracies = {k: {name: result.accuracy(m) for name, m in used.items()} for k, result in results.items()}
-    without = _without_prior(plain, results) if plain else None
-    return Calibration(problem, results, accuracies, trained, without)
+    told = together(used).items()
+    accuracies = {k: {to: r.accuracy(*(used[n] for n in names)) for to, names in told} for k, r in results.items()}
+    return Calibration(problem, results, accuracies, trained, _without_prior(plain, results) if plain else None)
 
 
 def _identified(problem: Problem, show: Callable[[str], None], count: int) -> dict[str, Identification]:
@@ -385,11 +384,12 @@ def _identified(problem: Problem, show: Callable[[str], None], count: int) -> di
 def _without_prior(plain: Problem, results: Mapping[str, Identification]) -> Accuracy | None:
     """Of held-out poses, by the last method, as if there were no prior; plain : the problem without it."""
     method, found = list(results.items())[-1]
-    if (held_out := next((m for name, m in plain.parts() if name.startswith("report")), None)) is None:
+    parts = {name: m for name, m in plain.parts() if name.startswith("report")}
+    if not parts:
         return None
     kept = without_poses(plain.sets["identify"], found.outliers)
     alone = identify(plain.robot, kept, method="KM" if method == "KM" else "SKCM", loss=found.loss, screen=False)
-    return alone.accuracy(held_out)["calibrated"]
+    return alone.accuracy(*(parts[name] for name in next(iter(together(parts).values()))))["calibrated"]
 
 
 def used_poses(problem: Problem, results: Mapping[str, Identification]) -> dict[str, Measurements]:

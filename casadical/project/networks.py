@@ -11,7 +11,7 @@ from casadical.core.arrays import Array
 from casadical.identification.accuracy import Accuracy, residual_mm, summarise
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
-from casadical.project.problem import Problem
+from casadical.project.problem import Problem, together
 from casadical.robot.robot import Robot
 
 # A problem without a set to train on lends the poses that identified the robot, where they are so many that the
@@ -224,4 +224,5 @@ def _lend(parts: Sequence[Measurements], seed: int) -> dict[str, tuple[Measureme
 def _errors(judged: Mapping[str, Measurements], robot: Robot, compensator: Compensator) -> dict[str, Accuracy]:
     """Error figures of the corrected positions by set; named as the identifications' are."""
     left = {name: residual_mm(robot, m) - compensator.correction_mm(m.q) for name, m in judged.items()}
-    return {name: summarise(1e-3 * np.linalg.norm(rest, axis=1)) for name, rest in left.items()}
+    e = {name: 1e-3 * np.linalg.norm(rest, axis=1) for name, rest in left.items()}
+    return {name: summarise(np.concatenate([e[n] for n in names])) for name, names in together(e).items()}

@@ -15,7 +15,7 @@ from casadical.identification.left_open import left_open
 from casadical.identification.result import Identification, LeftOut, rows_in_words
 from casadical.project.check.coverage import coverage
 from casadical.project.networks import Networks
-from casadical.project.problem import Problem
+from casadical.project.problem import Problem, together
 from casadical.project.tables import Accuracies, judged_on
 from casadical.robot.robot import Robot
 
@@ -54,10 +54,10 @@ def _doubts(problem: Problem, last: Identification) -> Iterator[Words]:
     if "DOES NOT FIT" in last.verdict:
         yield Words("The model does not fit: run casadical check, it searches for slips of the table.", "warning")
     if last.left_out:
-        yield Words(f"Left out as outliers: {rows_in_words(last.left_out, NAMED)}.", "warning")
+        yield Words(f"Left out as outliers: {rows_in_words(last.left_out, NAMED, last.measurements)}.", "warning")
     far = far_held_out(problem, last.robot)
     if far:
-        worst = rows_in_words(far, 3)
+        worst = rows_in_words(far, 3, last.measurements)
         without = mm(float(np.mean(np.concatenate([e for e, _ in _held_out(problem, last.robot).values()]))))
         text = f"Held-out poses far off, in the figures above: {worst}; without them the mean is {without} mm."
         yield Words(text, "warning")
@@ -118,7 +118,12 @@ def far_held_out(problem: Problem, robot: Robot) -> list[LeftOut]:
 
 def usual_held_out(problem: Problem, robot: Robot) -> dict[str, Accuracy]:
     """Of each held-out set with poses that are far off, the figures without them."""
-    return {name: summarise(e) for name, (e, far) in _held_out(problem, robot).items() if far}
+    held = _held_out(problem, robot)
+    return {
+        name: summarise(np.concatenate([held[n][0] for n in names]))
+        for name, names in together(held).items()
+        if any(held[n][1] for n in names)
+    }
 
 
 def _held_out(problem: Problem, robot: Robot) -> dict[str, tuple[Array, list[LeftOut]]]:
@@ -140,10 +145,11 @@ def chance_of(before: Accuracy, after: Accuracy) -> float:
 
 def methods_worse(accuracies: Accuracies) -> Iterator[Words]:
     """Of methods before the last one: those with which held-out poses are worse than before."""
-    for method, states in list(accuracies.items())[:-1]:
+    *others, (_, last) = accuracies.items()
+    for method, states in others:
         name = next((name for name in states if name.startswith("report")), "")
-        if name:
-            before, after = states[name]["placed"], states[name]["calibrated"]
+        if name:  # the robot as given may bend, which KM's own start does not
+            before, after = last[name]["placed"], states[name]["calibrated"]
             if after.mean > before.mean + chance_of(before, after):
                 text = f"{method} makes held-out poses worse: {mm(after.mean)} mm, {mm(before.mean)} mm before"
                 yield Words(f"{text}; do not use {method}.robot.toml.", "warning")
@@ -160,12 +166,12 @@ def worse_than_before(result: Identification, before: Accuracy, after: Accuracy)
     text = f"held-out poses are worse after the calibration, {mm(after.mean)} mm, than before, {mm(before.mean)} mm"
     worst = _worst(result)
     if worst and result.loss == "linear":
-        cause = f"rows that nothing explains draw the fit ({rows_in_words(worst, 4)})"
+        cause = f"rows that nothing explains draw the fit ({rows_in_words(worst, 4, result.measurements)})"
         return f"{text}: {cause}; use --loss huber, or name them in leave_out"
     if result.degrees_of_freedom < 2 * len(result.names):
         return f"{text}: {len(result.names)} parameters from few poses; measure more, or free fewer parameters"
     if worst:
-        return f"{text}; check these rows first: {rows_in_words(worst, 4)}"
+        return f"{text}; check these rows first: {rows_in_words(worst, 4, result.measurements)}"
     return f"{text}: the nominal model is better than what these poses tell; measure more, or keep the nominal robot"
 
 

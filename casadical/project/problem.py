@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -116,15 +117,15 @@ class Problem:
         return f"{self.data} data" if self.data else "data of unstated origin"
 
     def parts(self) -> Iterator[tuple[str, Measurements]]:
-        """Every set by name; one of several kinds of measurements as SET/KIND.
+        """Every table's share of every set by name: SET; of several tables SET/KIND, of several of one kind with /FILE.
 
         Returns
         -------
         Iterator[tuple[str, Measurements]]
-            (name, poses) of each set
+            (name, poses), no name twice
         """
         for name, parts in self.sets.items():
-            yield from ((name if len(parts) == 1 else f"{name}/{m.kind}", m) for m in parts)
+            yield from zip(_part_names(name, parts), parts, strict=True)
 
     def calibrated_urdf(self, robot: Robot) -> str:
         """The problem's URDF with the geometry of a calibrated robot, the measured point as a link of its own.
@@ -149,6 +150,22 @@ class Problem:
         if self.urdf is None:
             raise InputError(f"{self.folder}: its robot is not from a URDF; write its robot file, or a new URDF")
         return calibrated_urdf_text(self.robot, robot, *self.urdf, measured_link="casadical_measured_point")
+
+
+def _part_names(name: str, parts: Sequence[Measurements]) -> list[str]:
+    if len(parts) == 1:
+        return [name]
+    alike = Counter(m.kind for m in parts)
+    named = [f"{name}/{m.kind}{f'/{Path(m.source).name}' if alike[m.kind] > 1 else ''}" for m in parts]
+    return [n if named.count(n) == 1 else f"{n} ({named[: k + 1].count(n)})" for k, n in enumerate(named)]
+
+
+def together(names: Iterable[str]) -> dict[str, list[str]]:
+    """By what errors are told of: which names of `Problem.parts` count there; tables of one kind as SET/KIND first."""
+    found: dict[str, list[str]] = {}
+    for name in names:
+        found.setdefault("/".join(name.split("/")[:2]), []).append(name)
+    return found | {name: [name] for several in found.values() for name in several}
 
 
 def read_problem(

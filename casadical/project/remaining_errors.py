@@ -70,8 +70,8 @@ class PoseErrors:
     @property
     def words(self) -> str:
         """How a title names the set."""
-        name, _, kind = self.name.partition("/")
-        return SETS.get(name, name) + (f" ({kind})" if kind else "")
+        name, *more = self.name.split("/")
+        return SETS.get(name, name) + (f" ({', '.join(more)})" if more else "")
 
     def thinned(self, most: int) -> PoseErrors:
         """At most so many of the poses, evenly spaced in their order."""

@@ -50,6 +50,8 @@ def error_tables(accuracies: Accuracies, networks: Networks | None = None) -> li
     trained = networks is not None and any(r.compensator for r in networks.results.values())
     tables = []
     for name in sorted(last, key=lambda name: not name.startswith("report")):
+        if name.count("/") > 1:  # one table of several, a row of the kind's
+            continue
         states = last[name]
         rows = [("before, base and tool fitted", states["placed"])]
         if states["nominal"].mean < ELSEWHERE * states["placed"].mean:
@@ -57,6 +59,8 @@ def error_tables(accuracies: Accuracies, networks: Networks | None = None) -> li
         rows += [(f"after {method}", by_set[name]["calibrated"]) for method, by_set in accuracies.items()]
         first = len(rows) - 1
         rows += [(f"after {r.method}", r.errors[name]) for r in used if name in r.errors]
+        single = {n.split("/", 2)[2]: a["calibrated"] for n, a in last.items() if n.startswith(f"{name}/")}
+        rows += [(f"after {list(accuracies)[-1]}, {file}", a) for file, a in single.items()]
         use = _WITH_NETWORKS.get(name.split("/")[0]) if trained else None
         use = use or ("used" if name.startswith("identify") else "held out")
         cells = [(label, *(mm(v) for v in (a.mean, a.max, a.std, a.rms, a.p95))) for label, a in rows]
