@@ -60,7 +60,9 @@ def plan(
     noise_mm: Annotated[
         float | None,
         typer.Option(
-            min=0, help="Noise of a coordinate or distance, one sigma; default: 0.02, or estimated from --measured."
+            min=0,
+            help="Noise of a coordinate or distance, one sigma; default: sigma_mm of problem.toml, or 0.02; "
+            "estimated from --measured.",
         ),
     ] = None,
     joint_noise_urad: Annotated[float, typer.Option(min=0, help="Repeatability of a joint, one sigma.")] = 0.0,
@@ -111,8 +113,8 @@ def plan(
     from casadical.pose_selection.candidates import Circumstances
     from casadical.pose_selection.criteria import checked
     from casadical.pose_selection.workspace_file import read_workspace
+    from casadical.project.planning import noise_declared, planned_with, robot_of
     from casadical.project.planning import plan as run
-    from casadical.project.planning import planned_with, robot_of
     from casadical.project.problem import read_campaign
 
     robot = robot_of(problem)
@@ -120,8 +122,10 @@ def plan(
     wanted = [c for c in named(robot, effects.split(",")) if c.listed] if effects else []
     # An effect with a grid of settings is planned for with the middle one.
     added = [e for c in wanted for e in c.variants[len(c.variants) // 2]]
-    given = noise_mm is not None or measured is None
-    noise = Noise(1e-3 * (0.02 if noise_mm is None else noise_mm), 1e-6 * joint_noise_urad) if given else None
+    where = _places(wires, sockets, places, known_places)
+    if noise_mm is None and measured is None:
+        noise_mm = noise_declared(problem, robot, where)
+    noise = None if noise_mm is None else Noise(1e-3 * noise_mm, 1e-6 * joint_noise_urad)
     target = None if target_mm is None else 1e-3 * target_mm
     workspace = read_workspace(room, robot) if room else None
     circumstances = Circumstances(_numbers(payloads), every_payload, both_approaches, repeats)
@@ -130,7 +134,7 @@ def plan(
         found = run(
             robot, n, added, criterion=word, workspace=workspace, circumstances=circumstances, measured=before,
             noise=noise, min_distance=min_distance, order=order, target=target, seed=seed, show=show,
-            places=_places(wires, sockets, places, known_places),
+            places=where,
         )  # fmt: skip
     place = out if n is None else out or Path("plan.csv")
     texts = found.files(place) if place else {}

@@ -21,12 +21,15 @@ from casadical.core.errors import InputError
 from casadical.identification.residuals import POINT_SCALE
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
-from casadical.pose_selection.candidates import SOCKET
+from casadical.pose_selection.candidates import SOCKET, draw, expected
 from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian, whitened
+from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
 
 MOST_SETS = 20_000
+# Random readings whose farthest point is how far the robot reaches.
+REACHING = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,12 +281,17 @@ def usual_places(robot: Robot, kind: Literal["wires", "sockets"]) -> Array:
     """Candidates where none were given, shape (K, 3) [m] in the measuring frame.
 
     Of wires on posts around the robot, one and a half times its reach away, at heights up to that; of sockets on
-    a table before it and half its reach above.
+    a table before it and half its reach above. The reach is how far out the tool gets between the joints' limits.
     """
     radii, heights, turns = ((1.5,), (0.0, 0.5, 1.0, 1.5), 12) if kind == "wires" else ((0.45, 0.7), (0.1, 0.5), 8)
     turn = np.arange(turns) * 2 * np.pi / turns
     local = [(r * np.cos(a), r * np.sin(a), h) for r in radii for h in heights for a in turn]
-    return np.asarray(robot.reach * np.array(local) @ robot.base.T[:3, :3].T + robot.base.T[:3, 3])
+    q = draw(robot, REACHING, Workspace(), np.random.default_rng(0))
+    tool = expected(robot, q, {}, "reach").position
+    assert tool is not None
+    T = robot.base.T
+    reach = np.linalg.norm(((tool - T[:3, 3]) @ T[:3, :3])[:, :2], axis=1).max()
+    return np.asarray(reach * np.array(local) @ T[:3, :3].T + T[:3, 3])
 
 
 def _farthest(places: Array) -> tuple[int, int]:

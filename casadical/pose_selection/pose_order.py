@@ -1,5 +1,7 @@
 """The order in which poses are measured: pass by pass, payload by payload, with short travel within each."""
 
+from typing import Any
+
 import numpy as np
 
 from casadical.core.arm import GRAVITY
@@ -29,6 +31,15 @@ def travel(robot: Robot, q: Array) -> float:
     return float(D[np.arange(len(q) - 1), np.arange(1, len(q))].sum())
 
 
+def tours() -> Any:
+    """The library that orders poses. Raises InputError where it is not installed."""
+    return optional(
+        "networkx",
+        "ordering for short travel needs networkx, which is not installed; pip install 'casadical[plan]', or keep "
+        "the order in which poses were chosen (--no-order)",
+    )
+
+
 def short_path(D: Array, before: Array | None = None) -> Array:
     """An order, shape (n,), of small total distance.
 
@@ -40,11 +51,7 @@ def short_path(D: Array, before: Array | None = None) -> Array:
     n = len(D)
     if n < 3:
         return np.arange(n) if before is None or n < 2 else np.argsort(before)
-    nx = optional(
-        "networkx",
-        "ordering for short travel needs networkx, which is not installed; pip install 'casadical[plan]', or keep "
-        "the order in which poses were chosen (--no-order)",
-    )
+    nx = tours()
     # Zero would be read as "no edge".
     graph = nx.from_numpy_array(D + 1e-12)
     first = np.zeros(n) if before is None else before

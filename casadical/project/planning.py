@@ -1,6 +1,7 @@
 """A plan of what to measure: the robot calibrated with what was measured, the next poses, their order, the forecast."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -14,6 +15,7 @@ from casadical.effects import Effect, Session
 from casadical.identification.identification import identify
 from casadical.measurements.columns import Columns
 from casadical.measurements.derived_columns import derive
+from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.measurements.raw_table import read_table
@@ -22,13 +24,18 @@ from casadical.pose_selection.criteria import Criterion
 from casadical.pose_selection.instruments import usual_places
 from casadical.pose_selection.places import place_instrument, select_with_places
 from casadical.pose_selection.plan import MeasurementPlan
+from casadical.pose_selection.pose_order import tours
 from casadical.pose_selection.pose_search import select_poses
 from casadical.pose_selection.selection import Selection
 from casadical.pose_selection.stopping_rule import forecast
 from casadical.pose_selection.workspace import Workspace
-from casadical.project.problem import read_campaign_robot
+from casadical.project.given_tables import tables_of
+from casadical.project.problem import read_campaign, read_campaign_robot
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
+
+# Of a coordinate that a laser tracker measures, one sigma.
+TRACKER_MM = 0.02
 
 
 def robot_of(path: Path) -> Robot:
@@ -65,6 +72,31 @@ class Places:
 def read_places(path: Path) -> Array:
     """Columns x_mm, y_mm, z_mm (or _m) of a table, shape (K, 3) [m]. Raises InputError."""
     return Columns.of_file(read_table(path)).vector("")
+
+
+def declared(path: Path, robot: Robot) -> tuple[tuple[str, ...], float | None]:
+    """Kinds of a problem folder's tables, as far as they say or are there, and the greatest noise declared [mm]."""
+    tables = tables_of(path) if path.is_dir() else ()
+    kinds = {data.kind for data in tables if data.kind}
+    for data in tables:
+        if data.kind is None and (path / data.file).is_file():
+            with suppress(InputError):  # a plan needs no table
+                kinds.add(read_campaign(path, path / data.file, robot).kind)
+    return tuple(sorted(kinds)), max((data.sigma_mm for data in tables if data.sigma_mm), default=None)
+
+
+def noise_declared(path: Path, robot: Robot, places: Places | None) -> float:
+    """Noise to plan with where none is given [mm]: as the folder's tables declare it, else a tracker's.
+
+    Raises InputError where the tables are of no positions and nobody said what to plan for.
+    """
+    kinds, noise = declared(path, robot)
+    if places is None and kinds and not any("position" in find_kind(kind).arrays for kind in kinds):
+        raise InputError(
+            f"{path}: its tables are of kind {', '.join(kinds)}, and a plan is for positions unless it is told more; "
+            "give --wires N for N draw wires, --sockets N for touched points, or --noise-mm for positions all the same"
+        )
+    return TRACKER_MM if noise is None else noise
 
 
 def planned_with(path: Path, measured: Path | None) -> str:
@@ -136,6 +168,8 @@ def plan(
             f"poses measured before are counted with positions alone, not with {places.kind}: plan with the robot file "
             "that calibrate --out wrote"
         )
+    if order and n is not None:
+        tours()  # refused before the work, not behind it
     known = {e.label for e in robot.effects}
     if effects:
         robot = robot.with_effect(*(e for e in effects if e.label not in known))

@@ -12,7 +12,8 @@ held out: the base frame, which such instruments do not know, is put where the t
 
 The rules, fixed by a commit before the figures were seen, on splits (1, 2, 3) that no figure was seen of:
   usual    wires at 10, 130, 250 degrees about the robot, 1.8 m out, at heights 0, 1.2 and 0.6 m; random poses
-  places   wires at those of the usual candidates that `place_instrument` chooses for these poses
+  places   wires at those of the usual candidates that `place_instrument` chooses for these poses (when this was
+           printed they stood 1.5 times the links' lengths away; now 1.5 times as far out as the tool gets)
   planned  as "places", and the poses are those that `select_poses` chooses of the readings for the fit
   sockets  those of 40 random candidates that `place_instrument`'s criterion prefers, as many as the poses fill
 Planning takes the robot file's geometry, the instrument's noise, and 100 urad a joint for what a calibration leaves of

@@ -1,20 +1,24 @@
 """Plans for wires and sockets: what they promise against identifications, where anchors go, and the command."""
 
 import json
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from command_line import main
-from pose_arms import elbow
+from pose_arms import elbow, readings
 
 from casadical import InputError, identify, write_robot
+from casadical.identification.accuracy import predicted
+from casadical.measurements.measurements import unmeasured
 from casadical.pose_selection import Instrument, Noise, forecast, place_instrument, select_poses
 from casadical.pose_selection.candidates import SOCKET, expected
 from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.instruments import usual_places
 from casadical.pose_selection.places import select_with_places
+from casadical.project.planning import plan as planned
 
 SIGMA = 5e-5
 ANCHORS = np.array([[1.8, 0.3, 0.0], [-0.9, 1.6, 1.2], [-0.6, -1.7, 0.6]])
@@ -140,6 +144,38 @@ def test_the_command_plans_wires_among_given_places(monkeypatch, tmp_path, capsy
 def test_options_that_contradict_each_other_are_refused(monkeypatch, tmp_path, capfd, words, said) -> None:
     assert command(monkeypatch, tmp_path, "-n", 30, *words) == 2
     assert said in " ".join(capfd.readouterr().err.split())
+
+
+def test_usual_places_are_of_the_reach_that_the_joints_allow(robot) -> None:
+    """Not of the links' lengths, one added to the other."""
+    far = np.linalg.norm(usual_places(robot, "wires")[:, :2], axis=1)
+    stiff = replace(robot, joints=tuple(replace(j, lower=-0.1, upper=0.1) for j in robot.joints))
+    near = np.linalg.norm(usual_places(stiff, "wires")[:, :2], axis=1)
+    at = predicted(robot, unmeasured(readings(robot, 5000, 8), {}, "test"))[0]
+    np.testing.assert_allclose(far, 1.5 * np.linalg.norm(at[:, :2], axis=1).max(), rtol=0.03)
+    assert (near < 0.95 * far).all()
+
+
+def test_a_folder_of_distances_is_not_planned_as_positions(monkeypatch, tmp_path, capfd) -> None:
+    write_robot(elbow(), tmp_path / "robot.toml")
+    table = '[[measurements]]\nfile = "wire1.csv"\nkind = "distance"\nsigma_mm = 0.1\n'
+    (tmp_path / "problem.toml").write_text(f'casadical = 1\ntitle = "wires"\n\n{table}')
+    words = ("plan", tmp_path, "--no-order", "-n", 30)
+    assert main(monkeypatch, *words) == 2
+    assert "its tables are of kind distance" in " ".join(capfd.readouterr().err.split())
+    # The readings of a wire are planned with the noise that the folder declares.
+    (tmp_path / "places.csv").write_text("x_mm,y_mm,z_mm\n1800,300,0\n-900,1600,1200\n")
+    out = tmp_path / "next.csv"
+    assert main(monkeypatch, *words, "--wires", 2, "--places", tmp_path / "places.csv", "--out", out) == 0
+    assert "noise of 0.1 mm a distance" in " ".join(capfd.readouterr().out.split())
+
+
+def test_a_missing_library_is_said_before_the_work(robot, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "networkx", None)
+    lines: list[str] = []
+    with pytest.raises(InputError, match="needs networkx"):
+        planned(robot, 30, show=lines.append)
+    assert lines == []
 
 
 def test_what_no_reading_tells_of_is_left_aside() -> None:
