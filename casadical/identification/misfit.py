@@ -83,10 +83,12 @@ def wide_fit(found: Identification) -> WideFit:
     q = np.concatenate([m.q for m in found.used])
     tried = [_at(rho, rows, doubts) for rho in RHOS]
     best = int(np.argmax([log_likelihood for log_likelihood, _ in tried]))
-    white, Jw, sums, (s2, mean, _, variance) = tried[best][1]
+    white, Jw, sums, (s2, mean, S, variance) = tried[best][1]
     times = _misfit(white + Jw @ mean, Jw, q, s2, variance)
     r, J = _without_points(rows.r, rows.J, rows.U)[:2]
-    left = _MM * float(np.sqrt(np.sum((r + J @ mean) ** 2) / max(1, sums.count - len(found.names))))
+    M = S @ sums.H / s2  # a parameter with a prior counts as far as the data determine it (Hastie, Tibshirani 1990)
+    fitted = float(2 * np.trace(M) - np.sum(M * M.T))
+    left = _MM * float(np.sqrt(np.sum((r + J @ mean) ** 2) / max(1.0, sums.count - fitted)))
     return WideFit(robot, doubts, sums, s2, RHOS[best], variance, times, left, len(r))
 
 

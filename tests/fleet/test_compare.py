@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import run
-from lives import as_built, changed, measured, write_table
+from lives import NOISE, as_built, changed, measured, write_table
 from scipy.stats import multivariate_normal
 
 from casadical import InputError, Robot, calibrate, identify, read_robot, write_robot
@@ -283,6 +283,12 @@ def test_the_file_says_how_much_less_it_is_sure_where_its_model_does_not_fit(arm
     smooth, bent = (misfit_of(identify(robot, replace(m, position=m.position + d))) for d in (0 * slow, slow))
     assert smooth < 1.2
     assert bent > 1.5
+
+
+def test_what_is_left_is_the_noise_however_much_was_fitted(arm: tuple[Robot, Robot]) -> None:
+    """Of 120 numbers 32 parameters take their share, and the harmonics theirs; the mean of four campaigns."""
+    left = [estimate((arm[0], measured(arm[1], seed))).sigma for seed in range(100, 104)]
+    assert np.sqrt(np.mean(np.square(np.array(left, dtype=float)))) == pytest.approx(NOISE, rel=0.1)
 
 
 def test_the_figure_of_a_life(tables: Path, tmp_path: Path) -> None:
