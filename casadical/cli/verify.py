@@ -15,7 +15,13 @@ def verify(
     robot: Annotated[
         Path, typer.Argument(metavar="ROBOT.toml", help="A calibrated robot, as `casadical calibrate --out` writes it.")
     ],
-    table: Annotated[Path, typer.Argument(metavar="TEN.csv", help="Some ten poses measured later, in any usual form.")],
+    tables: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="TEN.csv...",
+            help="Some ten poses measured later, in any usual form; several count together.",
+        ),
+    ],
     promised_mm: Annotated[
         float | None,
         typer.Option(
@@ -40,8 +46,8 @@ def verify(
     from casadical.project import verification
 
     console = wrapped(quiet)
-    with working(quiet, "fitting base and tool", table.name):
-        found = verification.verify(robot, table, promised_mm)
+    with working(quiet, "fitting base and tool", tables[0].name):
+        found = verification.verify(robot, tables, promised_mm)
     console.print(terminal(found.blocks()))
     keep_json(json_file, found.to_json(), console)
     if not found.valid:

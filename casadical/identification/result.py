@@ -35,9 +35,9 @@ class LeftOut:
     error: float
 
 
-def rows_in_words(rows: Sequence[LeftOut], most: int = 8, of: Iterable[Measurements] = ()) -> str:
-    """Rows with their errors, the files named where there are several; of : all tables that they could be of."""
-    several = len({*(out.source for out in rows), *(m.source for m in of)}) > 1
+def rows_in_words(rows: Sequence[LeftOut], most: int = 8, of: Iterable[str] = ()) -> str:
+    """Rows with their errors, the files named where there are several; of : all files that they could be of."""
+    several = len({*(out.source for out in rows), *of}) > 1
     words = [f"{f'{out.source} ' if several else ''}row {out.row} ({mm(out.error)} mm)" for out in rows[:most]]
     return ", ".join(words) + (f" and {len(rows) - most} more" if len(rows) > most else "")
 
@@ -173,6 +173,11 @@ class Identification:
                 e = errors(self.robot, m)
                 found += [LeftOut(m.source, int(m.row[i]), float(e[i])) for i in poses]
         return tuple(sorted(found, key=lambda out: -out.error))
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """The tables, by name."""
+        return tuple(m.source for m in self.measurements)
 
     @property
     def unknown_points(self) -> dict[str, Array]:
@@ -335,7 +340,7 @@ class Identification:
         if self.at_bounds:
             text += f"; AT BOUNDS: {', '.join(self.at_bounds)} - widen the bounds or doubt the model"
         if self.outliers:
-            text += f"; left out as outliers: {rows_in_words(self.left_out, of=self.measurements)}"
+            text += f"; left out as outliers: {rows_in_words(self.left_out, of=self.sources)}"
         left = max(sigma for sigma, _ in self.sigmas)
         if left > POOR_FIT * self.robot.reach:
             text += f"; THE MODEL DOES NOT FIT: {1e3 * left:.3g} mm are left - check joint signs, zeros and units"

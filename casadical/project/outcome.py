@@ -54,10 +54,10 @@ def _doubts(problem: Problem, last: Identification) -> Iterator[Words]:
     if "DOES NOT FIT" in last.verdict:
         yield Words("The model does not fit: run casadical check, it searches for slips of the table.", "warning")
     if last.left_out:
-        yield Words(f"Left out as outliers: {rows_in_words(last.left_out, NAMED, last.measurements)}.", "warning")
+        yield Words(f"Left out as outliers: {rows_in_words(last.left_out, NAMED, last.sources)}.", "warning")
     far = far_held_out(problem, last.robot)
     if far:
-        worst = rows_in_words(far, 3, last.measurements)
+        worst = rows_in_words(far, 3, last.sources)
         without = mm(float(np.mean(np.concatenate([e for e, _ in _held_out(problem, last.robot).values()]))))
         text = f"Held-out poses far off, in the figures above: {worst}; without them the mean is {without} mm."
         yield Words(text, "warning")
@@ -166,12 +166,12 @@ def worse_than_before(result: Identification, before: Accuracy, after: Accuracy)
     text = f"held-out poses are worse after the calibration, {mm(after.mean)} mm, than before, {mm(before.mean)} mm"
     worst = _worst(result)
     if worst and result.loss == "linear":
-        cause = f"rows that nothing explains draw the fit ({rows_in_words(worst, 4, result.measurements)})"
+        cause = f"rows that nothing explains draw the fit ({rows_in_words(worst, 4, result.sources)})"
         return f"{text}: {cause}; use --loss huber, or name them in leave_out"
     if result.degrees_of_freedom < 2 * len(result.names):
         return f"{text}: {len(result.names)} parameters from few poses; measure more, or free fewer parameters"
     if worst:
-        return f"{text}; check these rows first: {rows_in_words(worst, 4, result.measurements)}"
+        return f"{text}; check these rows first: {rows_in_words(worst, 4, result.sources)}"
     return f"{text}: the nominal model is better than what these poses tell; measure more, or keep the nominal robot"
 
 

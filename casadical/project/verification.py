@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from casadical.identification.identification import identify
 from casadical.identification.result import LeftOut, rows_in_words
 from casadical.identification.sessions import with_sessions
 from casadical.measurements.kinds.registry import find_kind
+from casadical.measurements.measurements import Measurements
 from casadical.project.check.targets import recognised
 from casadical.project.problem import read_campaign
 from casadical.project.target_names import names_in
@@ -39,6 +40,7 @@ class Verification:
     promised : rms position error on held-out poses of the calibration [m]; found : now, base and tool fitted again, the
     fit's own share made up for [m]; limit : what `found` may be by chance [m]; n : poses; far : those far off
     lost : rows in which a cell is no number; without : `found` without the far ones, where it is not valid with them
+    tables : their names; again : what was fitted again; gone : labels of effects of the instrument, left out
     """
 
     robot: str
@@ -48,7 +50,10 @@ class Verification:
     n: int
     far: tuple[LeftOut, ...]
     without: float | None = None
-    lost: tuple[int, ...] = ()
+    lost: tuple[tuple[str, int], ...] = ()
+    tables: tuple[str, ...] = ()
+    again: str = "Base and tool were"
+    gone: tuple[str, ...] = ()
 
     @property
     def valid(self) -> bool:
@@ -65,17 +70,21 @@ class Verification:
         found = [
             Words(text, "verdict"),
             Words(
-                f"Up to {mm(self.limit)} mm would be chance. Base and tool were fitted again; their share in the error "
-                "is made up for."
+                f"Up to {mm(self.limit)} mm would be chance. {self.again} fitted again; the share of that in the "
+                "error is made up for."
             ),
         ]
+        if self.gone:
+            text = f"{', '.join(self.gone)}: what the instrument of the calibration did is left out of the model."
+            found.append(Words(text, "note"))
         if self.far:
-            text = f"Far off: {rows_in_words(self.far)}"
+            text = f"Far off: {rows_in_words(self.far, of=self.tables)}"
             if self.without is not None:
                 text += f"; without them it is {mm(self.without)} mm{', as promised' * (self.without <= self.limit)}"
             found.append(Words(f"{text}. Measure these poses again first.", "warning"))
         if self.lost:
-            listed = ", ".join(map(str, self.lost))
+            several = len(self.tables) > 1
+            listed = ", ".join(f"{row} of {source}" if several else str(row) for source, row in self.lost)
             found.append(Words(f"Left out, a cell is no number: row {listed}.", "warning"))
         if not self.valid and (self.without is None or self.without > self.limit):
             found.append(Words("Calibrate again, or ask casadical diagnose what changed.", "warning"))
@@ -91,57 +100,93 @@ class Verification:
             "limit_mm": 1e3 * self.limit,
             "poses": self.n,
             "without_far_mm": None if self.without is None else 1e3 * self.without,
-            "left_out": list(self.lost),
-            "far": [{"row": out.row, "error_mm": 1e3 * out.error} for out in self.far],
+            "left_out": [row for _, row in self.lost],
+            "far": [{"source": out.source, "row": out.row, "error_mm": 1e3 * out.error} for out in self.far],
+            "tables": list(self.tables),
+            "without_effects": list(self.gone),
         }
 
 
-def verify(robot: str | Path, table: str | Path, promised_mm: float | None = None) -> Verification:
+def verify(
+    robot: str | Path, tables: str | Path | Sequence[str | Path], promised_mm: float | None = None
+) -> Verification:
     """Check a calibrated robot by poses that were measured later; base and tool are fitted again.
 
-    robot : file as `casadical calibrate --out` writes it; table : measured poses, of any kind
+    robot : file as `casadical calibrate --out` writes it; tables : measured poses, one table or several of one kind
     promised_mm : rms error [mm] of this kind; None: of the held-out poses, see `promised_rms`
 
     With `found` of c n - k degrees of freedom, c numbers a pose (3 of a position), k those of base, tool and unknown
     points, its limit is the 99 % quantile of chi-squared (Wilson and Hilferty 1931). Base and tool may stand elsewhere
-    in each session. Raises InputError.
+    in each session. Effects of the instrument that was there are left out. Raises InputError.
     """
-    place = Path(robot)
-    arm = read_robot(place)
-    m = read_campaign(place, table, arm, later=True, words=True)
-    kind = m.kind if m.position is None else POSITION
+    place, given = Path(robot), [tables] if isinstance(tables, str | Path) else list(tables)
+    whole = read_robot(place)
+    gone = tuple(e.label for e in whole.effects if e.from_kind)
+    arm = whole.with_only(e for e in whole.effects if not e.from_kind) if gone else whole
+    sets = [read_campaign(place, table, arm, later=True, words=True) for table in given]
+    kind = _kind_of(sets)
     promised = 1e-3 * promised_mm if promised_mm is not None else promised_rms(place, kind)
-    if arm.targets and not names_in(m):  # the tool is fitted again, whichever it was
+    if arm.targets and not any(map(names_in, sets)):  # the tool is fitted again, whichever it was
         arm = replace(arm, targets=(), tool_name="")
-    if (several := recognised(arm, m)) and several.turning:
-        raise InputError(several.in_words(m.source))
-    m = m.positions_alone() if m.position is not None else m
-    arm, sessions = with_sessions(arm, [m])
-    groups = [g for g in ("base", "tool", *sessions) if g in arm.parameters.groups]
-    numbers = find_kind(m.kind).lengths
-    points = 3 * len(set(find_kind(m.kind).point_names(m.arrays)))
+    for m in sets:
+        if (several := recognised(arm, m)) and several.turning:
+            raise InputError(several.in_words(m.source))
+    sets = [m.positions_alone() if m.position is not None else m for m in sets]
+    arm, sessions = with_sessions(arm, sets)
+    rule, n = find_kind(sets[0].kind), sum(map(len, sets))
+    points = sum(3 * len(set(rule.point_names(m.arrays))) for m in sets)
+    # Readings to unknown places alone do not tell where the base is.
+    placed_by = ("base", "tool") if any(rule.at_rest(m.arrays) for m in sets) else ("tool",)
+    groups = [g for g in (*placed_by, *sessions) if g in arm.parameters.groups]
     k = len(arm.parameters.select(groups)) if groups else 0
-    freedom = numbers * len(m) - points - k
-    if freedom < 6:
+    needed = -(-(k + points + 6) // rule.lengths)
+    if rule.lengths * n < points + k + 6:
+        have = f"base and tool have {k} numbers" if "base" in placed_by else f"the tool has {k} numbers"
         raise InputError(
-            f"{table}: {len(m)} poses; base and tool have {k} numbers{f', the points {points}' if points else ''}: "
-            f"measure {-(-(k + points + 6) // numbers)} or more"
+            f"{', '.join(map(str, given))}: {n} poses; {have}{f', the points {points}' if points else ''}: "
+            f"measure {needed} or more"
         )
     placed = arm
     if groups:
-        fitted = identify(arm, m, groups)
+        fitted = identify(arm, sets, groups)
         placed, k = fitted.robot, len(fitted.names)  # contacts do not tell where the base is
-    e = errors(placed, m)
+    e = np.concatenate([errors(placed, m) for m in sets])
+    at = [(m.source, int(row)) for m in sets for row in m.row]
     shared = points + k
-    found, limit = _scatter(e, k, numbers * len(m) - shared), _limit(promised, numbers * len(m) - shared)
-    far = [LeftOut(m.source, int(m.row[i]), float(e[i])) for i in np.argsort(-e) if e[i] > FAR * promised]
+    # Touched points, which are many for few poses, lower the promised error alike; far ends of distances hardly do.
+    made_up = shared if rule.name == "distance" else k
+    found, limit = _scatter(e, made_up, rule.lengths * n - shared), _limit(promised, rule.lengths * n - shared)
+    far = [LeftOut(at[i][0], at[i][1], float(e[i])) for i in np.argsort(-e) if e[i] > FAR * promised]
     without = None
     if found > limit and groups:  # a few gross errors draw base and tool, and so all others, towards themselves
-        robust = identify(arm, m, groups, loss="huber")
-        if 0 < len(robust.outliers) <= len(m) // 3:
-            kept = robust.used[0]
-            far, without = list(robust.left_out), _scatter(errors(robust.robot, kept), k, numbers * len(kept) - shared)
-    return Verification(arm.name, promised, found, limit, len(m), tuple(far[: len(m) // 3]), without, m.lost)
+        robust = identify(arm, sets, groups, loss="huber")
+        if 0 < len(robust.outliers) <= n // 3:
+            kept = np.concatenate([errors(robust.robot, m) for m in robust.used])
+            far, without = list(robust.left_out), _scatter(kept, made_up, rule.lengths * len(kept) - shared)
+    again = "The tool was" if not points else "The tool and the unknown places were"
+    return Verification(
+        robot=arm.name,
+        promised=promised,
+        found=found,
+        limit=limit,
+        n=n,
+        far=tuple(far[: n // 3]),
+        without=without,
+        lost=tuple((m.source, row) for m in sets for row in m.lost),
+        tables=tuple(m.source for m in sets),
+        again="Base and tool were" if "base" in placed_by else again,
+        gone=gone,
+    )
+
+
+def _kind_of(sets: Sequence[Measurements]) -> str:
+    """What all tables hold; full poses are judged by their positions. Raises InputError for several kinds."""
+    kinds = sorted({m.kind if m.position is None else POSITION for m in sets})
+    if len(kinds) > 1:
+        raise InputError(
+            f"{', '.join(m.source for m in sets)}: tables of kinds {', '.join(kinds)}; check one at a time"
+        )
+    return kinds[0]
 
 
 def _scatter(e: Array, k: int, freedom: int) -> float:

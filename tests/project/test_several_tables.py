@@ -8,15 +8,17 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import main
 
-from casadical import calibrate
+from casadical import InputError, calibrate
 from casadical.core.blocks import plain_text
+from casadical.effects.wire_drift import WireDrift
 from casadical.identification.accuracy import Accuracy, errors, predicted, summarise
 from casadical.measurements.measurements import unmeasured
 from casadical.project.calibration import Calibration
 from casadical.project.outcome import methods_worse
-from casadical.project.verification import promised_rms
-from casadical.robot.robot_file import read_robot
+from casadical.project.verification import promised_rms, verify
+from casadical.robot.robot_file import read_robot, to_toml
 
 ROBOT = Path(__file__).parents[2] / "problems" / "planar" / "robot.toml"
 # Far ends of the wires [m], and the noise of each [m].
@@ -85,3 +87,58 @@ def test_a_method_worse_than_the_before_of_the_table_is_named() -> None:
     (said,) = methods_worse(found)
     assert said.text.startswith("KM makes held-out poses worse: 0.830 mm, 0.600 mm before")
     assert not list(methods_worse(found | {"KM": {"report": states(1.2, 0.6)}}))
+
+
+SPATIAL = ROBOT.parents[1] / "ur10e" / "robot.toml"
+ENDS = np.array([[1.5, 0.2, 0.1], [-0.8, 1.4, 0.3], [-0.7, -1.3, 0.9]])
+
+
+def later(folder: Path, n: int, seed: int, sigma: float) -> list[Path]:
+    """The same n poses of a robot in space by three wires to places that nobody measured."""
+    rng, robot = np.random.default_rng(seed), read_robot(SPATIAL)
+    low, high = (np.array([getattr(j, side) for j in robot.joints]) for side in ("lower", "upper"))
+    q = rng.uniform(np.maximum(low, -2.0), np.minimum(high, 2.0), (n, robot.n))
+    p = predicted(robot, unmeasured(q))[0]
+    tables = []
+    for k, end in enumerate(ENDS):
+        table = pd.DataFrame(np.rad2deg(q), columns=[f"q{j + 1}_deg" for j in range(robot.n)])
+        table["distance_mm"] = 1e3 * (np.linalg.norm(p - end, axis=1) + rng.normal(0, sigma, n))
+        tables.append(folder / f"later{k}.csv")
+        table.to_csv(tables[-1], index=False)
+    return tables
+
+
+def test_a_check_takes_several_tables_and_makes_up_for_the_places_it_fits(tmp_path: Path) -> None:
+    """Of 21 readings 12 numbers are fitted: without the places' share the variance would be 0.57 of the noise's."""
+    found = [verify(SPATIAL, later(tmp_path, 7, seed, 1e-4), promised_mm=0.1) for seed in range(8)]
+    assert {f.n for f in found} == {21}
+    assert 0.75 < np.mean([(f.found / 1e-4) ** 2 for f in found]) < 1.4
+    assert "The tool and the unknown places were fitted again" in " ".join(plain_text(found[0].blocks()).split())
+
+
+def test_a_wire_does_not_see_the_base(tmp_path: Path) -> None:
+    wire = later(tmp_path, 12, 0, 1e-4)[0]
+    assert verify(SPATIAL, wire, promised_mm=0.1).n == 12
+    pd.read_csv(wire)[:9].to_csv(wire, index=False)
+    with pytest.raises(InputError, match="9 poses; the tool has 3 numbers, the points 3: measure 12 or more"):
+        verify(SPATIAL, wire, promised_mm=0.1)
+
+
+def test_what_an_instrument_did_is_left_out_and_said(tmp_path: Path) -> None:
+    robot = read_robot(SPATIAL)
+    drift = WireDrift()
+    (tmp_path / "drift.toml").write_text(to_toml(robot.with_only([drift]), "With what a wire did."))
+    found = verify(tmp_path / "drift.toml", later(tmp_path, 8, 0, 1e-4), promised_mm=0.1)
+    assert "wire_drift: what the instrument of the calibration did is left out" in plain_text(found.blocks())
+
+
+def test_the_command_takes_several_and_names_the_file_of_a_bad_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    tables = later(tmp_path, 12, 0, 1e-4)
+    bad = pd.read_csv(tables[1])
+    bad.loc[3, "distance_mm"] += 5
+    bad.to_csv(tables[1], index=False)
+    assert main(monkeypatch, "verify", SPATIAL, *tables, "--promised-mm", "0.1", "--json", tmp_path / "v.json") == 5
+    assert "Far off: later1.csv row 5 (" in " ".join(capfd.readouterr().out.split())
+    assert json.loads((tmp_path / "v.json").read_text())["far"][0]["source"] == "later1.csv"
