@@ -19,6 +19,8 @@ from casadical.robot.robot_file import to_toml
 FAR = 4.0
 # Of a campaign that could not be used, in a robot's notes.
 LEFT_OUT = "is left out:"
+# Of fewer robots the 95 % quantile is no more than the worst of them.
+MANY = 20
 # Rows that the terminal shows.
 SHOWN = 12
 
@@ -121,7 +123,8 @@ class Fleet:
         rows = []
         for kind, some in self.good.groupby("type", sort=False):
             after = some["after_mm"]
-            figures = (f"{v:.4f}" for v in (some["before_mm"].median(), after.median(), after.quantile(0.95)))
+            figures = [f"{v:.4f}" for v in (some["before_mm"].median(), after.median())]
+            figures.append(f"{after.quantile(0.95):.4f}" if len(some) >= MANY else "")
             rows.append((some["type_name"].iloc[0], str(kind), str(len(some)), *figures))
         head = ("type", "drawing", "robots", "before", "after", "95 % below")
         if rows:

@@ -117,12 +117,12 @@ def _all(robots: pd.DataFrame) -> Table:
     for r in records(robots.head(MOST)):
         error = r["error"].strip().splitlines()[-1] if r["error"] else ""
         errors = (f"{v:.4f}" if np.isfinite(v) else "" for v in (r["before_mm"], r["after_mm"]))
-        figures = (*errors, str(r["poses"]), str(r["campaigns"]))
+        figures = (error, *errors, str(r["poses"]), str(r["campaigns"]))
         verdict = " ".join(filter(None, (r["verdict"], r["causes"])))
-        rows.append((r["robot"], r["type_name"], r["status"], *figures, verdict, r["changes"], error))
-    head = ("robot", "type", "status", "before", "after", "poses", "campaigns", "diagnosis", "changed", "error")
+        rows.append((r["robot"], r["type_name"], r["status"], *figures, verdict, r["changes"]))
+    head = ("robot", "type", "status", "error", "before", "after", "poses", "campaigns", "diagnosis", "changed")
     title = f"Mean errors of held-out poses [mm]{f'; the first {MOST}' if len(robots) > MOST else ''}"
-    return Table(title, head, rows, frozenset({3, 4, 5, 6}), folded=len(rows) > 50)
+    return Table(title, head, rows, frozenset({4, 5, 6, 7}), folded=len(rows) > 50)
 
 
 def _map(found: Fleet) -> Figure:

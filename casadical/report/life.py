@@ -109,7 +109,7 @@ def _course(found: Comparison, change: Change) -> Figure:
         x=x,
         y=size,
         mode="lines+markers",
-        line={"color": BLUE, "width": 1},
+        line={"color": BLUE, "width": 1, "shape": "hvh" if change.course == "jump" else "linear"},
         marker={"size": 8, "color": BLUE},
         error_y={"type": "data", "array": 1.96 * error, "color": GREY, "thickness": 1.5, "width": 0},
         text=[plain(c.label) for c in found.campaigns],
@@ -129,7 +129,7 @@ def _left(found: Comparison) -> Figure:
 
 def left_figure(lives: Iterable[tuple[str, Sequence[Any] | None, Sequence[float | None], bool]], height: int) -> Figure:
     """What nothing explains in each campaign of robots: (name, places on the axis, scatter [mm], changed) of each."""
-    figure = new_figure("Left in each campaign", "campaign", "one sigma of a coordinate [mm]", height=height)
+    figure = new_figure("Left in each campaign", "campaign", "one sigma [mm]", height=height)
     for name, x, left, changed in lives:
         figure.add_scatter(
             x=x,

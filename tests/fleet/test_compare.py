@@ -300,6 +300,7 @@ def test_the_figure_of_a_life(tables: Path, tmp_path: Path) -> None:
     assert done.returncode == 5, done.stderr
     text = page.read_text()
     assert "joint_zero@5: jump" in text
+    assert '"shape":"hvh"' in text  # a step, not a slope
     assert "2026-02-01.csv is left out" in text
 
 

@@ -17,6 +17,7 @@ import pytest
 from command_line import run
 
 from casadical import InputError, Robot, read_robot
+from casadical.core.blocks import Table
 from casadical.fleet import run_fleet
 from casadical.fleet.cluster import client_of, results
 from casadical.fleet.hierarchy import common_of, learnt
@@ -101,7 +102,10 @@ def test_one_command_does_all_and_one_bad_robot_stops_nobody(
     assert "2026-04-01.csv is left out" in command.stdout.replace("\n", " ")
     assert "2026-05-01.csv is left out: 2026-05-01.csv: row 5, column 'q1_deg': 'l" in by_name["arm5"]["notes"]
     assert all(by_name[f"arm{k}"]["after_mm"] < 0.1 < by_name[f"arm{k}"]["before_mm"] for k in range(6))
-    assert "Map of accuracies" in (place / "fleet.html").read_text()
+    page = (place / "fleet.html").read_text()
+    assert "Map of accuracies" in page
+    table = page[page.index("Mean errors of held-out poses") :]
+    assert table.index(">error<") < table.index(">before<")
     (prior,) = (place / "priors").glob("*.robot.toml")
     common = read_robot(prior)
     assert common.parameters["a1"].value == pytest.approx(A1, abs=2e-4)
@@ -273,5 +277,10 @@ def test_robots_that_stand_out(done: tuple[Path, subprocess.CompletedProcess[str
     assert fleet_of(good).outliers == ()
     good.loc[good["robot"] == "arm3", "after_mm"] = 0.5
     assert fleet_of(good).outliers == ("arm3",)
+    few, many = (
+        next(b for b in fleet_of(some).blocks() if isinstance(b, Table) and "95 % below" in b.columns)
+        for some in (good, pd.concat([good] * 4, ignore_index=True))
+    )
+    assert [t.rows[0][-1] for t in (few, many)] == ["", "0.5000"]  # one in six has 0.5
     with pytest.raises(InputError, match="5 are needed"):
         common_of(good.iloc[:4])
