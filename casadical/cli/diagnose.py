@@ -197,7 +197,7 @@ def diagnose(
                 texts |= diagnosis_files(folder, found, more, path.stem, unlisted=unlisted)
         answers.append(as_json(found, path.stem, more))
         answered.append((path, found, more))
-        title = f"{path.stem} ({robot.name})"
+        title = f"{', '.join(p.stem for p in (campaigns if together else [path]))} ({robot.name})"
         if details:
             console.print(titled(title, page_of(found, more)), soft_wrap=True)
         else:

@@ -6,7 +6,7 @@ from casadical.core.blocks import Table, Words, mm
 from casadical.diagnosis.cause_table import cause_rows
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.statements import TIED, Statement, statements
+from casadical.diagnosis.statements import TIED, Statement, readings_of, statements
 
 THINGS, CAUSES = 3, 6
 # Characters of a thing to know: three lines of a terminal.
@@ -40,9 +40,8 @@ def _errors(d: Diagnosis) -> Table:
     rows = [("before: calibrated, without causes", mm(d.gap.before))]
     rows += [("after: with the causes in the model", mm(d.gap.after))] if steps else []
     rows += [("noise alone would leave", mm(d.gap.floor))]
-    return Table(
-        f"Mean error on poses held out, of {int(d.case.kept.sum())} [mm]", ("model", "mean"), rows, frozenset({1})
-    )
+    title = f"Mean error on poses held out, of {int(d.case.kept.sum())}{readings_of(d)} [mm]"
+    return Table(title, ("model", "mean"), rows, frozenset({1}))
 
 
 def _causes(d: Diagnosis) -> Iterator[Table | Words]:

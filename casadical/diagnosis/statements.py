@@ -117,6 +117,12 @@ def _rest(d: Diagnosis) -> str:
     return f"{after:.3f}{of} mm rms beyond the noise{f' ({100 * share:.0f} %)' if of else ''} has no named cause"
 
 
+def readings_of(d: Diagnosis) -> str:
+    """Of how many readings the error of a pose is the norm, where several tables have readings of one pose."""
+    most = d.case.others.stops.most if d.case.others else 1
+    return f", of each the norm over up to {most} readings" if most > 1 else ""
+
+
 def _gap(d: Diagnosis) -> Iterator[Statement]:
     r = d.replicates
     source = f"from {r.poses} repeated poses" if r.enough else "by the fit; too few poses are repeated"
@@ -126,7 +132,7 @@ def _gap(d: Diagnosis) -> Iterator[Statement]:
     out = f", {len(d.outliers)} outliers left out" if d.outliers else ""
     yield Statement(
         "GAP",
-        f"{mm(d.gap.kept)} mm mean on poses held out{out}; noise floor {mm(d.gap.floor)} ({source}); "
+        f"{mm(d.gap.kept)} mm mean on poses held out{readings_of(d)}{out}; noise floor {mm(d.gap.floor)} ({source}); "
         f"{int(d.case.kept.sum())} poses; {there}, P(nothing) = {d.rankings[0].none:.2g}{chance}",
     )
     if form := d.rankings[-1].noise_form:

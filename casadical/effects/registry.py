@@ -40,6 +40,7 @@ from casadical.effects.wire_offset import WireOffset as WireOffset
 from casadical.effects.wire_scale import WireScale as WireScale
 from casadical.effects.wire_drift import WireDrift as WireDrift
 from casadical.effects.station_step import StationStep as StationStep
+from casadical.effects.wire_step import WireStep as WireStep
 from casadical.effects.lens_scale import LensScale as LensScale
 from casadical.effects.hand_eye_step import HandEyeStep as HandEyeStep
 from casadical.effects.stand_step import StandStep as StandStep

@@ -24,6 +24,8 @@ NAMED = 0.95
 RIVALS, AMOUNTS = 4, 8
 # Rivals below this probability are not shown.
 SMALL = 0.005
+# See `casadical.fleet.placements.FAR`.
+NOT_SEEN = "not below 30 times its usual size"
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,9 +287,7 @@ def _campaigns(found: Comparison) -> Table:
 
 
 def _seen_from(found: Comparison) -> Table:
-    rows = [
-        (cause, f"{size:.2g} {unit}" if np.isfinite(size) else "not at all") for cause, size, unit in found.seen_from
-    ]
+    rows = [(cause, f"{size:.2g} {unit}" if np.isfinite(size) else NOT_SEEN) for cause, size, unit in found.seen_from]
     return Table("A jump before the last campaign would be seen from", ("cause", "size"), rows, folded=True)
 
 

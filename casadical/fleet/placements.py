@@ -22,6 +22,8 @@ SEEN = 5.0
 OTHER_TOOL, MOVED_TOOL = 4.0, 2.0
 # A change that is seen only from so many times its usual size is not seen.
 FAR = 30.0
+# Within this [m, rad] a base did not move: readings that tell nothing of it leave it where the robot file has it.
+SAME = 1e-12
 
 
 def seen_from(
@@ -98,6 +100,8 @@ def _base(before: Estimate, after: Estimate, names: Sequence[str]) -> Iterable[t
     if not placing & set(after.names) or placing & set(names):
         return
     T = np.linalg.solve(_placed(before), _placed(after))
+    if np.allclose(T, np.eye(4), rtol=0, atol=SAME):
+        return  # no reading tells where it stands
     turn = float(np.rad2deg(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1))))
     far = f"{1e3 * np.linalg.norm(T[:3, 3]):.4g} mm and {turn:.3g} deg"
     words = "the instrument stands elsewhere, or the robot's foot moved"

@@ -100,6 +100,9 @@ def test_calibrate_and_diagnose_say_it_as_well(tmp_path: Path) -> None:
     diagnosed = run("diagnose", arm, *tables, "--together", "--json", tmp_path / "out.json")
     assert "These data cannot see a turn of the whole robot about the line" in " ".join(diagnosed.stdout.split())
     assert len(json.loads((tmp_path / "out.json").read_text())["cannot"]) == 1
+    # The title has every table, and the error of a pose is said to be that of its three readings.
+    assert diagnosed.stdout.startswith("wire1, wire2, wire3 (")
+    assert "of each the norm over up to 3 readings" in " ".join(diagnosed.stdout.split())
 
 
 def test_a_distance_between_two_sockets_gives_the_size(tmp_path: Path) -> None:

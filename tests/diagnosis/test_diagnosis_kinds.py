@@ -309,10 +309,22 @@ def test_a_wire_that_drifts_is_named_and_no_cause_in_the_robot() -> None:
     np.testing.assert_allclose(predicted(found.apply(), m)[0], predicted(found.identification.robot, m)[0], atol=2e-4)
 
 
+def test_a_wire_that_slips_once_is_named_with_its_step() -> None:
+    """By 0.2 mm after half of the campaign, as a counter that loses counts."""
+    first, second, third = distances(practice("kr210-P08")[:60])
+    assert second.distance is not None
+    slipped = replace(second, distance=second.distance + 2e-4 * (np.arange(60) >= 30))
+    found = diagnose(robot("kr210"), [first, slipped, third], ["wire_drift", "wire_step", "station_step"], laws=False)
+    assert [c.label for c in found.causes] == ["wire_step"]
+    estimates = found.causes[0].estimates
+    assert estimates is not None
+    assert estimates["step2"][0] == pytest.approx(2e-4, rel=0.1)
+
+
 def test_effects_of_distances_are_no_candidates_of_positions() -> None:
     found = make_case(identified("hh800-P01"), candidates_of(robot("hh800"), ("standard",)))
     labels = {c.label for c in found.candidates} | found.missing.keys()
-    assert not labels & {"wire_offset", "wire_scale", "wire_drift", "station_step"}
+    assert not labels & {"wire_offset", "wire_scale", "wire_drift", "station_step", "wire_step"}
 
 
 def test_a_robot_that_fits_hardly_any_pose_is_refused() -> None:

@@ -46,7 +46,7 @@ def with_columns(name: str, effects: tuple[Effect, ...]) -> Measurements:
 
 # What reads distances or full poses has columns of its own, of where it measures to.
 OF_INSTRUMENTS = {
-    "wire_offset", "wire_scale", "wire_drift", "station_step", "lens_scale", "hand_eye_step", "stand_step",
+    "wire_offset", "wire_scale", "wire_drift", "station_step", "wire_step", "lens_scale", "hand_eye_step", "stand_step",
 }  # fmt: skip
 
 
