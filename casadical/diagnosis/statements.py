@@ -317,6 +317,9 @@ def _unknown(d: Diagnosis, more: Details) -> Iterator[Statement]:
                 "the noise floor is the fit's own, so errors of a form that was not tried count as noise; repeated "
                 "poses would tell the instrument's"
             )
+            sets = d.case.others.sets if d.case.others else ()
+            if len(sets) > 1 and any(m.sigma is None for m in sets):
+                words.append("so are the tables' noises, by which they are weighed: declare sigma_mm of each")
         yield Statement("UNKNOWN", "; ".join(w for w in words if w), doubtful=True)
 
 

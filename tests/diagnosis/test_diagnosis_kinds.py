@@ -305,6 +305,9 @@ def test_a_wire_that_drifts_is_named_and_no_cause_in_the_robot() -> None:
     ((which, size),) = wires_at_fault(found, found.causes[0]).items()
     assert (which, size.partition(" ")[0]) == ("wire2.csv", "drift")
     assert "check wire2.csv, calibrate without" in " ".join(text.split())
+    # Where something is left, the noise that nobody declared is a doubt.
+    left = statements(replace(found, verdict="unknown", unknown_rest=0.5))
+    assert "declare sigma_mm of each" in next(s.text for s in left if s.about == "UNKNOWN")
     # What the instrument does is not in the robot: at rest it is where it was.
     np.testing.assert_allclose(predicted(found.apply(), m)[0], predicted(found.identification.robot, m)[0], atol=2e-4)
 
