@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 from casadical.core.errors import InputError, shown
-from casadical.core.files import claimed, real_path
+from casadical.core.files import claimed, own_stream, real_path
 from casadical.core.plain_values import number_fault, text_fault
 
 # Parameters of commands that name outputs; every other path is an input.
@@ -93,7 +93,7 @@ def _check(files: Sequence[Path], folders: Sequence[Path], inputs: Sequence[Path
             raise InputError(f"{shown(path)}: is a folder; name a file")
         if _real(path).parent in within and _of_a_set(path.name):
             raise InputError(f"{shown(path)}: a file of this name is among those of --out; name another one")
-        if not overwrite and path.is_file():
+        if not overwrite and path.is_file() and own_stream(path) is None:
             _refuse_foreign(path)
     for real, path in read.items():
         if real.parent in within and _of_a_set(real.name) and path.is_file():

@@ -10,8 +10,10 @@ Hidden names begin with `PREFIX`. Their writer holds a lock on them, so that tho
 
 import json
 import os
+import re
 import shutil
 import stat
+import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -162,7 +164,7 @@ def _sort(path: Path, blob: bytes, files: dict[Path, bytes], streams: dict[Path,
     real = real_path(path)
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
-    if path.exists() and not path.is_file():
+    if own_stream(path) is not None or (path.exists() and not path.is_file()):
         streams[path] = blob
         return
     if real in files:
@@ -170,9 +172,17 @@ def _sort(path: Path, blob: bytes, files: dict[Path, bytes], streams: dict[Path,
     files[real] = blob
 
 
+def own_stream(path: Path) -> int | None:
+    """The descriptor that a name such as /dev/stdout stands for, which may be a file that a shell opened; else None."""
+    found = re.fullmatch(r"/dev/(stdout|stderr)|/(?:dev|proc/self)/fd/(\d+)", os.path.abspath(path))
+    return (int(found[2]) if found[2] else 1 + (found[1] == "stderr")) if found else None
+
+
 def _into(path: Path, blob: bytes) -> None:
     """Write into a device or a pipe; one that nobody reads from is an error, no waiting."""
-    handle = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
+    number = own_stream(path)  # opened again, a file would be written from its beginning
+    sys.stdout.flush()
+    handle = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0)) if number is None else os.dup(number)
     with os.fdopen(handle, "wb") as file:
         os.set_blocking(handle, True)
         file.write(blob)

@@ -8,7 +8,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from command_line import main
+from command_line import main, run
 
 from casadical.core.files import claimed
 
@@ -99,3 +99,12 @@ def test_a_folder_is_not_left_where_the_json_beside_it_is_not_written(monkeypatc
     kept = json.loads(Path("n.json").read_text())
     assert kept["files"] == [str(path) for path in sorted(Path("n").iterdir())]
     assert kept["problem"] == "n"
+
+
+def test_json_goes_into_the_file_that_a_shell_opened_for_the_standard_output() -> None:
+    """Behind what is printed there; its standard output is a file, as with > or >>."""
+    done = run("check", "problems/planar", "--json", "/dev/stdout")
+    assert done.returncode == 0, done.stderr
+    before, _, after = done.stdout.partition("\n{\n")
+    assert before
+    assert json.JSONDecoder().raw_decode("{" + after)[0]["ok"] is True
