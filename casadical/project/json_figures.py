@@ -9,6 +9,7 @@ from typing import Any
 
 from casadical.identification.accuracy import Accuracy
 from casadical.identification.result import Identification
+from casadical.measurements.kinds.registry import find_kind
 from casadical.project.networks import NetworkResult
 from casadical.project.problem_file import Paper
 from casadical.robot.robot import modified_dh
@@ -29,6 +30,7 @@ def method_figures(
         "iterations": len(result.solution.history) - 1,
         "loss": result.loss,
         "left_out": [{"source": out.source, "row": out.row, "error_mm": 1e3 * out.error} for out in result.left_out],
+        "unknown_places": _places(result),
         "sets": {
             name: {
                 **_as_mm(states["calibrated"]),
@@ -67,6 +69,17 @@ def paper_figures(paper: Paper) -> dict[str, Any]:
         name: {m: dict(zip(("mean_mm", "max_mm", "std_mm"), f, strict=True)) for m, f in table.items()}
         for name, table in tables.items()
     }
+
+
+def _places(result: Identification) -> list[dict[str, Any]]:
+    """Places that were identified too, such as far ends of wires, in the frame of the measurements."""
+    found = []
+    for label, xyz in result.unknown_points.items():
+        k, name = label.split("/", 1)
+        m = result.measurements[int(k)]
+        if find_kind(m.kind).places:
+            found.append({"source": m.source, "name": name, "xyz_mm": [1e3 * float(v) for v in xyz]})
+    return found
 
 
 def _as_mm(a: Accuracy) -> dict[str, float | int]:

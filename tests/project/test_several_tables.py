@@ -142,3 +142,13 @@ def test_the_command_takes_several_and_names_the_file_of_a_bad_row(
     assert main(monkeypatch, "verify", SPATIAL, *tables, "--promised-mm", "0.1", "--json", tmp_path / "v.json") == 5
     assert "Far off: later1.csv row 5 (" in " ".join(capfd.readouterr().out.split())
     assert json.loads((tmp_path / "v.json").read_text())["far"][0]["source"] == "later1.csv"
+
+
+def test_the_far_ends_that_were_found_stand_in_the_json(tmp_path: Path) -> None:
+    """Base and far ends may move together: their distances from each other are what the wires tell."""
+    tables = later(tmp_path, 60, 0, 2e-5)
+    found = calibrate(SPATIAL, tables=tables, method="KM").to_json()["methods"]["KM"]["unknown_places"]
+    assert [place["source"] for place in found] == [table.name for table in tables]
+    ends = np.array([place["xyz_mm"] for place in found])
+    apart = [np.linalg.norm(e - np.roll(e, 1, axis=0), axis=1) for e in (ends, 1e3 * ENDS)]
+    assert apart[0] == pytest.approx(apart[1], abs=5)
