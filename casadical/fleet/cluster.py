@@ -34,7 +34,7 @@ def client_of(scheduler: str | None, workers: int | None) -> Iterator[Any]:
         try:
             if scheduler is None:
                 cluster = distributed.LocalCluster(
-                    n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
+                    n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=50
                 )
                 stack.enter_context(cluster)
                 yield stack.enter_context(distributed.Client(cluster))

@@ -6,9 +6,11 @@ import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -230,6 +232,16 @@ def test_tables_and_robots_elsewhere_count_as_the_robots_own(plant: Path, tmp_pa
         found.append(fingerprint(folder))
     assert len(set(found)) == 3
     assert fingerprint(folder) == found[-1]
+
+
+def test_two_fleets_run_at_a_time() -> None:
+    """The port of Dask's pages is taken by another one, which is no reason for a warning."""
+    with socket.socket() as other:
+        with suppress(OSError):
+            other.bind(("127.0.0.1", 8787))
+            other.listen()
+        with client_of(None, 1) as client:
+            assert client.submit(abs, -1).result(timeout=60) == 1
 
 
 def test_a_bug_in_one_robot_is_a_row(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
