@@ -84,9 +84,9 @@ def test_a_urdf_of_a_rigid_robot_leaves_nothing_out(
 WRONG = {
     "no such source": (["export", "mjcf", "none", "--out", "x.xml"], "no such problem folder or robot file"),
     "a loop as a URDF": (["export", "urdf", HH800 / "robot.toml", "--out", "x.urdf"], "casadical export mjcf"),
-    "a campaign without its folder": (
+    "a campaign that is not there": (
         ["export", "mjcf", HH800 / "robot.toml", "--out", "x.xml", "--campaign", "c.csv"],
-        "--campaign needs the problem folder",
+        "c.csv: no such file",
     ),
     "into without joints": (["export", "mjcf", PLANAR, "--out", "x.xml", "--into", "y.xml"], "belong together"),
     "into without the nominal": (

@@ -102,6 +102,7 @@ def test_refit_agrees_with_the_linearised_and_has_standard_errors(half: tuple[Di
     d, _ = half
     check = check_refit(d)
     assert check.agree
+    assert check.refit == pytest.approx(check.linearised, rel=0.02)
     assert check.linearised == pytest.approx(d.gap.after, rel=0.05)
     table = d.refit().parameters.set_index("name")
     for name, (value, error, _) in d.causes[0].estimates.items():

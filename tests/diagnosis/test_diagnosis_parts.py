@@ -201,7 +201,7 @@ def test_kept_formulas_are_known_to_who_clears_the_folder() -> None:
 def test_the_base_model_keeps_all_parameters_by_their_priors() -> None:
     planar = read_problem(ROOT / "problems" / "planar")
     (m,) = planar.sets["identify"]
-    found = _of(planar.robot, m, Prior(), (), lambda _: None)
+    found = _of(planar.robot, (m,), Prior(), (), lambda _: None)
     assert found.problem.priors
     assert found.problem.loss == "huber"
     assert set(found.names) >= {"a1", "theta1", "beta1"}
@@ -260,7 +260,7 @@ def test_next_poses_have_the_unit_of_their_joint() -> None:
     joints = (Joint(), Joint(kind="prismatic"))
     q = np.array([[np.pi / 6, 0.25], [0.1, 0.2]])
     m = Measurements(q=q, kind="position", position=np.zeros((2, 3)))
-    case: Any = SimpleNamespace(robot=SimpleNamespace(joints=joints, payload=None), m=m)
+    case: Any = SimpleNamespace(robot=SimpleNamespace(joints=joints, payload=None), m=m, others=None)
     drawn: Any = SimpleNamespace(m=m, warm=None, repeated=np.array([-1, -1]), q=q)
     table = _table(case, (), drawn, [0], [0.5])
     assert table.loc[0, ["q1_deg", "q2_mm"]].tolist() == [30.0, 250.0]

@@ -13,7 +13,7 @@ from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.reading import from_table, read_measurements
 
 PAGE = (Path(__file__).parents[2] / "docs" / "measurements.md").read_text(encoding="utf-8")
-SHOWN = dict(re.findall(r"<!-- (\w+) -->\n```csv\n(.*?)```", PAGE, flags=re.DOTALL))
+SHOWN = dict(re.findall(r"<!-- (\w+) -->\n```text\n(.*?)```", PAGE, flags=re.DOTALL))
 READINGS = {"q1_deg": [10.0, 30, -40, 15, 20], "q2_deg": [20.0, -15, 25, 5, 0]}
 
 
