@@ -239,7 +239,7 @@ def test_fifteen_poses_are_proposed_by_default() -> None:
 def test_a_p_value_is_told_to_a_thousandth(p: float | None, told: str) -> None:
     d: Any = SimpleNamespace(
         replicates=SimpleNamespace(enough=False, poses=0), verdict="none", p_nothing=p, outliers=(),
-        gap=SimpleNamespace(kept=1e-4, floor=1e-4), case=SimpleNamespace(kept=np.ones(5, bool)),
+        gap=SimpleNamespace(kept=1e-4, floor=1e-4), case=SimpleNamespace(kept=np.ones(5, bool), others=None),
         rankings=[SimpleNamespace(none=0.2, noise_form="")],
     )  # fmt: skip
     assert next(_gap(d)).text.endswith(told)
