@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 
 from casadical.core.blocks import Table, Words, mm
 from casadical.identification.accuracy import Accuracy
+from casadical.measurements.kinds.registry import find_kind
 from casadical.project.networks import Networks
 from casadical.project.problem import Problem
 from casadical.project.problem_file import Paper
@@ -27,10 +28,11 @@ def judged_on(accuracies: Accuracies) -> tuple[str, Accuracy, Accuracy, bool]:
 def verdict(problem: Problem, accuracies: Accuracies) -> Iterator[Words]:
     """How much the error falls on the poses that count, and what must be known of them."""
     method, before, after, held_out = judged_on(accuracies)
+    name = next((n for n in accuracies[method] if n.startswith("report")), next(iter(accuracies[method])))
     change = 100 * (1 - after.mean / before.mean)
     poses = f"{after.n} poses that were held out" if held_out else f"the {after.n} poses it was identified from"
     yield Words(
-        f"On {poses}, the mean position error {'falls' if change > 0 else 'grows'} from {mm(before.mean)} mm to "
+        f"On {poses}, the mean {_error(name)} {'falls' if change > 0 else 'grows'} from {mm(before.mean)} mm to "
         f"{mm(after.mean)} mm with {method} ({abs(change):.0f} % {'less' if change > 0 else 'more'}). Before means: "
         "with only base and tool frames fitted.",
         "verdict",
@@ -64,10 +66,16 @@ def error_tables(accuracies: Accuracies, networks: Networks | None = None) -> li
         use = _WITH_NETWORKS.get(name.split("/")[0]) if trained else None
         use = use or ("used" if name.startswith("identify") else "held out")
         cells = [(label, *(mm(v) for v in (a.mean, a.max, a.std, a.rms, a.p95))) for label, a in rows]
-        title = f"{name} ({use}), {states['nominal'].n} poses: position error [mm]"
+        title = f"{name} ({use}), {states['nominal'].n} poses: {_error(name)} [mm]"
         numbers = frozenset(range(1, 6))
         tables.append(Table(title, ("model", *_FIGURES), cells, numbers, frozenset(range(first, len(rows)))))
     return tables
+
+
+def _error(name: str) -> str:
+    """What a set's figures are errors of; name : SET or SET/KIND, as in the accuracies."""
+    kind = name.partition("/")[2].split("/")[0]
+    return "position error" if not kind or find_kind(kind).lengths == 3 else f"error of {kind.replace('_', ' ')}"
 
 
 def network_tables(networks: Networks) -> list[Table | Words]:

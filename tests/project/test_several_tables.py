@@ -64,6 +64,11 @@ def test_the_figures_are_over_all_tables_in_any_order(calibrated: Calibration, w
         assert f"after KM, {name}" in printed
 
 
+def test_errors_of_distances_are_not_called_those_of_positions(calibrated: Calibration) -> None:
+    assert "mean error of distance falls" in (text := plain_text(calibrated.blocks()))
+    assert "position error" not in text
+
+
 def test_the_promise_is_over_all_tables(calibrated: Calibration, tmp_path: Path) -> None:
     calibrated.write(tmp_path)
     expected = calibrated.accuracies["KM"]["report/distance"]["calibrated"].rms
