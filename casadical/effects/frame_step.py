@@ -4,21 +4,18 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import casadi as ca
-import numpy as np
 
 from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic, small_frame
 from casadical.effects.base import Context, Effect, setting
-
-# Fewer than of a step with one number: six follow the data better between them.
-TIMES = tuple(float(t) for t in np.linspace(0.06, 0.94, 12))
+from casadical.effects.grids import FEW_TIMES
 
 
 @dataclass(frozen=True)
 class FrameStep(Effect):
     """at : when, as a share of the campaign; without a joint, the measuring frame moves against the robot's foot"""
 
-    at: float = setting(0.5, TIMES, steps=True)
+    at: float = setting(0.5, FEW_TIMES, steps=True)
 
     name = "frame_step"
     on_list = "extended"
@@ -30,7 +27,7 @@ class FrameStep(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        return (cls(frame, at) for frame in (None, *arm.numbers[:-1]) for at in TIMES)
+        return (cls(frame, at) for frame in (None, *arm.numbers[:-1]) for at in FEW_TIMES)
 
     def _six(self, context: Context) -> list[Symbolic]:
         after = context.conditions["progress"] > self.at

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 from casadical.core.transforms import Symbolic, small_frame
 from casadical.effects.base import Context, setting
 from casadical.effects.camera_faults import CameraFault, columns
-from casadical.effects.frame_step import TIMES
+from casadical.effects.grids import FEW_TIMES
 
 
 @dataclass(frozen=True)
 class StandStep(CameraFault):
     """at : when, as a share of the campaign"""
 
-    at: float = setting(0.5, TIMES, steps=True)
+    at: float = setting(0.5, FEW_TIMES, steps=True)
 
     name = "stand_step"
     on_list = "standard"

@@ -5,20 +5,18 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import casadi as ca
-import numpy as np
 
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, setting
 from casadical.effects.distance_faults import WIRES, DistanceFault
-
-TIMES = tuple(float(t) for t in np.linspace(0.06, 0.94, 12))
+from casadical.effects.grids import FEW_TIMES
 
 
 @dataclass(frozen=True)
 class StationStep(DistanceFault):
     """at : when, as a share of the campaign"""
 
-    at: float = setting(0.5, TIMES, steps=True)
+    at: float = setting(0.5, FEW_TIMES, steps=True)
 
     name = "station_step"
     on_list = "standard"
