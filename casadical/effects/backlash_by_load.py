@@ -8,7 +8,8 @@ import casadi as ca
 from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
 from casadical.effects.backlash import Backlash
-from casadical.effects.base import Context, Effect
+from casadical.effects.base import Effect
+from casadical.effects.context import Context
 
 
 @dataclass(frozen=True)

@@ -7,188 +7,24 @@ needs; the defaults leave the model as it is.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from functools import reduce
-from itertools import product
-from typing import Any, ClassVar, Self, get_type_hints
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, Self
 
 import casadi as ca
-from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from casadical.core.arm import Arm
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.parameters import Parameter
-from casadical.core.transforms import Symbolic, apply
+from casadical.core.transforms import Symbolic
+from casadical.effects.context import Context
 from casadical.effects.counterparts import Counterparts
-
-
-@dataclass(frozen=True)
-class Context:
-    """What an effect may look at; every entry but the first is symbolic.
-
-    Parameters
-    ----------
-    arm : Arm
-        rows, masses, limits, loops, payload
-    torque_scale : Symbolic, shape (n,) [N m or N]
-        great gravity torques on each joint (see `Robot.torque_scale`)
-    q : Symbolic, shape (n,) [rad or m]
-        joint readings
-    conditions : Mapping[str, Symbolic]
-        logged columns by name (payload_kg, temperature_degC, progress, approach1, ...)
-    values : Mapping[str, Symbolic]
-        the value of every parameter of the model, by name [SI]
-    frames : tuple[Symbolic, ...]
-        T_01..T_0n, the rigid links' frames in the robot's base frame, each (4, 4)
-    gravity : Symbolic, shape (3,) [m/s^2]
-        in the robot's base frame
-    torque : Symbolic, shape (n,) [N m or N], optional
-        of gravity on the actuated joints; None at the seam `energy`, which makes it
-
-    Examples
-    --------
-    >>> seen = []
-    >>> class Look(casadical.Effect):
-    ...     name = "look"
-    ...
-    ...     def joint_angle(self, context):
-    ...         seen.append(context)
-    ...         return super().joint_angle(context)
-    >>> size = robot.with_effect(Look()).position.n_in()
-    >>> context = seen[0]
-    >>> context.load(1).shape, context.moment(1).shape, context.greatest(1, 2).shape
-    ((1, 1), (3, 1), (1, 1))
-    """
-
-    arm: Arm
-    torque_scale: Symbolic
-    q: Symbolic
-    conditions: Mapping[str, Symbolic]
-    values: Mapping[str, Symbolic]
-    frames: tuple[Symbolic, ...]
-    gravity: Symbolic
-    torque: Symbolic = None
-
-    def load(self, joint: int | None) -> Symbolic:
-        """Gravity torque on a joint (1-based) as a share of its great torques.
-
-        Parameters
-        ----------
-        joint : int | None
-            1-based
-
-        Returns
-        -------
-        Symbolic
-            one number, without unit
-        """
-        assert joint is not None
-        return self.torque[joint - 1] / self.torque_scale[joint - 1]
-
-    def moment(self, link: int) -> Symbolic:
-        """Moment [N m] of all weight from a link (1-based) on, about its origin; in the base frame, shape (3,).
-
-        Parameters
-        ----------
-        link : int
-            1-based
-
-        Returns
-        -------
-        Symbolic, shape (3,) [N m]
-        """
-        origin = self.frames[link - 1][:3, 3]
-        joints = self.arm.joints
-        loads = [(j.body.mass, apply(T, ca.DM(j.body.com))) for j, T in zip(joints, self.frames, strict=True) if j.body]
-        loads = loads[sum(1 for j in joints[: link - 1] if j.body) :]
-        if self.arm.payload:
-            mass = self.conditions.get("payload_kg", self.arm.payload.mass)
-            loads.append((mass, apply(self.frames[-1], ca.DM(self.arm.payload.com))))
-        total = ca.SX.zeros(3)
-        for mass, centre in loads:
-            total = total + ca.cross(centre - origin, mass * self.gravity)
-        return total
-
-    @property
-    def great_moment(self) -> Symbolic:
-        """The greatest of the turning joints' great torques [N m]; of an arm that only slides, of its forces [N]."""
-        return self.greatest(1, self.arm.n)
-
-    def greatest(self, first: int, last: int) -> Symbolic:
-        """The greatest great torque of the turning joints (1-based) from the first to the last [N m].
-
-        Where none of them turns, of all of them [N]: moments and forces are not compared.
-
-        Parameters
-        ----------
-        first : int
-            joint, 1-based
-        last : int
-            joint, 1-based
-
-        Returns
-        -------
-        Symbolic
-            one number [N m or N]
-        """
-        there = range(first, last + 1)
-        turning = [j for j in there if j in self.arm.revolute] or there
-        return reduce(ca.fmax, [self.torque_scale[j - 1] for j in turning])
-
+from casadical.effects.settings import checked_settings, grid_points, settings_of
 
 # One sigma, in realistic sizes, of an effect once it is in a model: wide, because a user had a reason to put it there,
 # and a robot's own may be many times the usual.
 CHOSEN = 8.0
-_STRICT = ConfigDict(strict=True, allow_inf_nan=False)
-
-
-def setting(
-    default: Any,
-    grid: Sequence[Any] = (),
-    *,
-    steps: bool = False,
-    signed: bool = False,
-    given: bool = False,
-    joint: bool = False,
-) -> Any:
-    """A field of an effect in which it is not linear.
-
-    Parameters
-    ----------
-    default : Any
-        value where none is given
-    grid : Sequence[Any], default ()
-        values of the candidates; between them the diagnosis refines a setting of type float, by factors
-    steps : bool, default False
-        whether it is refined by steps, shares of the grid's first value, rather than by factors
-    signed : bool, default False
-        whether it may be below zero
-    given : bool, default False
-        whether only a user can know it (a gear ratio): it is not refined
-    joint : bool, default False
-        whether it is the number of a joint
-
-    Returns
-    -------
-    Any
-        a field of a dataclass
-
-    Examples
-    --------
-    >>> from dataclasses import dataclass
-    >>> @dataclass(frozen=True)
-    ... class Ripple(casadical.Effect):
-    ...     waves: float = casadical.effects.setting(80.0, grid=(80.0, 100.0, 120.0))
-    ...     name = "ripple"
-    ...     acts_at = "joints"
-    >>> [effect.waves for effect in Ripple.candidates(robot)]
-    [80.0, 100.0, 120.0, 80.0, 100.0, 120.0]
-    """
-    how = {"grid": tuple(grid), "steps": steps, "signed": signed, "given": given, "joint": joint}
-    return field(default=default, metadata=how)
 
 
 @dataclass(frozen=True)
@@ -243,30 +79,19 @@ class Effect:
     joint: int | None = None
 
     name: ClassVar[str] = "none"
-    # One sigma of each parameter once the effect is in a model, in sizes.
-    held: ClassVar[float] = CHOSEN
-    # Where it is a candidate: standard, extended, unknown (names no cause), or only where it is asked for by name.
-    on_list: ClassVar[str] = ""
-    # Another effect's name under which it is a candidate and an answer, as one more law of the same cause.
-    answers_as: ClassVar[str] = ""
-    # Where candidates of it may act: arm, joints, turning joints; if it is not said, joints where it adds an `angle`.
-    acts_at: ClassVar[str] = ""
-    # Names of effects that it holds already: beside it they are no causes of their own.
-    covers: ClassVar[frozenset[str]] = frozenset()
-    # Its parameters, where they are the same with all settings (see `sizes`).
-    size: ClassVar[Mapping[str, tuple[float, str]]] = {}
-    # Columns that must have been logged.
-    needs: ClassVar[tuple[str, ...]] = ()
-    # What the data show of it (in brackets: mechanical causes that share it), its physics and source, what looks alike.
-    signature: ClassVar[str] = ""
-    physics: ClassVar[str] = ""
-    confused_with: ClassVar[str] = ""
-    # Whether it acts on what the instrument reports, and leaves the robot as it is.
-    of_measurement: ClassVar[bool] = False
-    # Whether its columns come from the kind of measurement: nobody can log them.
-    from_kind: ClassVar[bool] = False
-    # Whether a simulator needs its counterpart before those of others, which bend around it.
-    simulated_first: ClassVar[bool] = False
+    held: ClassVar[float] = CHOSEN  # one sigma of each parameter once the effect is in a model, in sizes
+    on_list: ClassVar[str] = ""  # standard, extended, unknown (names no cause), or only where it is asked for by name
+    answers_as: ClassVar[str] = ""  # the effect under whose name it is a candidate and an answer, as one more law
+    acts_at: ClassVar[str] = ""  # arm, joints, turning joints; if it is not said, joints where it adds an `angle`
+    covers: ClassVar[frozenset[str]] = frozenset()  # effects that it holds: beside it they are no causes of their own
+    size: ClassVar[Mapping[str, tuple[float, str]]] = {}  # its parameters, where all settings have the same
+    needs: ClassVar[tuple[str, ...]] = ()  # columns that must have been logged
+    signature: ClassVar[str] = ""  # what the data show of it (in brackets: mechanical causes that share it)
+    physics: ClassVar[str] = ""  # with its source
+    confused_with: ClassVar[str] = ""  # what looks alike
+    of_measurement: ClassVar[bool] = False  # it acts on what the instrument reports, and leaves the robot as it is
+    from_kind: ClassVar[bool] = False  # its columns come from the kind of measurement: nobody can log them
+    simulated_first: ClassVar[bool] = False  # its counterpart comes before those of others, which bend around it
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
@@ -284,9 +109,7 @@ class Effect:
         """
         place = cls.acts_at or ("arm" if cls.angle is Effect.angle else "joints")
         joints = {"arm": (None,), "joints": arm.numbers, "turning joints": arm.revolute}[place]
-        grids = {f.name: f.metadata["grid"] for f in fields(cls) if f.metadata.get("grid")}
-        points = [dict(zip(grids, point, strict=True)) for point in product(*grids.values())]
-        return (cls(joint, **point) for joint in joints for point in points)
+        return (cls(joint, **point) for joint in joints for point in grid_points(cls))
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterable[tuple[Effect, ...]]:
@@ -323,18 +146,7 @@ class Effect:
         InputError
             a setting that does not exist, or is no number
         """
-        hints = get_type_hints(cls)
-        names = [f.name for f in fields(cls) if f.name != "joint"]
-        found = {}
-        for key, value in data.get("settings", {}).items():
-            if key not in names:
-                raise InputError(f"settings.{key}: no setting of {cls.name}; allowed: {', '.join(names) or 'none'}")
-            try:
-                found[key] = TypeAdapter(hints[key], config=_STRICT).validate_json(json.dumps(value, default=str))
-            except ValidationError as error:
-                wrong = error.errors()[0]["msg"].replace("Input should be", "must be")
-                raise InputError(f"settings.{key} = {value!r}: {wrong}") from None
-        return cls(data.get("joint"), **found)
+        return cls(data.get("joint"), **checked_settings(cls, data.get("settings", {})))
 
     def to_dict(self) -> dict[str, Any]:
         """Name, joint where it has one, and settings where there are any, as plain data.
@@ -344,8 +156,7 @@ class Effect:
         dict[str, Any]
             plain data, to be written as JSON or TOML
         """
-        settings = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "joint"}
-        whole = {"name": self.name, "joint": self.joint, "settings": settings}
+        whole = {"name": self.name, "joint": self.joint, "settings": settings_of(self)}
         return {key: value for key, value in whole.items() if value not in (None, {})}
 
     def refuse_joints(self, arm: Arm) -> None:

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from casadical.core.transforms import Symbolic, small_frame
-from casadical.effects.base import Context, Effect
+from casadical.effects.base import Effect
+from casadical.effects.context import Context
 from casadical.effects.counterparts import Counterparts
 
 

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import casadi as ca
 
 from casadical.core.transforms import Symbolic, small_frame, translate
-from casadical.effects.base import Context, Effect, setting
+from casadical.effects.base import Effect
+from casadical.effects.context import Context
+from casadical.effects.settings import setting
 
 
 @dataclass(frozen=True)

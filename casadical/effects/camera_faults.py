@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import casadi as ca
 
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Context, Effect
+from casadical.effects.base import Effect
+from casadical.effects.context import Context
 
 SIDES = ("fixed", "carried")
 

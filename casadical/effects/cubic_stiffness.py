@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Context, Effect
+from casadical.effects.base import Effect
+from casadical.effects.context import Context
 from casadical.effects.counterparts import Counterparts
 
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import casadi as ca
 
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Context, Effect
+from casadical.effects.base import Effect
+from casadical.effects.context import Context
 
 WIRES = 4
 FAR = ("far_x_m", "far_y_m", "far_z_m")

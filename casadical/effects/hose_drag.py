@@ -8,7 +8,9 @@ import numpy as np
 
 from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic, apply
-from casadical.effects.base import Context, Effect, setting
+from casadical.effects.base import Effect
+from casadical.effects.context import Context
+from casadical.effects.settings import setting
 
 
 @dataclass(frozen=True)

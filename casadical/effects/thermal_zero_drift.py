@@ -3,8 +3,10 @@
 from dataclasses import dataclass
 
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Context, Effect, setting
+from casadical.effects.base import Effect
+from casadical.effects.context import Context
 from casadical.effects.grids import LAGS
+from casadical.effects.settings import setting
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ LISTED = (
      "ca.cos(q) * x - ca.sin(q) * y, ca.cos(q) * y + ca.sin(q) * x", "turn of the wobble"),
     ("effects/gravity_compensator.py", '+ context.values[f"theta{self.joint}"] - self.phase',
      '- context.values[f"theta{self.joint}"] - self.phase', "phase of the balancer"),
-    ("effects/base.py", "loads = loads[sum(1 for j in joints[: link - 1] if j.body) :]",
+    ("effects/context.py", "loads = loads[sum(1 for j in joints[: link - 1] if j.body) :]",
      "loads = loads[sum(1 for j in joints[: link] if j.body) :]", "moment without its first load"),
     ("pose_selection/workspace.py", "(leave > 0) & (enter < 1)", "(leave > 0)", "a box behind the tracker's target"),
     ("pose_selection/workspace.py", "(enter < leave) & (leave > 0)", "(enter < leave)", "a box behind the tracker"),

@@ -15,7 +15,7 @@ import numpy as np
 from casadical.core.errors import InputError
 from casadical.core.transforms import Symbolic
 from casadical.effects import Effect, JointErrorCurve
-from casadical.effects.base import Context
+from casadical.effects.context import Context
 from casadical.robot.robot import Robot
 
 

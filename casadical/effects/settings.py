@@ -1,0 +1,88 @@
+"""Settings of an effect: fields in which it is not linear, with their grid, and as plain data."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import field, fields
+from itertools import product
+from typing import Any, get_type_hints
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from casadical.core.errors import InputError
+
+_STRICT = ConfigDict(strict=True, allow_inf_nan=False)
+
+
+def setting(
+    default: Any,
+    grid: Sequence[Any] = (),
+    *,
+    steps: bool = False,
+    signed: bool = False,
+    given: bool = False,
+    joint: bool = False,
+) -> Any:
+    """A field of an effect in which it is not linear.
+
+    Parameters
+    ----------
+    default : Any
+        value where none is given
+    grid : Sequence[Any], default ()
+        values of the candidates; between them the diagnosis refines a setting of type float, by factors
+    steps : bool, default False
+        whether it is refined by steps, shares of the grid's first value, rather than by factors
+    signed : bool, default False
+        whether it may be below zero
+    given : bool, default False
+        whether only a user can know it (a gear ratio): it is not refined
+    joint : bool, default False
+        whether it is the number of a joint
+
+    Returns
+    -------
+    Any
+        a field of a dataclass
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> @dataclass(frozen=True)
+    ... class Ripple(casadical.Effect):
+    ...     waves: float = casadical.effects.setting(80.0, grid=(80.0, 100.0, 120.0))
+    ...     name = "ripple"
+    ...     acts_at = "joints"
+    >>> [effect.waves for effect in Ripple.candidates(robot)]
+    [80.0, 100.0, 120.0, 80.0, 100.0, 120.0]
+    """
+    how = {"grid": tuple(grid), "steps": steps, "signed": signed, "given": given, "joint": joint}
+    return field(default=default, metadata=how)
+
+
+def grid_points(kind: type) -> Iterator[dict[str, Any]]:
+    """All combinations of the settings that have a grid, by name."""
+    grids = {f.name: f.metadata["grid"] for f in fields(kind) if f.metadata.get("grid")}
+    return (dict(zip(grids, point, strict=True)) for point in product(*grids.values()))
+
+
+def settings_of(effect: Any) -> dict[str, Any]:
+    """Settings by name, as plain data."""
+    return {f.name: getattr(effect, f.name) for f in fields(effect) if f.name != "joint"}
+
+
+def checked_settings(kind: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings as an effect's class takes them, of plain data. Raises InputError for one that is none, or no number."""
+    hints = get_type_hints(kind)
+    names = [f.name for f in fields(kind) if f.name != "joint"]
+    found = {}
+    for key, value in given.items():
+        if key not in names:
+            raise InputError(f"settings.{key}: no setting of {kind.name}; allowed: {', '.join(names) or 'none'}")
+        try:
+            found[key] = TypeAdapter(hints[key], config=_STRICT).validate_json(json.dumps(value, default=str))
+        except ValidationError as error:
+            wrong = error.errors()[0]["msg"].replace("Input should be", "must be")
+            raise InputError(f"settings.{key} = {value!r}: {wrong}") from None
+    return found
