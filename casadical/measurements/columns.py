@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -12,11 +12,11 @@ import pandas as pd
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.plain_values import LARGEST
+from casadical.measurements.angle_unit import angle_fault
+from casadical.measurements.column_map import Source, made, named
 from casadical.measurements.raw_table import RawTable, refuse_repeated_names
 
 _TO_SI = {"_mm": 1e-3, "_m": 1.0, "_deg": np.pi / 180, "_rad": 1.0}
-# More turns than this are refused; joints that all move less [deg] may have been logged in radians.
-MOST_TURNS, RADIANS = 4, 6.3
 # Least and largest values of columns that the model and effects ask for [their own unit].
 POSSIBLE = {
     "payload_kg": (0.0, 1e5),
@@ -30,26 +30,6 @@ _POINT = re.compile(r"[xyz]_mm?")
 _READING = re.compile(r"q(\d+)_(deg|rad|mm|m)")
 # Readings, weights and sets.
 _NO_CONDITIONS = r"q\d+_(deg|rad|mm|m)|weight|set|tool|session"
-
-
-@dataclass(frozen=True)
-class Source:
-    """Where one of our columns comes from: times * (a column of the file) + factors * (others) + plus.
-
-    plus : in the unit of our name; add : factors of further columns of the file
-    rows : that of so many rows later (earlier: negative), where a logger was ahead or behind
-    """
-
-    name: str
-    times: float = 1.0
-    plus: float = 0.0
-    add: Mapping[str, float] = field(default_factory=dict)
-    rows: int = 0
-
-    @property
-    def plain(self) -> bool:
-        """Whether it is the column as it stands."""
-        return self == Source(self.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +122,7 @@ class Columns:
     def mapped(self, columns: Mapping[str, str | Source], point_from: Sequence[str] = ()) -> Columns:
         """With our names where the table's headers differ.
 
-         Rows to which a shift of rows gives no value are left out.
+        Rows to which a shift of rows gives no value are left out.
 
         Parameters
         ----------
@@ -162,34 +142,12 @@ class Columns:
             a named column is missing
         """
         sources = {ours: Source(given) if isinstance(given, str) else given for ours, given in columns.items()}
-        named = [(name, f"named for {ours!r}") for ours, s in sources.items() for name in (s.name, *s.add)]
-        for theirs, where in [*named, *((name, "named in point_from") for name in point_from)]:
+        used = [*named(sources), *((name, "named in point_from") for name in point_from)]
+        for theirs, where in used:
             if theirs not in self.table:
                 raise InputError(f"{self.source}: column {theirs!r}, {where}, is missing; there are {self.names}")
-        # A header that keeps its own name elsewhere in the map is copied, not moved.
-        made = {ours: self._made(source) for ours, source in sources.items()}
-        if point_from:
-            made["point"] = self.table[list(point_from)].astype(str).agg("/".join, axis=1)
-        moved = {name for name, s in sources.items() if name in self.table and s.name != name}
-        # q3_rad = "q3_deg" says that the unit in the header is wrong.
-        moved |= {s.name for ours, s in sources.items() if s.name not in sources and _stem(ours) == _stem(s.name)}
-        shifts = [s.rows for s in sources.values()]
-        first, last = max(0, -min(shifts, default=0)), len(self.row) - max(0, *shifts, 0)
-        table = self.table.drop(columns=sorted(moved)).assign(**made)
-        taken = (*self.taken, *(name for name, _ in named), *point_from)
-        return replace(self, table=table.iloc[first:last].reset_index(drop=True), row=self.row[first:last], taken=taken)
-
-    def _made(self, source: Source) -> pd.Series:
-        """A column as its source says; cells that are no numbers stay as they are where nothing is computed."""
-        if source.plain:
-            return self.table[source.name]
-        terms = {source.name: source.times, **{n: source.add[n] for n in source.add if n != source.name}}
-        number = {name: pd.to_numeric(self.table[name], errors="coerce") for name in terms}
-        total = sum(
-            (factor * number[name] for name, factor in terms.items()), start=pd.Series(source.plus, self.table.index)
-        )
-        words = self.table[source.name].where(number[source.name].isna())
-        return total.where(words.isna(), words).shift(-source.rows)
+        table, rows = made(self.table, sources, point_from)
+        return replace(self, table=table, row=self.row[rows], taken=(*self.taken, *(name for name, _ in used)))
 
     def without(self, rows: Collection[int], why: str) -> Columns:
         """Without some rows of the file.
@@ -365,40 +323,18 @@ class Columns:
         InputError
             one is missing or too many, or angles are in another unit than the column says
         """
-        columns = []
-        for i, kind in enumerate(kinds, 1):
-            units = ("_deg", "_rad") if kind == "revolute" else ("_mm", "_m")
-            columns.append(self.si(f"q{i}", units))
-        for name in map(str, self.table):
+        units = {"revolute": ("_deg", "_rad"), "prismatic": ("_mm", "_m")}
+        columns = [self.si(f"q{i}", units[kind]) for i, kind in enumerate(kinds, 1)]
+        names = [str(name) for name in self.table]
+        for name in names:
             found = _READING.fullmatch(name)
             if found and not 1 <= int(found[1]) <= len(kinds):
                 raise InputError(f"{self.source}: column {name!r}: this robot has only {len(kinds)} joints")
         q = np.stack(columns, axis=1)
-        self._refuse_other_angle_unit(q, kinds)
+        row, fault = angle_fault(q, [i for i, kind in enumerate(kinds) if kind == "revolute"], names)
+        if fault:
+            raise InputError(f"{self.source if row is None else self.at(row)}{fault}")
         return q
-
-    def _refuse_other_angle_unit(self, q: Array, kinds: Sequence[str]) -> None:
-        turning = [i for i, kind in enumerate(kinds) if kind == "revolute"]
-        if not turning:
-            return
-        row, i = np.unravel_index(np.argmax(np.abs(q[:, turning])), (len(q), len(turning)))
-        name, largest = f"q{turning[i] + 1}", q[row, turning[i]]
-        if abs(largest) > MOST_TURNS * 2 * np.pi:
-            unit, said = ("rad", largest) if f"{name}_rad" in self.table else ("deg", np.rad2deg(largest))
-            remedy = (
-                f"are the columns in degrees? name them {name}_deg"
-                if unit == "rad"
-                else f"at most {MOST_TURNS} are allowed: correct the reading"
-            )
-            turns = f"{said:.6g} {unit} is {abs(largest) / (2 * np.pi):.1f} turns"
-            raise InputError(f"{self.at(int(row))}, column '{name}_{unit}': {turns}; {remedy}")
-        widest = float(np.rad2deg(np.ptp(q[:, turning], axis=0).max()))
-        in_degrees = all(f"q{i + 1}_deg" in self.table for i in turning)
-        if in_degrees and len(q) >= 10 and widest < RADIANS:
-            raise InputError(
-                f"{self.source}: no joint moves by more than {widest:.2f} deg over {len(q)} poses; "
-                "are the columns in radians? name them q1_rad, ..."
-            )
 
     def vector(self, prefix: str, units: Sequence[str] = ("_mm", "_m")) -> Array:
         """Columns PREFIXx_mm, PREFIXy_mm and PREFIXz_mm, shape (n, 3) [m or rad].
@@ -518,10 +454,6 @@ def _name_of(cell: object) -> str:
 def _cell(text: object) -> str:
     """A cell as a message shows it."""
     return "an empty cell" if isinstance(text, float) and np.isnan(text) else repr(text)
-
-
-def _stem(name: str) -> str:
-    return name.rpartition("_")[0]
 
 
 def _columns(table: pd.DataFrame, source: str, row: Array) -> Columns:

@@ -14,7 +14,8 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.arrays import Array
-from casadical.measurements.columns import RADIANS, Source
+from casadical.measurements.angle_unit import RADIANS
+from casadical.measurements.column_map import Source
 from casadical.measurements.raw_table import RawTable
 from casadical.measurements.vocabulary import UNITS, UNSPACED, WORDS
 

@@ -10,7 +10,8 @@ import pandas as pd
 from casadical.core.arm import GRAVITY
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.measurements.columns import Columns, Source
+from casadical.measurements.column_map import Source
+from casadical.measurements.columns import Columns
 from casadical.measurements.headings import understand
 from casadical.measurements.kinds.registry import find_kind, kind_of, kinds
 from casadical.measurements.measurements import FIELDS, Measurements

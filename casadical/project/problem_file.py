@@ -14,10 +14,10 @@ from casadical.core.errors import InputError
 from casadical.core.parts import Sessions
 from casadical.core.schema import FaultError, check, load_toml
 from casadical.identification.residuals import AnyLoss
-from casadical.measurements.columns import Source
+from casadical.measurements.column_map import Source
 from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.measurements import SETS
-from casadical.robot.robot_file import ToolTable
+from casadical.robot.robot_schema import ToolTable
 
 BaseMethod = Literal["KM", "SKCM"]
 BASE_METHODS: tuple[BaseMethod, ...] = get_args(BaseMethod)
@@ -37,7 +37,7 @@ class _Separation(_Strict):
 
 
 class _Source(_Strict):
-    """How a column is made (see `casadical.measurements.columns.Source`)."""
+    """How a column is made (see `casadical.measurements.column_map.Source`)."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True, populate_by_name=True)
 

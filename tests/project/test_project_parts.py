@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from casadical.diagnosis.localisation import Localisation
-from casadical.measurements.columns import Source
+from casadical.measurements.column_map import Source
 from casadical.measurements.headings import Question
 from casadical.project.check.check import LACKS, Precheck, _outlook_findings
 from casadical.project.check.information import outlook

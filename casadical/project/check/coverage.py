@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadical.identification.plausibility import least_margins
-from casadical.measurements.columns import RADIANS
+from casadical.measurements.angle_unit import RADIANS
 from casadical.measurements.measurements import Measurements, same_readings
 from casadical.project.check.findings import Finding
 from casadical.robot.kinematics import LEAST_MARGIN

@@ -15,7 +15,7 @@ import tomlkit
 
 from casadical.core.errors import InputError
 from casadical.core.files import write_together
-from casadical.measurements.columns import Source
+from casadical.measurements.column_map import Source
 from casadical.measurements.headings import understand
 from casadical.measurements.raw_table import read_table
 from casadical.project.check.slip_fit import Fit

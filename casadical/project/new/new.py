@@ -10,7 +10,8 @@ from casadical.core.blocks import Table, Words
 from casadical.core.errors import InputError
 from casadical.core.estimated_masses import with_estimated_masses, without_masses
 from casadical.core.files import claimed, write_together
-from casadical.measurements.columns import Columns, Source
+from casadical.measurements.column_map import Source
+from casadical.measurements.columns import Columns
 from casadical.measurements.headings import Question, Understanding, understand
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.project.check.targets import unnamed_targets

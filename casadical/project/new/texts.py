@@ -8,7 +8,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.parts import Joint
 from casadical.core.transforms import frame, from_rpy
-from casadical.measurements.columns import Source
+from casadical.measurements.column_map import Source
 from casadical.robot.robot import Robot
 
 EXAMPLE_ROBOT = """\

@@ -1,0 +1,274 @@
+"""What a robot file may hold, key by key with its unit, and the robot that it means.
+
+Lengths, angles and masses carry their unit in the key (`a_mm`, `alpha_deg`, `mass_kg`); millimetres or metres, degrees
+or radians are taken by name. See docs/robot-file.md for every key.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import AfterValidator, Field, model_validator
+
+from casadical.core.arm import STANDARD_GRAVITY
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.core.parts import WIDTHS, Body, BodyWidth, Coupling, FourBar, Joint, Placement, Target, Width
+from casadical.core.schema import ANGLE, LENGTH, READING, Angle, FaultError, Length, Pair, TomlTable, Triple
+from casadical.core.transforms import frame, from_rpy
+from casadical.effects import Effect
+from casadical.robot.effect_tables import BoundTable, CovarianceTable, EffectTable, LearntTable, knowledge_of
+from casadical.robot.error_bound import refuse_other
+from casadical.robot.robot import Robot
+
+Bar = Annotated[float, LENGTH, Field(gt=0)]
+
+
+def _stiff(value: float | None) -> float | None:
+    if value is not None and value < 1:
+        raise ValueError("must be at least 1; leave it out for a joint of unknown stiffness")
+    return value
+
+
+Stiffness = Annotated[float | None, Field(gt=0, le=1e15), AfterValidator(_stiff)]
+HalfLength = Annotated[float | None, LENGTH, Field(gt=0)]
+HalfAngle = Annotated[float | None, ANGLE, Field(gt=0)]
+
+
+class _Body(TomlTable):
+    mass_kg: float = Field(ge=0, le=1e6)
+    com: Annotated[Triple, LENGTH] = Field(default=[0.0, 0.0, 0.0])
+
+    def body(self) -> Body:
+        return Body(self.mass_kg, np.array(self.com))
+
+
+class _Joint(TomlTable):
+    alpha: Angle = 0.0
+    a: Length = 0.0
+    theta: Angle = 0.0
+    d: Length = 0.0
+    beta: Annotated[float | None, ANGLE] = None
+    b: Annotated[float | None, LENGTH] = None
+    type: Literal["revolute", "prismatic"] = "revolute"
+    limits: Annotated[Pair | None, READING] = None
+    compliant: bool = False
+    stiffness_Nm_per_rad: Stiffness = None
+    stiffness_N_per_m: Stiffness = None
+    body: _Body | None = None
+    follows: list[tuple[int, float]] = Field(default=[])
+    at: Annotated[float | None, READING] = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _pairs(cls, data: Any) -> Any:
+        """Pairs are arrays in TOML, and a factor may be whole."""
+
+        def pair(given: Any) -> Any:
+            if not isinstance(given, list) or len(given) != 2:
+                return given
+            joint, factor = given
+            return (joint, float(factor) if type(factor) is int else factor)
+
+        listed = data.get("follows") if isinstance(data, dict) else None
+        return {**data, "follows": [pair(given) for given in listed]} if isinstance(listed, list) else data
+
+    @model_validator(mode="before")
+    @classmethod
+    def _own_units(cls, data: Any) -> Any:
+        """A revolute joint's range and stiffness are angular, a prismatic one's are not."""
+        if not isinstance(data, dict):
+            return data
+        kind, foreign = data.get("type", "revolute"), [f"limits{u}" for u in LENGTH.factors]
+        foreign, own = [*foreign, "stiffness_N_per_m"], "limits_deg, stiffness_Nm_per_rad"
+        if kind == "prismatic":
+            foreign, own = (
+                [*(f"limits{u}" for u in ANGLE.factors), "stiffness_Nm_per_rad"],
+                "limits_mm, stiffness_N_per_m",
+            )
+        wrong = [key for key in foreign if key in data]
+        if wrong:
+            raise FaultError(wrong[0], f"not for a {kind} joint; allowed: {own}")
+        return data
+
+    @model_validator(mode="after")
+    def _consistent(self) -> _Joint:
+        if self.limits and self.limits[0] >= self.limits[1]:
+            raise FaultError("limits", "the lower one must come first")
+        if self.b is not None and self.beta is None:
+            raise FaultError("b", "stands in row 1 beside beta only, where six numbers are the base frame; give both")
+        return self
+
+    def joint(self) -> Joint:
+        default = (-2 * np.pi, 2 * np.pi) if self.type == "revolute" else (-10.0, 10.0)
+        lower, upper = self.limits or default
+        stiffness = self.stiffness_Nm_per_rad or self.stiffness_N_per_m
+        compliance = 1 / stiffness if stiffness else 0.0 if self.compliant else None
+        return Joint(
+            self.alpha, self.a, self.theta, self.d, self.beta, self.b, self.type, lower, upper, compliance,
+            self.body.body() if self.body else None,
+            Coupling(tuple(self.follows), self.at or 0.0) if self.follows or self.at is not None else None,
+        )  # fmt: skip
+
+
+class _Frame(TomlTable):
+    xyz: Annotated[Triple, LENGTH] = Field(default=[0.0, 0.0, 0.0])
+    rpy: Annotated[Triple, ANGLE] = Field(default=[0.0, 0.0, 0.0])
+    unknown: Literal["none", "position", "pose"] = "none"
+
+    def placement(self) -> Placement:
+        return Placement(frame(from_rpy(np.array(self.rpy)), np.array(self.xyz)), self.unknown)
+
+
+class ToolTable(_Frame):
+    """One of several [[tool]]."""
+
+    name: str = ""
+
+
+class _FourBar(TomlTable):
+    driven: int
+    carrier: int
+    crank: Bar
+    coupler: Bar
+    rocker: Bar
+    offset: Angle = 0.0
+
+
+class _Gravity(TomlTable):
+    frame: Literal["measuring", "base", "logged"] = "measuring"
+    vector_m_per_s2: Triple = Field(default=[0.0, 0.0, -STANDARD_GRAVITY])
+
+
+class _Width(TomlTable):
+    length_bound: HalfLength = None
+    angle_bound: HalfAngle = None
+    length_prior: HalfLength = None
+    angle_prior: HalfAngle = None
+
+
+class _BodyWidth(TomlTable):
+    mass_share: float = Field(default=BodyWidth().share, ge=0)
+    com: Annotated[float, LENGTH, Field(ge=0)] = BodyWidth().centre
+
+
+class _Widths(TomlTable):
+    base: _Width = _Width()
+    geometry: _Width = _Width()
+    loop: _Width = _Width()
+    tool: _Width = _Width()
+    compliance: _Width = _Width()
+    body: _BodyWidth = _BodyWidth()
+
+    def widths(self) -> dict[str, Width]:
+        given = {group: getattr(self, group).model_dump(exclude_none=True) for group in WIDTHS}
+        return {group: replace(default, **given[group]) for group, default in WIDTHS.items()}
+
+
+class RobotFile(TomlTable):
+    casadical: Literal[1, 2]
+    written_by: str = ""
+    name: str = Field(min_length=1)
+    convention: Literal["modified", "standard"] = "modified"
+    notes: list[str] = Field(default=[])
+    masses: Literal["declared", "estimated"] = "declared"
+    base: _Frame = _Frame()
+    tool: _Frame = _Frame()
+    tool_name: str = ""
+    further_tool: list[ToolTable] = Field(default=[])
+    gravity: _Gravity = _Gravity()
+    payload: _Body | None = None
+    joint: list[_Joint] = Field(min_length=1)
+    four_bar: list[_FourBar] = Field(default=[])
+    width: _Widths = _Widths()
+    effect: list[EffectTable] = Field(default=[])
+    learnt: LearntTable = LearntTable()
+    covariance: list[CovarianceTable] = Field(default=[])
+    bound: BoundTable | None = None
+
+    @model_validator(mode="after")
+    def _rows(self) -> RobotFile:
+        for key in ("effect", "learnt", "covariance", "bound"):
+            if self.casadical == 1 and key in self.model_fields_set:
+                raise FaultError(key, "belongs to files of version 2; write casadical = 2")
+        for i, row in enumerate(self.joint):
+            if row.beta is not None and self.convention == "standard":
+                raise FaultError(
+                    ("joint", i, "beta"), "belongs to modified rows; into standard ones it is put by itself"
+                )
+            if row.b is not None and i > 0:
+                raise FaultError(("joint", i, "b"), "stands in row 1 only, where six numbers are the base frame")
+        return self
+
+    def robot(self, own: Sequence[type[Effect]]) -> Robot:
+        joints = [row.joint() for row in self.joint]
+        tool = self.tool.placement()
+        points = [np.array(further.xyz) for further in self.further_tool]
+        payload = self.payload.body() if self.payload else None
+        if self.convention == "standard":
+            joints, flange = _from_standard(joints)
+            tool = replace(tool, T=flange @ tool.T)
+            points = [flange[:3, :3] @ point + flange[:3, 3] for point in points]
+            payload = payload and _moved(payload, flange)
+        effects, values, errors = self._effects(own)
+        robot = Robot(
+            name=self.name,
+            joints=tuple(joints),
+            base=self.base.placement(),
+            tool=tool,
+            loops=tuple(FourBar(**loop.model_dump()) for loop in self.four_bar),
+            gravity=np.array(self.gravity.vector_m_per_s2),
+            gravity_frame=self.gravity.frame,
+            payload=payload,
+            widths=self.width.widths(),
+            body_width=BodyWidth(self.width.body.mass_share, self.width.body.com),
+            tool_name=self.tool_name,
+            targets=tuple(Target(f.name, point) for f, point in zip(self.further_tool, points, strict=True)),
+            masses=self.masses,
+            effects=effects,
+            effect_values=values,
+            notes=tuple(self.notes),
+        )
+        names = robot.parameters.names
+        known = knowledge_of(robot, names, self.learnt, self.covariance, errors)
+        bound = self.bound.bound() if self.bound else None
+        if bound:
+            refuse_other(robot, bound)
+        return replace(robot, knowledge=known, bound=bound)
+
+    def _effects(self, own: Sequence[type[Effect]]) -> tuple[tuple[Effect, ...], dict[str, float], dict[str, float]]:
+        """Effects, values and standard errors of their parameters. Raises InputError by key."""
+        effects, values, errors = [], {}, {}
+        for k, table in enumerate(self.effect, 1):
+            try:
+                effect = table.effect(own)
+            except InputError as error:
+                raise InputError(f"effect[{k}].{error}") from None
+            effects.append(effect)
+            for name, given in table.values.items():
+                values[f"{effect.label}.{name}"] = given.value
+                if given.std_error is not None:
+                    errors[f"{effect.label}.{name}"] = given.std_error
+        return tuple(effects), values, errors
+
+
+def _from_standard(rows: list[Joint]) -> tuple[list[Joint], Array]:
+    """Modified rows for standard ones, and the transform that the last a and alpha leave behind the last joint.
+
+    Mass centres of bodies, given in the standard frames, are moved along.
+    Standard: Rot_z(theta) Trans_z(d) Trans_x(a) Rot_x(alpha); a row's a and alpha are the next modified row's.
+    """
+    shifted = [Joint(), *rows[:-1]]
+    tails = [frame(from_rpy(np.array([row.alpha, 0.0, 0.0])), np.array([row.a, 0.0, 0.0])) for row in rows]
+    joints = [
+        replace(row, alpha=before.alpha, a=before.a, body=row.body and _moved(row.body, tail))
+        for row, before, tail in zip(rows, shifted, tails, strict=True)
+    ]
+    return joints, tails[-1]
+
+
+def _moved(body: Body, T: Array) -> Body:
+    return Body(body.mass, T[:3, :3] @ body.com + T[:3, 3])
