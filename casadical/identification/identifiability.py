@@ -24,6 +24,7 @@ CANCELLED = 0.7
 CONFOUNDED = 1000
 # Cholesky's factors give the inverse faster, and well if no scaled variance is greater than this.
 CERTAIN = 1e8
+NO_EFFECT = "it has no effect on what was measured"
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ def analyse(J: Array, names: Sequence[str], always: int, held: dict[str, str]) -
     reasons: dict[int, str] = {}
     for k, (name, column) in enumerate(zip(names, unit.T[always:], strict=True), always):
         if invisible[k]:
-            reasons[k] = "it has no effect on what was measured"
+            reasons[k] = NO_EFFECT
             continue
         left, rest = _without(basis[:size], column)
         if name in held:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import ConvergenceError, InputError
-from casadical.identification.identifiability import Identifiability, Unidentifiable, drop_poor
+from casadical.identification.identifiability import INVISIBLE, NO_EFFECT, Identifiability, Unidentifiable, drop_poor
 from casadical.identification.independence import independent_parameters
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.solver import Progress, Solution
@@ -29,8 +30,9 @@ def reduce_and_solve(
 
     optima : of the same robot with other sigmas or fewer poses, where a solve starts; those found here are added
 
-    Independence is decided at the start, where exact dependences are exact. Raises InputError where the data determine
-    no parameter at all, or are no more numbers than there are unknowns.
+    Independence is decided at the start, where exact dependences are exact; what has no effect there, but one where the
+    solve ends, is added: the compliance of an upright first axis, once the base is found to be tilted. Raises
+    InputError where the data determine no parameter at all, or are no more numbers than there are unknowns.
     """
     found = independent_parameters(problem)
     reduced = problem.with_names(found.independent)
@@ -54,7 +56,12 @@ def reduce_and_solve(
             left = left or _misfit(reduced, solution.v)
             worse = [] if problem.priors else _poor(reduced, solution.v, variance(reduced, solution.v))
             if not worse:
-                return reduced, solution, replace(found, independent=reduced.names, held=(*found.held, *poor))
+                more = _with_visible(reduced, solution.v, found, problem.names)
+                if more is None:
+                    return reduced, solution, replace(found, independent=reduced.names, held=(*found.held, *poor))
+                reduced, start = more
+                found = replace(found, held=tuple(u for u in found.held if u.name not in reduced.names))
+                optima.setdefault((reduced.names, reduced.labels), start)
         poor += worse
         gone = {u.name for u in worse}
         reduced = reduced.with_names([n for n in reduced.names if n not in gone])
@@ -67,6 +74,39 @@ def reduce_and_solve(
     raise InputError(
         f"{problem.sets[0].source}: these measurements determine none of the parameters to be identified. {reasons}"
     )
+
+
+def _with_visible(
+    problem: LeastSquares, v: Array, found: Identifiability, order: Sequence[str]
+) -> tuple[LeastSquares, Array] | None:
+    """The problem with those parameters that had no effect at the start and that its optimum v lets the data determine.
+
+    order : of all parameters. Returns the point in the wider problem, too; None where there is no such parameter.
+    """
+    hidden = {u.name for u in found.held if u.reason == NO_EFFECT}
+    if not hidden:
+        return None
+    wider, at = _widened(problem, v, hidden, order)
+    seen = np.sqrt(np.diag(wider.information(at))[: len(wider.names)])
+    visible = {n for n, length in zip(wider.names, seen, strict=True) if length > INVISIBLE * seen.max()} & hidden
+    if not visible:
+        return None
+    if visible != hidden:
+        wider, at = _widened(problem, v, visible, order)
+    # The noise as one step would leave it: what these parameters explain is none.
+    left = max(0.0, 1 - wider.decrement(at) / max(wider.cost(at), 1e-300))
+    worse = {u.name for u in _poor(wider, at, left * variance(problem, v))}
+    if not visible & worse:
+        return wider, at
+    return None if visible <= worse else _widened(problem, v, visible - worse, order)
+
+
+def _widened(problem: LeastSquares, v: Array, more: set[str], order: Sequence[str]) -> tuple[LeastSquares, Array]:
+    """The problem with more parameters, at their nominal values, and where it stands then."""
+    names = [n for n in order if n in more or n in problem.names]
+    own = np.zeros(len(names))
+    own[[names.index(n) for n in problem.names]] = v[: len(problem.names)]
+    return problem.with_names(names), np.concatenate([own, v[len(problem.names) :]])
 
 
 def _misfit(problem: LeastSquares, v: Array) -> float:

@@ -17,7 +17,8 @@ the noise are known exactly, base and tool are found by the poses, and the model
 Of each robot type and spread the answers are a file of the folder --scratch. The rules were committed before seeds 11
 and 12 were run; of an earlier form of the study (`identify(priors=)`, seeds 1 and 2, 8 robots) figures were seen. The
 HH800's instrument stood beyond the bounds of its file then, so that nothing was identified; it was put nearer, and the
-HH800 run again with seeds 13 and 14, after the figures of the others were seen.
+HH800 run again with seeds 13 and 14, after the figures of the others were seen. These lay above the limit: the first
+joint's compliance, which the data determine where the base leans, was held. That is corrected; seeds 17 and 18 are fresh.
 
 These showed that a tracker's 60 poses are more accurate than any fleet is alike. The last two cases, seeds 15 and 16,
 were added then: the fleet as before, but the new robots measured by a coarser instrument, of 0.3 mm a coordinate, as a
@@ -57,7 +58,7 @@ CLOSED = 0.05
 # Noise of the instrument that measures new robots, and spread of the fleet [mm, mrad].
 CASES = ((0.03, 0.3), (0.03, 0.03), (0.03, 0.01), (0.3, 0.1), (0.3, 0.03))
 COARSE = (15, 16)
-SEEDS = {"hh800": (13, 14), "kr210": (11, 12), "ur10e": (11, 12)}
+SEEDS = {"hh800": (17, 18), "kr210": (11, 12), "ur10e": (11, 12)}
 TOOL, DRAWS = 1e-3, 50
 
 

@@ -45,6 +45,20 @@ def test_no_gravity_torque_about_a_vertical_axis():
         identify(robot, arms.positions(robot, arms.readings(robot, 40, 2), 3), ["c1"])
 
 
+def test_gravity_turns_the_first_joint_where_the_base_is_found_to_be_tilted():
+    """The drawing has an upright first axis; the robot leans by 6 degrees, so that its first joint is loaded."""
+    robot = replace(arms.hh800(), gravity_frame="measuring")
+    softer = 1.6 * robot.parameters["c1"].value
+    built = robot.with_values({"alpha0": 0.1, "beta0": -0.05, "a2": 1.6005, "c1": softer})
+    result = identify(robot, arms.positions(built, arms.readings(robot, 60, 2), 3))
+    assert "c1" in result.names
+    assert result.names == tuple(n for n in robot.parameters.names if n not in held(result))
+    error = result.parameters.set_index("name").loc["c1", "std_error"]
+    found = result.robot.parameters["c1"]
+    assert abs(found.readable(found.value) - found.readable(softer)) < 4 * error
+    assert error < 0.2 * found.readable(softer)
+
+
 def test_a_joint_that_never_moved():
     """Rows about a fixed joint melt into one; what is named stands in for what is not."""
     built = arms.planted(ARM, 4, arms.TRACKER)
