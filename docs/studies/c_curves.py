@@ -16,7 +16,7 @@ import numpy as np
 ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT / "tests" / "export" / "c"), str(Path(__file__).parent)]
 
-import c_matrix  # noqa: E402
+import c_bench  # noqa: E402
 import export_models as models  # noqa: E402
 import export_targets as targets  # noqa: E402
 
@@ -42,12 +42,12 @@ def measured(orders, as_table, board, real, folder):
     export = write_c(product, folder, name="arm", real=real, vectors=100_000, overwrite=True)
     flags = targets.defines(real, "arm_curves", 6, 500)
     wanted = targets.digest(*reference(tape_program(product, real), targets.bench_inputs(real, 500)))
-    found = c_matrix.host_and_foreign(folder, flags)
+    found = c_bench.host_and_foreign(folder, flags)
     words = []
     for optimise in ("-O2", "-Os"):
         it = targets.cortex(board, [folder / "arm.c"], folder, flags, optimise=optimise)
         found[f"{board} {optimise}"] = it.digest
-        flash = it.text - c_matrix.nothing(board, real, optimise).text
+        flash = it.text - c_bench.nothing(board, real, optimise).text
         words.append(f"{optimise} {it.least:.0f} to {it.most:.0f} instructions, {flash} B flash")
     error, bound = export.figures["curves_error_urad"], export.figures.get("table_error_urad_at_most")
     kind = "table" if as_table else "harmonics"
