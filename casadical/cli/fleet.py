@@ -59,8 +59,12 @@ def fleet(
 
         require()
     console = wrapped(quiet)
-    with working(quiet, "starting") as show:
-        found = run_fleet(folders, store, scheduler=scheduler, workers=workers, with_diagnosis=diagnose, show=show)
+    try:
+        with working(quiet, "starting") as show:
+            found = run_fleet(folders, store, scheduler=scheduler, workers=workers, with_diagnosis=diagnose, show=show)
+    except KeyboardInterrupt as stop:
+        typer.echo(f"casadical: {stop or 'interrupted'}", err=True)
+        raise typer.Exit(130) from None
     console.print(terminal(found.blocks()))
     texts = dict(found.prior_files(priors)) if priors else {}
     if priors and not texts:

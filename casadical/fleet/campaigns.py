@@ -22,8 +22,8 @@ from casadical.identification.prior import refuse_another
 from casadical.project.problem import Problem, read_campaign, read_campaign_robot, read_problem
 from casadical.robot.robot_file import read_robot
 
-# A date in a name: 2026-03-14, 2026_03_14, 20260314, 2026-03.
-_DATE = re.compile(r"(?<!\d)(20\d\d)[-_.]?([01]\d)(?:[-_.]?([0-3]\d))?(?!\d)")
+# A date in a name: 2026-03-14, 2026_03_14, 20260314, 2026-03; 1970 is that of a clock that was never set.
+_DATE = re.compile(r"(?<!\d)(1970|20\d\d)[-_.]?([01]\d)(?:[-_.]?([0-3]\d))?(?!\d)")
 # Between two campaigns some are missing where the gap is so many times the usual one.
 GAP = 1.75
 # Two campaigns so many days apart have a wrong date, more likely than that nothing was measured in between.
@@ -154,19 +154,28 @@ def day_of(path: Path) -> float | None:
 def day_of_problem(problem: Problem) -> float | None:
     """By a date in the name of its first table, or of its folder."""
     first = Path(str(problem.tables[0]["file"])) if problem.tables else Path()
-    return day_of(Path(first.name)) or day_of(problem.folder.resolve())
+    own = day_of(Path(first.name))
+    return day_of(problem.folder.resolve()) if own is None else own
 
 
-def in_order(campaigns: Sequence[Estimate]) -> tuple[list[Estimate], list[str]]:
-    """Campaigns by their days, and what is odd about these; as they are given where a day is not known."""
-    said: list[str] = []
+def in_order(given: Sequence[Estimate], *, begun: bool = False) -> tuple[list[Estimate], list[str]]:
+    """Campaigns by their days, and what is odd about these; as they are given where a day is not known.
+
+    begun : whether the first one is known to be the earliest, so that it needs no day
+    """
+    campaigns, said = _once(given)
+    if begun and len(campaigns) > 1 and campaigns[0].day is None:
+        later, more = in_order(campaigns[1:])
+        return [campaigns[0], *later], [*said, *more]
     names = {c.robot.name for c in campaigns}
     if len(names) > 1:
         said.append(f"the robot is called {' and '.join(sorted(map(repr, names)))}: taken for one, renamed")
     days = [c.day for c in campaigns]
+    if len(days) == 1:
+        return campaigns, said
     known = [d for d in days if d is not None]
     if not known:
-        return list(campaigns), [*said, "no dates in the names: the campaigns are in the order given"]
+        return campaigns, [*said, "no dates in the names: the campaigns are in the order given"]
     if len(known) < len(days):
         lost = ", ".join(c.label for c in campaigns if c.day is None)
         said.append(
@@ -195,3 +204,18 @@ def in_order(campaigns: Sequence[Estimate]) -> tuple[list[Estimate], list[str]]:
         listed = ", ".join(f"{a} and {b}" for a, b in gaps[:3])
         said.append(f"campaigns seem to be missing between {listed}; a change there is dated to the later one")
     return ordered, said
+
+
+def _once(campaigns: Sequence[Estimate]) -> tuple[list[Estimate], list[str]]:
+    """Without those that are the same measurements as an earlier one, to the last digit; and which these are."""
+    kept: list[Estimate] = []
+    said = []
+    for c in campaigns:
+        same = [k for k in kept if np.array_equal(k.values, c.values) and np.array_equal(k.information, c.information)]
+        if same:
+            said.append(f"{c.label} is left out: the same measurements as {same[0].label}, to the last digit")
+        else:
+            kept.append(c)
+    if said and len(kept) == 1:
+        return list(campaigns), ["all campaigns are the same measurements, to the last digit: no change can be seen"]
+    return kept, said

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import islice
+from pydoc import locate
 from time import monotonic, sleep
 from typing import Any
 
+from casadical import __version__
 from casadical.core.errors import InputError, optional
 
 # Tasks that each worker has or waits for.
@@ -16,6 +19,14 @@ AHEAD = 4
 RETRIES = 2
 # A scheduler is given up when it has not answered for so many seconds.
 PATIENCE = 10.0
+# And so are workers that were not there for so many seconds.
+LONELY = 60.0
+# Dask keeps the call stacks of each second of the last hour, in workers and in the scheduler: hundreds of megabytes.
+_SETTINGS = {
+    "distributed.comm.timeouts.connect": "10s",
+    "distributed.worker.profile.enabled": False,
+    "distributed.worker.preload": [__name__],
+}
 _GONE = "the scheduler no longer answers"
 _NEEDED = "a fleet needs dask, distributed and pyarrow; install them: pip install 'casadical[fleet]'"
 
@@ -27,21 +38,47 @@ class SchedulerLostError(InputError):
 @contextmanager
 def client_of(scheduler: str | None, workers: int | None) -> Iterator[Any]:
     """A client of a scheduler, or of processes of this machine, one core each. Raises InputError."""
-    distributed = optional("distributed", _NEEDED)
+    distributed = optional("distributed", _NEEDED)  # first: its own settings must not take the place of these
     dask = optional("dask", _NEEDED)
     with ExitStack() as stack:
-        stack.enter_context(dask.config.set({"distributed.comm.timeouts.connect": "10s"}))
-        try:
-            if scheduler is None:
-                cluster = distributed.LocalCluster(
-                    n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=50
-                )
-                stack.enter_context(cluster)
-                yield stack.enter_context(distributed.Client(cluster))
-            else:
-                yield stack.enter_context(distributed.Client(scheduler, timeout="10s"))
-        except (OSError, TimeoutError) as error:
-            raise SchedulerLostError(f"{scheduler or 'local cluster'}: no scheduler answers: {error}") from None
+        stack.enter_context(dask.config.set(_SETTINGS))
+        yield _connected(distributed, stack, scheduler, workers)
+
+
+def _connected(distributed: Any, stack: ExitStack, scheduler: str | None, workers: int | None) -> Any:
+    try:
+        if scheduler is not None:
+            client = stack.enter_context(distributed.Client(scheduler, timeout="10s"))
+            _refuse_other_versions(client, scheduler)
+            return client
+        cluster = distributed.LocalCluster(
+            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=50
+        )
+        return stack.enter_context(distributed.Client(stack.enter_context(cluster)))
+    except InputError:
+        raise
+    except ValueError as error:
+        raise InputError(f"--scheduler {scheduler}: {error}; an address is tcp://host:8786") from None
+    except (OSError, TimeoutError) as error:
+        raise SchedulerLostError(f"{scheduler or 'local cluster'}: no scheduler answers: {error}") from None
+
+
+def _refuse_other_versions(client: Any, scheduler: str) -> None:
+    """Raises InputError where there are no workers, or one with another casadical."""
+    found = client.run(locate, "casadical.__version__")
+    if not found:
+        raise InputError(f"{scheduler}: no worker is connected; start one there: dask worker {scheduler}")
+    for worker, version in found.items():
+        if version != __version__:
+            raise InputError(
+                f"worker {worker} has {f'casadical {version}' if version else 'no casadical'}; this is casadical "
+                f"{__version__}: install the same one there, and start the worker again"
+            )
+
+
+def dask_setup(_worker: Any) -> None:
+    """Called by Dask in each process of this machine: Ctrl-C is for the command, which ends them."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def results(
@@ -78,11 +115,18 @@ def results(
 
 
 def _wait(client: Any, working: Any) -> None:
-    """Until a task is done. Raises SchedulerLostError where the scheduler has not answered for a while."""
-    heard = monotonic()
+    """Until a task is done. Raises SchedulerLostError where the scheduler or all workers have been gone for a while."""
+    heard = asked = staffed = monotonic()
     while not working.has_ready():
+        now = monotonic()
         if client.status == "running":
-            heard = monotonic()
-        elif client.status == "closed" or monotonic() - heard > PATIENCE:
+            heard = now
+        elif client.status == "closed" or now - heard > PATIENCE:
             raise SchedulerLostError(_GONE)
+        if heard == now and now - asked > PATIENCE:
+            asked = now
+            with suppress(OSError):
+                staffed = now if client.scheduler_info(n_workers=1)["workers"] else staffed
+        if now - staffed > LONELY:
+            raise SchedulerLostError(f"the scheduler has had no worker for {LONELY:.0f} s")
         sleep(0.05)

@@ -27,6 +27,8 @@ from casadical.robot.robot import Robot
 
 # Poses that stand for those of a robot file, which does not say which they were.
 DRAWN = 200
+# So many outliers one after another are no slips.
+ROWS = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +192,6 @@ def estimate(
     found = campaign if isinstance(campaign, Identification) else identify(*campaign, loss="huber")
     fit = wide_fit(found)
     unit = fit.s2 * fit.misfit
-    held = len(found.left_out)
     noted = [text for m in found.measurements for text in (*_left_out(m), *clock_faults(m))]
     whole = Estimate(
         fit.robot,
@@ -204,10 +205,23 @@ def estimate(
         fit.poses,
         fit.left,
         fit.misfit,
-        (*([f"{held} pose{'s' * (held > 1)} left out as outliers"] if held else []), *noted),
+        (*_outliers(found), *noted),
         np.quantile(np.concatenate([m.q for m in found.used]), [0.05, 0.95], axis=0).T,
     )
     return whole.narrowed(doubted(found.robot, ORDERS))
+
+
+def _outliers(found: Identification) -> Iterator[str]:
+    out = found.left_out
+    if not out:
+        return
+    said = f"{len(out)} pose{'s' * (len(out) > 1)} left out as outliers"
+    rows = sorted(o.row for o in out)
+    (kept, *more) = found.used
+    between = kept.row[(kept.row > rows[0]) & (kept.row < rows[-1])]
+    if len(rows) >= ROWS and not more and not len(between):
+        said += f", rows {rows[0]} to {rows[-1]} one after another: units, tool or set-up changed there"
+    yield said
 
 
 def _left_out(m: Measurements) -> Iterator[str]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from casadical import __version__
-from casadical.core.errors import CasadicalError
+from casadical.core.errors import CasadicalError, InputError
 from casadical.core.files import json_text
 from casadical.diagnosis.diagnose import diagnose
 from casadical.fleet.campaigns import day_of, day_of_problem, elsewhere, in_order
@@ -52,11 +52,19 @@ def fingerprint(folder: Path) -> str:
     return found.hexdigest()[:32]
 
 
+def name_of(folder: Path, *, whole: bool = False) -> str:
+    """Name or whole path of a robot's folder, bytes that are not UTF-8 by their codes."""
+    path = folder.resolve()
+    return (str(path) if whole else path.name).encode(errors="backslashreplace").decode()
+
+
 def one_robot(folder: str, with_diagnosis: bool) -> dict[str, Any]:
     """The row of one robot; what goes wrong is in it, nothing is raised."""
     start, place = time.perf_counter(), Path(folder)
-    row = {**NOTHING, "robot": place.resolve().name, "folder": folder, "written_by": __version__}
+    row = {**NOTHING, "robot": name_of(place), "folder": name_of(place, whole=True), "written_by": __version__}
     try:
+        if row["folder"] != str(place.resolve()):
+            raise InputError(f"{row['folder']}: a name that is not UTF-8; rename the folder")
         row["fingerprint"] = fingerprint(place)
         row |= _computed(place, with_diagnosis)
         row["status"] = "ok"
@@ -92,9 +100,9 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
             diagnosis = diagnose(problem.robot, m)
             causes = ", ".join(c.label for c in diagnosis.causes)
             row |= {"verdict": diagnosis.verdict, "causes": causes}
-    if len(estimates) > 1:
-        ordered, said = in_order(estimates)
-        estimates, notes = ordered, [*notes, *said, *elsewhere(ordered)]
+    ordered, said = in_order(estimates, begun=True)
+    estimates, notes = ordered, [*notes, *said, *elsewhere(ordered)]
+    if len(ordered) > 1:
         compared = compare(ordered, notes=notes)
         changes = ", ".join(f"{c.cause.label} ({c.course}, {ordered[c.since].label})" for c in compared.changes)
         row |= {"changes": changes, "details": json_text(compared.to_json())}
@@ -105,10 +113,14 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
 
 
 def _later(place: Path, problem: Problem, estimates: list[Estimate]) -> list[str]:
-    """Adds what later campaigns tell; says which could not be used."""
+    """Adds what later campaigns tell; says which could not be used. A copy of the first one only has its day."""
     faults = []
+    own = {(place / str(table["file"])).read_bytes() for table in problem.tables}
     for path in sorted((place / CAMPAIGNS).glob("*.csv")):
         try:
+            if path.is_file() and path.read_bytes() in own:
+                estimates[0] = replace(estimates[0], day=day_of(path))
+                continue
             m = read_campaign(place, path, problem.robot, later=True)
             estimates.append(estimate(identify(problem.robot, m, loss="huber"), path.stem, day_of(path)))
         except CasadicalError as error:

@@ -11,7 +11,7 @@ import pandas as pd
 
 from casadical.core.errors import InputError, shown
 from casadical.fleet.cluster import SchedulerLostError, client_of, results
-from casadical.fleet.one_robot import NOTHING, fingerprint, one_robot
+from casadical.fleet.one_robot import NOTHING, fingerprint, name_of, one_robot
 from casadical.fleet.result import Fleet, fleet_of, records
 from casadical.fleet.store import add, opened, rows
 
@@ -65,15 +65,21 @@ def run_fleet(
     """
     robots, place = robots_in(folders), Path(store)
     with opened(place):
-        known = rows(place, _LOOKED_AT).set_index("robot")
+        damaged: list[str] = []
+        known = rows(place, _LOOKED_AT, damaged).set_index("robot")
         left, notes = _left(robots, known, with_diagnosis, place)
         show(f"robot {len(robots) - len(left)} of {len(robots)}")
         if left:
             with client_of(scheduler, workers) as client:
                 tasks = [(str(robots[name].resolve()), with_diagnosis) for name in left]
                 _compute(results(client, one_robot, tasks), place, len(robots), len(left), show)
-        whole = rows(place)
-    return fleet_of(whole[whole["robot"].isin(robots)].sort_values("robot", ignore_index=True), notes)
+        whole = rows(place, damaged=[])
+    whole = whole[whole["robot"].isin(robots)].sort_values("robot", ignore_index=True)
+    if gone := len(robots) - len(whole):
+        notes.append(
+            f"rows of {gone} robots are gone: {shown(place)} was changed meanwhile; run the same command again"
+        )
+    return fleet_of(whole, (*damaged, *notes))
 
 
 def robots_in(folders: Iterable[str | Path]) -> dict[str, Path]:
@@ -86,7 +92,7 @@ def robots_in(folders: Iterable[str | Path]) -> dict[str, Path]:
                 f"{shown(given)}: neither a problem folder nor a folder of such; a robot has a problem.toml"
             )
         for folder in inner:
-            name = folder.resolve().name
+            name = name_of(folder)
             if name in found and found[name].resolve() != folder.resolve():
                 raise InputError(f"{shown(folder)}: a second robot of the name {name!r}; rename one of the folders")
             found[name] = folder
@@ -107,7 +113,7 @@ def _left(
         except OSError:
             now = ""
         if row is None and now in gone:
-            old = rows(place)
+            old = rows(place, damaged=[])
             same = records(old[old["robot"] == gone[now]])[0]
             taken.append({**_plain(same), "robot": name, "folder": str(folder.resolve())})
             notes.append(f"{name} has the files of {gone[now]}, whose folder is not there: taken for it, renamed")
@@ -131,6 +137,7 @@ def _compute(
     """Keeps the rows as they come. Raises SchedulerLostError with how to go on."""
     waiting: list[dict[str, Any]] = []
     count, written = total - left, monotonic()
+    again = f"robots are in {shown(place)}: run the same command again, it continues there"
     try:
         for (folder, _), found in done:
             row = found if isinstance(found, dict) else _lost(folder, found)
@@ -141,9 +148,9 @@ def _compute(
                 add(place, waiting)
                 waiting, written = [], monotonic()
     except SchedulerLostError as error:
-        raise SchedulerLostError(
-            f"{error}; {count} of {total} robots are in {shown(place)}: run the same command again, it continues there"
-        ) from None
+        raise SchedulerLostError(f"{error}; {count} of {total} {again}") from None
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"interrupted; {count} of {total} {again}") from None
     finally:
         add(place, waiting)
 
@@ -152,8 +159,8 @@ def _lost(folder: str, error: Exception) -> dict[str, Any]:
     """The row of a robot whose workers died."""
     return {
         **NOTHING,
-        "robot": Path(folder).name,
-        "folder": folder,
+        "robot": name_of(Path(folder)),
+        "folder": name_of(Path(folder), whole=True),
         "status": "lost",
         "error": f"the processes that computed it ended: {type(error).__name__}: {str(error).splitlines()[0]}",
     }

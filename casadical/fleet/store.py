@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -33,6 +34,10 @@ def opened(folder: Path) -> Iterator[None]:
         with Lock(folder) as lock:
             if not lock.taken():
                 raise InputError(f"{shown(folder)}: another casadical is writing to this store; wait for it")
+            if not os.access(folder, os.W_OK):
+                raise InputError(
+                    f"{shown(folder)}: this store cannot be written to; change its permissions or its place"
+                )
             yield
     except OSError as error:
         raise InputError(f"{shown(folder)}: cannot be used as a store: {error.strerror or error}") from None
@@ -47,8 +52,13 @@ def add(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     table = arrow.table({name: arrow.array(values, _type(NOTHING[name])) for name, values in columns.items()})
     blob = io.BytesIO()
     parquet.write_table(table.replace_schema_metadata({KEY: str(VERSION).encode()}), blob, compression="zstd")
-    number = 1 + max((int(p.stem.split("-")[1]) for p in parts(folder)), default=0)
-    write_together({folder / f"part-{number:06d}-{uuid.uuid4().hex[:8]}.parquet": blob.getvalue()})
+    number = 1 + max((int(p.name[5:11]) for p in parts(folder)), default=0)
+    try:
+        write_together({folder / f"part-{number:06d}-{uuid.uuid4().hex[:8]}.parquet": blob.getvalue()})
+    except InputError as error:
+        raise InputError(
+            f"{error} of {len(rows)} robots; those written before are kept: run the command again"
+        ) from None
 
 
 def _type(empty: Any) -> Any:
@@ -62,11 +72,14 @@ def _type(empty: Any) -> Any:
 
 def parts(folder: Path) -> list[Path]:
     """Files of a store, the oldest first."""
-    return sorted(folder.glob("part-*.parquet"))
+    return sorted(folder.glob("part-" + 6 * "[0-9]" + "-*.parquet"))
 
 
-def rows(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFrame:
-    """The last row of every robot. Raises InputError for files of another version, and for what is no store."""
+def rows(folder: Path, columns: Sequence[str] | None = None, damaged: list[str] | None = None) -> pd.DataFrame:
+    """The last row of every robot. Raises InputError for files of another version.
+
+    damaged : files that cannot be read are named here and passed over; where it is not given they raise InputError, too
+    """
     parquet = optional("pyarrow.parquet", _NEEDED)
     found = []
     for path in parts(folder):
@@ -78,7 +91,11 @@ def rows(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFrame:
         except (OSError, ValueError) as error:
             if isinstance(error, InputError):
                 raise
-            raise InputError(f"{shown(path)}: is no part of a store: {str(error).splitlines()[0]}") from None
+            why = f"{shown(path)}: is no part of a store: {str(error).splitlines()[0].rstrip('.')}"
+            if damaged is None:
+                raise InputError(why) from None
+            damaged.append(f"{why}; the robots in it are computed again; remove it")
+            continue
         found.append(table.to_pandas())
     empty = pd.DataFrame({name: [] for name in columns or NOTHING})
     whole = pd.concat(found, ignore_index=True) if found else empty

@@ -12,6 +12,9 @@ from casadical.robot.robot import Robot
 
 # About so many poses are enough to see that lengths are in another unit.
 UNIT_POSES = 200
+# Parts of a table in the order of its rows, of which each may have its unit; poses of one, and share of the reach over
+# which the model moves in one, from which on its unit is seen.
+PARTS, LEAST_POSES, MOVED = 5, 6, 0.3
 
 
 def check_against(robot: Robot, m: Measurements) -> None:
@@ -40,6 +43,24 @@ def check_against(robot: Robot, m: Measurements) -> None:
         fault = find_kind(m.kind).unit_fault(some.arrays, p, positions_at(robot, some), robot.reach)
         if fault:
             raise InputError(f"{m.source}: {fault}")
+        _refuse_another_unit_midway(robot, some, p)
+
+
+def _refuse_another_unit_midway(robot: Robot, m: Measurements, p: Array) -> None:
+    """p : positions of the model, shape (n, 3) [m]"""
+    by_row = np.argsort(m.row, kind="stable")
+    found, said = [], ""
+    for part in np.array_split(by_row, max(1, min(PARTS, len(m) // LEAST_POSES))):
+        if np.linalg.norm(np.ptp(p[part], axis=0)) > MOVED * robot.reach:
+            some = m[part]
+            fault = find_kind(m.kind).unit_fault(some.arrays, p[part], positions_at(robot, some), robot.reach)
+            found += [some.row.min(), some.row.max()] if fault else []
+            said = said or fault
+    if said:
+        raise InputError(
+            f"{m.source}: between rows {min(found)} and {max(found)} another unit than in the others: {said}. One unit "
+            "a column: correct these rows, or make two tables of it"
+        )
 
 
 def least_margins(robot: Robot, m: Measurements) -> Array:

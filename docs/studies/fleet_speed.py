@@ -115,10 +115,11 @@ def main() -> None:
             run = Run(options.robots, kill=workers == options.workers[-1])
             store, before = place / f"{workers}.parquet", spent()
             run_fleet([place / "plant"], store, workers=workers, with_diagnosis=options.diagnose, show=run)
+            took = f"{run.seen[-1] - run.seen[0]:.0f} s"
             rate = (len(run.seen) - 1 - FIRST) / (run.seen[-1] - run.seen[FIRST])
             good = int((rows(store, ["robot", "status"])["status"] == "ok").sum())
             print(
-                f"{workers} worker{'s' * (workers > 1)}: {rate:.2f} robots/s; "
+                f"{workers} worker{'s' * (workers > 1)}: {rate:.2f} robots/s, {took} in all; "
                 f"{1e3 * (spent() - before) / options.robots:.0f} ms of processor time a robot; greatest worker "
                 f"{run.memory[1]:.0f} MB after 40 robots, {run.memory[-1]:.0f} MB at the end; {good} good rows"
                 f"{', one worker killed on the way' if run.killed else ''}; load {os.getloadavg()[0]:.1f}",
@@ -140,10 +141,12 @@ def main() -> None:
             start = time.perf_counter()
             count = sum(1 for _ in cluster.results(client, same, [(k,) for k in range(TRIVIAL)]))
             handed = count / (time.perf_counter() - start)
-        most = min(1 / each, handed)
+        most, own_rate = min(1 / each, handed), rate / options.workers[-1]
         print(
             f"the scheduler hands out {handed:.0f} tasks/s; on paper {most:.0f} robots/s at most, what "
-            f"{most / rate * options.workers[-1]:.0f} such workers do: 10 000 robots in {10000 / most:.0f} s"
+            f"{most / own_rate:.0f} such workers do: 10 000 robots in {10000 / most:.0f} s\n"
+            f"a thousand such workers: {1000 * own_rate:.0f} robots/s, if a task were "
+            f"{np.ceil(1000 * own_rate / handed):.0f} robots; the command takes {1 / each:.0f} rows/s"
         )
 
 

@@ -228,12 +228,17 @@ def test_days_in_names_and_what_is_odd_about_them(before: Estimate) -> None:
     assert day_of(Path("x/20260314-ur10.csv")) == day_of(Path("2026-03-14"))
     assert day_of(Path("run7/ur10.csv")) is None
 
-    def on(*days: float | None, names: dict[int, str] | None = None) -> tuple[list[str], str]:
+    def on(
+        *days: float | None, names: dict[int, str] | None = None, begun: bool = False, same: bool = False
+    ) -> tuple[list[str], str]:
         given = [
-            replace(before, label=str(k), day=d, robot=replace(before.robot, name=(names or {}).get(k, "arm")))
+            replace(
+                before, label=str(k), day=d, robot=replace(before.robot, name=(names or {}).get(k, "arm")),
+                values=before.values + 1e-9 * k * (not same),
+            )
             for k, d in enumerate(days)
-        ]
-        ordered, said = in_order(given)
+        ]  # fmt: skip
+        ordered, said = in_order(given, begun=begun)
         return [c.label for c in ordered], " | ".join(said)
 
     assert on(0, 30, 60, 120, 150) == (
@@ -248,6 +253,22 @@ def test_days_in_names_and_what_is_odd_about_them(before: Estimate) -> None:
         "2 is 35.5 years after 1, by their names: if a clock was wrong, rename the file"
     )
     assert on(0, 30, names={1: "left arm"})[1] == "the robot is called 'arm' and 'left arm': taken for one, renamed"
+    assert on(None, 60, 30, begun=True) == (
+        list("021"), "dates go back (1, then 2): the campaigns are put in the order of their dates"
+    )  # fmt: skip
+    assert on(None, 30, 60, begun=True) == (list("012"), "")
+    assert day_of(Path("1970-01-01.csv")) == 0.0
+    assert on(0, 20000, begun=True)[1].startswith("1 is 54.8 years after 0")
+    assert (
+        on(0, 30, same=True)[1] == "all campaigns are the same measurements, to the last digit: no change can be seen"
+    )
+
+
+def test_the_same_measurements_count_once(before: Estimate) -> None:
+    other = replace(before, label="other", values=before.values + 1e-9)
+    ordered, said = in_order([before, other, replace(before, label="copy")])
+    assert [c.label for c in ordered] == ["before", "other"]
+    assert said[0] == "copy is left out: the same measurements as before, to the last digit"
 
 
 def test_campaigns_in_other_regions_of_the_joints_are_named(before: Estimate) -> None:

@@ -17,8 +17,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import run
+from plants import A1, planar
 
-from casadical import InputError, Robot, read_robot
+from casadical import InputError, read_robot
 from casadical.core.blocks import Table
 from casadical.fleet import run_fleet
 from casadical.fleet.cluster import client_of, results
@@ -27,37 +28,9 @@ from casadical.fleet.one_robot import NOTHING, fingerprint, one_robot
 from casadical.fleet.result import fleet_of
 from casadical.fleet.store import KEY, add, parts, rows
 
-ROOT = Path(__file__).parents[2]
 distributed = pytest.importorskip("distributed", reason="distributed (Dask) is not installed")
 parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
 arrow = pytest.importorskip("pyarrow")
-A1 = 0.4004  # as built; drawn 0.4
-
-
-def planar(folder: Path, seed: int, campaigns: int = 0, a1: float = A1) -> Path:
-    """A problem of a planar arm, a1 longer than drawn by 0.4 mm and 0.1 mm from arm to arm; later it turns longer."""
-    rng = np.random.default_rng(seed)
-    nominal = read_robot(ROOT / "problems/planar/robot.toml")
-    built = a1 + 1e-4 * rng.normal()
-    folder.mkdir(parents=True)
-    shutil.copy(ROOT / "problems/planar/robot.toml", folder)
-    (folder / "problem.toml").write_text(
-        'casadical = 1\ntitle = "arm"\ndata = "synthetic"\nmethods = ["KM"]\n[[measurements]]\nfile = "poses.csv"\n'
-        "[sets]\nseed = 0\nidentify = 0.7\nreport = 0.3\n"
-    )
-    write(nominal, built, folder / "poses.csv", rng)
-    for k in range(campaigns):
-        (folder / "campaigns").mkdir(exist_ok=True)
-        write(nominal, built * (1 + 5e-4 * (k > 0)), folder / "campaigns" / f"2026-{k + 1:02d}-01.csv", rng)
-    return folder
-
-
-def write(nominal: Robot, a1: float, path: Path, rng: np.random.Generator) -> None:
-    robot = nominal.with_values({"a1": a1, "tool_x": nominal.parameters["tool_x"].value * a1 / A1})
-    q = rng.uniform(-2.5, 2.5, (40, 2))
-    p = robot.model.evaluate(("p",), q, np.tile(robot.declared, (40, 1)), robot.parameters.values)[0].T
-    table = pd.DataFrame(np.hstack([np.degrees(q), 1e3 * (p + 2e-5 * rng.normal(size=p.shape))]))
-    table.to_csv(path, index=False, header=["q1_deg", "q2_deg", "x_mm", "y_mm", "z_mm"])
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,167 @@
+"""What goes wrong around a fleet is said, and nothing that was computed is lost."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import signal
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+from plants import planar
+
+from casadical import InputError
+from casadical.fleet import compare_files, run_fleet
+from casadical.fleet.cluster import client_of
+from casadical.fleet.one_robot import NOTHING, one_robot
+from casadical.fleet.run import robots_in
+from casadical.fleet.store import add, parts, rows
+
+distributed = pytest.importorskip("distributed", reason="distributed (Dask) is not installed")
+pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
+METRES = ["x_mm", "y_mm", "z_mm"]
+
+
+@pytest.fixture(scope="module")
+def arms(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three arms, the first one with later campaigns."""
+    folder = tmp_path_factory.mktemp("arms")
+    for k in range(3):
+        planar(folder / f"arm{k}", k, campaigns=3 * (k == 0))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def first(arms: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the arm with later campaigns, to be spoilt."""
+    return Path(shutil.copytree(arms / "arm0", tmp_path_factory.mktemp("first") / "arm"))
+
+
+def spoil(table: Path, start: int, columns: list[str], factor: float) -> None:
+    found = pd.read_csv(table)
+    found.loc[start:, columns] *= factor
+    found.to_csv(table, index=False)
+
+
+def _kept(dask_worker: Any) -> tuple[bool, bool]:
+    return "profile" in dask_worker.periodic_callbacks, signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
+def test_workers_keep_no_call_stacks_and_leave_an_interrupt_to_the_command() -> None:
+    with client_of(None, 1) as client:
+        assert list(client.run(_kept).values()) == [(False, True)]
+
+
+def test_an_interrupt_says_what_is_kept(arms: Path, tmp_path: Path) -> None:
+    store = tmp_path / "fleet.parquet"
+
+    def stop(text: str) -> None:
+        if text.startswith("robot 1 "):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt, match=r"interrupted; 1 of 3 robots are in .*: run the same command again"):
+        run_fleet([arms], store, workers=1, with_diagnosis=False, show=stop)
+    assert list(rows(store)["status"]) == ["ok"]
+
+
+def test_files_of_a_store_that_were_cut_or_deleted_are_said_and_their_robots_computed_again(
+    arms: Path, tmp_path: Path
+) -> None:
+    store = tmp_path / "fleet.parquet"
+    for k in range(3):
+        add(store, [one_robot(str(arms / f"arm{k}"), False)])
+    cut, deleted, _ = parts(store)
+    cut.write_bytes(cut.read_bytes()[:300])
+    with pytest.raises(InputError, match="is no part of a store"):
+        rows(store)
+
+    def delete(text: str) -> None:
+        if text == "robot 2 of 3":
+            deleted.unlink()
+
+    found = run_fleet([arms], store, workers=1, with_diagnosis=False, show=delete)
+    assert list(found.robots["robot"]) == ["arm0", "arm2"]
+    said, gone = found.notes
+    assert said.startswith(str(cut))
+    assert said.endswith("the robots in it are computed again; remove it")
+    assert gone.startswith("rows of 1 robots are gone")
+
+
+def test_a_full_or_read_only_disk_is_said(tmp_path: Path, arms: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    row = {**NOTHING, "robot": "a"}
+    add(tmp_path, [row])
+    with monkeypatch.context() as patch:
+        patch.setattr("os.write", _full)
+        patch.setattr("os.replace", _full)
+        with pytest.raises(InputError, match=r"No space left.*of 2 robots; those written before are kept"):
+            add(tmp_path, [row, row])
+    assert len(rows(tmp_path)) == 1
+    monkeypatch.setattr("os.access", lambda _path, _mode: False)
+    with pytest.raises(InputError, match="this store cannot be written to"):
+        run_fleet([arms], tmp_path, workers=1)
+
+
+def _full(*_: object) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_an_address_that_is_none_no_worker_and_another_version_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    for address in ("nonsense", "http://localhost:80"):
+        with (
+            pytest.raises(InputError, match=f"--scheduler {address}: .* an address is tcp://host:8786"),
+            client_of(address, None),
+        ):
+            pass
+    with distributed.LocalCluster(
+        n_workers=0, threads_per_worker=1, processes=False, protocol="tcp://", dashboard_address=None
+    ) as cluster:
+        with pytest.raises(InputError, match="no worker is connected; start one there: dask worker tcp://"):
+            _connect(cluster.scheduler_address)
+        cluster.scale(1)
+        with distributed.Client(cluster) as client:
+            client.wait_for_workers(1)
+        _connect(cluster.scheduler_address)
+        monkeypatch.setattr("casadical.fleet.cluster.__version__", "99.0")
+        with pytest.raises(InputError, match=r"has casadical .*; this is casadical 99.0: install the same one there"):
+            _connect(cluster.scheduler_address)
+
+
+def _connect(address: str) -> None:
+    with client_of(address, None):
+        pass
+
+
+def test_a_folder_whose_name_is_not_utf_8_stops_nobody(first: Path, tmp_path: Path) -> None:
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/M\xfcller"))
+    shutil.copytree(first, folder)
+    row = one_robot(str(folder), False)
+    assert row["status"] == "failed"
+    assert row["error"].endswith("a name that is not UTF-8; rename the folder")
+    assert list(robots_in([tmp_path])) == [row["robot"]]
+    add(tmp_path / "store", [row])
+    assert len(rows(tmp_path / "store")) == 1
+
+
+def test_units_that_change_within_a_table_are_said_with_their_rows(first: Path, tmp_path: Path) -> None:
+    whole, spoilt = first / "campaigns" / "2026-02-01.csv", tmp_path / "2026-05-01.csv"
+    shutil.copy(whole, spoilt)
+    spoil(spoilt, 20, METRES, 1e-3)
+    with pytest.raises(InputError, match=r"2026-05-01.csv: between rows 26 and 41 another unit than in the others"):
+        compare_files([whole, spoilt], first)
+    shutil.copy(whole, spoilt)
+    spoil(spoilt, 28, ["q1_deg", "q2_deg"], 3.14159265 / 180)
+    found = compare_files([whole, spoilt], first)
+    assert found.campaigns[1].notes[0].startswith("12 poses left out as outliers, rows 30 to 41 one after another")
+
+
+def test_the_first_campaign_needs_no_day_and_its_copy_gives_one(first: Path) -> None:
+    row = one_robot(str(first), False)
+    assert (row["campaigns"], row["notes"]) == (4, "")
+    shutil.copy(first / "poses.csv", first / "campaigns" / "2025-12-01.csv")
+    again = one_robot(str(first), False)
+    assert (again["campaigns"], again["notes"]) == (4, "")
+    assert again["days"][0] == again["days"][1] - 31
+    assert again["changes"] == row["changes"]
