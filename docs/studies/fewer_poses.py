@@ -18,7 +18,7 @@ Of each robot type and spread the answers are a file of the folder --scratch. Th
 and 12 were run; of an earlier form of the study (`identify(priors=)`, seeds 1 and 2, 8 robots) figures were seen. The
 HH800's instrument stood beyond the bounds of its file then, so that nothing was identified; it was put nearer, and the
 HH800 run again with seeds 13 and 14, after the figures of the others were seen. These lay above the limit: the first
-joint's compliance, which the data determine where the base leans, was held. That is corrected; seeds 17 and 18 are fresh.
+joint's compliance, which the data determine where the base leans, was held. Corrected since; seeds 17, 18 are fresh.
 
 These showed that a tracker's 60 poses are more accurate than any fleet is alike. The last two cases, seeds 15 and 16,
 were added then: the fleet as before, but the new robots measured by a coarser instrument, of 0.3 mm a coordinate, as a
