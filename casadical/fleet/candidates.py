@@ -10,6 +10,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.parameters import Parameter
 from casadical.identification.misfit import ORDERS
+from casadical.robot.error_bound import doubted
 from casadical.robot.robot import Robot
 
 # Usual sizes: of a length, of an angle, of a harmonic of a joint's error; of a compliance as a share; of all lengths.
@@ -88,10 +89,10 @@ class Candidate:
 
 
 def shared_names(robot: Robot, names: Sequence[str], *, same_tool: bool, same_frame: bool) -> tuple[str, ...]:
-    """Those parameters that two campaigns share; tool and base are fitted again unless they are said to be the same."""
-    group = {p.name: p.group for p in robot.parameters}
+    """Those parameters that two campaigns share: without high harmonics, tool and base unless these are the same."""
     gone = {*(() if same_tool else ("tool",)), *(() if same_frame else ("base",))}
-    return tuple(n for n in names if group[n] not in gone)
+    low = doubted(robot, ORDERS).parameters
+    return tuple(n for n in names if n in low.names and low[n].group not in gone)
 
 
 def candidates_of(robot: Robot, names: Sequence[str]) -> tuple[Candidate, ...]:

@@ -22,11 +22,11 @@ from casadical.fleet.evidence import (
     drifts,
     jumps,
     log_evidence,
-    log_marginal,
     season,
     solve,
     visible,
 )
+from casadical.fleet.noise import with_common_noise
 from casadical.fleet.placements import placements_of, seen_from
 from casadical.identification.prior import refuse_another
 
@@ -34,10 +34,10 @@ from casadical.identification.prior import refuse_another
 COURSES: dict[Course, float] = {"jump": 0.6, "drift": 0.4, "season": 0.4}
 HAZARD = 0.03
 MOST = 4
-# How large the harmonics of the joints may be, in units of what one campaign's residuals show: the most probable of
-# these. Over a short range of a joint high harmonics look like low ones, many times greater; campaigns that together
-# contradict too narrow a prior would be explained by a change after the first of them.
-WIDER = (1.0, 1.5, 2.0, 3.0, 4.0, 8.0, 16.0, 32.0)
+# The harmonics of the robot as it is are known so many times less than the residuals of one campaign say: over a short
+# range of a joint high harmonics look like low ones, many times greater, and a prior that the campaigns together
+# contradict looks like a change after the first of them.
+WIDER = 100.0
 # A drift's unit of time: a year, or so many campaigns without a date.
 YEAR, CAMPAIGNS = 365.25, 12.0
 
@@ -96,6 +96,7 @@ def compare(
     first = campaigns[0]
     for other in campaigns[1:]:
         refuse_another(first.robot, other.robot, "campaign")
+    campaigns = with_common_noise(campaigns)
     names, told, candidates = told_by(campaigns, same_tool=same_tool, same_frame=same_frame)
     times = times_of(campaigns)
     accepted, left = found_in(told, candidates, times, dated=first.day is not None)
@@ -127,16 +128,10 @@ def told_by(
         campaigns = [_in_frame_of(first, c) for c in campaigns]
     both = [c.about(names, values) for c in campaigns]
     spread = np.sqrt(np.mean([c.spread[[c.names.index(n) for n in names]] ** 2 for c in campaigns], axis=0))
+    spread[[n.startswith("joint_error_curve") for n in names]] *= WIDER
     candidates = candidates_of(first.robot, names)
     told = Told(np.array([H for H, _ in both]), np.array([b for _, b in both]), spread**-2.0)
-    return names, as_wide_as_needed(told.with_jitter(*daily(candidates)), names), candidates
-
-
-def as_wide_as_needed(told: Told, names: Sequence[str]) -> Told:
-    """With harmonics of the robot that may be so large as the campaigns together show them."""
-    harmonic = np.array([n.startswith("joint_error_curve") for n in names])
-    tried = [replace(told, precision=np.where(harmonic, times**-2.0, 1.0) * told.precision) for times in WIDER]
-    return max(tried, key=log_marginal)
+    return names, told.with_jitter(*daily(candidates)), candidates
 
 
 def _in_frame_of(first: Estimate, other: Estimate) -> Estimate:

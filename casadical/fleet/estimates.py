@@ -3,13 +3,13 @@
 The log likelihood is a parabola about the campaign's own values, with information J'J / s^2 and a score. Parameters
 that the campaign did not identify have a place in it too, so that campaigns which identified different ones can be
 compared; so have the first harmonics of each turning joint's error, which are in no base model and bend the estimates
-of two campaigns differently where their poses differ.
+of two campaigns differently where their poses differ: the lowest may change, the others are fitted in each campaign.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from casadical.core.errors import InputError
 from casadical.identification.error_bound import Doubts, doubts_of, evaluated
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.identification import identify
-from casadical.identification.misfit import FURTHER, ORDERS, wide_fit
+from casadical.identification.misfit import FURTHER, NoiseFit, wide_fit
 from casadical.identification.result import Identification
 from casadical.measurements.clock import clock_faults
 from casadical.measurements.measurements import Measurements, unmeasured
@@ -63,6 +63,8 @@ class Estimate:
         what was assumed
     readings : Array, shape (n, 2), optional
         range of each joint in which nine of ten poses lie; of a robot file, in which all do [rad or m]
+    fits : tuple[NoiseFit, ...], default ()
+        the same with other repeatabilities of the joints; none of a robot file
 
     Examples
     --------
@@ -72,8 +74,8 @@ class Estimate:
     >>> H, b = told.about(("a1", "theta2"), np.array([0.4, 0.0]))
     >>> H.shape, b.shape
     ((2, 2), (2,))
-    >>> told.date, len(told.narrowed(found.robot).names) < len(told.names)
-    ('', True)
+    >>> told.date
+    ''
     """
 
     robot: Robot
@@ -89,6 +91,7 @@ class Estimate:
     misfit: float = 1.0
     notes: tuple[str, ...] = ()
     readings: Array | None = None
+    fits: tuple[NoiseFit, ...] = ()
 
     def __repr__(self) -> str:
         noise = "" if self.sigma is None else f", {1e3 * self.sigma:.3g} mm a coordinate left"
@@ -103,26 +106,6 @@ class Estimate:
     def scale(self) -> Array:
         """Unit of each parameter, shape (k,) [SI]."""
         return np.array([self.robot.parameters[n].scale for n in self.names])
-
-    def narrowed(self, robot: Robot) -> Estimate:
-        """Of the parameters that another robot has, too, which takes the place of this one; the rest integrated.
-
-        Parameters
-        ----------
-        robot : Robot
-            with fewer parameters
-
-        Returns
-        -------
-        Estimate
-            of its parameters
-        """
-        names = tuple(n for n in self.names if n in robot.parameters.names)
-        at = [self.names.index(n) for n in names]
-        H, b = self.about(names, self.values[at])
-        return replace(
-            self, robot=robot, names=names, values=self.values[at], information=H, score=b, spread=self.spread[at]
-        )
 
     def about(self, names: tuple[str, ...], values: Array) -> tuple[Array, Array]:
         """Information and score of some parameters at other values, all others fitted again with wide priors.
@@ -191,15 +174,15 @@ def estimate(
     """
     found = campaign if isinstance(campaign, Identification) else identify(*campaign, loss="huber")
     fit = wide_fit(found)
-    unit = fit.s2 * fit.misfit
+    unit = fit.best.s2 * fit.misfit
     noted = [text for m in found.measurements for text in (*_left_out(m), *clock_faults(m))]
-    whole = Estimate(
+    return Estimate(
         fit.robot,
         fit.doubts.names,
         _values(fit.robot, fit.doubts),
-        fit.sums.H / unit,
-        -fit.sums.g / unit,
-        np.sqrt(fit.variance),
+        fit.best.sums.H / unit,
+        -fit.best.sums.g / unit,
+        np.sqrt(fit.best.variance),
         label or found.measurements[0].source,
         day,
         fit.poses,
@@ -207,8 +190,8 @@ def estimate(
         fit.misfit,
         (*_outliers(found), *noted),
         np.quantile(np.concatenate([m.q for m in found.used]), [0.05, 0.95], axis=0).T,
+        fit.fits,
     )
-    return whole.narrowed(doubted(found.robot, ORDERS))
 
 
 def _outliers(found: Identification) -> Iterator[str]:
@@ -299,7 +282,7 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
         C[np.ix_(places, places)] = own.matrix
     H = B.T @ scaled_inverse(known.misfit * C / np.outer(scale, scale)) @ B
     note = f"poses are not known: drawn from {drawn}"
-    told = Estimate(
+    return Estimate(
         wide,
         doubts.names,
         _values(wide, doubts),
@@ -313,7 +296,6 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
         notes=(note,),
         readings=known.readings if len(known.readings) else None,
     )
-    return told.narrowed(doubted(robot, ORDERS))
 
 
 def _seen(robot: Robot, m: Measurements, names: tuple[str, ...]) -> Array:

@@ -89,14 +89,6 @@ def solve(told: Told, known: Known | None = None) -> Model:
     return Model(told, known, inverse, inverse @ np.einsum("npi,np->i", X, told.score))
 
 
-def log_marginal(told: Told) -> float:
-    """Log of how probable the campaigns are where nothing changes, up to what does not depend on the prior of theta."""
-    model = solve(told)
-    root = np.sqrt(np.diag(model.inverse))
-    log_det = 2 * np.log(root).sum() + np.linalg.slogdet(model.inverse / np.outer(root, root))[1]
-    return float(0.5 * (told.score.sum(axis=0) @ model.mean + log_det + np.log(told.precision).sum()))
-
-
 def visible(model: Model, E: Array, courses: Array) -> tuple[Array, Array]:
     """Information and score of a change along columns E with each of several courses.
 

@@ -52,22 +52,33 @@ class _Rows:
 
 
 @dataclass(frozen=True, eq=False)
+class NoiseFit:
+    """The fit where each joint repeats to so many times the noise of a coordinate as one of RHOS says.
+
+    log_likelihood : with s2 and the variances that fit best; sums : over the poses, at the fit's values, whitened
+    s2 : variance of a coordinate that nothing explains, repeatability of the joints left aside [mm^2]
+    variance : of each parameter before the data, shape (k,); of the harmonics as the residuals show it
+    """
+
+    log_likelihood: float
+    sums: Sums
+    s2: float
+    variance: Array
+
+
+@dataclass(frozen=True, eq=False)
 class WideFit:
     """Of all parameters that are not known exactly, and the harmonics; lengths in mm.
 
-    robot : calibrated, with harmonics of zero size; sums : over the poses, at its values, whitened
-    s2 : variance of a coordinate that nothing explains, repeatability of the joints left aside [mm^2]
-    rho : that repeatability over the root of s2 [rad/m]; variance : of each parameter before the data, shape (k,)
+    robot : calibrated, with harmonics of zero size; fits : one for each of RHOS; best : the most probable of them
     misfit : how many times more than independent noise residuals of similar poses push the parameters, at least 1
     left : standard deviation of a coordinate that nothing explains [m]; poses : how many
     """
 
     robot: Robot
     doubts: Doubts
-    sums: Sums
-    s2: float
-    rho: float
-    variance: Array
+    fits: tuple[NoiseFit, ...]
+    best: NoiseFit
     misfit: float
     left: float
     poses: int
@@ -82,14 +93,14 @@ def wide_fit(found: Identification) -> WideFit:
     rows = _rows(found, robot, doubts.names)
     q = np.concatenate([m.q for m in found.used])
     tried = [_at(rho, rows, doubts) for rho in RHOS]
-    best = int(np.argmax([log_likelihood for log_likelihood, _ in tried]))
-    white, Jw, sums, (s2, mean, S, variance) = tried[best][1]
-    times = _misfit(white + Jw @ mean, Jw, q, s2, variance)
+    fits = tuple(fit for fit, *_ in tried)
+    best, white, Jw, mean, S = max(tried, key=lambda t: t[0].log_likelihood)
+    times = _misfit(white + Jw @ mean, Jw, q, best.s2, best.variance)
     r, J = _without_points(rows.r, rows.J, rows.U)[:2]
-    M = S @ sums.H / s2  # a parameter with a prior counts as far as the data determine it (Hastie, Tibshirani 1990)
+    M = S @ best.sums.H / best.s2  # a parameter with a prior counts as far as the data determine it (Hastie 1990)
     fitted = float(2 * np.trace(M) - np.sum(M * M.T))
-    left = _MM * float(np.sqrt(np.sum((r + J @ mean) ** 2) / max(1.0, sums.count - fitted)))
-    return WideFit(robot, doubts, sums, s2, RHOS[best], variance, times, left, len(r))
+    left = _MM * float(np.sqrt(np.sum((r + J @ mean) ** 2) / max(1.0, best.sums.count - fitted)))
+    return WideFit(robot, doubts, fits, best, times, left, len(r))
 
 
 def _rows(found: Identification, robot: Robot, names: tuple[str, ...]) -> _Rows:
@@ -134,11 +145,8 @@ def _without_points(r: Array, J: Array, U: Array) -> tuple[Array, Array, float]:
     return both[:, :, 0], both[:, :, 1:], float(np.log(seen).sum())
 
 
-_Posterior = tuple[float, Array, Array, Array]
-
-
-def _at(rho: float, rows: _Rows, doubts: Doubts) -> tuple[float, tuple[Array, Array, Sums, _Posterior]]:
-    """Log marginal likelihood with noise s2 (I + rho^2 Jq Jq'), and whitened residuals and Jacobians with their fit.
+def _at(rho: float, rows: _Rows, doubts: Doubts) -> tuple[NoiseFit, Array, Array, Array, Array]:
+    """The fit with noise s2 (I + rho^2 Jq Jq'); whitened residuals and Jacobians, mean and covariance.
 
     Jq : how each joint moves what is measured, shape (n, numbers, joints) [mm/mrad], as the zeros of the joints do
     """
@@ -154,12 +162,8 @@ def _at(rho: float, rows: _Rows, doubts: Doubts) -> tuple[float, tuple[Array, Ar
     fitted = sums.square + 2 * mean @ sums.g + mean @ sums.H @ mean
     spread = float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum()) + seen
     square = float(fitted / s2 + np.sum(mean**2 / variance))
-    return -0.5 * (sums.count * np.log(s2) + square + log_det) - spread, (
-        white,
-        Jw,
-        sums,
-        (s2, mean, S, variance),
-    )
+    log_likelihood = -0.5 * (sums.count * np.log(s2) + square + log_det) - spread
+    return NoiseFit(log_likelihood, sums, s2, variance), white, Jw, mean, S
 
 
 def misfit_of(found: Identification) -> float:
@@ -171,16 +175,12 @@ def misfit_of(found: Identification) -> float:
         fit = wide_fit(found)
     except InputError:
         return 1.0
-    at = fit.doubts.solved
+    known = np.flatnonzero(np.isfinite(np.diag(found.covariance)))  # a parameter at its bound has no variance
+    at = fit.doubts.solved[known]
     scale = np.array([fit.robot.parameters[fit.doubts.names[k]].scale for k in at])
-    own = found.covariance[np.ix_(_known(found), _known(found))] / np.outer(scale, scale)
-    here = fit.sums.H[np.ix_(at, at)] / (fit.s2 * fit.misfit)
-    return float(max(1.0, len(at) / np.sum(own * here))) if len(at) == len(own) else 1.0
-
-
-def _known(found: Identification) -> Array:
-    """Indices of identified parameters that are at no bound."""
-    return np.flatnonzero(np.isfinite(np.diag(found.covariance)))
+    own = found.covariance[np.ix_(known, known)] / np.outer(scale, scale)
+    here = fit.best.sums.H[np.ix_(at, at)] / (fit.best.s2 * fit.misfit)
+    return float(max(1.0, len(at) / np.sum(own * here)))
 
 
 def _misfit(e: Array, J: Array, q: Array, s2: float, variance: Array) -> float:

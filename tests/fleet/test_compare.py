@@ -16,9 +16,10 @@ from casadical import InputError, Robot, calibrate, identify, read_robot, write_
 from casadical.core.blocks import plain_text
 from casadical.fleet import Estimate, compare, estimate, estimate_of_file
 from casadical.fleet.campaigns import compare_files, day_of, elsewhere, in_order
-from casadical.fleet.candidates import Candidate, candidates_of, shared_names
-from casadical.fleet.comparison import as_wide_as_needed, found_in
+from casadical.fleet.candidates import candidates_of, shared_names
+from casadical.fleet.comparison import found_in, told_by
 from casadical.fleet.evidence import KAPPAS, Told, drifts, jumps, log_evidence, solve, visible
+from casadical.fleet.noise import with_common_noise
 from casadical.identification.misfit import misfit_of
 from casadical.robot.error_bound import doubted
 
@@ -66,19 +67,38 @@ def test_the_directions_of_what_is_anew_are_projected_out() -> None:
     assert pytest.approx(J[:, 1:].T @ Q @ J[:, 1:], rel=1e-5) == H
 
 
-def test_harmonics_that_every_campaign_shows_are_no_change_after_the_first() -> None:
-    """Thirty campaigns alike, a harmonic twenty times as large as the residuals of one campaign would have it."""
+def test_harmonics_that_every_campaign_shows_are_no_change_after_the_first(arm: tuple[Robot, Robot]) -> None:
+    """Twenty campaigns alike, a harmonic many times as large as their priors have it."""
+    robot = doubted(arm[0], 2)
     rng = np.random.default_rng(3)
     names = ("a2", "theta3", "joint_error_curve.s1_q3", "joint_error_curve.c1_q3")
-    J = rng.normal(size=(30, 12, 4)) / 3
-    truth = np.array([0.0, 0.0, 4.0, 0.0])
-    y = J @ truth + rng.normal(size=(30, 12))
-    told = Told(J.transpose(0, 2, 1) @ J, np.einsum("nij,ni->nj", J, y), np.array([1.0, 1.0, 0.2, 0.2]) ** -2.0)
-    curve = Candidate("joint_curve", 3, names[2:], np.eye(4)[:, 2:], np.full(2, 3.0))
-    times = np.arange(30) / 12
-    narrow, wide = (found_in(t, [curve], times, dated=False) for t in (told, as_wide_as_needed(told, names)))
-    assert narrow[0]
-    assert not wide[0]
+    spread = np.array([1.0, 1.0, 0.2, 0.2])
+    told = []
+    for k in range(20):
+        J = rng.normal(size=(12, 4)) / 3
+        y = J @ np.array([0.0, 0.0, 4.0, 0.0]) + rng.normal(size=12)
+        told.append(Estimate(robot, names, np.zeros(4), J.T @ J, J.T @ y, spread, str(k)))
+    assert not compare(told).changed
+    shared, sums, curves = told_by(told, same_tool=False, same_frame=False)
+    narrow = replace(sums, precision=spread**-2.0)
+    assert shared == names
+    assert found_in(narrow, curves, np.arange(20) / 12, dated=False)[0]
+
+
+def test_campaigns_by_one_instrument_have_one_noise(arm: tuple[Robot, Robot], before: Estimate) -> None:
+    """The variance is the mean of theirs; an instrument ten times coarser keeps its own."""
+    second, m = after(arm), measured(arm[1], 5)
+    assert m.position is not None
+    coarse = replace(m, position=m.position + 3e-4 * np.random.default_rng(0).normal(size=m.position.shape))
+    third = estimate((arm[0], coarse))
+    a, b, c = with_common_noise([before, second, third])
+    assert a.spread.tolist() == b.spread.tolist() != c.spread.tolist()
+    best = int(np.argmax([x.log_likelihood + y.log_likelihood for x, y in zip(before.fits, second.fits, strict=True)]))
+    mean = (before.fits[best].s2 + second.fits[best].s2) / 2
+    assert before.fits[best].s2 != pytest.approx(second.fits[best].s2, rel=1e-3)
+    assert a.information == pytest.approx(before.fits[best].sums.H / (mean * before.misfit))
+    assert b.score == pytest.approx(-second.fits[best].sums.g / (mean * second.misfit))
+    assert c.information == pytest.approx(third.information)
 
 
 def test_courses() -> None:
@@ -304,6 +324,14 @@ def test_the_file_says_how_much_less_it_is_sure_where_its_model_does_not_fit(arm
     smooth, bent = (misfit_of(identify(robot, replace(m, position=m.position + d))) for d in (0 * slow, slow))
     assert smooth < 1.2
     assert bent > 1.5
+
+
+def test_a_parameter_at_its_bound_does_not_count_in_the_misfit(arm: tuple[Robot, Robot]) -> None:
+    robot, built = arm
+    narrow = replace(robot.widths["geometry"], length_bound=3e-4, angle_bound=3e-4)
+    found = identify(replace(robot, widths={**robot.widths, "geometry": narrow}), measured(built, 30))
+    assert found.at_bounds
+    assert misfit_of(found) >= 1.0
 
 
 def test_what_is_left_is_the_noise_however_much_was_fitted(arm: tuple[Robot, Robot]) -> None:
