@@ -18,7 +18,7 @@ from casadical.core.errors import InputError
 from casadical.identification.error_bound import Doubts, doubts_of, evaluated
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.identification import identify
-from casadical.identification.misfit import FURTHER, NoiseFit, wide_fit
+from casadical.identification.misfit import FURTHER, WideFit, wide_fit
 from casadical.identification.result import Identification
 from casadical.measurements.clock import clock_faults
 from casadical.measurements.measurements import Measurements, unmeasured
@@ -63,8 +63,8 @@ class Estimate:
         what was assumed
     readings : Array, shape (n, 2), optional
         range of each joint in which nine of ten poses lie; of a robot file, in which all do [rad or m]
-    fits : tuple[NoiseFit, ...], default ()
-        the same with other repeatabilities of the joints; none of a robot file
+    fit : WideFit, optional
+        by which other campaigns may tell of its noise; None of a robot file
 
     Examples
     --------
@@ -91,7 +91,7 @@ class Estimate:
     misfit: float = 1.0
     notes: tuple[str, ...] = ()
     readings: Array | None = None
-    fits: tuple[NoiseFit, ...] = ()
+    fit: WideFit | None = None
 
     def __repr__(self) -> str:
         noise = "" if self.sigma is None else f", {1e3 * self.sigma:.3g} mm a coordinate left"
@@ -190,7 +190,7 @@ def estimate(
         fit.misfit,
         (*_outliers(found), *noted),
         np.quantile(np.concatenate([m.q for m in found.used]), [0.05, 0.95], axis=0).T,
-        fit.fits,
+        fit,
     )
 
 

@@ -13,28 +13,59 @@ from dataclasses import replace
 import numpy as np
 
 from casadical.fleet.estimates import Estimate
+from casadical.identification.misfit import RHOS, WideFit
 
 # Instruments are others where what they leave differs more than so many times.
 OTHER = 3.0
+# A joint repeats otherwise than the rest where that makes the campaigns more probable by so much, as a logarithm.
+GAIN = 2.0
 
 
 def with_common_noise(campaigns: Sequence[Estimate]) -> list[Estimate]:
     """Campaigns with the noise and harmonics that those by a like instrument show together; robot files as given."""
-    return [_with_noise_of([c for c in campaigns if _alike(c, own)], own) for own in campaigns]
+    found = list(campaigns)
+    left = [k for k, c in enumerate(campaigns) if c.fit is not None]
+    while left:
+        group = [k for k in left if _alike(campaigns[left[0]], campaigns[k])]
+        left = [k for k in left if k not in group]
+        for k, own in zip(group, _together([campaigns[k] for k in group]), strict=True):
+            found[k] = own
+    return found
 
 
 def _alike(a: Estimate, b: Estimate) -> bool:
-    if a.sigma is None or b.sigma is None or not a.fits or not b.fits or a.names != b.names:
-        return False
-    return bool(a.sigma < OTHER * b.sigma and b.sigma < OTHER * a.sigma)
+    s, t = a.sigma or 0.0, b.sigma or 0.0
+    return a.names == b.names and s <= OTHER * t and t <= OTHER * s
 
 
-def _with_noise_of(alike: Sequence[Estimate], own: Estimate) -> Estimate:
-    if not alike:
-        return own
-    best = int(np.argmax(np.sum([[fit.log_likelihood for fit in c.fits] for c in alike], axis=0)))
-    weights = [c.poses for c in alike]
-    s2 = np.average([c.fits[best].s2 for c in alike], weights=weights)
-    variance = np.average([c.fits[best].variance for c in alike], axis=0, weights=weights)
-    sums, unit = own.fits[best].sums, s2 * own.misfit
-    return replace(own, information=sums.H / unit, score=-sums.g / unit, spread=np.sqrt(variance))
+def _together(group: Sequence[Estimate]) -> list[Estimate]:
+    wide = [c.fit for c in group if c.fit is not None]
+    rhos = repeatability(wide)
+    fits = [w.at(rhos) for w in wide]
+    weights = [w.poses for w in wide]
+    s2 = np.average([f.s2 for f in fits], weights=weights)
+    spread = np.sqrt(np.average([f.variance for f in fits], axis=0, weights=weights))
+    units = [s2 * c.misfit for c in group]
+    return [
+        replace(c, information=f.sums.H / unit, score=-f.sums.g / unit, spread=spread)
+        for c, f, unit in zip(group, fits, units, strict=True)
+    ]
+
+
+def repeatability(fits: Sequence[WideFit]) -> tuple[float, ...]:
+    """Of each turning joint over the noise of a coordinate, the most probable of RHOS by all campaigns [rad/m]."""
+
+    def log_likelihood(rhos: tuple[float, ...]) -> float:
+        return sum(fit.log_likelihood(rhos) for fit in fits)
+
+    best = max(((rho,) * fits[0].joints for rho in RHOS), key=log_likelihood)
+    better = True
+    while better:
+        better = False
+        for j, own in enumerate(best):
+            at = RHOS.index(own)
+            for rho in RHOS[max(0, at - 1) : at] + RHOS[at + 1 : at + 2]:
+                other = (*best[:j], rho, *best[j + 1 :])
+                if log_likelihood(other) > log_likelihood(best) + GAIN:
+                    best, better = other, True
+    return best

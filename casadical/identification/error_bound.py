@@ -26,7 +26,7 @@ from casadical.robot.robot import Robot
 LEVEL = 0.95  # share of errors that the bound is to hold
 FOLDS = 5
 LEAST = 30  # poses, of which one held-out residual in twenty is to be known
-_ROUNDS = 12  # of expectation and maximisation: sizes that the poses do not determine are still of usual size then
+ROUNDS = 12  # of expectation and maximisation: sizes that the poses do not determine are still of usual size then
 _DIRECTIONS, _END = 6, 0.3  # of the regions that are held out: how many, and the share of poses at each end
 _LOST = 0.05  # share of the mean square that may be lost at a pose where the factor of the moment is cut
 _SAMPLES = 500  # random poses at which that holds
@@ -173,12 +173,12 @@ def _moment(sums: Sums, doubts: Doubts) -> tuple[float, Array]:
     return s2, np.outer(mean, mean) + S
 
 
-def posterior_of(sums: Sums, doubts: Doubts) -> tuple[float, Array, Array, Array]:
+def posterior_of(sums: Sums, doubts: Doubts, rounds: int = ROUNDS) -> tuple[float, Array, Array, Array]:
     """Variance of a coordinate that nothing explains [mm^2]; mean, shape (k,), covariance, and prior variances."""
     s2: float = sums.square / sums.count
     variance = doubts.sigma**2
     mean, S = np.zeros(len(variance)), np.zeros((len(variance), len(variance)))
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         S = scaled_inverse(sums.H / s2 + np.diag(1 / variance))
         mean = -S @ sums.g / s2
         known = len(variance) - float(np.sum(np.diag(S) / variance))

@@ -7,13 +7,13 @@ readings: gear errors of higher order, slow drifts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.identification.error_bound import Doubts, Sums, doubts_of, posterior_of, sums_of
+from casadical.identification.error_bound import ROUNDS, Doubts, Sums, doubts_of, posterior_of, sums_of
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.residuals import make_block
 from casadical.identification.result import Identification
@@ -29,11 +29,11 @@ PARTS = 12
 CHANCE = 2.0
 # Directions of unknown points that are seen by a smaller share of the best seen one are not seen.
 POINT = 1e-9
-_MM = 1e-3
-
-
 # Repeatability of the joints over the noise of a coordinate [rad/m].
-RHOS = (0.0, 0.3, 0.8, 2.0)
+RHOS = (0.0, 0.3, 0.5, 0.8, 1.3, 2.0)
+# Rounds of a fit that begins at the variances of another one.
+AGAIN = 4
+_MM = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,21 +41,23 @@ class _Rows:
     """All measurements of a fit at its values, each pose with as many rows as the kind with the most numbers has.
 
     Lengths in mm; what is more or less accurate than the lengths of the first set is in units of its noise. r : shape
-    (n, numbers); J : (n, numbers, k); U : by the unknown points, (n, numbers, 3 points); count : of numbers measured
-    beside those that determine the points
+    (n, numbers); J : (n, numbers, k); U : by the unknown points, (n, numbers, 3 points); Jq : how each turning joint
+    moves what is measured, as its zero does, (n, numbers, joints) [mm/mrad]; count : of numbers measured beside those
+    that determine the points
     """
 
     r: Array
     J: Array
+    Jq: Array
     U: Array
     count: int
 
 
 @dataclass(frozen=True, eq=False)
 class NoiseFit:
-    """The fit where each joint repeats to so many times the noise of a coordinate as one of RHOS says.
+    """The fit where each joint repeats to so many times the noise of a coordinate.
 
-    log_likelihood : with s2 and the variances that fit best; sums : over the poses, at the fit's values, whitened
+    log_likelihood : with the s2 and the variances that fit best; sums : over the poses, at the fit's values, whitened
     s2 : variance of a coordinate that nothing explains, repeatability of the joints left aside [mm^2]
     variance : of each parameter before the data, shape (k,); of the harmonics as the residuals show it
     """
@@ -70,18 +72,39 @@ class NoiseFit:
 class WideFit:
     """Of all parameters that are not known exactly, and the harmonics; lengths in mm.
 
-    robot : calibrated, with harmonics of zero size; fits : one for each of RHOS; best : the most probable of them
+    robot : calibrated, with harmonics of zero size; best : with the most probable of RHOS for all joints alike
     misfit : how many times more than independent noise residuals of similar poses push the parameters, at least 1
     left : standard deviation of a coordinate that nothing explains [m]; poses : how many
     """
 
     robot: Robot
     doubts: Doubts
-    fits: tuple[NoiseFit, ...]
+    rows: _Rows
     best: NoiseFit
     misfit: float
     left: float
     poses: int
+    _tried: dict[tuple[float, ...], float] = field(default_factory=dict, repr=False)
+    _last: dict[tuple[float, ...], NoiseFit] = field(default_factory=dict, repr=False)
+
+    @property
+    def joints(self) -> int:
+        """How many joints turn."""
+        return int(self.rows.Jq.shape[2])
+
+    def at(self, rhos: tuple[float, ...]) -> NoiseFit:
+        """The fit with a repeatability of each turning joint."""
+        if rhos not in self._last:
+            self._last.clear()
+            self._last[rhos] = _at(rhos, self.rows, self.doubts)[0]
+        return self._last[rhos]
+
+    def log_likelihood(self, rhos: tuple[float, ...]) -> float:
+        """Of such a fit, begun at the variances of the best one."""
+        if rhos not in self._tried:
+            doubts = replace(self.doubts, sigma=np.sqrt(self.best.variance))
+            self._tried[rhos] = _at(rhos, self.rows, doubts, AGAIN)[0].log_likelihood
+        return self._tried[rhos]
 
 
 def wide_fit(found: Identification) -> WideFit:
@@ -92,15 +115,15 @@ def wide_fit(found: Identification) -> WideFit:
     doubts = replace(doubts, joints=(*low, *(joint[2 * ORDERS :] for joint in doubts.joints)))
     rows = _rows(found, robot, doubts.names)
     q = np.concatenate([m.q for m in found.used])
-    tried = [_at(rho, rows, doubts) for rho in RHOS]
-    fits = tuple(fit for fit, *_ in tried)
+    n = rows.Jq.shape[2]
+    tried = [_at((rho,) * n, rows, doubts) for rho in RHOS]
     best, white, Jw, mean, S = max(tried, key=lambda t: t[0].log_likelihood)
     times = _misfit(white + Jw @ mean, Jw, q, best.s2, best.variance)
     r, J = _without_points(rows.r, rows.J, rows.U)[:2]
     M = S @ best.sums.H / best.s2  # a parameter with a prior counts as far as the data determine it (Hastie 1990)
     fitted = float(2 * np.trace(M) - np.sum(M * M.T))
     left = _MM * float(np.sqrt(np.sum((r + J @ mean) ** 2) / max(1.0, best.sums.count - fitted)))
-    return WideFit(robot, doubts, fits, best, times, left, len(r))
+    return WideFit(robot, doubts, rows, best, times, left, len(r))
 
 
 def _rows(found: Identification, robot: Robot, names: tuple[str, ...]) -> _Rows:
@@ -130,7 +153,8 @@ def _rows(found: Identification, robot: Robot, names: tuple[str, ...]) -> _Rows:
             part.append(np.pad(value, [*out, (0, 0)][: value.ndim]))
         count += r.size
     r, J, U = (np.concatenate(part) for part in parts)
-    return _Rows(r, J, U, count)
+    zeros = [k for k, name in enumerate(names) if name.startswith("theta")]
+    return _Rows(r, J, J[:, :, zeros], U, count)
 
 
 def _without_points(r: Array, J: Array, U: Array) -> tuple[Array, Array, float]:
@@ -145,18 +169,19 @@ def _without_points(r: Array, J: Array, U: Array) -> tuple[Array, Array, float]:
     return both[:, :, 0], both[:, :, 1:], float(np.log(seen).sum())
 
 
-def _at(rho: float, rows: _Rows, doubts: Doubts) -> tuple[NoiseFit, Array, Array, Array, Array]:
-    """The fit with noise s2 (I + rho^2 Jq Jq'); whitened residuals and Jacobians, mean and covariance.
+def _at(
+    rhos: tuple[float, ...], rows: _Rows, doubts: Doubts, rounds: int = ROUNDS
+) -> tuple[NoiseFit, Array, Array, Array, Array]:
+    """The fit with noise s2 (I + Jq Jq'); whitened residuals and Jacobians, mean and covariance.
 
-    Jq : how each joint moves what is measured, shape (n, numbers, joints) [mm/mrad], as the zeros of the joints do
+    Jq : how each joint moves what is measured, times its rho
     """
-    zeros = [k for k, name in enumerate(doubts.names) if name.startswith("theta")]
-    Jq = rows.J[:, :, zeros]
-    L = np.linalg.cholesky(np.eye(rows.r.shape[1]) + rho**2 * Jq @ Jq.transpose(0, 2, 1))
+    Jq = rows.Jq * rhos
+    L = np.linalg.cholesky(np.eye(rows.r.shape[1]) + Jq @ Jq.transpose(0, 2, 1))
     white, Jw, U = (np.linalg.solve(L, part) for part in (rows.r[:, :, None], rows.J, rows.U))
     white, Jw, seen = _without_points(white[:, :, 0], Jw, U)
     sums = replace(sums_of(white, Jw), count=rows.count)
-    s2, mean, S, variance = posterior_of(sums, doubts)
+    s2, mean, S, variance = posterior_of(sums, doubts, rounds)
     root = np.sqrt(np.diag(S))
     log_det = float(np.log(variance).sum() - 2 * np.log(root).sum() - np.linalg.slogdet(S / np.outer(root, root))[1])
     fitted = sums.square + 2 * mean @ sums.g + mean @ sums.H @ mean
