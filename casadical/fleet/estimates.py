@@ -29,6 +29,8 @@ from casadical.robot.robot import Robot
 DRAWN = 200
 # So many outliers one after another are no slips.
 ROWS = 5
+# A campaign of more poses tells its own noise.
+MANY = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +66,7 @@ class Estimate:
     readings : Array, shape (n, 2), optional
         range of each joint in which nine of ten poses lie; of a robot file, in which all do [rad or m]
     fit : WideFit, optional
-        by which other campaigns may tell of its noise; None of a robot file
+        by which other campaigns may tell of its noise; None of a robot file, and of more poses than `MANY`
 
     Examples
     --------
@@ -190,7 +192,7 @@ def estimate(
         fit.misfit,
         (*_outliers(found), *noted),
         np.quantile(np.concatenate([m.q for m in found.used]), [0.05, 0.95], axis=0).T,
-        fit,
+        fit if fit.poses <= MANY else None,
     )
 
 

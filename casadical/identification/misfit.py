@@ -115,9 +115,7 @@ def wide_fit(found: Identification) -> WideFit:
     doubts = replace(doubts, joints=(*low, *(joint[2 * ORDERS :] for joint in doubts.joints)))
     rows = _rows(found, robot, doubts.names)
     q = np.concatenate([m.q for m in found.used])
-    n = rows.Jq.shape[2]
-    tried = [_at((rho,) * n, rows, doubts) for rho in RHOS]
-    best, white, Jw, mean, S = max(tried, key=lambda t: t[0].log_likelihood)
+    best, white, Jw, mean, S = _most_probable(rows, doubts)
     times = _misfit(white + Jw @ mean, Jw, q, best.s2, best.variance)
     r, J = _without_points(rows.r, rows.J, rows.U)[:2]
     M = S @ best.sums.H / best.s2  # a parameter with a prior counts as far as the data determine it (Hastie 1990)
@@ -169,9 +167,22 @@ def _without_points(r: Array, J: Array, U: Array) -> tuple[Array, Array, float]:
     return both[:, :, 0], both[:, :, 1:], float(np.log(seen).sum())
 
 
-def _at(
-    rhos: tuple[float, ...], rows: _Rows, doubts: Doubts, rounds: int = ROUNDS
-) -> tuple[NoiseFit, Array, Array, Array, Array]:
+_Fit = tuple[NoiseFit, Array, Array, Array, Array]
+
+
+def _most_probable(rows: _Rows, doubts: Doubts) -> _Fit:
+    """With the rho of all joints from which a step along RHOS makes the data less probable."""
+    tried: dict[int, _Fit] = {}
+    best, at = -1, len(RHOS) // 2
+    while best != at:
+        best = at
+        near = range(max(0, best - 1), min(len(RHOS), best + 2))
+        tried |= {k: _at((RHOS[k],) * rows.Jq.shape[2], rows, doubts) for k in near if k not in tried}
+        at = max(near, key=lambda k: tried[k][0].log_likelihood)
+    return tried[best]
+
+
+def _at(rhos: tuple[float, ...], rows: _Rows, doubts: Doubts, rounds: int = ROUNDS) -> _Fit:
     """The fit with noise s2 (I + Jq Jq'); whitened residuals and Jacobians, mean and covariance.
 
     Jq : how each joint moves what is measured, times its rho

@@ -104,6 +104,16 @@ def test_campaigns_by_one_instrument_have_one_noise(arm: tuple[Robot, Robot], be
     assert c.information == pytest.approx(third.information)
 
 
+def test_a_campaign_of_many_poses_tells_its_own_noise(
+    arm: tuple[Robot, Robot], before: Estimate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("casadical.fleet.estimates.MANY", 39)
+    many = after(arm)
+    first, second = with_common_noise([before, many])
+    assert second.information is many.information
+    assert first.information == pytest.approx(before.information, rel=0.3)
+
+
 def test_a_joint_that_repeats_badly_is_seen_in_all_campaigns(arm: tuple[Robot, Robot]) -> None:
     """Joint 1 repeats to 60 urad, the others to nothing: 2 rad/m of 30 um."""
     fits = []
