@@ -18,8 +18,6 @@ import sys
 from pathlib import Path
 from statistics import median
 
-sys.path.insert(0, str(Path(__file__).parent))  # tests load this file by its path
-
 from floor_plan import ROOT, floors, picture
 from imports_of_package import House, classes, files_naming, repeated_lines
 

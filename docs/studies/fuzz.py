@@ -31,135 +31,15 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
+
+from fuzz_inputs import Hostile, draw
 
 ROOT = Path(__file__).parents[2]
 SECONDS, BYTES = 60, 2 * 2**30
 CODES = {0, 2, 3, 4}
-
-T = TypeVar("T")
-Choose = Callable[[Sequence[Any]], Any]
-
-NUMBERS = (
-    "0", "-0.0", "1", "-1", "0.5", "1e-300", "-1e-320", "1e300", "1e308", "-1e308", "1e400", "nan", "inf", "-inf",
-    "9" * 30, "9" * 400, "1_000", "0x10", "2,5", "25 kg", "", "true", '"1"', "[1]", "{}", "1e-12", "179.9", "360",
-    "-720",
-    "2147483648", "-3", "10000000000",
-)  # fmt: skip
-WORDS = (
-    "", "a", "[/x]", "[bold red]x", "\\u0001", "\x01", "\x1b[31m", "\t", "\n", "'", '"', "\\", "*/ x", "-->",
-    "<script>", "é",
-    "\u202e", "\U0001f916", "..", "../x", "/", "~", "$HOME", "%s", "{0}", "x" * 300, "x" * 5000, "a\x00b", "KM", "SKCM",
-    "GP-NN-SKCM", "linear", "huber", "standard", "extended", "backlash", "backlash@2", "backlash@99", "all", "q1",
-    "D", "A",
-)  # fmt: skip
-PATHS = (
-    "in/p", "in/p/robot.toml", "in/p/poses.csv", "in/p/problem.toml", "in/results", "in/results/KM.robot.toml",
-    "in/results/result.json", "in/program.csv", "in/dh.csv", "in/arm.urdf", "in/room.toml", "in/net.json", "in/none",
-    "in/loop", "in/empty", "in/folder", "in/binary", "", ".", "/dev/null", "/dev/full", "x" * 5000, "a[/x]", "in",
-)  # fmt: skip
-OUTPUTS = (
-    "out/a", "out/b.json", "out/b.csv", "out/deep/er/c.html", "out/c.xml", "out/a", "out/[/x]", "out/é \u202e",
-    "in/p/robot.toml",
-    "in/foreign.txt", "/dev/full", "/dev/null", "out", "in/loop", "out/" + "x" * 300, "/proc/none/x", "in/empty/x",
-)  # fmt: skip
-
-# Commands with arguments that are always given, and options: a value of this kind, or None for a flag.
-PROBLEM, ROBOT, TABLE = ("in/p",), ("in/results/KM.robot.toml", "in/p/robot.toml"), ("in/p/poses.csv",)
-COMMANDS: dict[tuple[str, ...], tuple[tuple[Sequence[str], ...], dict[str, str | None]]] = {
-    ("check",): ((PROBLEM,), {"--noise-mm": "number", "--strict": None, "--json": "out", "-q": None}),
-    ("calibrate",): (
-        (PROBLEM,),
-        {
-            "--out": "out", "--json": "out", "--report": "out", "--method": "word", "--loss": "word",
-            "--seed": "number",
-            "--prior": "path", "--prior-effects": "word", "--frozen": None, "-q": None,
-        },
-    ),
-    ("plan",): (
-        (PROBLEM + ROBOT,),
-        {
-            "-n": "small", "--out": "out", "--for": "word", "--criterion": "word", "--room": "path",
-            "--measured": "path",
-            "--payloads": "number", "--repeats": "small", "--noise-mm": "number", "--min-distance": "number",
-            "--target-mm": "number", "--no-order": None, "--seed": "number", "--json": "out", "-q": None,
-        },
-    ),
-    ("new",): (
-        (("out/new", "out/[/x]", "out/é", "in/p", "in/empty"),),
-        {"--dh": "dh", "--data": "path", "--urdf": "path", "--convention": "word", "--yes": None, "--json": "out"},
-    ),
-    ("correct",): (
-        ((*ROBOT, "in/results"), ("in/program.csv",)),
-        {
-            "--out": "out", "--nominal": "path", "--compensator": "path", "--payload": "number", "--steps": "small",
-            "--tool": "word", "--trust": None, "--leave-out": None, "--overwrite": None, "--json": "out",
-        },
-    ),
-    ("export", "urdf"): ((ROBOT + PROBLEM,), {
-        "--out": "out", "--leave-out": None, "--overwrite": None, "--json": "out"}),
-    ("export", "mjcf"): ((ROBOT,), {"--out": "out", "--leave-out": None, "--overwrite": None, "--nominal": "path"}),
-    ("diagnose",): ((PROBLEM, TABLE), {
-        "--effects": "word", "--seed": "number", "--isolability": None, "--json": "out"}),
-    ("withheld", "score"): ((("in", "in/p"), ("in/p",), TABLE), {"--json": "out"}),
-    ("withheld", "predict"): ((("in", "in/p"),), {"--out": "out", "--by": "word", "--workers": "small"}),
-}  # fmt: skip
-# Of each command: `out` is needed by these.
-NEEDS_OUT = {("correct",), ("export", "urdf"), ("export", "mjcf")}
-# So often is each drawn: those that are quick more often.
-WEIGHTS = {("diagnose",): 1, ("plan",): 2, ("calibrate",): 4, ("check",): 4, ("new",): 3, ("correct",): 3}
-CHANGED = ("p/robot.toml", "p/problem.toml", "p/poses.csv", "results/KM.robot.toml", "program.csv", "dh.csv",
-"arm.urdf",
-           "room.toml", "net.json", "results/result.json")  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Hostile:
-    """One input: the words of the command line, and changes of files (name, kind, place, what is put there)."""
-
-    command: tuple[str, ...]
-    changes: tuple[tuple[str, str, int, str], ...]
-
-    def __str__(self) -> str:
-        words = " ".join(ascii(w)[1:-1][:60] for w in self.command)
-        return f"{words} | " + "; ".join(f"{n} {k} {p} {ascii(v)[:40]}" for n, k, p, v in self.changes)
-
-
-def draw(choose: Choose) -> Hostile:
-    """An input; choose : takes one of a sequence, `random.Random.choice` or one of hypothesis."""
-    names = [name for name in COMMANDS for _ in range(WEIGHTS.get(name, 2))]
-    name = choose(names)
-    arguments, options = COMMANDS[name]
-    words = list(name)
-    for valid in arguments:
-        words.append(choose(valid) if choose(range(8)) else choose(PATHS))
-    given = [option for option in options if not choose(range(4))]
-    if name in NEEDS_OUT and "--out" not in given:
-        given.append("--out")
-    for option in given:
-        words += [option, *_value(options[option], choose)]
-    changes = []
-    for _ in range(choose((0, 1, 1, 1, 2))):
-        kind = choose(
-            ("number", "number", "number", "word", "word", "drop line", "double line", "cut", "put", "replace")
-        )
-        value = choose(NUMBERS) if kind == "number" else choose(WORDS)
-        changes.append((choose(CHANGED), kind, choose(range(400)), value))
-    return Hostile(tuple(w.replace("\x00", "") for w in words), tuple(changes))
-
-
-def _value(kind: str | None, choose: Choose) -> list[str]:
-    if kind is None:
-        return []
-    if kind == "small":
-        return [choose((*NUMBERS, "3", "4", "5", "6"))]
-    if kind == "dh":
-        return [choose(("in/dh.csv", "in/dh.csv", "in/dh.csv", *PATHS))]
-    return [choose({"number": NUMBERS, "word": WORDS, "path": PATHS, "out": OUTPUTS[:4] * 4 + OUTPUTS}[kind])]
 
 
 def load_all() -> None:

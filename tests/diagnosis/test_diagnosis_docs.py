@@ -1,12 +1,15 @@
 """The page on the diagnosis: its tables are those of the code, and its code runs."""
 
-import importlib.util
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from cases import ROOT
+
+sys.path.insert(0, str(ROOT / "docs" / "studies"))
+
+import diagnosis_tables
 
 PAGE = ROOT / "docs" / "diagnosis.md"
 
@@ -18,11 +21,8 @@ def blocks() -> list[str]:
 
 def test_tables_are_those_of_the_code() -> None:
     """If not: python docs/studies/diagnosis_tables.py"""
-    spec = importlib.util.spec_from_file_location("diagnosis_tables", ROOT / "docs/studies/diagnosis_tables.py")
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
     page = PAGE.read_text(encoding="utf-8")
-    assert script.filled(page) == page, "run: python docs/studies/diagnosis_tables.py"
+    assert diagnosis_tables.filled(page) == page, "run: python docs/studies/diagnosis_tables.py"
     assert "| `hose_drag` |" in page
 
 

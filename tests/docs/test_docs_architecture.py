@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import re
@@ -14,7 +13,10 @@ from pathlib import Path
 import pytest
 from walk import ROOT
 
-SCRIPT = ROOT / "docs" / "studies" / "architecture.py"
+sys.path.insert(0, str(ROOT / "docs" / "studies"))
+
+import architecture
+
 FILES = {
     "__init__.py": '"""Toy."""\n_HOME = {"a": "toy.low.a", "b": "toy.high"}\n__all__ = ["__version__", *_HOME]\n',
     "low/__init__.py": "",
@@ -26,16 +28,7 @@ FILES = {
 
 
 @pytest.fixture(scope="module")
-def architecture():
-    spec = importlib.util.spec_from_file_location("architecture", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.fixture(scope="module")
-def house(architecture):
+def house():
     """The package, read once."""
     return architecture.House(ROOT / "casadical")
 
@@ -49,7 +42,7 @@ def toy(tmp_path: Path) -> Path:
     return tmp_path / "toy"
 
 
-def test_hidden_imports_are_arrows(architecture, toy: Path) -> None:
+def test_hidden_imports_are_arrows(toy: Path) -> None:
     """Under TYPE_CHECKING, inside a function, relative, and as a string."""
     house = architecture.House(toy)
     assert set(house.arrows) == {("low", "middle"), ("middle", "low"), ("high", "middle"), ("high", "low")}
@@ -57,7 +50,7 @@ def test_hidden_imports_are_arrows(architecture, toy: Path) -> None:
     assert house.entries == ["__init__.py", "high.py", "low", "middle"]
 
 
-def test_names_behind_getattr_are_not_typed(architecture, toy: Path) -> None:
+def test_names_behind_getattr_are_not_typed(toy: Path) -> None:
     assert architecture.House(toy).typed_names() == (0, 2)
     front = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from toy.low.a import a as a\n"
     (toy / "__init__.py").write_text(front + FILES["__init__.py"])
@@ -67,7 +60,7 @@ def test_names_behind_getattr_are_not_typed(architecture, toy: Path) -> None:
     assert architecture.House(toy).typed_names() == (2, 2)
 
 
-def test_repeated_blocks_are_counted(architecture, toy: Path) -> None:
+def test_repeated_blocks_are_counted(toy: Path) -> None:
     block = "".join(f"value_{k} = {k}\n" for k in range(7))
     (toy / "low" / "a.py").write_text(block)
     (toy / "middle" / "m.py").write_text("first = 0\n" + block)
@@ -86,17 +79,17 @@ def test_imports_agree_with_import_linters_graph(house) -> None:
         assert {t.partition(".")[2] for t in theirs} <= house.imports[name], name
 
 
-def test_the_committed_page_is_up_to_date(architecture, house) -> None:
+def test_the_committed_page_is_up_to_date(house) -> None:
     """If not: python docs/studies/architecture.py"""
     assert architecture.out_of_date(house) == []
 
 
-def test_a_new_import_makes_the_page_out_of_date(architecture, house, monkeypatch) -> None:
+def test_a_new_import_makes_the_page_out_of_date(house, monkeypatch) -> None:
     monkeypatch.setitem(house.arrows, ("core", "cli"), 1)
     assert {"the table of imports", "the picture"} <= set(architecture.out_of_date(house))
 
 
-def test_every_room_has_a_paragraph(architecture, house) -> None:
+def test_every_room_has_a_paragraph(house) -> None:
     page = architecture.PAGE.read_text(encoding="utf-8")
     rooms = [room for storey in architecture.floors() for room in storey]
     assert sorted(rooms) == house.rooms

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,17 +14,9 @@ from hypothesis import strategies as st
 ROOT = Path(__file__).parents[2]
 
 
-def _study() -> Any:
-    spec = importlib.util.spec_from_file_location("fuzz", ROOT / "docs" / "studies" / "fuzz.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["fuzz"] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
+sys.path.insert(0, str(ROOT / "docs" / "studies"))
 
-
-fuzz = _study()
+import fuzz  # noqa: E402
 
 
 @pytest.fixture(scope="module")

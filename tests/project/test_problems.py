@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
+import sys
 import tomllib
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -14,19 +15,10 @@ from casadical import from_table, identify
 from casadical.robot.robot_file import read_robot
 
 ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "docs" / "studies"))  # for their scripts as modules
 FILES = ["README.md", "certified.toml", "problem.toml", "robot.toml"]
 FOLDERS = sorted(p for p in (ROOT / "problems").iterdir() if p.is_dir())
 EXTRA = {"hh800": ["campaign.robot.toml"]}  # the same arm with all joints compliant, as the campaigns have it
-
-
-def study(name: str):
-    """A script of docs/studies as a module."""
-    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / "studies" / f"{name}.py")
-    assert spec
-    assert spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 every_problem = pytest.mark.parametrize("folder", FOLDERS, ids=lambda f: f.name)
@@ -49,7 +41,7 @@ def test_readme_says_what_is_real(folder: Path) -> None:
 def test_certified_figures_hold(folder: Path, calibrated) -> None:
     expected = tomllib.loads((folder / "certified.toml").read_text())
     tolerance = expected.pop("tolerance_mm")
-    found = study("certify").figures(calibrated(folder.name))
+    found = import_module("certify").figures(calibrated(folder.name))
     assert found.keys() == expected.keys()
     for method, entries in expected.items():
         assert found[method].keys() == entries.keys()
@@ -76,7 +68,7 @@ def test_folders_that_share_a_robot_hold_the_same_one() -> None:
 
 
 def test_the_planar_data_come_from_the_script() -> None:
-    made = study("planar").planar()
+    made = import_module("planar").planar()
     stored = pd.read_csv(ROOT / "data" / "planar" / "planar.csv")
     pd.testing.assert_frame_equal(made, stored, atol=1.01e-4)
 
@@ -85,7 +77,7 @@ def test_the_planar_data_come_from_the_script() -> None:
 @pytest.mark.parametrize("name", ["grid", "random"])
 def test_the_measured_tables_come_from_the_published_ones(robot: str, name: str) -> None:
     """And the nominal DH table gives back the published targets, so that angles and units are what they say."""
-    tables = study("real_tables")
+    tables = import_module("real_tables")
     table = tables.published(robot, name)
     stored = pd.read_csv(ROOT / "data" / f"{robot}_laser_tracker" / f"measured_{name}.csv")
     pd.testing.assert_frame_equal(tables.measured(table, tables.SETS[name]), stored, rtol=0, atol=1e-9)
@@ -100,7 +92,7 @@ def test_the_measured_tables_come_from_the_published_ones(robot: str, name: str)
 
 def test_the_planar_arm_gets_its_planted_errors_back(calibrated) -> None:
     """Within four standard errors; theta2 stands in the direction of the tool, as its README says."""
-    planted = study("planar")
+    planted = import_module("planar")
     found = calibrated("planar").identification.parameters.set_index("name")
     offset = np.deg2rad(planted.OFFSET_2_DEG)
     truth = {
