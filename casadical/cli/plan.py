@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from casadical.cli import completion as words
-from casadical.cli.options import Json, Quiet
+from casadical.cli.options import Json, Prior, PriorEffects, Quiet, carried
 from casadical.cli.progress import PLAN, working
 from casadical.cli.terminal import keep, wrapped
 from casadical.core.errors import InputError
@@ -93,6 +93,8 @@ def plan(
             help="Where wires or sockets may be: columns x_mm, y_mm, z_mm; default: about the robot.",
         ),
     ] = None,
+    prior: Prior = None,
+    prior_effects: PriorEffects = None,
     known_places: Annotated[bool, typer.Option(help="The wires' ends will be measured, too.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
     json_file: Json = None,
@@ -118,6 +120,7 @@ def plan(
     from casadical.project.problem import read_campaign
 
     robot = robot_of(problem)
+    robot, known = carried(prior, prior_effects, frozen=False)(robot)
     before = read_campaign(problem, measured, robot) if measured else None
     wanted = [c for c in named(robot, effects.split(",")) if c.listed] if effects else []
     # An effect with a grid of settings is planned for with the middle one.
@@ -134,7 +137,7 @@ def plan(
         found = run(
             robot, n, added, criterion=word, workspace=workspace, circumstances=circumstances, measured=before,
             noise=noise, min_distance=min_distance, order=order, target=target, seed=seed, show=show,
-            places=where,
+            places=where, prior=known,
         )  # fmt: skip
     place = out if n is None else out or Path("plan.csv")
     texts = found.files(place) if place else {}
@@ -142,7 +145,7 @@ def plan(
         texts[json_file] = json_text(found.to_json())
     console = wrapped(quiet)
     console.print(found.report())
-    console.print(planned_with(problem, measured))
+    console.print(planned_with(problem, measured, prior))
     keep(texts, console)
 
 

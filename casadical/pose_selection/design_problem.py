@@ -8,6 +8,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.identification.identifiability import Unidentifiable
+from casadical.identification.prior import Prior
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
@@ -15,7 +16,14 @@ from casadical.pose_selection.candidates import SOCKET, Candidates, Circumstance
 from casadical.pose_selection.closures import held_in, reached
 from casadical.pose_selection.criteria import Criterion, checked
 from casadical.pose_selection.experimental_design import Design, Determinant, Linear, Spectral, inverse
-from casadical.pose_selection.information import PART, independent, noise_covariance, scaled_jacobian, whitened
+from casadical.pose_selection.information import (
+    PART,
+    independent,
+    known_before,
+    noise_covariance,
+    scaled_jacobian,
+    whitened,
+)
 from casadical.pose_selection.instruments import Instrument, without_base
 from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
@@ -30,6 +38,7 @@ class DesignProblem:
     names, held, measured, task : as of `Selection`; pool : candidates; open : whether new ones may be drawn near them
     fixed : information of what was measured, shape (p, p); weight : W of linear criteria, shape (p, p)
     instrument : what is read in place of positions; its unknown places are further columns, behind the names
+    prior : what is known of the robot before anything is measured; part of `fixed`
     """
 
     robot: Robot
@@ -45,6 +54,7 @@ class DesignProblem:
     fixed: Array = field(repr=False)
     weight: Array = field(repr=False)
     instrument: Instrument | None = None
+    prior: Prior | None = None
 
     @property
     def numbers(self) -> int:
@@ -103,11 +113,14 @@ def prepare(
     pool: int,
     rng: np.random.Generator,
     instrument: Instrument | None = None,
+    prior: Prior | None = None,
 ) -> DesignProblem:
     """Candidates, independent parameters and weights; arguments as of `select_poses`. Raises InputError."""
     criterion = checked(criterion)
     words = ("kinematic", "compliance", *(e.label for e in robot.effects)) if free is None else tuple(free)
     wanted = robot.parameters.select(words)
+    if prior is not None and criterion not in ("V", "A", "D"):
+        raise InputError(f"criterion {criterion} does not count what is known before; allowed with a prior: V, A, D")
     if instrument is not None:
         _refuse(instrument, criterion, measured, candidates)
     ready = _candidates(robot, candidates, workspace, circumstances, n, pool, rng, instrument)
@@ -118,13 +131,18 @@ def prepare(
     some = m[np.arange(min(PART, len(m)))]
     extra, numbers = (instrument.extra, instrument.numbers) if instrument else (0, 3)
 
+    def before(kept: Sequence[str]) -> Array:
+        size = len(kept) + extra
+        known = known_before(robot, kept, prior, size)
+        return known + (instrument.before(size, noise) if instrument else 0.0)
+
     def information(kept: Sequence[str], share: float = total / len(m)) -> Array:
         A = _rows(robot, kept, m, noise, instrument)
         A = A.reshape(-1, A.shape[2])
-        return A.T @ A * share + (instrument.before(A.shape[1], noise) if instrument else 0.0)
+        return A.T @ A * share + before(kept)
 
-    names, held = independent(robot, wanted, instrument.sets(some) if instrument else (some,), information)
-    if numbers * total < len(names) + extra:
+    names, held = independent(robot, wanted, instrument.sets(some) if instrument else (some,), information, prior)
+    if prior is None and numbers * total < len(names) + extra:
         raise InputError(
             f"{total} poses give {numbers * total} numbers, but {len(names)} parameters are to be identified"
             f"{f' and {extra} coordinates of places' if extra else ''}; "
@@ -134,10 +152,10 @@ def prepare(
     one = replace(circumstances, every_payload=False, both_approaches=False, repeats=1)
     goal = candidates_at(robot, task_q, one, n, rng).measurements(robot, "task")
     p = len(names)
-    fixed = instrument.before(p + extra, noise) if instrument else np.zeros((p, p))
+    fixed = before(names)
     if measured is not None:
         A = _rows(robot, names, measured, noise).reshape(-1, p)
-        fixed = A.T @ A
+        fixed = fixed + A.T @ A
     chosen = _chosen(robot, interest, names)
     J = scaled_jacobian(robot, names, goal)
     if instrument is not None and not instrument.known:
@@ -146,7 +164,7 @@ def prepare(
     weight[:p, :p] = _weight(criterion, J, chosen, inverse(information(names))[:p, :p])
     return DesignProblem(
         robot, workspace, circumstances, noise, names, held, measured, goal, ready,
-        candidates is None and SOCKET not in ready.conditions, fixed, weight, instrument,
+        candidates is None and SOCKET not in ready.conditions, fixed, weight, instrument, prior,
     )  # fmt: skip
 
 

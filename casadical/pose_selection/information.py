@@ -15,6 +15,7 @@ from casadical.core.errors import InputError
 from casadical.identification.identifiability import Unidentifiable, drop_poor
 from casadical.identification.independence import independent_parameters
 from casadical.identification.least_squares import LeastSquares
+from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.robot.robot import Robot
@@ -69,17 +70,34 @@ def independent(
     names: Sequence[str],
     sets: Sequence[Measurements],
     information: Callable[[Sequence[str]], Array],
+    prior: Prior | None = None,
 ) -> tuple[tuple[str, ...], tuple[Unidentifiable, ...]]:
     """Names that an identification from poses like these would keep, and the others with the reason.
 
     First the independent ones; then, one by one, those are held that the data would determine less accurately than the
-    prior (as in `reduction.reduce_and_solve`). sets : what would be measured at some of them
+    prior (as in `reduction.reduce_and_solve`); none with the prior of another campaign, which holds them back.
+    sets : what would be measured at some of them
     information : of such names, and of unknown points behind them, in units of scale. Raises InputError: none is left.
     """
     problem = LeastSquares(robot, tuple(sets), tuple(names), "linear", False, ((MM, MM),) * len(sets))
     found = independent_parameters(problem)
     kept = list(found.independent)
+    if prior is not None:
+        return tuple(kept), found.held
     left, poor, _ = drop_poor([robot.parameters[n] for n in kept], information(kept))
     if not left:
         raise InputError(f"{robot.name}: poses like these determine none of {', '.join(names)}; free other parameters")
     return tuple(kept[k] for k in left), (*found.held, *poor)
+
+
+def known_before(robot: Robot, names: Sequence[str], prior: Prior | None, size: int = 0) -> Array:
+    """Information of a prior on these parameters, as `identify` takes it, in units of scale, shape (p, p).
+
+    size : of the matrix, further rows are unknown places of which nothing is known
+    """
+    p = len(names)
+    found = np.zeros((max(size, p), max(size, p)))
+    if prior is not None:
+        problem = LeastSquares(robot, (), tuple(names), "linear", prior.means, (), known=prior.known)
+        found[:p, :p] = problem.prior_matrix
+    return found

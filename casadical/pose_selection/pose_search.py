@@ -7,6 +7,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.pose_selection.candidates import Candidates, Circumstances, candidates_at
@@ -42,6 +43,7 @@ def select_poses(
     restarts: int = 2,
     seed: int = 0,
     instrument: Instrument | None = None,
+    prior: Prior | None = None,
 ) -> Selection:
     """Choose n readings to measure, by an exchange of candidates.
 
@@ -83,6 +85,9 @@ def select_poses(
         of the random generator
     instrument : Instrument, optional
         what is read in place of positions: distances to anchors, or the tool in sockets; `noise.sigma` is its own
+    prior : Prior, optional
+        what is known of the robot, as of `identify` and with its values in the robot (see `carry_over`): fewer poses
+        are needed then
 
     Returns
     -------
@@ -112,6 +117,7 @@ def select_poses(
         robot, n, criterion, candidates=candidates, workspace=workspace,
         circumstances=circumstances or Circumstances(), measured=measured, free=free, interest=interest, task=task,
         noise=noise or Noise(), pool=max(pool, 3 * n), rng=rng, instrument=instrument,
+        prior=prior,
     )  # fmt: skip
     design = problem.design(problem.pool, criterion, min_distance)
     chosen = problem.pool[search(design, n, restarts, seed)]
@@ -154,6 +160,7 @@ def selection(problem: DesignProblem, chosen: Candidates, criterion: Criterion) 
         task=problem.task,
         circumstances=problem.circumstances,
         instrument=problem.instrument,
+        prior=problem.prior,
     )
 
 

@@ -10,12 +10,13 @@ import pandas as pd
 
 from casadical.core.arrays import Array
 from casadical.identification.identifiability import Unidentifiable
+from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.pose_selection.candidates import Candidates, Circumstances
 from casadical.pose_selection.criteria import Criterion, observability
 from casadical.pose_selection.experimental_design import inverse
-from casadical.pose_selection.information import MM, noise_covariance, scaled_jacobian
+from casadical.pose_selection.information import MM, known_before, noise_covariance, scaled_jacobian
 from casadical.pose_selection.instruments import Instrument, without_base
 from casadical.pose_selection.pose_order import arranged
 from casadical.robot.robot import Robot
@@ -49,6 +50,8 @@ class Selection:
         as asked for
     instrument : Instrument, optional
         what is read in place of positions
+    prior : Prior, optional
+        what is known of the robot before
 
     Examples
     --------
@@ -70,6 +73,7 @@ class Selection:
     task: Measurements
     circumstances: Circumstances
     instrument: Instrument | None = None
+    prior: Prior | None = None
 
     def __len__(self) -> int:
         return len(self.m)
@@ -112,18 +116,23 @@ class Selection:
 
     @cached_property
     def _covariance(self) -> Array:
-        """Covariance of the parameters in units of scale, by the noise of each pose: H J'N J H with H = (J'J)^-1."""
+        """Covariance of the parameters in units of scale, by the noise of each pose: H J'N J H with H = (J'J)^-1.
+
+        With a prior of information P and a mean variance s^2: H (J'N J / s^4 + P) H, H = (J'J / s^2 + P)^-1.
+        """
         if self.instrument is not None:
             rows = self.instrument.rows(self.robot, self.names, self.m, self.noise)
             A = rows.reshape(-1, rows.shape[2])
             M = A.T @ A + self.instrument.before(A.shape[1], self.noise)
+            M += known_before(self.robot, self.names, self.prior, len(M))
             p, idle = len(self.names), np.flatnonzero(np.diag(M) == 0)  # sockets that no pose was chosen for
             M[idle, idle] = 1.0
             return inverse(M)[:p, :p]
         J = self.jacobian
         noise = np.concatenate([noise_covariance(self.robot, m, self.noise) for m in self._sets])
-        H = inverse(np.einsum("kip,kiq->pq", J, J))
-        return np.asarray(H @ np.einsum("kip,kij,kjq->pq", J, noise, J, optimize=True) @ H)
+        s2, P = np.trace(noise.mean(axis=0)) / 3, known_before(self.robot, self.names, self.prior)
+        H = inverse(np.einsum("kip,kiq->pq", J, J) / s2 + P)
+        return np.asarray(H @ (np.einsum("kip,kij,kjq->pq", J, noise, J, optimize=True) / s2**2 + P) @ H)
 
     @cached_property
     def scale(self) -> Array:

@@ -8,6 +8,7 @@ import pandas as pd
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.pose_selection.candidates import Circumstances
@@ -95,10 +96,11 @@ def forecast(
     pool: int = 1000,
     seed: int = 0,
     instrument: Instrument | None = None,
+    prior: Prior | None = None,
 ) -> Forecast:
     """The expected error as poses are added one by one, each the best next one by V-optimality.
 
-    Starts with the measured poses or, without any, with a fifth more equations than parameters.
+    Starts with the measured poses or, without any, with a fifth more equations than parameters that no prior knows.
 
     Parameters
     ----------
@@ -123,6 +125,8 @@ def forecast(
     seed : int, default 0
         of everything random
     instrument : Instrument, optional
+        as of `select_poses`
+    prior : Prior, optional
         as of `select_poses`
 
     Returns
@@ -149,9 +153,11 @@ def forecast(
         robot, most - before, "V", candidates=None, workspace=workspace or Workspace(),
         circumstances=circumstances or Circumstances(), measured=measured, free=free, interest=(), task=task,
         noise=noise, pool=pool, rng=np.random.default_rng(seed), instrument=instrument,
+        prior=prior,
     )  # fmt: skip
     design = problem.design(problem.pool, "V", 0.0)
-    each, p, numbers = problem.pool.size, len(problem.weight), problem.numbers
+    each, numbers = problem.pool.size, problem.numbers
+    p = len(problem.weight) - (sum(name in prior.means for name in problem.names) if prior else 0)
     # Measurements at one reading hold nearly the same information: only the first of them counts here.
     if numbers * before < 1.2 * p:
         first = min(-(-(int(1.2 * p) - numbers * before) // numbers), (most - before) // each)

@@ -13,6 +13,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.effects import Effect, Session
 from casadical.identification.identification import identify
+from casadical.identification.prior import Prior
 from casadical.measurements.columns import Columns
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.registry import find_kind
@@ -99,8 +100,11 @@ def noise_declared(path: Path, robot: Robot, places: Places | None) -> float:
     return TRACKER_MM if noise is None else noise
 
 
-def planned_with(path: Path, measured: Path | None) -> str:
+def planned_with(path: Path, measured: Path | None, prior: Path | None = None) -> str:
     """Which model the poses are chosen for, in a sentence."""
+    if prior is not None:
+        more = f" and {measured}" if measured else ""
+        return f"Planned with the robot of {path} and what {prior}{more} tells of it: calibrate with the same --prior."
     if measured is not None:
         return f"Planned with the robot of {path}, calibrated with {measured}."
     if not (path / "problem.toml").exists():
@@ -112,14 +116,14 @@ def planned_with(path: Path, measured: Path | None) -> str:
 
 
 def continued(
-    robot: Robot, m: Measurements, noise: Noise | None, free: Sequence[str]
+    robot: Robot, m: Measurements, noise: Noise | None, free: Sequence[str], prior: Prior | None = None
 ) -> tuple[Robot, Measurements, Noise]:
     """The robot calibrated with m, m with derived columns, and the noise, estimated if not given. Raises InputError."""
     m, missing = derive(m, robot.conditions)
     lost = [name for name in missing if name != "payload_kg"]
     if lost:
         raise InputError(f"{m.source}: column {lost[0]!r} is missing, which the effects to plan for need")
-    result = identify(robot, m, free)  # of several sessions, further poses are measured in the last
+    result = identify(robot, m, free, prior=prior)  # of several sessions, further poses are measured in the last
     return result.robot, m, noise or Noise(result.sigmas[0][0])
 
 
@@ -153,6 +157,7 @@ def plan(
     target: float | None = None,
     seed: int = 0,
     places: Places | None = None,
+    prior: Prior | None = None,
     show: Callable[[str], None] = lambda _text: None,
 ) -> MeasurementPlan:
     """Poses in order and the forecast beyond them.
@@ -160,6 +165,7 @@ def plan(
     n : how many; None: the stopping rule alone, the accuracy to expect of up to 100 poses more
     effects : to identify, besides the accuracy over the task; measured : poses measured already; order : for
     little travel; target : accuracy that is wanted [m]; places : of wires or sockets, in place of positions
+    prior : what is known of the robot, whose values it has (see `carry_over`)
     other arguments as of `select_poses`
     show : called with a line of progress. Raises InputError.
     """
@@ -175,9 +181,11 @@ def plan(
         robot = robot.with_effect(*(e for e in effects if e.label not in known))
     # Other effects that the robot has are held at their values.
     free = ("kinematic", "compliance", *dict.fromkeys(e.label for e in effects))
+    if prior is not None:
+        free = (*free, *prior.free)
     if measured is not None:
         show("calibrating with the poses measured so far")
-        robot, measured, noise = continued(robot, measured, noise, free)
+        robot, measured, noise = continued(robot, measured, noise, free, prior)
         free = (*free, *(e.label for e in robot.effects if isinstance(e, Session)))
     robot, measured = _of_first_target(robot, measured)
     circumstances = _mounted(circumstances, effects, measured)
@@ -197,6 +205,7 @@ def plan(
         found = choose(
             robot, n=n, criterion=criterion, workspace=workspace, circumstances=circumstances, measured=measured,
             interest=tuple(e.label for e in effects), noise=noise, free=free, min_distance=min_distance, seed=seed,
+            prior=prior,
         )  # fmt: skip
         total += len(found)
     most = total + (100 if n is None else max(20, total // 2))
@@ -209,7 +218,7 @@ def plan(
     show("accuracy of further poses")
     ahead = forecast(
         robot, most, workspace=workspace, circumstances=circumstances, measured=measured, noise=noise,
-        free=free, seed=seed, instrument=instrument,
+        free=free, seed=seed, instrument=instrument, prior=prior,
     )  # fmt: skip
     chosen = found.ordered() if found and order else found
     return MeasurementPlan(ahead, chosen, target, workspace is not None, instrument)
