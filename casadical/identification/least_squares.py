@@ -30,6 +30,8 @@ from casadical.robot.robot import Robot
 SIGMA_GUESS, SIGMA_ANGLE_GUESS = 1e-4, 1e-4
 # What one more step gains at an optimum [chi-squared]: a ten-thousandth of a standard error.
 ROUND_OFF = 1e-8
+# Groups of parameters that belong to a campaign, not to the robot.
+FRAMES = ("base", "tool")
 # Numbers of a Jacobian, or of residuals, that are kept from one question to the next.
 KEPT = 2_000_000
 
@@ -94,8 +96,16 @@ class LeastSquares:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Numbers that were measured or known before, less variables."""
-        return self.residual_count - self.size + int(np.count_nonzero(np.diag(self.prior_matrix)))
+        """Numbers that were measured or known before, less variables.
+
+        The own priors of base and tool say where to look, not where they are: they count as nothing known.
+        """
+        given = self.priors if isinstance(self.priors, Mapping) else {}
+        told = {*given, *(n for names, _ in self.known for n in names)}
+        counted = np.array([p.group not in FRAMES or p.name in told for p in self._own] or [False])
+        return (
+            self.residual_count - self.size + int(np.count_nonzero(np.diag(self.prior_matrix)[: counted.size][counted]))
+        )
 
     @cached_property
     def _own(self) -> list[Parameter]:

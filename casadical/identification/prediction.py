@@ -1,19 +1,21 @@
 """The covariance of all parameters after an identification: a prediction is unsure where the data said nothing.
 
 Parameters that were not identified stand at their nominal values, off by an unknown amount e with covariance S: what
-the robot's file knows of them, or else their priors. Through the fit they move the identified ones by -A e, with
-A = (J' W J + P)^-1 J' W J_e, the least squares regression of their columns J_e on those of the identified ones. Where
-the data do not distinguish them but the pose to be predicted does, J_e - J A is not zero, and the prediction is unsure
-by its share of S. Source: the propagation of "consider parameters"; Tapley, Schutz and Born, Statistical Orbit
-Determination (2004), section 6.2.
+is known of them before, from the robot's file or a prior, or else by their own priors. Through the fit they move the
+identified ones by -A e, with A = (J' W J + P)^-1 J' W J_e, the least squares regression of their columns J_e on those
+of the identified ones. Where the data do not distinguish them but the pose to be predicted does, J_e - J A is not zero,
+and the prediction is unsure by its share of S. Source: the propagation of "consider parameters"; Tapley, Schutz and
+Born, Statistical Orbit Determination (2004), section 6.2.
 """
+
+from collections.abc import Mapping
 
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.least_squares import LeastSquares
-from casadical.robot.robot import Robot
+from casadical.robot.knowledge import Covariance
 
 
 def covariance_of_all(problem: LeastSquares, v: Array, variance: float) -> tuple[LeastSquares, Array, Array]:
@@ -36,16 +38,19 @@ def covariance_of_all(problem: LeastSquares, v: Array, variance: float) -> tuple
     A = scaled_inverse(H[np.ix_(fitted, fitted)] + P) @ H[fitted, f : f + e]
     scale = whole.scale
     A = A[:f] * np.outer(scale[:f], 1 / scale[f:])
-    S = _known(problem.robot, held)
+    S = _known(problem, held)
     at = inside[inside < len(problem.names)]
     C = np.block([[own[np.ix_(at, at)] + A @ S @ A.T, -A @ S], [-S @ A.T, S]])
     return whole, np.array(start), C
 
 
-def _known(robot: Robot, names: list[str]) -> Array:
-    """Covariance of held parameters [SI]: that of the robot's file, or else by their priors."""
-    S = np.diag([robot.parameters[n].prior ** 2 for n in names])
-    for block in robot.knowledge.covariance if robot.knowledge else ():
+def _known(problem: LeastSquares, names: list[str]) -> Array:
+    """Covariance of held parameters [SI]: as the problem was given it, or of the robot file, or by their priors."""
+    robot = problem.robot
+    given = problem.priors if isinstance(problem.priors, Mapping) else {}
+    S = np.diag([given.get(n, (0.0, robot.parameters[n].prior))[1] ** 2 for n in names])
+    blocks = (Covariance(*block) for block in problem.known)
+    for block in (*(robot.knowledge.covariance if robot.knowledge else ()), *blocks):
         own = block.of(names)
         at = [names.index(n) for n in own.names]
         S[np.ix_(at, at)] = own.matrix

@@ -17,6 +17,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.parameters import Parameter
 from casadical.effects import Effect
+from casadical.identification.least_squares import FRAMES
 from casadical.measurements.measurements import Measurements
 from casadical.robot.knowledge import Covariance, Knowledge
 from casadical.robot.robot import Robot
@@ -27,7 +28,6 @@ WIDENED = 1.5
 CHANGED = 0.1
 # Readings that differ by less are the same [rad or m].
 SAME = 1e-9
-FRAMES = ("base", "tool")
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,11 +10,14 @@ from pose_arms import elbow, positions, readings
 import casadical
 from casadical import InputError, identify
 from casadical.effects import Backlash, FrameDrift, PayloadError, ThermalGrowth
+from casadical.identification.accuracy import errors
+from casadical.identification.prior import carry_over
 from casadical.pose_selection import Circumstances, Noise, Workspace, forecast, select_poses
 from casadical.pose_selection.candidates import candidates_at, draw, expected
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian, whitened
 from casadical.pose_selection.pose_order import distances, travel
 from casadical.pose_selection.stopping_rule import Forecast
+from casadical.robot.knowledge import Covariance, Knowledge
 
 SIGMA = 3e-5
 QUICK = {"pool": 200, "restarts": 1}
@@ -253,3 +256,47 @@ def test_stopping_rules() -> None:
     # sqrt(n / (n + 10)) > 0.9 from n = 42.6 on.
     assert seen.stop(0.1, 10) == 43
     assert seen.stop(0.001, 10) is None
+
+
+@pytest.fixture(scope="module")
+def known(robot):
+    """The arm as the fleet of its type knows it: 0.05 mm and mrad from robot to robot, compliances by a tenth."""
+    own = [p for p in robot.parameters if p.group in ("geometry", "compliance")]
+    wide = [0.1 * p.value if p.group == "compliance" else 0.05 * p.scale for p in own]
+    block = Covariance(tuple(p.name for p in own), np.diag(np.square(wide)))
+    fleet = replace(robot, knowledge=Knowledge((block,), "20 robots of the fleet", robots=20))
+    spread = dict(zip((p.name for p in own), wide, strict=True))
+    return *carry_over(robot, fleet, ("all",)), spread
+
+
+def test_with_a_prior_few_poses_are_as_good_as_promised(known) -> None:
+    robot, prior, spread = known
+    found = select_poses(robot, None, 8, noise=Noise(SIGMA), prior=prior, **QUICK)
+    assert len(found.names) > 3 * 8 > len(found.names) - len(spread)  # too few numbers without it
+    other = expected(robot, readings(robot, 60, 9), {}, "test")
+    squares, variances, rng = [], [], np.random.default_rng(0)
+    for s in range(20):
+        built = robot.with_values({n: robot.parameters[n].value + w * rng.normal() for n, w in spread.items()})
+        m = replace(positions(built, found.q, s, SIGMA), sigma=SIGMA)
+        result = identify(robot, m, prior=prior)
+        if not s:
+            _, covariance = result.predict(other.q)
+            mean = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / result.variance)
+            np.testing.assert_allclose(found.expected_error(other), mean, rtol=0.05)
+        variances.append(result.variance)
+        squares.append(np.mean(errors(result.robot, positions(built, other.q, 0, 0.0)) ** 2))
+    promised = np.sqrt(np.mean(found.expected_error(other) ** 2))
+    assert np.sqrt(np.mean(squares)) == pytest.approx(promised, rel=0.15)
+    assert np.mean(variances) == pytest.approx(1, abs=3 * np.sqrt(2 / result.degrees_of_freedom / len(variances)))
+
+
+def test_with_a_prior_fewer_poses_are_enough(known, robot) -> None:
+    ready, prior, _ = known
+    alone = forecast(robot, 40, noise=Noise(SIGMA), pool=100)
+    ahead = forecast(ready, 40, noise=Noise(SIGMA), pool=100, prior=prior)
+    few, many = ahead.enough(6e-5), alone.enough(6e-5)
+    assert few is not None
+    assert many is not None
+    assert few < 0.8 * many
+    with pytest.raises(InputError, match="criterion O1 does not count what is known before; allowed with a prior"):
+        select_poses(ready, None, 8, "O1", prior=prior, **QUICK)
