@@ -49,8 +49,9 @@ def check_against(robot: Robot, m: Measurements) -> None:
 def _refuse_another_unit_midway(robot: Robot, m: Measurements, p: Array) -> None:
     """p : positions of the model, shape (n, 3) [m]"""
     by_row = np.argsort(m.row, kind="stable")
+    by_row = by_row[m.weight[by_row] > 0]
     found, said = [], ""
-    for part in np.array_split(by_row, max(1, min(PARTS, len(m) // LEAST_POSES))):
+    for part in np.array_split(by_row, max(1, min(PARTS, len(by_row) // LEAST_POSES))):
         if np.linalg.norm(np.ptp(p[part], axis=0)) > MOVED * robot.reach:
             some = m[part]
             fault = find_kind(m.kind).unit_fault(some.arrays, p[part], positions_at(robot, some), robot.reach)
