@@ -21,8 +21,10 @@ FAR = 4.0
 LEFT_OUT = "is left out:"
 # Of fewer robots the 95 % quantile is no more than the worst of them.
 MANY = 20
-# Rows that the terminal shows.
-SHOWN = 12
+# A robot is worse where its last campaign leaves so many times what the median of those before left.
+WORSE = 2.0
+# Rows that the terminal shows, and letters of an error that a table shows.
+SHOWN, LETTERS = 12, 240
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,12 +114,19 @@ class Fleet:
 
     def _faults(self) -> Iterator[Words]:
         for c in self.commons:
+            found: dict[bool, list[str]] = {False: [], True: []}
             for name, mean, error in c.faults:
                 size, sigma, unit = c.readable(name, mean, error)
-                words = f"all {c.count} robots of the type {c.name}: {name} is {size:+.3g} {unit} +/- {sigma:.1g}"
-                yield Words(
-                    f"{words} from the drawing: correct the drawing, or the set-up of the instrument.", "warning"
-                )
+                soft = unit.startswith("urad")
+                found[soft].append(f"{name} {'' if found[soft] else 'is '}{size:+.3g} {unit} +/- {sigma:.1g}")
+            remedies = {
+                False: "correct the drawing, or the set-up of the instrument",
+                True: "their joints yield otherwise than it says; correct the compliances in the robot file",
+            }
+            for soft, some in found.items():
+                if some:
+                    words = f"all {c.count} robots of the type {c.name}: {', '.join(some)} from the drawing"
+                    yield Words(f"{words}: {remedies[soft]}.", "warning")
 
     def _types(self) -> Iterator[Table]:
         rows = []
@@ -131,8 +140,9 @@ class Fleet:
             yield Table("Types: median of the mean errors of their robots [mm]", head, rows, frozenset({2, 3, 4, 5}))
 
     def _to_look_at(self) -> Iterator[Table]:
+        more = {str(r["robot"]): words for r in records(self.good) if (words := worse(r["left_mm"]))}
         some = self.robots[
-            self.robots["robot"].isin(self.outliers)
+            self.robots["robot"].isin([*self.outliers, *more])
             | (self.robots["changes"] != "")
             | (self.robots["at_bounds"] != "")
             | self.robots["notes"].str.contains(LEFT_OUT, regex=False)
@@ -141,17 +151,18 @@ class Fleet:
         rows = []
         for r in records(some.sort_values("after_mm", ascending=False).head(SHOWN)):
             said = ["error stands out"] if r["robot"] in self.outliers else []
+            said += [more[r["robot"]]] if r["robot"] in more else []
             said += [f"at bounds: {r['at_bounds']}"] if r["at_bounds"] else []
             said += [r["notes"]] if r["notes"] else []
             verdict = " ".join(filter(None, (r["verdict"], r["causes"])))
             rows.append((r["robot"], f"{r['after_mm']:.4f}", verdict, r["changes"], ", ".join(said)))
         if rows:
             title = f"Robots to check first ({len(some)}, the greatest errors [mm])"
-            yield Table(title, ("robot", "after", "diagnosis", "changed", ""), rows, frozenset({1}))
+            yield Table(title, ("robot", "after", "diagnosis", "changed", "note"), rows, frozenset({1}))
 
     def _failed(self) -> Iterator[Table]:
         bad = self.robots[self.robots["status"] != "ok"]
-        rows = [(r["robot"], r["status"], r["error"].strip().splitlines()[-1]) for r in records(bad.head(SHOWN))]
+        rows = [(r["robot"], r["status"], short(r["error"])) for r in records(bad.head(SHOWN))]
         if rows:
             yield Table(f"Not calibrated ({len(bad)})", ("robot", "status", "why"), rows)
 
@@ -173,6 +184,21 @@ class Fleet:
             "types": [c.to_json() for c in self.commons],
             "notes": list(self.notes),
         }
+
+
+def short(error: str, letters: int = LETTERS) -> str:
+    """Last line of an error, cut where it is long; all of it is in the JSON."""
+    line = (error.strip().splitlines() or [""])[-1]
+    return line if len(line) <= letters else f"{line[:letters].rsplit(' ', 1)[0]} ..."
+
+
+def worse(left: Sequence[float]) -> str:
+    """In words, where the last campaign leaves much more than those before [mm]."""
+    known = np.asarray(left, dtype=float)
+    known = known[np.isfinite(known)]
+    if len(known) < 2 or not known[-1] > WORSE * np.median(known[:-1]):
+        return ""
+    return f"the last campaign leaves {known[-1]:.3f} mm a coordinate, those before {np.median(known[:-1]):.3f}"
 
 
 def records(robots: pd.DataFrame) -> list[dict[str, Any]]:

@@ -10,7 +10,7 @@ import pandas as pd
 from casadical.core.blocks import Table, Words
 from casadical.fleet.estimates import date_text
 from casadical.fleet.hierarchy import Common
-from casadical.fleet.result import Fleet, records
+from casadical.fleet.result import Fleet, records, short, worse
 from casadical.report.life import left_figure
 from casadical.report.page import Block, Drawing, Part, Section, Tile, report_html
 from casadical.report.provenance import provenance_of
@@ -24,10 +24,15 @@ _MAP = (
     "Mean error of held-out poses, a point a robot, on a logarithmic axis: grey before, blue after calibration, orange "
     "where it stands out from its type (four scaled median absolute deviations)."
 )
-_TREND = "What nothing explains in each campaign of a robot, of one coordinate; red where something changed."
+_TREND = (
+    "What nothing explains in each campaign of a robot, of one coordinate; red where something changed, named where "
+    "the last campaign leaves much more than those before. Beside campaigns with a day, one without is not drawn."
+)
+# Robots that are named at the end of their course; letters of an error beside the figures.
+LABELS, LETTERS = 12, 60
 _COMMON = (
-    "How far all robots of the type are from the drawing, in standard errors, over the size of the departure. Red: a "
-    "fault of the drawing, or of the instrument's set-up."
+    "How far all robots of the type are from the drawing, in standard errors, over the size of the departure: mm, "
+    "mrad, of compliances their usual size. Red: a fault of the drawing, or of the instrument's set-up."
 )
 
 
@@ -115,9 +120,8 @@ def _tiles(found: Fleet) -> Iterator[Tile]:
 def _all(robots: pd.DataFrame) -> Table:
     rows = []
     for r in records(robots.head(MOST)):
-        error = r["error"].strip().splitlines()[-1] if r["error"] else ""
         errors = (f"{v:.4f}" if np.isfinite(v) else "" for v in (r["before_mm"], r["after_mm"]))
-        figures = (error, *errors, str(r["poses"]), str(r["campaigns"]))
+        figures = (short(r["error"], LETTERS), *errors, str(r["poses"]), str(r["campaigns"]))
         verdict = " ".join(filter(None, (r["verdict"], r["causes"])))
         rows.append((r["robot"], r["type_name"], r["status"], *figures, verdict, r["changes"]))
     head = ("robot", "type", "status", "error", "before", "after", "poses", "campaigns", "diagnosis", "changed")
@@ -147,23 +151,30 @@ def _map(found: Fleet) -> Figure:
 
 def _trends(good: pd.DataFrame) -> Figure:
     several = good[good["campaigns"] > 1].sort_values("changes", ascending=False).head(COURSES)
-    lives = []
-    for r in records(several):
-        dates = [date_text(day) for day in r["days"]]
-        lives.append((r["robot"], dates if all(dates) else None, r["left_mm"], bool(r["changes"])))
-    return left_figure(lives, height=340)
+    dated = any(np.isfinite(days).sum() > 1 for days in several["days"])
+    lives: list[tuple[str, list[object], list[float], bool]] = []
+    for r in records(several):  # by day or, where no robot has days, by number: not both on one axis
+        points = zip([date_text(day) if dated else k + 1 for k, day in enumerate(r["days"])], r["left_mm"], strict=True)
+        drawn = [(x, left) for x, left in points if x]
+        lives.append((r["robot"], [x for x, _ in drawn], [left for _, left in drawn], bool(r["changes"])))
+    figure = left_figure(lives, height=340)
+    for name, x, left, _ in [life for life in lives if worse(life[2])][:LABELS]:
+        figure.add_annotation(x=x[-1], y=left[-1], text=plain(name), showarrow=False, yshift=12)
+    return figure
 
 
 def _common(c: Common) -> Figure:
     bad = {name for name, _, _ in c.faults}
-    figure = new_figure(f"{plain(c.name)}: {c.count} robots", "common departure [mm or mrad]", "in standard errors")
+    figure = new_figure(f"{plain(c.name)}: {c.count} robots", "common departure", "in standard errors")
     figure.add_scatter(
         x=c.mean,
         y=np.abs(c.mean) / np.maximum(c.std_error, 1e-12),
-        mode="markers",
+        mode="markers+text",
         marker={"size": 8, "color": [RED if n in bad else GREY for n in c.names]},
-        text=list(c.names),
-        hovertemplate="<b>%{text}</b><br>%{x:.3f} from the drawing<extra></extra>",
+        text=[n if n in bad else "" for n in c.names],
+        textposition="top center",
+        customdata=list(c.names),
+        hovertemplate="<b>%{customdata}</b><br>%{x:.3f} from the drawing<extra></extra>",
         showlegend=False,
     )
     return figure

@@ -20,13 +20,14 @@ from command_line import run
 from plants import A1, planar
 
 from casadical import InputError, read_robot
-from casadical.core.blocks import Table
+from casadical.core.blocks import Table, Words
 from casadical.fleet import run_fleet
 from casadical.fleet.cluster import client_of, results
-from casadical.fleet.hierarchy import common_of, learnt
+from casadical.fleet.hierarchy import Common, common_of, learnt
 from casadical.fleet.one_robot import NOTHING, fingerprint, one_robot
-from casadical.fleet.result import fleet_of
+from casadical.fleet.result import Fleet, fleet_of
 from casadical.fleet.store import KEY, add, parts, rows
+from casadical.report import fleet_figures
 
 distributed = pytest.importorskip("distributed", reason="distributed (Dask) is not installed")
 parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
@@ -269,3 +270,42 @@ def test_robots_that_stand_out(done: tuple[Path, subprocess.CompletedProcess[str
     assert [t.rows[0][-1] for t in (few, many)] == ["", "0.5000"]  # one in six has 0.5
     with pytest.raises(InputError, match="5 are needed"):
         common_of(good.iloc[:4])
+
+
+def test_a_course_without_days_is_not_drawn_among_days_and_what_grew_is_named(
+    done: tuple[Path, subprocess.CompletedProcess[str]],
+) -> None:
+    whole = rows(done[0] / "fleet.parquet")
+    good = whole[whole["status"] == "ok"].reset_index(drop=True)
+    days, none = [20000.0, 20030.0, 20060.0], float("nan")
+    lives = {
+        "arm0": ([none, *days[1:]], [0.02, 0.02, 0.05]),
+        "arm1": ([none] * 3, [0.02] * 3),
+        "arm2": (days, [0.02] * 3),
+    }
+    for k, column in enumerate(("days", "left_mm")):
+        good[column] = [lives.get(n, (v, v))[k] for n, v in zip(good["robot"], good[column], strict=True)]
+    good.loc[good["robot"].isin(list(lives)), "campaigns"] = 3
+    found = fleet_of(good)
+    drawn = {t.text[0]: list(t.x) for t in fleet_figures(found)["trends"].data if t.text}
+    assert drawn["arm0"] == ["2024-11-03", "2024-12-03"]
+    assert drawn["arm2"][0] == "2024-10-04"
+    assert "arm1" not in drawn
+    assert [a.text for a in fleet_figures(found)["trends"].layout.annotations] == ["arm0"]
+    to_check = next(b for b in found.blocks() if isinstance(b, Table) and "note" in b.columns)
+    assert {r[0]: r[-1] for r in to_check.rows}["arm0"].startswith("the last campaign leaves 0.050 mm a coordinate")
+    undated = fleet_of(good[good["robot"] == "arm1"])
+    assert [list(t.x) for t in fleet_figures(undated)["trends"].data] == [[1, 2, 3]]
+
+
+def test_joints_that_yield_are_one_sentence_and_lengths_another() -> None:
+    figures = np.array([[0.3, -0.2, 2.0, 1.5], [0.01] * 4, [0.1] * 4, [1e-3, 1e-3, 1e-6, 1e-6]])
+    common = Common("ab", "arm", 9, ("a1", "d4", "c1", "c2"), *figures, 1e-4 * np.eye(4))
+    good = pd.DataFrame({name: [] for name in NOTHING}).astype({"robot": str, "notes": str, "changes": str})
+    words = [b.text for b in Fleet(good, (common,), ()).blocks() if isinstance(b, Words) and b.kind == "warning"]
+    assert [text.split(": ", 1)[1] for text in words] == [
+        "a1 is +0.3 mm +/- 0.01, d4 -0.2 mm +/- 0.01 from the drawing: correct the drawing, or the set-up of the "
+        "instrument.",
+        "c1 is +2 urad/(N m) +/- 0.01, c2 +1.5 urad/(N m) +/- 0.01 from the drawing: their joints yield otherwise than "
+        "it says; correct the compliances in the robot file.",
+    ]
