@@ -34,9 +34,7 @@ class Parameter:
         nominal value [unit]
     scale : float
         unit of the solver's variable: 1 mm, 1 mrad [unit]
-    lower : float
-        bound [unit]
-    upper : float
+    lower, upper : float
         bound [unit]
     prior : float
         one sigma of the deviation from nominal [unit]

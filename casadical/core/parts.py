@@ -127,11 +127,7 @@ class FourBar:
         joint whose reading is the crank's angle, 1-based
     carrier : int
         joint in whose plane the loop lies, 1-based
-    crank : float
-        length [m]
-    coupler : float
-        length [m]
-    rocker : float
+    crank, coupler, rocker : float
         length [m]
     offset : float, default 0.0
         angle between rocker and driven link [rad]

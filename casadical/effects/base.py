@@ -40,7 +40,6 @@ class Effect:
 
     Examples
     --------
-    >>> from dataclasses import dataclass
     >>> @dataclass(frozen=True)
     ... class Slack(casadical.Effect):
     ...     name = "slack"

@@ -111,9 +111,7 @@ class Context:
 
         Parameters
         ----------
-        first : int
-            joint, 1-based
-        last : int
+        first, last : int
             joint, 1-based
 
         Returns

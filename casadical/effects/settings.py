@@ -48,7 +48,6 @@ def setting(
 
     Examples
     --------
-    >>> from dataclasses import dataclass
     >>> @dataclass(frozen=True)
     ... class Ripple(casadical.Effect):
     ...     waves: float = casadical.effects.setting(80.0, grid=(80.0, 100.0, 120.0))

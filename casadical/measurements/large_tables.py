@@ -49,9 +49,7 @@ def read_large(
         as of `read_measurements`
     columns : Mapping[str, str], optional
         our name -> name in the file
-    sigma_mm : float, optional
-        as of `read_measurements`
-    sigma_deg : float, optional
+    sigma_mm, sigma_deg : float, optional
         as of `read_measurements`
     rows : int, default 65536
         how many are read at a time

@@ -110,9 +110,7 @@ def from_table(
         as of `read_measurements`
     columns : Mapping[str, str], optional
         as of `read_measurements`
-    sigma_mm : float, optional
-        as of `read_measurements`
-    sigma_deg : float, optional
+    sigma_mm, sigma_deg : float, optional
         as of `read_measurements`
     source : str, default "table"
         what messages call the table

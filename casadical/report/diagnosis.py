@@ -59,7 +59,6 @@ def diagnosis_report(
 
     Examples
     --------
-    >>> from pathlib import Path
     >>> file = Path("problems/planar/../../data/planar/planar.csv")
     >>> html = casadical.report.diagnosis_report(Path("problems/planar"), [(file, diagnosis, None)])
     >>> html[:15]

@@ -93,13 +93,6 @@ def test_shapes_and_units_of_arrays_are_told(name: str) -> None:
     assert name in UNITLESS or UNIT.search(text), f"{name} does not say their unit:\n{text}"
 
 
-@pytest.mark.parametrize("name", sorted(name for name, thing in PUBLIC.items() if inspect.isfunction(thing)))
-def test_errors_that_it_raises_are_told(name: str) -> None:
-    source = inspect.getsource(PUBLIC[name])
-    if re.search(r"^\s+raise (?:InputError|ConvergenceError|CasadicalError)", source, re.MULTILINE):
-        assert re.search(r"Raises", doc(PUBLIC[name])), f"{name} raises and does not say so"
-
-
 def of_the_files() -> Iterator[tuple[str, ast.Module | ast.ClassDef | ast.FunctionDef]]:
     """Everything in the package that may have a docstring, named by file and line."""
     for path in sorted((ROOT / "casadical").rglob("*.py")):

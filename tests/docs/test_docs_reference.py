@@ -92,7 +92,8 @@ def described(section: str) -> set[str]:
     """Names of the section's entries that have a type and something said of it: a description, or a shape."""
     entries = re.split(r"^(?=\S)", section, flags=re.MULTILINE)
     heads = [(e.partition("\n")[0], e.partition("\n")[2].strip()) for e in entries if e.strip()]
-    return {h.partition(" : ")[0].lstrip("*") for h, said in heads if " : " in h and (said or "shape" in h)}
+    named = (h.partition(" : ")[0] for h, said in heads if " : " in h and (said or "shape" in h))
+    return {name.lstrip("*") for names in named for name in names.split(", ")}
 
 
 def source(thing: object) -> ast.AST:
@@ -167,7 +168,7 @@ def test_the_sections_are_looked_for() -> None:
 
     assert arguments(bare) == {"q"}
     assert sections(bare) == {}
-    assert described("q : float, shape (3,) [m]\nr : int\n    how many\ns : int\n") == {"q", "r"}
+    assert described("q : float, shape (3,) [m]\nr, t : int\n    how many\ns : int\n") == {"q", "r", "t"}
 
 
 @pytest.fixture(scope="module")

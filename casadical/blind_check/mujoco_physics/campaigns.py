@@ -56,11 +56,7 @@ def campaign(
 
     Examples
     --------
-    >>> import json
-    >>> from pathlib import Path
     >>> from casadical.blind_check.mujoco_physics import campaign
-    >>> from casadical.blind_check.numpy_physics import Plant
-    >>> plant = Plant.from_dict(json.loads(Path("data/campaigns/robots/ur10e.json").read_text()))
     >>> len(campaign(plant, (), 3, seed=1))
     3
     """
@@ -108,11 +104,7 @@ def measure(
 
     Examples
     --------
-    >>> import json
-    >>> from pathlib import Path
     >>> from casadical.blind_check.mujoco_physics import campaign, measure
-    >>> from casadical.blind_check.numpy_physics import Plant
-    >>> plant = Plant.from_dict(json.loads(Path("data/campaigns/robots/ur10e.json").read_text()))
     >>> readings = campaign(plant, (), 3, seed=1).drop(columns=["x_mm", "y_mm", "z_mm"])
     >>> measure(plant, (), readings, seed=2).shape
     (3, 19)
@@ -148,12 +140,8 @@ def positions(plant: Plant, hidden: Sequence[Hidden], stops: Stops, jitter: Arra
 
     Examples
     --------
-    >>> import json
-    >>> from pathlib import Path
     >>> from casadical.blind_check.mujoco_physics import positions
-    >>> from casadical.blind_check.numpy_physics import Plant
     >>> from casadical.blind_check.synthetic.stops import Stops
-    >>> plant = Plant.from_dict(json.loads(Path("data/campaigns/robots/ur10e.json").read_text()))
     >>> stops = Stops(np.full((1, 6), 0.3), np.zeros(1), np.zeros(1), np.zeros(1), np.ones((1, 6)))
     >>> positions(plant, (), stops).shape
     (1, 3)

@@ -49,11 +49,7 @@ def draw_hidden(plant: Plant, kind: Kind, rng: np.random.Generator, *, poses: in
 
     Examples
     --------
-    >>> import json
-    >>> from pathlib import Path
     >>> from casadical.blind_check.mujoco_physics import draw_hidden
-    >>> from casadical.blind_check.numpy_physics import Plant
-    >>> plant = Plant.from_dict(json.loads(Path("data/campaigns/robots/ur10e.json").read_text()))
     >>> draw_hidden(plant, "none", np.random.default_rng(1))
     ()
     """
@@ -90,11 +86,7 @@ def draw_effect(plant: Plant, effect: str, rng: np.random.Generator, *, poses: i
 
     Examples
     --------
-    >>> import json
-    >>> from pathlib import Path
     >>> from casadical.blind_check.mujoco_physics import draw_effect
-    >>> from casadical.blind_check.numpy_physics import Plant
-    >>> plant = Plant.from_dict(json.loads(Path("data/campaigns/robots/ur10e.json").read_text()))
     >>> draw_effect(plant, "payload_error", np.random.default_rng(1)).label
     'payload_error'
     """

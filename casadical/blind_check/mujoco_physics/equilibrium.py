@@ -88,10 +88,6 @@ class Engine:
     --------
     >>> from casadical.blind_check.mujoco_physics import Engine, Stop, mechanism
     >>> from casadical.blind_check.mujoco_physics.robot import start
-    >>> import json
-    >>> from pathlib import Path
-    >>> from casadical.blind_check.numpy_physics import Plant
-    >>> plant = Plant.from_dict(json.loads(Path("data/campaigns/robots/ur10e.json").read_text()))
     >>> engine = Engine(mechanism(plant))
     >>> q = np.full(6, 0.3)
     >>> engine.rest(Stop(q, np.ones(6), start(plant, q), 5.0)).shape

@@ -113,12 +113,9 @@ class Mechanism:
 
     Examples
     --------
-    >>> import json
-    >>> from pathlib import Path
     >>> from dataclasses import replace
     >>> from casadical.blind_check.mujoco_physics import Body, mechanism
-    >>> from casadical.blind_check.numpy_physics import Plant
-    >>> arm = mechanism(Plant.from_dict(json.loads(Path("data/campaigns/robots/ur10e.json").read_text())))
+    >>> arm = mechanism(plant)
     >>> arm.body("link2").mass == arm.holder("joint2").mass, arm.joint("joint2").motor
     (np.True_, 2)
     >>> heavier = arm.with_body(replace(arm.body("link2"), mass=20.0))

@@ -30,11 +30,8 @@ def mjcf(mechanism: Mechanism) -> str:
 
     Examples
     --------
-    >>> import json
-    >>> from pathlib import Path
     >>> from casadical.blind_check.mujoco_physics import mechanism, mjcf
-    >>> from casadical.blind_check.numpy_physics import Plant
-    >>> mjcf(mechanism(Plant.from_dict(json.loads(Path("data/campaigns/robots/ur10e.json").read_text()))))[:7]
+    >>> mjcf(mechanism(plant))[:7]
     '<mujoco'
     """
     stiff = f"{2 * STEP!r} 1"

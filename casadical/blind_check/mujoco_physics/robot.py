@@ -34,11 +34,8 @@ def mechanism(plant: Plant) -> Mechanism:
 
     Examples
     --------
-    >>> import json
-    >>> from pathlib import Path
     >>> from casadical.blind_check.mujoco_physics import mechanism
-    >>> from casadical.blind_check.numpy_physics import Plant
-    >>> len(mechanism(Plant.from_dict(json.loads(Path("data/campaigns/robots/ur10e.json").read_text()))).bodies)
+    >>> len(mechanism(plant).bodies)
     9
     """
     middle = np.mean(plant.ranges, 1)

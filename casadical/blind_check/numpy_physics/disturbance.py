@@ -18,7 +18,6 @@ class Disturbance:
 
     Examples
     --------
-    >>> from dataclasses import dataclass
     >>> from casadical.blind_check.numpy_physics import HH800, Disturbance, Plant, campaign
     >>> @dataclass(frozen=True)
     ... class LongDay(Disturbance):

@@ -23,11 +23,7 @@ class FourBar:
 
     Parameters
     ----------
-    crank_m : float
-        length [m]
-    coupler_m : float
-        length [m]
-    rocker_m : float
+    crank_m, coupler_m, rocker_m : float
         length [m]
     crank_zero_rad : float, default 0.0
         added to the reading of joint 3 [rad]

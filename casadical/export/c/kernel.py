@@ -117,7 +117,6 @@ class Kernel:
 
         Examples
         --------
-        >>> import casadi as ca
         >>> x = ca.SX.sym("q", 2)
         >>> function = ca.Function("network", [x], [ca.vertcat(x, 0)], ["q"], ["dp"])
         >>> network = casadical.export.NetworkFunction(function, np.full(2, -3.0), np.full(2, 3.0))
@@ -142,7 +141,6 @@ class Kernel:
 
         Examples
         --------
-        >>> import casadi as ca
         >>> x = ca.SX.sym("q", 2)
         >>> function = ca.Function("curves", [x], [1e-4 * ca.sin(x)], ["q"], ["dq"])
         >>> curves = casadical.export.CurveFunction(function, np.full(2, -3.0), np.full(2, 3.0))
@@ -280,7 +278,6 @@ def load(export: str | Path, *, trust: bool = False) -> Kernel:
 
     Examples
     --------
-    >>> import casadi as ca
     >>> x = ca.SX.sym("q", 2)
     >>> function = ca.Function("curves", [x], [1e-4 * ca.sin(x)], ["q"], ["dq"])
     >>> curves = casadical.export.CurveFunction(function, np.full(2, -3.0), np.full(2, 3.0))

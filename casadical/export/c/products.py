@@ -91,13 +91,7 @@ class NetworkFunction:
 
     Attributes
     ----------
-    key
-        the names of the exported function and of its result, its unit, and what it is, in words
-    out
-        the names of the exported function and of its result, its unit, and what it is, in words
-    unit
-        the names of the exported function and of its result, its unit, and what it is, in words
-    title
+    key, out, unit, title
         the names of the exported function and of its result, its unit, and what it is, in words
 
     Raises
@@ -107,7 +101,6 @@ class NetworkFunction:
 
     Examples
     --------
-    >>> import casadi as ca
     >>> x = ca.SX.sym("q", 2)
     >>> function = ca.Function("network", [x], [ca.vertcat(x, 0)], ["q"], ["dp"])
     >>> casadical.export.NetworkFunction(function, np.full(2, -3.0), np.full(2, 3.0)).unit
@@ -151,7 +144,6 @@ class CurveFunction(NetworkFunction):
 
     Examples
     --------
-    >>> import casadi as ca
     >>> x = ca.SX.sym("q", 2)
     >>> function = ca.Function("curves", [x], [1e-4 * ca.sin(x)], ["q"], ["dq"])
     >>> casadical.export.CurveFunction(function, np.full(2, -3.0), np.full(2, 3.0)).unit
@@ -174,10 +166,7 @@ class Command:
 
     Parameters
     ----------
-    nominal : Function
-        q[n] -> p[3] [m], or q[n] -> (p[3], R[3x3]) for position and orientation; the calibrated one is the whole
-        model of the real robot (loop, compliance, network)
-    calibrated : Function
+    nominal, calibrated : Function
         q[n] -> p[3] [m], or q[n] -> (p[3], R[3x3]) for position and orientation; the calibrated one is the whole
         model of the real robot (loop, compliance, network)
     lower : Array, shape (n,) [rad or m]

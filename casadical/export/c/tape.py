@@ -87,7 +87,6 @@ class Tape:
     Examples
     --------
     >>> from casadical.export.c.tape import tape_of
-    >>> import casadi as ca
     >>> x = ca.SX.sym("x", 2)
     >>> tape = tape_of(ca.Function("f", [x], [ca.sin(x[0]) + x[1]]))
     >>> tape.n_in, len(tape.outputs)

@@ -43,7 +43,6 @@ class Export:
 
     Examples
     --------
-    >>> import casadi as ca
     >>> x = ca.SX.sym("q", 2)
     >>> function = ca.Function("curves", [x], [1e-4 * ca.sin(x)], ["q"], ["dq"])
     >>> curves = casadical.export.CurveFunction(function, np.full(2, -3.0), np.full(2, 3.0))

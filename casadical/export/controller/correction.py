@@ -95,7 +95,6 @@ class Corrected:
 
     Examples
     --------
-    >>> from pathlib import Path
     >>> size = Path("program.csv").write_text("q1_deg,q2_deg,speed\n10,20,100\n30,40,100\n")
     >>> command = casadical.export.command_of(casadical.export.Sources(found.robot, robot))
     >>> corrector = casadical.export.model_corrector(command)
@@ -183,7 +182,6 @@ def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
     Examples
     --------
     >>> from casadical.export import Sources, command_of, kernel_corrector, write_c
-    >>> from pathlib import Path
     >>> export = write_c(command_of(Sources(found.robot, robot)), "correct", name="arm", vectors=100, languages=())
     >>> kernel_corrector(Path("correct")).correct(poses.q[:3])[0].shape
     (3, 2)
@@ -265,7 +263,6 @@ def corrected(corrector: Corrector, program: Program) -> Corrected:
 
     Examples
     --------
-    >>> from pathlib import Path
     >>> size = Path("program.csv").write_text("q1_deg,q2_deg,speed\n10,20,100\n30,40,100\n")
     >>> command = casadical.export.command_of(casadical.export.Sources(found.robot, robot))
     >>> corrector = casadical.export.model_corrector(command)

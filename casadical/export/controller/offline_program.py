@@ -43,7 +43,6 @@ class Program:
 
     Examples
     --------
-    >>> from pathlib import Path
     >>> size = Path("program.csv").write_text("q1_deg,q2_deg,speed\n10,20,100\n30,40,100\n")
     >>> program = casadical.export.read_program("program.csv", 2)
     >>> program.q.round(3)
@@ -117,7 +116,6 @@ def read_program(path: str | Path, joints: int, units: Sequence[str] = ()) -> Pr
 
     Examples
     --------
-    >>> from pathlib import Path
     >>> size = Path("program.csv").write_text("q1_deg,q2_deg,speed\n10,20,100\n30,40,100\n")
     >>> casadical.export.read_program("program.csv", 2).header
     ('q1_deg', 'q2_deg', 'speed')

@@ -55,7 +55,6 @@ def into_mjcf(nominal: Robot, calibrated: Robot, path: Path, joints: Sequence[st
 
     Examples
     --------
-    >>> from pathlib import Path
     >>> from casadical.export.mjcf import mjcf
     >>> from casadical.export.mjcf.into_mjcf import into_mjcf
     >>> arm = casadical.read_robot("problems/ur10/robot.toml")

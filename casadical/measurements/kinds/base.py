@@ -41,7 +41,6 @@ class PoseExpression:
 
     Examples
     --------
-    >>> import casadi as ca
     >>> x = ca.SX.sym("q", 2)
     >>> model = lambda q: (ca.vertcat(q, 0), ca.SX.eye(3))
     >>> pose = casadical.measurements.PoseExpression(model, x, ca.SX.sym("point", 3))
@@ -135,9 +134,7 @@ class MeasurementKind(ABC):
     ----------
     name
         as in problem.toml
-    columns
-        its row of the table in docs/measurements.md
-    unknown
+    columns, unknown
         its row of the table in docs/measurements.md
     pattern
         of the columns that it reads, which are no conditions
@@ -145,9 +142,7 @@ class MeasurementKind(ABC):
         columns that a table of poses to be measured leaves empty for it
     arrays
         names of the arrays that it needs: fields of `Measurements`, else entries of its `extra`
-    lengths
-        numbers that are observed at a pose [m] and [rad], at least one and at most six together
-    angles
+    lengths, angles
         numbers that are observed at a pose [m] and [rad], at least one and at most six together
     places
         whether its unknown points are places, between which distances may be known
@@ -173,7 +168,6 @@ class MeasurementKind(ABC):
            [0.1, 0. , 0. ]])
     >>> contact.grown(np.array([[1.0, 0, 0]]), np.array([0.5, 0, 0]))
     array([[0.5, 0. , 0. ]])
-    >>> import casadi as ca
     >>> x = ca.SX.sym("q", 2)
     >>> kind.residual(casadical.measurements.PoseExpression(lambda q: (ca.vertcat(q, 0), ca.SX.eye(3)), x, None)).shape
     (3, 1)

@@ -47,9 +47,7 @@ def calibrated_urdf(
         URDF file that was read
     path_out : str | Path
         URDF file to write; one that is there is replaced
-    base_link : str, optional
-        as of `read_urdf`
-    tip_link : str, optional
+    base_link, tip_link : str, optional
         as of `read_urdf`
     base : {"robot", "measuring"}, default "robot"
         what the base link is in the new file. "robot": the foot it was, with frame 0 where it was in it; the
@@ -68,7 +66,6 @@ def calibrated_urdf(
 
     Examples
     --------
-    >>> from pathlib import Path
     >>> from casadical.robot.urdf import new_urdf
     >>> size = Path("maker.urdf").write_text(new_urdf(robot))
     >>> before = casadical.read_urdf("maker.urdf")

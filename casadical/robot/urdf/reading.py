@@ -74,7 +74,6 @@ def read_urdf(
 
     Examples
     --------
-    >>> from pathlib import Path
     >>> from casadical.robot.urdf import new_urdf
     >>> size = Path("arm.urdf").write_text(new_urdf(found.robot))
     >>> casadical.read_urdf("arm.urdf", compliant=[1, 2]).parameters.names[-2:]
