@@ -93,6 +93,8 @@ def compare_files(
 
 def campaign_estimate(path: Path, robot: str | Path | None = None) -> Estimate:
     """What one campaign in files tells, as `compare_files` takes it. Raises CasadicalError."""
+    if not path.exists():
+        raise InputError(f"{shown(path)}: no such file or folder")
     label, day = path.name.removesuffix(".robot.toml").removesuffix(".csv"), day_of(path)
     if path.suffix == ".toml":
         label = path.parent.name if label in ("KM", "SKCM", "diagnosed", "discovered") else label

@@ -78,7 +78,7 @@ def report_html(title: str, parts: Sequence[Part], provenance: Provenance) -> st
         script=_text("page.js"),
         plotly=_plotly(),
     )
-    return text
+    return text.encode(errors="backslashreplace").decode()  # names of files may not be UTF-8
 
 
 def figure_json(figure: Figure) -> str:

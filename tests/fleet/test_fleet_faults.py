@@ -6,6 +6,7 @@ import errno
 import os
 import shutil
 import signal
+import time
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,11 @@ from plants import planar
 
 from casadical import InputError
 from casadical.fleet import compare_files, run_fleet
-from casadical.fleet.cluster import client_of
+from casadical.fleet.cluster import SchedulerLostError, client_of, results
 from casadical.fleet.one_robot import NOTHING, one_robot
 from casadical.fleet.run import robots_in
 from casadical.fleet.store import add, parts, rows
+from casadical.report import comparison_report
 
 distributed = pytest.importorskip("distributed", reason="distributed (Dask) is not installed")
 pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
@@ -129,6 +131,27 @@ def test_an_address_that_is_none_no_worker_and_another_version_are_said(monkeypa
             _connect(cluster.scheduler_address)
 
 
+def _after(seconds: float) -> dict[str, object]:
+    time.sleep(seconds)
+    return dict(NOTHING)
+
+
+def test_workers_that_all_leave_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("casadical.fleet.cluster.PATIENCE", 0.3)
+    monkeypatch.setattr("casadical.fleet.cluster.LONELY", 1.0)
+    with (
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=False, protocol="tcp://", dashboard_address=None
+        ) as cluster,
+        client_of(cluster.scheduler_address, None) as client,
+    ):
+        done = results(client, _after, [(0.05,)] * 40)
+        next(done)
+        cluster.scale(0)
+        with pytest.raises(SchedulerLostError, match="the scheduler has had no worker for 1 s"):
+            list(done)
+
+
 def _connect(address: str) -> None:
     with client_of(address, None):
         pass
@@ -143,6 +166,16 @@ def test_a_folder_whose_name_is_not_utf_8_stops_nobody(first: Path, tmp_path: Pa
     assert list(robots_in([tmp_path])) == [row["robot"]]
     add(tmp_path / "store", [row])
     assert len(rows(tmp_path / "store")) == 1
+
+
+def test_a_table_whose_name_is_not_utf_8_has_a_page_and_one_that_is_not_there_is_said(
+    first: Path, tmp_path: Path
+) -> None:
+    tables = [first / "campaigns" / "2026-01-01.csv", Path(os.fsdecode(os.fsencode(tmp_path) + b"/M\xe4rz.csv"))]
+    with pytest.raises(InputError, match="no such file or folder"):
+        compare_files(tables, first)
+    shutil.copy(first / "campaigns" / "2026-02-01.csv", tables[1])
+    assert "M\\udce4rz" in comparison_report(compare_files(tables, first), tables).encode().decode()
 
 
 def test_units_that_change_within_a_table_are_said_with_their_rows(first: Path, tmp_path: Path) -> None:
