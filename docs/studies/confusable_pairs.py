@@ -10,16 +10,16 @@ included. Claimed: with a probability of .9; wrong claims: of another cause. The
 the more probable.
 """
 
-import json
 import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from campaign_robots import machine as drawn_robot
 
 from casadical.blind_check.mujoco_physics import draw_effect, measure
-from casadical.blind_check.numpy_physics import Plant, perturb
+from casadical.blind_check.numpy_physics import perturb
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.next_poses import next_poses
@@ -29,7 +29,6 @@ from casadical.identification.identification import identify
 from casadical.measurements.reading import from_table
 from casadical.pose_selection import Workspace
 from casadical.pose_selection.candidates import draw
-from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]
 CAMPAIGNS, FIRST, MORE = 30, 40, 40
@@ -149,8 +148,7 @@ def trial(robot, pair, number):
     """Rows of results by kind of further poses, and the columns of the table that asked for them."""
     seed = 7000 + number
     rng = np.random.default_rng(seed)
-    folder = ROOT / "data" / "campaigns" / "robots"
-    machine = perturb(Plant.from_dict(json.loads((folder / f"{pair.robot}.json").read_text(encoding="utf-8"))), seed)
+    machine = perturb(drawn_robot(pair.robot)[1], seed)
     truth, rival = pair.causes[number % 2], pair.causes[1 - number % 2]
     effect = hidden(machine, truth, pair.scale, rng)
     first = poor_campaign(robot, pair, FIRST, rng)
@@ -199,7 +197,7 @@ def main() -> None:
     print(f"{campaigns} campaigns a pair, the truth in turn; 0.015 mm of noise a coordinate, 5 urad a joint")
     for name in names:
         pair = PAIRS[name]
-        robot = read_campaign_robot(ROOT / "problems" / pair.robot)
+        robot = drawn_robot(pair.robot)[0]
         results, proposals = {}, []
         for number in range(campaigns):
             rows, proposal = trial(robot, pair, number)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -10,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from campaign_robots import machine
 
-from casadical import Placement, Robot, read_campaign_robot
+from casadical import Placement, Robot
 from casadical.blind_check import mujoco_physics
 from casadical.blind_check.mujoco_physics import Hidden
 from casadical.blind_check.numpy_physics import Plant
@@ -109,11 +109,11 @@ class Pair:
 
 
 def bench(name: str, poses: int, seed: int = 1) -> Bench:
-    plant = Plant.from_dict(json.loads((ROOT / f"data/campaigns/robots/{name}.json").read_text(encoding="utf-8")))
+    robot, plant = machine(name)
     q = draw_poses(plant, poses, np.random.default_rng(seed), plant.ranges, unfolded(plant))
     seeds = np.random.SeedSequence(seed).spawn(2)
     stops = draw_stops(q, seeds, [plant.payload_kg, plant.payload_kg / 2], Warmup(), approach="chance")
-    return Bench(name, plant, read_campaign_robot(ROOT / "problems" / name), stops)
+    return Bench(name, plant, robot, stops)
 
 
 def approach(b: Bench, joint: int) -> dict[str, Array]:

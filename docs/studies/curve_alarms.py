@@ -12,6 +12,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+from campaign_robots import machine
 
 from casadical import identify
 from casadical.blind_check import mujoco_physics, numpy_physics
@@ -21,7 +22,6 @@ from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.thresholds import detection
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table
-from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]
 POSES = (40, 100, 200, 400)
@@ -31,11 +31,10 @@ SEEDS = {"numpy": 91, "mujoco": 92}
 
 def clean(physics: str, name: str, poses: int, number: int) -> Measurements:
     """A campaign with noise of instrument and joints alone."""
-    drawing = json.loads((ROOT / "data" / "campaigns" / "robots" / f"{name}.json").read_text(encoding="utf-8"))
     rng = np.random.default_rng([SEEDS[physics], poses, number])  # without effects both physics give the same points
     seeds = [int(s) for s in rng.integers(1 << 30, size=2)]
     noise = {"noise_mm": float(rng.choice([0.01, 0.02, 0.03])), "repeatability_urad": float(rng.uniform(2, 8))}
-    plant = numpy_physics.perturb(numpy_physics.Plant.from_dict(drawing), seeds[0])
+    plant = numpy_physics.perturb(machine(name)[1], seeds[0])
     if physics == "mujoco":
         table = mujoco_physics.campaign(plant, (), poses, seeds[1], **noise)
     else:
@@ -45,7 +44,7 @@ def clean(physics: str, name: str, poses: int, number: int) -> Measurements:
 
 def counted(physics: str, name: str, poses: int, campaigns: int) -> tuple[int, int, float]:
     """Campaigns in which something is detected, and in which it is the curve; the curve's largest log Bayes factor."""
-    robot = read_campaign_robot(ROOT / "problems" / name)
+    robot = machine(name)[0]
     something = curve = 0
     largest = -np.inf
     for number in range(campaigns):

@@ -12,7 +12,6 @@ one has 60 random harmonics and no line; three are clean.
 """
 
 import argparse
-import json
 import sys
 from collections import Counter
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
+from campaign_robots import machine
 from joint_curves import SERIES
 from real_diagnoses import campaign
 
@@ -32,7 +32,6 @@ from casadical.diagnosis.line_search import Line
 from casadical.diagnosis.spectrum import JointCurve, Spectrum, spectrum
 from casadical.diagnosis.spectrum_report import curve_rows, seen
 from casadical.measurements.reading import from_table
-from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]
 FAR = 330.0
@@ -124,14 +123,13 @@ def drawn(rng: np.random.Generator) -> dict[str, Misread]:
 
 
 def known(campaigns: int, poses: int) -> None:
-    drawing = json.loads((ROOT / "data" / "campaigns" / "robots" / "ur10e.json").read_text(encoding="utf-8"))
-    robot = read_campaign_robot(ROOT / "problems" / "ur10e")
+    robot, nominal = machine("ur10e")
     count: Counter[str] = Counter()
     off, sigmas = [], []
     for number in range(campaigns):
         rng = np.random.default_rng([17, number])
         truth = drawn(rng)
-        plant = numpy_physics.perturb(numpy_physics.Plant.from_dict(drawing), int(rng.integers(1 << 30)))
+        plant = numpy_physics.perturb(nominal, int(rng.integers(1 << 30)))
         table = numpy_physics.campaign(
             plant, poses, int(rng.integers(1 << 30)), disturbances=list(truth.values()), noise_mm=0.015
         )

@@ -22,9 +22,10 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+from campaign_robots import machine
 from diagnosis_scores import Trial, near_rival, table, visible
 
-from casadical.blind_check.numpy_physics import Disturbance, Plant, campaign, draw_disturbance, perturb
+from casadical.blind_check.numpy_physics import Disturbance, campaign, draw_disturbance, perturb
 from casadical.blind_check.numpy_physics.disturbances import LISTED, UNLISTED
 from casadical.diagnosis.candidates import standard_candidates
 from casadical.diagnosis.cross_validation import held_out_errors, likely_noise, random_folds
@@ -36,7 +37,6 @@ from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.measurements.reading import from_table
-from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot import Robot
 
 ROOT = Path(__file__).parents[2]
@@ -51,12 +51,6 @@ PARTS = {
     "at .5": (200, 100),
     "at .35": (200, 100),
 }
-
-
-@cache
-def machine(name: str) -> tuple[Robot, Plant]:
-    drawing = json.loads((ROOT / "data" / "campaigns" / "robots" / f"{name}.json").read_text())
-    return read_campaign_robot(ROOT / "problems" / name), Plant.from_dict(drawing)
 
 
 def drawn(effect: str, rng: np.random.Generator, scale: float) -> Disturbance:

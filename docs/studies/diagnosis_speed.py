@@ -10,7 +10,6 @@ campaign of the same command. series-b and series-a: all poses of two series of 
 command-b: by the command, which also refits and judges the poses. simulated: poses of a UR10e with backlash.
 """
 
-import json
 import os
 import subprocess
 import sys
@@ -21,9 +20,10 @@ from functools import partial
 from pathlib import Path
 
 import pandas as pd
+from campaign_robots import machine
 
 from casadical import diagnose
-from casadical.blind_check.numpy_physics import Plant, campaign, draw_disturbance, perturb
+from casadical.blind_check.numpy_physics import campaign, draw_disturbance, perturb
 from casadical.project.problem import read_campaign, read_campaign_robot
 
 ROOT = Path(__file__).parents[2]
@@ -79,9 +79,8 @@ def command(folder: Path) -> None:
 
 def simulated_campaign(name: str, poses: int, seed: int) -> pd.DataFrame:
     """A campaign of a robot of the blind check with backlash in one joint."""
-    nominal = Plant.from_dict(json.loads((ROOT / "data" / "campaigns" / "robots" / f"{name}.json").read_text()))
     hidden = (draw_disturbance("backlash", seed, joint=2, scale=1.0),)
-    plant = perturb(nominal, seed)
+    plant = perturb(machine(name)[1], seed)
     return campaign(plant, poses, disturbances=hidden, noise_mm=0.02, repeatability_urad=4.0, seed=seed)
 
 

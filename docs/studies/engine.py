@@ -3,7 +3,6 @@
 Needs MuJoCo and Pinocchio (``pip install '.[dev]'``). Synthetic robots throughout.
 """
 
-import json
 import os
 import sys
 import time
@@ -13,6 +12,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import mujoco
 import numpy as np
+from campaign_robots import machine as drawn
 
 from casadical.blind_check import mujoco_physics as engine
 from casadical.blind_check.mujoco_physics.equilibrium import Engine, Stop
@@ -50,7 +50,7 @@ def main() -> None:
     print(f"MuJoCo {mujoco.__version__}, one thread; 5 robots as built, 100 poses each, with and without payload\n")
     print("positions [um], largest difference (mean) of the engine's without effects")
     for name in ROBOTS:
-        nominal = Plant.from_dict(json.loads((FOLDER / f"{name}.json").read_text()))
+        nominal = drawn(name)[1]
         theirs: dict[str, list[np.ndarray]] = {"simulation": [], "pinocchio": []}
         gaps = []
         for seed in range(5):
@@ -69,7 +69,7 @@ def main() -> None:
             print(f"  {name:6} loop closed within     {1e6 * max(gaps):9.5f}")
     print("\nprocessor time [ms] a pose (100 poses, building the model included)")
     for name in ROBOTS:
-        machine = perturb(Plant.from_dict(json.loads((FOLDER / f"{name}.json").read_text())), 0)
+        machine = perturb(drawn(name)[1], 0)
         at = stops(machine, 100, 0)
         for label, effect, joint in (
             ("no effect", None, None),

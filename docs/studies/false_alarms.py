@@ -4,19 +4,18 @@ Clean synthetic campaigns of the independent simulator; 1000 bootstrap draws of 
 each (see casadical.diagnosis.bootstrap), judged as `diagnose` judges. Some ten minutes of one core.
 """
 
-import json
 from pathlib import Path
 
 import numpy as np
+from campaign_robots import machine
 
-from casadical.blind_check.numpy_physics import Plant, campaign, perturb
+from casadical.blind_check.numpy_physics import campaign, perturb
 from casadical.diagnosis.bootstrap import noise_odds
 from casadical.diagnosis.candidates import standard_candidates
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.thresholds import detection
 from casadical.identification.identification import identify
 from casadical.measurements.reading import from_table
-from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]
 ROBOTS, POSES, CAMPAIGNS, DRAWS = ("hh800", "kr210", "ur10e"), (40, 60, 100, 200), 3, 1000
@@ -25,10 +24,9 @@ FIXED = (0.01, 0.03, 0.1)
 
 def case(robot_name: str, poses: int, number: int) -> Case:
     """A campaign in which nothing is hidden."""
-    robot = read_campaign_robot(ROOT / "problems" / robot_name)
-    drawing = json.loads((ROOT / "data" / "campaigns" / "robots" / f"{robot_name}.json").read_text(encoding="utf-8"))
+    robot, nominal = machine(robot_name)
     rng = np.random.default_rng([78, poses, number])
-    plant = perturb(Plant.from_dict(drawing), int(rng.integers(1 << 30)))
+    plant = perturb(nominal, int(rng.integers(1 << 30)))
     noise, urad = float(rng.choice([0.01, 0.02, 0.03])), float(rng.uniform(2, 8))
     table = campaign(plant, poses, noise_mm=noise, repeatability_urad=urad, seed=int(rng.integers(1 << 30)))
     m = from_table(table, 6, "position")

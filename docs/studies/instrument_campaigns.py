@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from campaign_robots import machine
 from instrument_machines import POINTS, Machine, Model, blank, scaled, visible
 from instrument_touches import TOUCHED, touched
 from scipy.stats import ncx2
-from sessions import UNLISTED, Session, machine
+from sessions import UNLISTED, Session
 
 from casadical.blind_check.numpy_physics import Plant, disturbances, perturb
 from casadical.core.arrays import Array

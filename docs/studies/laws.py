@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from campaign_robots import machine
 from foreign_effects import FOREIGN, draw_foreign
 
 from casadical.blind_check.numpy_physics import Disturbance, campaign, disturbances, draw_disturbance, perturb
@@ -33,7 +34,6 @@ from casadical.diagnosis.laws.answer import lines_of
 from casadical.diagnosis.laws.discovery import Discovery, laws_beside
 from casadical.diagnosis.laws.held_out import held_out
 from casadical.measurements.reading import from_table
-from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]
 ROBOTS, POSES, NOISE_MM, SIGNALS, SEED = ("kr210", "ur10e"), 100, 0.02, (0.8, 2.5), 92000
@@ -126,9 +126,8 @@ def measured(plant: Plant, seed: int, hidden: Sequence[Disturbance], noise_mm: f
 def judged(trial: Trial) -> dict[str, Any]:
     """The figures of one trial."""
     rng = np.random.default_rng([trial.seed, 7])
-    drawing = json.loads((ROOT / "data" / "campaigns" / "robots" / f"{trial.robot}.json").read_text())
-    plant = perturb(Plant.from_dict(drawing), trial.seed)
-    robot = read_campaign_robot(ROOT / "problems" / trial.robot)
+    robot, nominal = machine(trial.robot)
+    plant = perturb(nominal, trial.seed)
     out: dict[str, Any] = {"name": trial.name, "kind": trial.kind, "effect": trial.effect}
     hidden: list[Disturbance] = []
     if trial.kind == "listed":

@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from campaign_robots import plant_of
 
 from casadical.blind_check.numpy_physics import Plant, Warmup, draw_disturbance, perturb
 from casadical.blind_check.numpy_physics.statics import positions
@@ -31,24 +32,6 @@ NOISE, REPEATABILITY = 15e-6, 6e-6
 JOINTED = ("backlash", "friction_windup", "nonlinear_stiffness", "gear_eccentricity", "axis_wobble", "joint_scale")
 WHOLE = ("link_flexure", "base_compliance", "payload_error", "frame_drift", "thermal_growth")
 NOTHING = np.zeros(0, dtype=np.int64)
-
-
-def plant(r: Robot) -> Plant:
-    rows = [
-        {"alpha_deg": np.rad2deg(j.alpha), "a_m": j.a, "d_m": j.d, "theta0_deg": np.rad2deg(j.theta)} for j in r.joints
-    ]
-    return Plant.from_dict(
-        {
-            "name": r.name,
-            "modified_dh": rows,
-            "tool_m": r.tool.T[:3, 3],
-            "mass_kg": [j.body.mass for j in r.joints],
-            "com_m": [j.body.com for j in r.joints],
-            "payload": {"mass_kg": r.payload.mass, "com_m": r.payload.com},
-            "stiffness_Nm_per_rad": [1 / j.compliance for j in r.joints],
-            "joint_range_deg": [[np.rad2deg(j.lower), np.rad2deg(j.upper)] for j in r.joints],
-        }
-    )
 
 
 def measured(built: Plant, stops: Stops, disturbance, seed: int) -> Measurements:
@@ -92,7 +75,7 @@ def trial(r: Robot, seed: int) -> tuple[str, dict[str, Ranking]] | None:
     joint = int(rng.integers(2, 6)) if name in JOINTED else None
     disturbance = draw_disturbance(name, seed, joint=joint, scale=float(rng.uniform(0.4, 1.0)))
     truth = name if joint is None else f"{name}@{joint}"
-    built = perturb(plant(r), seed)
+    built = perturb(plant_of(r), seed)
     streams = np.random.SeedSequence(seed).spawn(2)
     q = draw_poses(built, FIRST + MORE, rng, built.ranges, None)
     stops = draw_stops(q[:FIRST], streams, (0.0, r.payload.mass), Warmup())

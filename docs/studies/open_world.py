@@ -27,10 +27,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import pandas as pd
+from campaign_robots import machine
 from diagnosis_scores import power
 from foreign_effects import FOREIGN
 from scipy import signal
-from sessions import UNLISTED, Scatter, Session, machine
+from sessions import UNLISTED, Scatter, Session
 
 from casadical.blind_check.confidence_intervals import Estimate, mean, share
 from casadical.blind_check.numpy_physics import disturbances, perturb

@@ -13,10 +13,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from campaign_robots import plant_of
 from scipy.stats import chi2
 
 from casadical import identify, read_robot
-from casadical.blind_check.numpy_physics import Plant, campaign, perturb
+from casadical.blind_check.numpy_physics import campaign, perturb
 from casadical.measurements.reading import from_table
 from casadical.pose_selection import Box, Noise, Tracker, Workspace, forecast, select_poses
 from casadical.pose_selection.candidates import draw, expected
@@ -54,31 +55,6 @@ ROOM_HEAD = """
 The same in a room that lets only a part be measured (tracker, floor, wall), accurate everywhere:
 
 robot     n  random  V       less             mean   wins"""
-
-
-def plant_of(robot):
-    """The same nominal robot in the simulator."""
-    joints = robot.joints
-    table = {
-        "name": robot.name,
-        "modified_dh": [
-            {"alpha_deg": np.rad2deg(j.alpha), "a_m": j.a, "d_m": j.d, "theta0_deg": np.rad2deg(j.theta)}
-            for j in joints
-        ],
-        "tool_m": robot.tool.T[:3, 3],
-        "mass_kg": [j.body.mass for j in joints],
-        "com_m": [j.body.com for j in joints],
-        "payload": {"mass_kg": robot.payload.mass, "com_m": robot.payload.com},
-        "stiffness_Nm_per_rad": [1 / j.compliance for j in joints],
-        "joint_range_deg": [[np.rad2deg(j.lower), np.rad2deg(j.upper)] for j in joints],
-    }
-    if robot.loops:
-        bar = robot.loops[0]
-        table["four_bar"] = {
-            "crank_L5_m": bar.crank, "coupler_L4_m": bar.coupler, "rocker_L3_m": bar.rocker,
-            "passive_offset_deg": np.rad2deg(bar.offset),
-        }  # fmt: skip
-    return Plant.from_dict(table)
 
 
 def measured(plant, q, seed, payload):

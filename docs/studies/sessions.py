@@ -1,9 +1,7 @@
 """Measuring sessions of both physics without noise, and what may be hidden in them that is on no list."""
 
-import json
 import os
 from dataclasses import dataclass, fields
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +16,6 @@ from casadical.blind_check.numpy_physics import Disturbance, Plant, disturbances
 from casadical.blind_check.synthetic.rigid import random_vector
 from casadical.blind_check.synthetic.stops import Stops, only
 from casadical.core.arrays import Array
-from casadical.project.problem import read_campaign_robot
-from casadical.robot.robot import Robot
 
 ROOT = Path(__file__).parents[2]
 REPEATABILITY_URAD = 4.0
@@ -90,12 +86,6 @@ UNLISTED = [
     *(("numpy", word) for word in [*OWN, *disturbances.UNLISTED]),
     *(("mujoco", word) for word in mujoco_physics.UNLISTED),
 ]
-
-
-@cache
-def machine(name: str) -> tuple[Robot, Plant]:
-    drawing = json.loads((ROOT / "data" / "campaigns" / "robots" / f"{name}.json").read_text())
-    return read_campaign_robot(ROOT / "problems" / name), Plant.from_dict(drawing)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,12 +1,13 @@
 """Robots, campaigns and cases that the tests of this folder share."""
 
 import json
+import sys
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from casadical.blind_check.numpy_physics import Disturbance, Plant, campaign, perturb
+from casadical.blind_check.numpy_physics import Disturbance, campaign, perturb
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.diagnosis.evidence import Evidence
@@ -19,6 +20,10 @@ from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot import Robot
 
 ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "docs" / "studies"))
+
+from campaign_robots import plant_of as plant  # noqa: E402
+
 PRACTICE = ROOT / "data" / "campaigns" / "practice"
 ANSWERS = json.loads((PRACTICE / "answers.json").read_text())
 
@@ -47,26 +52,6 @@ def identified(name: str) -> Identification:
 def case(name: str, *effects: str) -> Case:
     found = identified(name)
     return make_case(found, candidates_of(found.given, effects or ("standard",)))
-
-
-def plant(r: Robot) -> Plant:
-    """The simulator's robot of the same drawing, written out as it takes it."""
-    rows = [
-        {"alpha_deg": np.rad2deg(j.alpha), "a_m": j.a, "d_m": j.d, "theta0_deg": np.rad2deg(j.theta)} for j in r.joints
-    ]
-    payload = {"mass_kg": r.payload.mass, "com_m": r.payload.com.tolist()}
-    return Plant.from_dict(
-        {
-            "name": r.name,
-            "modified_dh": rows,
-            "tool_m": r.tool.T[:3, 3],
-            "mass_kg": [j.body.mass for j in r.joints],
-            "com_m": [j.body.com for j in r.joints],
-            "payload": payload,
-            "stiffness_Nm_per_rad": [1 / j.compliance for j in r.joints],
-            "joint_range_deg": [[np.rad2deg(j.lower), np.rad2deg(j.upper)] for j in r.joints],
-        }
-    )
 
 
 def simulated(
