@@ -7,7 +7,7 @@ import typer
 
 from casadical.cli.options import Effects, Json, LeaveOut, Nominal, Overwrite, Quiet
 from casadical.cli.progress import working
-from casadical.cli.terminal import plain, refuse_taken, with_json
+from casadical.cli.terminal import plain, print_written, refuse_taken, with_json
 from casadical.core.errors import InputError
 
 _Source = Annotated[
@@ -80,8 +80,7 @@ def export_mjcf(
     for text in lines:
         console.print(f"LEFT OUT {text}")
     console.print(f"wrote {out}: {robot.name}, {robot.n} joints")
-    if json_file:
-        console.print(f"wrote {json_file}")
+    print_written(json_file, console)
 
 
 def export_urdf(
@@ -136,5 +135,4 @@ def export_urdf(
             "a robot that is calibrated as rigid (method KM) loses less as a URDF; `export mjcf` keeps the springs"
         )
     console.print(f"wrote {out}: {robot.name}, {robot.n} joints" + (f", after {into[0].name}" if into else ""))
-    if json_file:
-        console.print(f"wrote {json_file}")
+    print_written(json_file, console)

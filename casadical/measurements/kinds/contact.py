@@ -69,6 +69,16 @@ def labels_of(columns: Columns, name: str, meaning: str) -> Array:
     return np.asarray(columns.table[name].astype(str).to_numpy(dtype=object))
 
 
+def touched_often(columns: Columns, name: str, fewest: int, meaning: str, remedy: str) -> Array:
+    """Names as of `labels_of`. Raises InputError also where a thing is touched less than `fewest` times."""
+    label = labels_of(columns, name, meaning)
+    for own in each_label(label):
+        if len(own) < fewest:
+            where = f"{columns.at(int(own[0]))}, column {name!r}: {label[own[0]]!r}"
+            raise InputError(f"{where} is touched {len(own)} times; {remedy}, or leave these out")
+    return label
+
+
 def each_label(label: Array) -> Iterator[Array]:
     """The poses of each label, as their numbers."""
     _, group = np.unique(label.astype(str), return_inverse=True)

@@ -6,11 +6,10 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.errors import InputError
 from casadical.core.transforms import Symbolic
 from casadical.measurements.columns import Columns
 from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpression, PositionsAt
-from casadical.measurements.kinds.contact import each_label, labels_of
+from casadical.measurements.kinds.contact import each_label, touched_often
 
 # Three touches define a plane; from so many on they tell of the robot.
 FEWEST = 4
@@ -38,14 +37,8 @@ class Plane(MeasurementKind):
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         """Labels of the planes. Raises InputError: an empty label, or a plane that is touched too few times."""
-        label = labels_of(columns, "plane", "it says which plane each pose touches")
-        for own in each_label(label):
-            if len(own) < FEWEST:
-                raise InputError(
-                    f"{columns.at(int(own[0]))}, column 'plane': {label[own[0]]!r} is touched {len(own)} times; three "
-                    f"touches only say where the plane is: touch it at {FEWEST} poses at least, or leave these out"
-                )
-        return {"label": label}
+        remedy = f"three touches only say where the plane is: touch it at {FEWEST} poses at least"
+        return {"label": touched_often(columns, "plane", FEWEST, "it says which plane each pose touches", remedy)}
 
     def residual(self, pose: PoseExpression) -> Symbolic:
         point = pose.unknown_point()

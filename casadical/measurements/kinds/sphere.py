@@ -9,7 +9,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.measurements.columns import Columns
 from casadical.measurements.kinds.base import Arrays, PositionsAt
-from casadical.measurements.kinds.contact import each_label, labels_of
+from casadical.measurements.kinds.contact import touched_often
 from casadical.measurements.kinds.distance import Distance
 
 # Four touches define the centre of a ball and its radius; from so many on they tell of the robot.
@@ -39,7 +39,6 @@ class Sphere(Distance):
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         """Radii as distances [m], labels. Raises InputError: no radius, or a ball that is touched too few times."""
-        label = labels_of(columns, "sphere", "it says which ball each pose touches")
         if not {"radius_mm", "radius_m"} & set(columns.table):
             raise InputError(
                 f"{columns.source}: column 'radius_mm' is missing; a ball tells nothing of the robot unless its radius "
@@ -52,12 +51,8 @@ class Sphere(Distance):
                 f"{columns.at(row)}, column 'radius': {1e3 * radius[row]:.4g} mm; a radius must be positive (poses at "
                 "one point are kind 'contact')"
             )
-        for own in each_label(label):
-            if len(own) < FEWEST:
-                raise InputError(
-                    f"{columns.at(int(own[0]))}, column 'sphere': {label[own[0]]!r} is touched {len(own)} times; touch "
-                    f"it at {FEWEST} poses at least, all around, or leave these out"
-                )
+        remedy = f"touch it at {FEWEST} poses at least, all around"
+        label = touched_often(columns, "sphere", FEWEST, "it says which ball each pose touches", remedy)
         return {"distance": radius, "label": label}
 
     def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
