@@ -33,14 +33,15 @@ TOGETHER = {
 # Files of more than 10 s, the longest first: one that begins last would leave the other processes without work.
 LONGEST = (
     *("docs/test_docs_build.py", "docs/test_docs_newcomer.py", "report/test_report_browser.py", "fuzz/test_fuzz.py"),
-    *("export/c/test_export_c.py", "project/test_problems.py", "house/test_house_names.py"),
-    *("diagnosis/test_diagnosis_campaigns.py", "cli/test_cli_docs.py", "diagnosis/test_diagnosis_search.py"),
-    *("diagnosis/test_diagnosis_refit.py", "blind_check/test_prediction.py", "project/check/test_slips.py"),
-    *("export/controller/test_controller_commands.py", "report/test_report_page.py"),
-    *("effects/test_effects_against_physics.py", "diagnosis/test_diagnosis_laws.py", "cli/test_cli_degraded.py"),
-    *("effects/test_effects_plugin.py", "docs/test_docs_architecture.py", "docs/test_docs_reference.py"),
-    *("cli/test_cli_effects.py", "cli/test_cli_diagnose.py", "effects/test_effects_signatures.py"),
-    "project/check/test_project_check.py",
+    *("project/test_problems.py", "diagnosis/test_diagnosis_campaigns.py", "export/c/test_export_c.py"),
+    *("house/test_house_names.py", "diagnosis/test_diagnosis_refit.py", "fleet/test_fleet.py", "cli/test_cli_docs.py"),
+    *("project/new/test_project_new.py", "diagnosis/test_diagnosis_kinds.py", "project/check/test_slips.py"),
+    *("cli/test_cli_diagnose.py", "project/test_several_targets.py", "docs/test_docs_architecture.py"),
+    *("blind_check/test_prediction.py", "diagnosis/test_diagnosis_search.py", "cli/test_cli_effects.py"),
+    *("export/controller/test_controller_commands.py", "report/test_report_page.py", "cli/test_cli_degraded.py"),
+    *("project/check/test_project_check.py", "pose_selection/test_pose_instruments.py"),
+    *("effects/test_effects_against_physics.py", "diagnosis/test_diagnosis_laws.py", "effects/test_effects_plugin.py"),
+    *("effects/test_effects_signatures.py", "diagnosis/test_diagnosis_docs.py", "docs/test_docs_reference.py"),
 )
 one_thread()  # processes that share the processors gain nothing by more
 
