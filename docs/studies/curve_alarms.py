@@ -1,18 +1,18 @@
-"""python docs/studies/curve_alarms.py [CAMPAIGNS] [--only WORD] [--folder DIR] > docs/studies/curve_alarms.txt
+"""python docs/studies/curve_alarms.py [CAMPAIGNS] [--only WORD] [--keep FILE] > docs/studies/curve_alarms.txt
 
 False alarms of joint_error_curve: clean synthetic campaigns of both physics, three robots, 40 to 400 poses, in which
 nothing is hidden. Counted are those in which something is detected, and those in which the curve is the most probable
 cause of it; the largest log Bayes factor of the curve says how far the others are from it. Run it in pieces with --only
-(mujoco, kr210, 400) and --folder, then without --only; the committed print is of 7 campaigns a row.
+(mujoco, kr210, 400) and --keep, then without --only; the committed print is of 7 campaigns a row.
 """
 
 import argparse
-import json
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 from campaign_robots import machine
+from kept import add_options, rows_of
 
 from casadical import identify
 from casadical.blind_check import mujoco_physics, numpy_physics
@@ -42,7 +42,7 @@ def clean(physics: str, name: str, poses: int, number: int) -> Measurements:
     return from_table(table, 6, "position")
 
 
-def counted(physics: str, name: str, poses: int, campaigns: int) -> tuple[int, int, float]:
+def counted(physics: str, name: str, poses: int, campaigns: int) -> dict[str, float]:
     """Campaigns in which something is detected, and in which it is the curve; the curve's largest log Bayes factor."""
     robot = machine(name)[0]
     something = curve = 0
@@ -55,35 +55,21 @@ def counted(physics: str, name: str, poses: int, campaigns: int) -> tuple[int, i
         something += detected
         curve += detected and ranking.order[0] == CURVE
         largest = max(largest, ranking.log_factor[CURVE])
-    return something, curve, largest
-
-
-def kept(file: Path | None, cell: tuple[str, str, int, int]) -> tuple[int, int, float]:
-    """The counts of a cell, from its file if that is there."""
-    if file and file.exists():
-        something, curve, largest = json.loads(file.read_text(encoding="utf-8"))
-        return something, curve, largest
-    found = counted(*cell)
-    if file:
-        file.write_text(json.dumps([float(v) for v in found]), encoding="utf-8")
-    return found
+    return {"something": int(something), "curve": int(curve), "largest": float(largest)}
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("campaigns", type=int, nargs="?", default=20)
-    parser.add_argument("--folder", type=Path, help="keeps the counts of each row, for a study that is run in pieces")
     parser.add_argument("--only", default="", help="physics, robot or number of poses; all rows by default")
+    add_options(parser, "curve_alarms")
     chosen = parser.parse_args()
+    cells = [c for c in product(SEEDS, ("hh800", "kr210", "ur10e"), POSES) if chosen.only in ("", *map(str, c))]
+    todo = [(f"{cell[0]:7} {cell[1]:6} {cell[2]:5}", (*cell, chosen.campaigns)) for cell in cells]
+    rows = rows_of(todo, lambda cell: counted(*cell), chosen)
     print(f"synthetic data; {chosen.campaigns} clean campaigns of each robot, physics and number of poses")
     print("physics  robot  poses   something   the curve   its largest log Bayes factor")
-    total = np.zeros(3)
-    for physics, name, poses in product(SEEDS, ("hh800", "kr210", "ur10e"), POSES):
-        if chosen.only and chosen.only not in (physics, name, str(poses)):
-            continue
-        folder: Path | None = chosen.folder
-        file = folder / f"{physics}-{name}-{poses}-{chosen.campaigns}.json" if folder else None
-        something, curve, largest = kept(file, (physics, name, poses, chosen.campaigns))
-        total += [something, curve, chosen.campaigns]
-        print(f"{physics:7} {name:6} {poses:5} {something:8.0f} {curve:11.0f} {largest:20.1f}", flush=True)
-    print(f"all: {int(total[2])} campaigns, something in {int(total[0])}, the curve in {int(total[1])}")
+    for row in rows:
+        print(f"{row['name']} {row['something']:8.0f} {row['curve']:11.0f} {row['largest']:20.1f}")
+    something, curve = (sum(row[key] for row in rows) for key in ("something", "curve"))
+    print(f"all: {len(rows) * chosen.campaigns} campaigns, something in {something}, the curve in {curve}")

@@ -8,19 +8,17 @@ followed, on "judge 2" and "judge 3", which nobody had seen before the commit th
 PYTHONPATH at an earlier commit, gives the figures before. The part "foreign" has effects (foreign_effects.py) written
 by an author who has read neither the diagnosis nor its effects.
 
---share 4 makes four times as many campaigns; --keep DIR keeps finished ones, to go on after a break; --masses nuisance
+--share 4 makes four times as many campaigns; --keep FILE keeps finished ones, to go on after a break; --masses nuisance
 has the masses of links in the base model; --laws asks, too, whether a law would be claimed in place of all causes (one
 process; some 5 s a campaign). "Limit" is the power of a test that knows each effect's signature, all others and the
 noise, at the false alarms that are allowed (diagnosis_scores.power).
 """
 
 import argparse
-import json
 import os
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -30,6 +28,7 @@ import pandas as pd
 from campaign_robots import machine
 from diagnosis_scores import power
 from foreign_effects import FOREIGN
+from kept import add_options, rows_of
 from scipy import signal
 from sessions import UNLISTED, Scatter, Session
 
@@ -276,22 +275,15 @@ def main() -> None:
     parser.add_argument("--seeds", choices=SEEDS, default="develop")
     parser.add_argument("--share", type=float, default=1.0, help="of the campaigns of every part")
     parser.add_argument("--parts", default=";".join(PARTS), help="by semicolons")
-    parser.add_argument("--keep", type=Path, required=True, help="folder of finished campaigns")
     parser.add_argument("--masses", default="", help="candidate (default) or nuisance")
     parser.add_argument("--laws", action="store_true")
-    parser.add_argument("--minutes", type=float, default=1e9, help="no campaign is begun after so many")
+    add_options(parser, "open_world")
     options = parser.parse_args()
     chosen = {"masses": options.masses} if options.masses else {}
     counts = {part: round(options.share * PARTS[part]) for part in options.parts.split(";")}
     tasks = sorted((k / count, part, k) for part, count in counts.items() for k in range(count))
-    options.keep.mkdir(parents=True, exist_ok=True)
-    began, trials = time.monotonic(), []
-    for _, part, k in tasks:
-        file = options.keep / f"{part.replace(' ', '_').replace('%', '')}-{k}.json"
-        if not file.exists() and time.monotonic() - began < 60 * options.minutes:
-            file.write_text(json.dumps(trial(part, k, options.seeds, chosen, laws=options.laws)))
-        if file.exists():
-            trials.append(json.loads(file.read_text()))
+    todo = [(f"{part}-{k}", (part, k)) for _, part, k in tasks]
+    trials = rows_of(todo, lambda task: trial(*task, options.seeds, chosen, laws=options.laws), options)
     print(f"{len(trials)} of {len(tasks)} campaigns, seeds {options.seeds}, {options.masses or 'default'} masses\n")
     print(table(trials))
 
