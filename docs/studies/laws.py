@@ -12,17 +12,16 @@ What counts as right (TRUTH) was written down before any of these campaigns was 
 """
 
 import argparse
-import json
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from campaign_robots import machine
 from foreign_effects import FOREIGN, draw_foreign
+from kept import add_options, rows_of
 
 from casadical.blind_check.numpy_physics import Disturbance, campaign, disturbances, draw_disturbance, perturb
 from casadical.blind_check.numpy_physics.disturbances_rare import draw_rare
@@ -35,7 +34,6 @@ from casadical.diagnosis.laws.discovery import Discovery, laws_beside
 from casadical.diagnosis.laws.held_out import held_out
 from casadical.measurements.reading import from_table
 
-ROOT = Path(__file__).parents[2]
 ROBOTS, POSES, NOISE_MM, SIGNALS, SEED = ("kr210", "ur10e"), 100, 0.02, (0.8, 2.5), 92000
 # Of noise that follows itself: how much of it stays from pose to pose.
 STAYS = 0.8
@@ -255,30 +253,25 @@ def report(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
         yield f"{mark:6} {r['name']:44} {said}"
 
 
+def tried(trial: Trial) -> dict[str, Any]:
+    """The row of a campaign, or why there is none."""
+    try:
+        return judged(trial)
+    except CasadicalError as error:
+        return {"failed": str(error)}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("--keep", type=Path, default=Path("laws.jsonl"))
     parser.add_argument("--repeats", type=int, default=1)
     parser.add_argument("--part", default="1/1")
     parser.add_argument("--only", default="")
-    parser.add_argument("--seconds", type=float, default=1e9, help="begin no campaign after so much processor time")
-    parser.add_argument("--table", action="store_true")
+    add_options(parser, "laws")
     given = parser.parse_args()
-    rows = [json.loads(line) for line in given.keep.read_text().splitlines()] if given.keep.exists() else []
-    known = {r["name"] for r in rows}
     part, parts = map(int, given.part.split("/"))
-    todo = [t for t in trials(given.repeats)[part - 1 :: parts] if t.name not in known and given.only in t.kind]
-    for trial in () if given.table else todo:
-        if time.process_time() > given.seconds:
-            break
-        try:
-            row = judged(trial)
-        except CasadicalError as error:
-            print(f"{trial.name}: {error}", flush=True)
-            continue
-        rows.append(row)
-        with given.keep.open("a") as file:
-            file.write(json.dumps(row) + "\n")
+    chosen = trials(given.repeats)[part - 1 :: parts]
+    found = rows_of([(t.name, t) for t in chosen if given.only in t.kind], tried, given)
+    rows = [row for row in found if "failed" not in row]
     print(f"{len(rows)} of the {len(trials(given.repeats))} campaigns, in an order drawn before")
     print("\n".join(report(rows)))
 
