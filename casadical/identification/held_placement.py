@@ -22,6 +22,8 @@ MODEL, ENOUGH = 3e-3, 30
 FREE = 100.0
 # Of Gauss-Newton; a step that lowers the cost by less than this share is the last.
 STEPS, SAME = 40, 1e-9
+# (a @ _CROSS).reshape(3, 3) is the matrix that takes t to a x t from the right.
+_CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).reshape(3, 9)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +111,8 @@ class Held:
             arm = (r.p + r.R @ at.t) @ at.R.T
             left, toward = r.rows(arm + at.p)
             # A small turn w moves a point at a by w x a.
-            J = np.concatenate([np.cross(arm[:, None], toward), toward, toward @ (at.R @ r.R)], axis=2).reshape(-1, 9)
+            turned = toward @ (arm @ _CROSS).reshape(-1, 3, 3)
+            J = np.concatenate([turned, toward, toward @ (at.R @ r.R)], axis=2).reshape(-1, 9)
             H += weight * J.T @ J
             g += weight * J.T @ left.ravel()
             square += weight * float((left**2).sum())

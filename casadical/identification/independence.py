@@ -46,9 +46,10 @@ def independent_parameters(problem: LeastSquares) -> Identifiability:
         return replace(found, independent=tuple(n for n in names if n not in dropped))
     R = np.concatenate([R[:, p:], R[:, :p]], axis=1) if points else R
     found = analyse(R, names, points, held)
-    scaled = any(find_kind(m.kind).has_scale or m.separations for m in problem.sets)
+    if any(find_kind(m.kind).has_scale or m.separations for m in problem.sets):
+        return found
     longest = max(found.independent, key=lambda n: abs(_length(problem, n)), default="")
-    if scaled or not longest or not _scale_is_free(problem):
+    if not longest or not _scale_is_free(problem):
         return found
     held[longest] = "contacts without known separations do not determine the scale; this length is its reference"
     return analyse(R, names, points, held)

@@ -130,11 +130,8 @@ def _flange(robot: Robot, m: Measurements, T_M0: Array) -> tuple[Array, Array]:
     values = dict(zip(("base_x", "base_y", "base_z"), turn[:3, 3], strict=True))
     values |= dict(zip(("base_rx", "base_ry", "base_rz"), to_xyz(turn[:3, :3]), strict=True))
     p, R = predicted(robot, m, values)
-    # The base's rotation back, then the tool's: one product for all poses, of matrices as rows of nine numbers.
-    turned = R.reshape(-1, 9) @ np.kron(T_M0[:3, :3], robot.tool.T[:3, :3].T)
-    R = turned.reshape(-1, 3, 3)
-    shift = turned @ np.kron(np.eye(3), robot.tool.T[:3, 3:])
-    return (p - T_M0[:3, 3]) @ T_M0[:3, :3] - shift, R
+    R = T_M0[:3, :3].T @ R @ robot.tool.T[:3, :3].T
+    return (p - T_M0[:3, 3]) @ T_M0[:3, :3] - R @ robot.tool.T[:3, 3], R
 
 
 def solve_placement(
