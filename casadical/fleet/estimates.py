@@ -187,12 +187,12 @@ def estimate(
         np.sqrt(fit.best.variance),
         label or found.measurements[0].source,
         day,
-        fit.poses,
+        len(fit.poses),
         fit.left,
         fit.misfit,
         (*_outliers(found), *noted),
         np.quantile(np.concatenate([m.q for m in found.used]), [0.05, 0.95], axis=0).T,
-        fit if fit.poses <= MANY else None,
+        fit if len(fit.poses) <= MANY else None,
     )
 
 

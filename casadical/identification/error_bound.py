@@ -26,6 +26,7 @@ from casadical.robot.robot import Robot
 LEVEL = 0.95  # share of errors that the bound is to hold
 FOLDS = 5
 LEAST = 30  # poses, of which one held-out residual in twenty is to be known
+MOST = 20_000  # poses: so many, drawn at random, tell a bound as well as more, in less memory
 ROUNDS = 12  # of expectation and maximisation: sizes that the poses do not determine are still of usual size then
 _DIRECTIONS, _END = 6, 0.3  # of the regions that are held out: how many, and the share of poses at each end
 _LOST = 0.05  # share of the mean square that may be lost at a pose where the factor of the moment is cut
@@ -44,6 +45,9 @@ class Sums:
 
     def less(self, other: "Sums") -> "Sums":
         return Sums(self.H - other.H, self.g - other.g, self.square - other.square, self.count - other.count)
+
+    def plus(self, other: "Sums") -> "Sums":
+        return Sums(self.H + other.H, self.g + other.g, self.square + other.square, self.count + other.count)
 
     def moved(self, d: Array) -> "Sums":
         """After departures d."""
@@ -64,7 +68,7 @@ class Doubts:
 
 
 def learn_bound(found: Identification) -> ErrorBound:
-    """The bound of the error that remains, from all poses with a measured position that were used.
+    """The bound of the error that remains, from the poses with a measured position that were used, `MOST` at most.
 
     Raises InputError where they are too few, nothing measured a position, or error curves were identified.
     """
@@ -74,6 +78,10 @@ def learn_bound(found: Identification) -> ErrorBound:
         raise InputError(
             f"a bound of the remaining error needs {LEAST} poses with a measured position; there are {poses}"
         )
+    if poses > MOST:
+        share = MOST / poses
+        sets = [m.split({"some": share})["some"] for m in sets if share * len(m) >= 1]
+        poses = sum(map(len, sets))
     robot = doubted(found.robot)
     gone = [n for n in found.names if n not in robot.parameters.names]
     if gone:

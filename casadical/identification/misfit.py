@@ -7,12 +7,15 @@ readings: gear errors of higher order, slow drifts.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial, reduce
 
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.mapped_function import CHUNK
 from casadical.identification.error_bound import ROUNDS, Doubts, Sums, doubts_of, posterior_of, sums_of
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.residuals import make_block
@@ -33,24 +36,45 @@ POINT = 1e-9
 RHOS = (0.0, 0.3, 0.5, 0.8, 1.3, 2.0)
 # Rounds of a fit that begins at the variances of another one.
 AGAIN = 4
+# So many poses are kept with their Jacobians.
+KEPT = 10_000
 _MM = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """All measurements of a fit at its values, each pose with as many rows as the kind with the most numbers has.
+    """Some poses of a fit at its values, each with as many rows as the kind with the most numbers has.
 
     Lengths in mm; what is more or less accurate than the lengths of the first set is in units of its noise. r : shape
     (n, numbers); J : (n, numbers, k); U : by the unknown points, (n, numbers, 3 points); Jq : how each turning joint
-    moves what is measured, as its zero does, (n, numbers, joints) [mm/mrad]; count : of numbers measured beside those
-    that determine the points
+    moves what is measured, as its zero does, (n, numbers, joints) [mm/mrad]
     """
 
     r: Array
     J: Array
     Jq: Array
     U: Array
-    count: int
+
+
+class _Poses:
+    """All poses of a fit; few are kept, and many are evaluated each time that they are asked for.
+
+    q : readings, shape (n, joints); joints : how many of them turn
+    count : of numbers measured beside those that determine the unknown points
+    """
+
+    def __init__(self, found: Identification, robot: Robot, names: tuple[str, ...]) -> None:
+        self.q = np.concatenate([m.q for m in found.used])
+        self.joints = sum(name.startswith("theta") for name in names)
+        self.count = sum(m.q.shape[0] * find_kind(m.kind).numbers for m in found.used) - 3 * len(found.unknown_points)
+        self._made = partial(_rows, found, robot, names)
+        self._kept = list(self._made()) if len(self) <= KEPT else []
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def __iter__(self) -> Iterator[_Rows]:
+        return iter(self._kept or self._made())
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,36 +98,35 @@ class WideFit:
 
     robot : calibrated, with harmonics of zero size; best : with the most probable of RHOS for all joints alike
     misfit : how many times more than independent noise residuals of similar poses push the parameters, at least 1
-    left : standard deviation of a coordinate that nothing explains [m]; poses : how many
+    left : standard deviation of a coordinate that nothing explains [m]
     """
 
     robot: Robot
     doubts: Doubts
-    rows: _Rows
+    poses: _Poses
     best: NoiseFit
     misfit: float
     left: float
-    poses: int
     _tried: dict[tuple[float, ...], float] = field(default_factory=dict, repr=False)
     _last: dict[tuple[float, ...], NoiseFit] = field(default_factory=dict, repr=False)
 
     @property
     def joints(self) -> int:
         """How many joints turn."""
-        return int(self.rows.Jq.shape[2])
+        return self.poses.joints
 
     def at(self, rhos: tuple[float, ...]) -> NoiseFit:
         """The fit with a repeatability of each turning joint."""
         if rhos not in self._last:
             self._last.clear()
-            self._last[rhos] = _at(rhos, self.rows, self.doubts)[0]
+            self._last[rhos] = _at(rhos, self.poses, self.doubts)[0]
         return self._last[rhos]
 
     def log_likelihood(self, rhos: tuple[float, ...]) -> float:
         """Of such a fit, begun at the variances of the best one."""
         if rhos not in self._tried:
             doubts = replace(self.doubts, sigma=np.sqrt(self.best.variance))
-            self._tried[rhos] = _at(rhos, self.rows, doubts, AGAIN)[0].log_likelihood
+            self._tried[rhos] = _at(rhos, self.poses, doubts, AGAIN)[0].log_likelihood
         return self._tried[rhos]
 
 
@@ -113,18 +136,22 @@ def wide_fit(found: Identification) -> WideFit:
     doubts = doubts_of(robot, found.names)
     low = [joint[: 2 * ORDERS] for joint in doubts.joints]
     doubts = replace(doubts, joints=(*low, *(joint[2 * ORDERS :] for joint in doubts.joints)))
-    rows = _rows(found, robot, doubts.names)
-    q = np.concatenate([m.q for m in found.used])
-    best, white, Jw, mean, S = _most_probable(rows, doubts)
-    times = _misfit(white + Jw @ mean, Jw, q, best.s2, best.variance)
-    r, J = _without_points(rows.r, rows.J, rows.U)[:2]
+    poses = _Poses(found, robot, doubts.names)
+    rhos, best, mean, S = _most_probable(poses, doubts)
+    parts = [_sums(rhos, poses, part)[0] for part in (_by_order(len(poses)), _by_region(poses.q))]
+    times = _misfit(parts, mean, best.s2, best.variance)
     M = S @ best.sums.H / best.s2  # a parameter with a prior counts as far as the data determine it (Hastie 1990)
     fitted = float(2 * np.trace(M) - np.sum(M * M.T))
-    left = _MM * float(np.sqrt(np.sum((r + J @ mean) ** 2) / max(1.0, best.sums.count - fitted)))
-    return WideFit(robot, doubts, rows, best, times, left, len(r))
+    plain = _sums((0.0,) * poses.joints, poses)[0][0].moved(mean)
+    left = _MM * float(np.sqrt(plain.square / max(1.0, poses.count - fitted)))
+    return WideFit(robot, doubts, poses, best, times, left)
 
 
-def _rows(found: Identification, robot: Robot, names: tuple[str, ...]) -> _Rows:
+def _rows(found: Identification, robot: Robot, names: tuple[str, ...]) -> Iterator[_Rows]:
+    """Some poses at a time; all at once where points are unknown, which several of them may tell of.
+
+    Raises InputError for known distances between touched points.
+    """
     sets = [m.positions_alone() if m.kind == "position_covariance" else m for m in found.used]
     if any(m.separations for m in sets):
         raise InputError(
@@ -133,26 +160,27 @@ def _rows(found: Identification, robot: Robot, names: tuple[str, ...]) -> _Rows:
     where = found.unknown_points
     number = {name: k for k, name in enumerate(where)}
     points = np.array([*where.values()]).reshape(-1, 3)
-    width = max(find_kind(m.kind).numbers for m in sets)
-    parts: list[list[Array]] = [[], [], []]
-    count = -points.size
-    (first, _) = found.problem.sigmas[0]
-    for k, (m, sigmas) in enumerate(zip(sets, found.problem.sigmas, strict=True)):
-        kind, p = find_kind(m.kind), len(names)
-        at = [number[f"{k}/{name}"] for name in kind.point_names(m.arrays)]
-        length, angle = (_MM * sigma / first for sigma in sigmas)
-        block = make_block(robot, m, names, length, angle, points, np.array(at or [0] * len(m)))
-        r, J = block.evaluate(np.zeros(p), np.zeros_like(points))
-        U = np.zeros((*r.shape, points.size))
-        for i, point in enumerate(at):
-            U[i, :, 3 * point : 3 * point + 3] = J[i, :, p:]
-        out = [(0, 0), (0, width - r.shape[1])]
-        for part, value in zip(parts, (r, J[:, :, :p], U), strict=True):
-            part.append(np.pad(value, [*out, (0, 0)][: value.ndim]))
-        count += r.size
-    r, J, U = (np.concatenate(part) for part in parts)
     zeros = [k for k, name in enumerate(names) if name.startswith("theta")]
-    return _Rows(r, J, J[:, :, zeros], U, count)
+    width = max(find_kind(m.kind).numbers for m in sets)
+    (first, _) = found.problem.sigmas[0]
+    together: list[tuple[Array, ...]] = []
+    for k, (whole, sigmas) in enumerate(zip(sets, found.problem.sigmas, strict=True)):
+        length, angle = (_MM * sigma / first for sigma in sigmas)
+        for m in [whole] if points.size else (whole[at : at + CHUNK] for at in range(0, len(whole), CHUNK)):
+            at = [number[f"{k}/{name}"] for name in find_kind(m.kind).point_names(m.arrays)]
+            block = make_block(robot, m, names, length, angle, points, np.array(at or [0] * len(m)))
+            r, J = block.evaluate(np.zeros(len(names)), np.zeros_like(points))
+            U = np.zeros((*r.shape, points.size))
+            for i, point in enumerate(at):
+                U[i, :, 3 * point : 3 * point + 3] = J[i, :, len(names) :]
+            out = [(0, 0), (0, width - r.shape[1])]
+            r, J, U = (np.pad(value, [*out, (0, 0)][: value.ndim]) for value in (r, J[:, :, : len(names)], U))
+            if not points.size:
+                yield _Rows(r, J, J[:, :, zeros], U)
+            else:
+                together.append((r, J, J[:, :, zeros], U))
+    if together:
+        yield _Rows(*map(np.concatenate, zip(*together, strict=True)))
 
 
 def _without_points(r: Array, J: Array, U: Array) -> tuple[Array, Array, float]:
@@ -167,39 +195,55 @@ def _without_points(r: Array, J: Array, U: Array) -> tuple[Array, Array, float]:
     return both[:, :, 0], both[:, :, 1:], float(np.log(seen).sum())
 
 
-_Fit = tuple[NoiseFit, Array, Array, Array, Array]
+_Fit = tuple[tuple[float, ...], NoiseFit, Array, Array]
 
 
-def _most_probable(rows: _Rows, doubts: Doubts) -> _Fit:
-    """With the rho of all joints from which a step along RHOS makes the data less probable."""
+def _most_probable(poses: _Poses, doubts: Doubts) -> _Fit:
+    """With the rho of all joints from which a step along RHOS makes the data less probable; these, and their fit."""
     tried: dict[int, _Fit] = {}
     best, at = -1, len(RHOS) // 2
     while best != at:
         best = at
         near = range(max(0, best - 1), min(len(RHOS), best + 2))
-        tried |= {k: _at((RHOS[k],) * rows.Jq.shape[2], rows, doubts) for k in near if k not in tried}
-        at = max(near, key=lambda k: tried[k][0].log_likelihood)
+        rhos = {k: (RHOS[k],) * poses.joints for k in near if k not in tried}
+        tried |= {k: (each, *_at(each, poses, doubts)) for k, each in rhos.items()}
+        at = max(near, key=lambda k: tried[k][1].log_likelihood)
     return tried[best]
 
 
-def _at(rhos: tuple[float, ...], rows: _Rows, doubts: Doubts, rounds: int = ROUNDS) -> _Fit:
-    """The fit with noise s2 (I + Jq Jq'); whitened residuals and Jacobians, mean and covariance.
-
-    Jq : how each joint moves what is measured, times its rho
-    """
-    Jq = rows.Jq * rhos
-    L = np.linalg.cholesky(np.eye(rows.r.shape[1]) + Jq @ Jq.transpose(0, 2, 1))
-    white, Jw, U = (np.linalg.solve(L, part) for part in (rows.r[:, :, None], rows.J, rows.U))
-    white, Jw, seen = _without_points(white[:, :, 0], Jw, U)
-    sums = replace(sums_of(white, Jw), count=rows.count)
+def _at(
+    rhos: tuple[float, ...], poses: _Poses, doubts: Doubts, rounds: int = ROUNDS
+) -> tuple[NoiseFit, Array, Array]:
+    """The fit with noise s2 (I + Jq Jq'), mean and covariance; Jq : as of `_sums`."""
+    (sums,), spread = _sums(rhos, poses)
+    sums = replace(sums, count=poses.count)
     s2, mean, S, variance = posterior_of(sums, doubts, rounds)
     root = np.sqrt(np.diag(S))
     log_det = float(np.log(variance).sum() - 2 * np.log(root).sum() - np.linalg.slogdet(S / np.outer(root, root))[1])
-    fitted = sums.square + 2 * mean @ sums.g + mean @ sums.H @ mean
-    spread = float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum()) + seen
-    square = float(fitted / s2 + np.sum(mean**2 / variance))
+    square = float(sums.moved(mean).square / s2 + np.sum(mean**2 / variance))
     log_likelihood = -0.5 * (sums.count * np.log(s2) + square + log_det) - spread
-    return NoiseFit(log_likelihood, sums, s2, variance), white, Jw, mean, S
+    return NoiseFit(log_likelihood, sums, s2, variance), mean, S
+
+
+def _sums(rhos: tuple[float, ...], poses: _Poses, part: Array | None = None) -> tuple[list[Sums], float]:
+    """Sums over the poses, or over each part of them, with the noise I + Jq Jq' whitened; log of that one's root.
+
+    Jq : how each joint moves what is measured, times its rho; part : number of each pose's part, shape (n,)
+    """
+    found: dict[int, Sums] = {}
+    spread, done = 0.0, 0
+    for rows in poses:
+        Jq = rows.Jq * rhos
+        L = np.linalg.cholesky(np.eye(rows.r.shape[1]) + Jq @ Jq.transpose(0, 2, 1))
+        white, Jw, U = (np.linalg.solve(L, some) for some in (rows.r[:, :, None], rows.J, rows.U))
+        white, Jw, seen = _without_points(white[:, :, 0], Jw, U)
+        spread += float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum()) + seen
+        own = np.zeros(len(white), dtype=int) if part is None else part[done : done + len(white)]
+        done += len(white)
+        for k in np.unique(own).tolist():
+            sums = sums_of(white[own == k], Jw[own == k])
+            found[k] = found[k].plus(sums) if k in found else sums
+    return list(found.values()), spread
 
 
 def misfit_of(found: Identification) -> float:
@@ -219,24 +263,22 @@ def misfit_of(found: Identification) -> float:
     return float(max(1.0, len(at) / np.sum(own * here)))
 
 
-def _misfit(e: Array, J: Array, q: Array, s2: float, variance: Array) -> float:
+def _misfit(of_parts: Sequence[Sequence[Sums]], mean: Array, s2: float, variance: Array) -> float:
     """How many times more than independent noise the residuals of similar poses push the parameters.
 
-    e : residuals of the fit, shape (n, 3) [mm]; J : shape (n, 3, k). The sums J'e over parts of the poses, which follow
-    each other or have similar readings, are compared with what independent noise of variance s2 would give; at least 1.
+    The sums J'e over parts of the poses, which follow each other or have similar readings, with the residuals e of the
+    fit, are compared with what independent noise of variance s2 would give; at least 1.
     """
-    H = np.einsum("nip,niq->pq", J, J, optimize=True)
-    inverse = scaled_inverse(H + s2 * np.diag(1 / variance))
-    freedom = max(1.0, e.size - float(np.sum(inverse * H)))
+    whole = reduce(Sums.plus, of_parts[0])
+    inverse = scaled_inverse(whole.H + s2 * np.diag(1 / variance))
+    freedom = max(1.0, whole.count - float(np.sum(inverse * whole.H)))
     chance = CHANCE * np.sqrt(2 / freedom)
     found = 1.0
-    for part in (_by_order(len(e)), _by_region(q)):
+    for parts in of_parts:
         pushed = usual = 0.0
-        for k in range(part.max() + 1):
-            own = J[part == k].reshape(-1, J.shape[2])
-            push, seen = own.T @ e[part == k].ravel(), own.T @ own
+        for sums in parts:
+            push, seen = sums.moved(mean).g, inverse @ sums.H
             pushed += float(push @ inverse @ push) / s2
-            seen = inverse @ seen
             usual += float(np.trace(seen) - np.sum(seen * seen.T))
         if usual > 0:
             found = max(found, pushed / usual - chance)
