@@ -235,7 +235,8 @@ def _sums(rhos: tuple[float, ...], poses: _Poses, part: Array | None = None) -> 
     for rows in poses:
         Jq = rows.Jq * rhos
         L = np.linalg.cholesky(np.eye(rows.r.shape[1]) + Jq @ Jq.transpose(0, 2, 1))
-        white, Jw, U = (np.linalg.solve(L, some) for some in (rows.r[:, :, None], rows.J, rows.U))
+        inverse = np.linalg.inv(L)
+        white, Jw, U = (inverse @ some for some in (rows.r[:, :, None], rows.J, rows.U))
         white, Jw, seen = _without_points(white[:, :, 0], Jw, U)
         spread += float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum()) + seen
         own = np.zeros(len(white), dtype=int) if part is None else part[done : done + len(white)]
