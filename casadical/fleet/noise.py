@@ -42,7 +42,7 @@ def _together(group: Sequence[Estimate]) -> list[Estimate]:
     wide = [c.fit for c in group if c.fit is not None]
     rhos = repeatability(wide)
     fits = [w.at(rhos) for w in wide]
-    weights = [w.poses for w in wide]
+    weights = [len(w.poses) for w in wide]
     s2 = np.average([f.s2 for f in fits], weights=weights)
     spread = np.sqrt(np.average([f.variance for f in fits], axis=0, weights=weights))
     units = [s2 * c.misfit for c in group]

@@ -211,9 +211,7 @@ def _most_probable(poses: _Poses, doubts: Doubts) -> _Fit:
     return tried[best]
 
 
-def _at(
-    rhos: tuple[float, ...], poses: _Poses, doubts: Doubts, rounds: int = ROUNDS
-) -> tuple[NoiseFit, Array, Array]:
+def _at(rhos: tuple[float, ...], poses: _Poses, doubts: Doubts, rounds: int = ROUNDS) -> tuple[NoiseFit, Array, Array]:
     """The fit with noise s2 (I + Jq Jq'), mean and covariance; Jq : as of `_sums`."""
     (sums,), spread = _sums(rhos, poses)
     sums = replace(sums, count=poses.count)

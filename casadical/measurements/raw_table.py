@@ -5,11 +5,12 @@ import io
 import re
 import zipfile
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import pandas as pd
 
+from casadical.core.arrays import Array
 from casadical.core.errors import InputError, optional
 from casadical.measurements.table_form import (
     Form,
@@ -34,6 +35,7 @@ class RawTable:
     path : of the file; header : names of the columns, without blanks around them
     cells : of each row, as text, numbers with decimal points; line : of the file at which each row begins
     form : how the file writes its table; comments : lines that are comments, as they stand
+    rest : further rows of a large table and their lines, as `read_columns` of `table_parts` reads it
     """
 
     path: Path
@@ -42,9 +44,10 @@ class RawTable:
     line: tuple[int, ...]
     form: Form = field(default_factory=Form)
     comments: tuple[str, ...] = ()
+    rest: tuple[tuple[pd.DataFrame, Array], ...] = ()
 
     def frame(self) -> pd.DataFrame:
-        """The rows as a pandas table: numbers where a column holds nothing else, columns named as in `header`."""
+        """The rows of `cells` as a pandas table, named as in `header`: numbers where a column holds nothing else."""
         rows = io.StringIO(newline="")
         csv.writer(rows).writerows([self.header, *self.cells])
         rows.seek(0)
@@ -72,7 +75,7 @@ def read_table(path: str | Path) -> RawTable:
         raise InputError(f"{path}: not a readable CSV table: {getattr(error, 'strerror', None) or error}") from None
     if not records:
         raise InputError(f"{path}: not a readable CSV table: it is empty; a header and at least one row are needed")
-    return _table(path, records, Form(encoding, separator, sheet=sheet))
+    return table_of(path, records, encoding, separator, sheet=sheet)
 
 
 def _text(path: Path, data: bytes) -> tuple[str, str, str]:
@@ -100,11 +103,13 @@ def _sheet(path: Path) -> tuple[str, str, str]:
     return out.getvalue(), "workbook", str(name)
 
 
-def _table(path: Path, records: list[Record], form: Form) -> RawTable:
-    """Headings and rows out of all records. Raises InputError."""
+def table_of(
+    path: Path, records: list[Record], encoding: str, separator: str, decimal: str = "", sheet: str = ""
+) -> RawTable:
+    """Headings and rows out of all records; decimal : sign, where it is known. Raises InputError."""
     comments = [(line, cells) for line, cells in records if commented(cells)]
     rest = [record for record in records if not commented(record[1])]
-    decimal = decimal_of(rest)
+    decimal = decimal or decimal_of(rest)
     if not rest:
         rest, comments = comments, []
     place, header, units = _headings(rest, comments)
@@ -118,7 +123,7 @@ def _table(path: Path, records: list[Record], form: Form) -> RawTable:
     last = next((k for k in reversed(range(len(body))) if is_data(body[k][1])), len(body) - 1)
     for k, (line, cells) in enumerate(body):
         few = sum(bool(cell.strip()) for cell in cells) < 2 and len(names) > 1
-        if (k > last and few) or (k and tuple(c.strip() for c in cells) == names):
+        if (k > last and few) or tuple(c.strip() for c in cells) == names:
             skipped.append((line, cells))
         else:
             rows.append((line, cells))
@@ -131,14 +136,14 @@ def _table(path: Path, records: list[Record], form: Form) -> RawTable:
             raise InputError(f"{path}: not a readable CSV table: {sizes}; correct the row")
     if not rows:
         raise InputError(f"{path}: a header but no rows; at least one row is needed")
-    found = replace(
-        form, decimal=decimal, header_line=head_line,
+    form = Form(
+        encoding, separator, decimal, header_line=head_line, sheet=sheet,
         units=tuple(map(unit_word, units[1])) if units else (),
         skipped=tuple((line, " ".join(" ".join(cells).split())[:80]) for line, cells in sorted(skipped)),
     )  # fmt: skip
     texts = tuple(tuple(as_plain_number(cell, decimal) if cell else cell for cell in cells) for _, cells in rows)
     return RawTable(
-        path, names, texts, tuple(line for line, _ in rows), found, tuple(" ".join(cells) for _, cells in comments)
+        path, names, texts, tuple(line for line, _ in rows), form, tuple(" ".join(cells) for _, cells in comments)
     )
 
 

@@ -15,7 +15,8 @@ from casadical.measurements.columns import Columns
 from casadical.measurements.headings import understand
 from casadical.measurements.kinds.registry import find_kind, kind_of, kinds
 from casadical.measurements.measurements import FIELDS, Measurements
-from casadical.measurements.raw_table import RawTable, read_table
+from casadical.measurements.raw_table import RawTable
+from casadical.measurements.table_parts import read_columns
 
 _POSITIONS = {f"{c}{u}" for c in "xyz" for u in ("_mm", "_m")}
 
@@ -65,7 +66,7 @@ def read_measurements(
     >>> poses.kind, poses.position.shape
     ('position', (40, 3))
     """
-    table = named_columns(read_table(path), joints, columns or {}, point_from)
+    table = named_columns(read_columns(path), joints, columns or {}, point_from)
     return from_columns(table, joints, kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
 
 

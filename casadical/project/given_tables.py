@@ -8,7 +8,8 @@ from pathlib import Path
 
 from casadical.core.errors import InputError
 from casadical.core.schema import check
-from casadical.measurements.raw_table import RawTable, read_table
+from casadical.measurements.raw_table import RawTable
+from casadical.measurements.table_parts import read_columns
 from casadical.project.problem_file import DataTable, ProblemFile, problem_file
 
 
@@ -25,7 +26,7 @@ def file_of(source: Path, tables: Sequence[str | Path]) -> ProblemFile:
         file = problem_file(source)
         file = file.model_copy(update={"robot": file.campaign_robot or file.robot, "title": "", "paper": None})
     own = tables_of(source)
-    found = [fitting(source, read_table(t), own).model_copy(update={"file": str(Path(t).resolve())}) for t in tables]
+    found = [fitting(source, read_columns(t), own).model_copy(update={"file": str(Path(t).resolve())}) for t in tables]
     return file.model_copy(update={"measurements": found, "data": None})
 
 

@@ -18,8 +18,9 @@ from casadical.identification.residuals import AnyLoss
 from casadical.measurements.columns import Columns
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import SETS, Measurements
-from casadical.measurements.raw_table import RawTable, read_table
+from casadical.measurements.raw_table import RawTable
 from casadical.measurements.reading import from_columns, named_columns, readings_alone
+from casadical.measurements.table_parts import read_columns
 from casadical.project.coupled_readings import with_coupled
 from casadical.project.given_tables import file_of, fitting, tables_of
 from casadical.project.problem_file import (
@@ -307,7 +308,7 @@ def read_campaign(
 
     Raises InputError.
     """
-    folder, raw = Path(folder), read_table(path)
+    folder, raw = Path(folder), read_columns(path)
     data = fitting(folder, raw, tables_of(folder))
     columns, joints = _columns(raw, data, robot), [j.kind for j in robot.joints]
     lost = (columns.lost_rows if words else columns.empty_rows) if later else ()
@@ -348,7 +349,7 @@ def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> dict[
     path = folder / data.file
     if not path.exists():
         raise InputError(f"{path}: no such file; it is named in {folder / 'problem.toml'}")
-    columns = _columns(read_table(path), data, robot)
+    columns = _columns(read_columns(path), data, robot)
     joints = [j.kind for j in robot.joints]
     found = from_columns(columns, joints, data.kind, sigma_mm=data.sigma_mm, sigma_deg=data.sigma_deg)
     refuse_nameless(found, robot)
