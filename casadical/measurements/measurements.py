@@ -17,6 +17,8 @@ SETS = ("identify", "train", "choose", "report")
 
 # Readings closer than this [rad or m] in every joint count as the same pose.
 SAME_READING = 1e-6
+# Readings that follow each other without a gap are one reading over no more than so many gaps.
+LONGEST = 20
 
 # Fields of `Measurements` that hold what was observed.
 FIELDS = ("position", "orientation", "distance", "target", "other", "label")
@@ -282,12 +284,17 @@ def unmeasured(q: Array, conditions: Mapping[str, Array] | None = None, source: 
 def same_readings(q: Array, within: float = SAME_READING) -> Array:
     """A number for each distinct reading, shape (n,): joint by joint, a new cell begins behind each gap.
 
-    within : gaps below it [rad or m] are none
+    within : gaps below it [rad or m] are none. So many readings that no gap parts them are parted all the same, where
+    a cell would be `LONGEST` times wider.
     """
     cells = np.empty(q.shape, dtype=int)
     for j, column in enumerate(q.T):
         order = np.argsort(column)
-        cells[order, j] = np.cumsum(np.diff(column[order], prepend=column[order[0]]) > within)
+        values = column[order]
+        begins = np.diff(values, prepend=values[0]) > within
+        first = np.maximum.accumulate(np.where(begins, np.arange(len(values)), 0))
+        piece = np.floor((values - values[first]) / (LONGEST * within))
+        cells[order, j] = np.cumsum(begins | (np.diff(piece, prepend=0.0) > 0))
     return np.asarray(np.unique(cells, axis=0, return_inverse=True)[1].ravel())
 
 

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from casadical import InputError, Measurements, from_table, read_measurements
 from casadical.measurements.kinds.registry import kinds
+from casadical.measurements.measurements import same_readings
 
 
 def readings(n, joints=2, seed=0):
@@ -210,3 +211,12 @@ def test_positions_with_a_covariance_each_weigh_by_it() -> None:
     table.loc[7, "cov_xx_mm2"] = -1.0
     with pytest.raises(InputError, match=r"row 9, columns cov_xx_mm2 to cov_zz_mm2: no covariance"):
         from_table(table, 1)
+
+
+def test_readings_so_dense_that_no_gap_parts_them_are_not_one() -> None:
+    q = np.random.default_rng(3).uniform(-1, 1, (5000, 2))
+    q = np.concatenate([q, q[:100] + 1e-7])
+    found = same_readings(q, 5e-3)
+    sizes = np.bincount(found)
+    assert sizes.max() < 40  # a cell is 0.1 x 0.1 of 2 x 2
+    assert np.mean(found[5000:] == found[:100]) > 0.97
