@@ -15,7 +15,6 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.mapped_function import CHUNK
 from casadical.identification.error_bound import ROUNDS, Doubts, Sums, doubts_of, posterior_of, sums_of
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.residuals import make_block
@@ -164,14 +163,14 @@ def _rows(found: Identification, robot: Robot, names: tuple[str, ...]) -> Iterat
     width = max(find_kind(m.kind).numbers for m in sets)
     (first, _) = found.problem.sigmas[0]
     together: list[tuple[Array, ...]] = []
-    for k, (whole, sigmas) in enumerate(zip(sets, found.problem.sigmas, strict=True)):
+    for k, (m, sigmas) in enumerate(zip(sets, found.problem.sigmas, strict=True)):
+        at = np.array([number[f"{k}/{name}"] for name in find_kind(m.kind).point_names(m.arrays)], dtype=int)
         length, angle = (_MM * sigma / first for sigma in sigmas)
-        for m in [whole] if points.size else (whole[at : at + CHUNK] for at in range(0, len(whole), CHUNK)):
-            at = [number[f"{k}/{name}"] for name in find_kind(m.kind).point_names(m.arrays)]
-            block = make_block(robot, m, names, length, angle, points, np.array(at or [0] * len(m)))
-            r, J = block.evaluate(np.zeros(len(names)), np.zeros_like(points))
+        group = at if at.size else np.zeros(len(m), dtype=int)
+        block = make_block(robot, m, names, length, angle, points, group)
+        for some, r, J in block.parts(np.zeros(len(names)), np.zeros_like(points)):
             U = np.zeros((*r.shape, points.size))
-            for i, point in enumerate(at):
+            for i, point in enumerate(at[some]):
                 U[i, :, 3 * point : 3 * point + 3] = J[i, :, len(names) :]
             out = [(0, 0), (0, width - r.shape[1])]
             r, J, U = (np.pad(value, [*out, (0, 0)][: value.ndim]) for value in (r, J[:, :, : len(names)], U))

@@ -284,8 +284,8 @@ def unmeasured(q: Array, conditions: Mapping[str, Array] | None = None, source: 
 def same_readings(q: Array, within: float = SAME_READING) -> Array:
     """A number for each distinct reading, shape (n,): joint by joint, a new cell begins behind each gap.
 
-    within : gaps below it [rad or m] are none. So many readings that no gap parts them are parted all the same, where
-    a cell would be `LONGEST` times wider.
+    within : gaps below it [rad or m] are none. Where readings are so many that there are no gaps, a cell ends where it
+    is `LONGEST` times as wide.
     """
     cells = np.empty(q.shape, dtype=int)
     for j, column in enumerate(q.T):

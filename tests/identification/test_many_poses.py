@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 import casadical
-from casadical.identification import error_bound, misfit
+from casadical.identification import error_bound, misfit, residuals
 
 ROOT = Path(__file__).parents[2]
 
@@ -18,7 +18,7 @@ def found() -> casadical.Identification:
 def test_the_misfit_is_that_of_all_poses(found, monkeypatch) -> None:
     usual = misfit.wide_fit(found)
     monkeypatch.setattr(misfit, "KEPT", 0)
-    monkeypatch.setattr(misfit, "CHUNK", 7)
+    monkeypatch.setattr(residuals, "CHUNK", 7)
     parts = misfit.wide_fit(found)
     assert max(len(rows.r) for rows in parts.poses) == 7
     assert parts.misfit == pytest.approx(usual.misfit, rel=1e-9)

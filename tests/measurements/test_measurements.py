@@ -213,7 +213,7 @@ def test_positions_with_a_covariance_each_weigh_by_it() -> None:
         from_table(table, 1)
 
 
-def test_readings_so_dense_that_no_gap_parts_them_are_not_one() -> None:
+def test_readings_so_dense_that_no_gap_separates_them_are_not_one() -> None:
     q = np.random.default_rng(3).uniform(-1, 1, (5000, 2))
     q = np.concatenate([q, q[:100] + 1e-7])
     found = same_readings(q, 5e-3)
