@@ -7,8 +7,7 @@ import casadi as ca
 
 from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Effect
-from casadical.effects.context import Context
+from casadical.effects.base import Context, Effect
 from casadical.effects.counterparts import Counterparts
 
 FRICTIONS = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)

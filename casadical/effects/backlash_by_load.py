@@ -8,8 +8,7 @@ import casadi as ca
 from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
 from casadical.effects.backlash import Backlash
-from casadical.effects.base import Effect
-from casadical.effects.context import Context
+from casadical.effects.base import Context, Effect
 
 
 @dataclass(frozen=True)

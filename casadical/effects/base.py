@@ -2,7 +2,7 @@
 
 In the order in which a pose is computed: `energy` (a spring or a mass: it loads the joints), `joint_angle` (added to
 the reading), `link` (behind the joint's own motion), `base`, `tool`, `measurement`. An effect overrides the seams it
-needs; the defaults leave the model as it is.
+needs; the defaults leave the model as it is. A file of an effect imports what it needs from here.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.parameters import Parameter
 from casadical.core.transforms import Symbolic
-from casadical.effects.context import Context
+from casadical.effects.context import Context as Context
 from casadical.effects.counterparts import Counterparts
 from casadical.effects.settings import checked_settings, grid_points, settings_of
+from casadical.effects.settings import setting as setting
 
 # One sigma, in realistic sizes, of an effect once it is in a model: wide, because a user had a reason to put it there,
 # and a robot's own may be many times the usual.

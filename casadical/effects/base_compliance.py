@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from casadical.core.transforms import Symbolic, small_frame
-from casadical.effects.base import Effect
-from casadical.effects.context import Context
+from casadical.effects.base import Context, Effect
 from casadical.effects.counterparts import Counterparts
 
 

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Effect
-from casadical.effects.context import Context
+from casadical.effects.base import Context, Effect
 from casadical.effects.counterparts import Counterparts
 
 

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Effect
-from casadical.effects.context import Context
+from casadical.effects.base import Context, Effect
 
 WIRES = 4
 FAR = ("far_x_m", "far_y_m", "far_z_m")

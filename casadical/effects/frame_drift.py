@@ -5,9 +5,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Effect
-from casadical.effects.context import Context
-from casadical.effects.settings import setting
+from casadical.effects.base import Context, Effect, setting
 
 
 @dataclass(frozen=True)

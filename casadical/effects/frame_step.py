@@ -7,10 +7,8 @@ import casadi as ca
 
 from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic, small_frame
-from casadical.effects.base import Effect
-from casadical.effects.context import Context
+from casadical.effects.base import Context, Effect, setting
 from casadical.effects.grids import FEW_TIMES
-from casadical.effects.settings import setting
 
 
 @dataclass(frozen=True)

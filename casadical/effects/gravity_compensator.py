@@ -8,10 +8,8 @@ import numpy as np
 
 from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Effect
-from casadical.effects.context import Context
+from casadical.effects.base import Context, Effect, setting
 from casadical.effects.counterparts import Balancer, Counterparts
-from casadical.effects.settings import setting
 
 PHASES = tuple(float(p) for p in np.deg2rad(np.arange(0, 360, 30)))
 

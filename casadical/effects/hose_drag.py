@@ -8,9 +8,7 @@ import numpy as np
 
 from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic, apply
-from casadical.effects.base import Effect
-from casadical.effects.context import Context
-from casadical.effects.settings import setting
+from casadical.effects.base import Context, Effect, setting
 
 
 @dataclass(frozen=True)

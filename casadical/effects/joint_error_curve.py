@@ -11,8 +11,7 @@ import numpy as np
 from casadical.core.arm import Arm
 from casadical.core.arrays import Array
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Effect
-from casadical.effects.context import Context
+from casadical.effects.base import Context, Effect
 from casadical.effects.counterparts import Counterparts
 
 # One sigma of a harmonic of a joint about which nothing is known yet [rad].

@@ -16,8 +16,7 @@ import numpy as np
 from casadical.core.arm import Arm
 from casadical.core.errors import InputError
 from casadical.core.transforms import Symbolic, small_frame, translate
-from casadical.effects.base import Effect
-from casadical.effects.context import Context
+from casadical.effects.base import Context, Effect
 from casadical.effects.formula import NUMERIC, Formula, parse, refuse_unknown
 
 # Place -> (components of the formula, unit, whether it needs the number of a joint or link).

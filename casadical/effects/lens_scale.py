@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 from casadical.core.transforms import Symbolic
+from casadical.effects.base import Context, setting
 from casadical.effects.camera_faults import SIDES, CameraFault, columns, vector
-from casadical.effects.context import Context
-from casadical.effects.settings import setting
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,8 @@ import numpy as np
 
 from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic, small_frame, translate
-from casadical.effects.base import Effect
-from casadical.effects.context import Context
+from casadical.effects.base import Context, Effect, setting
 from casadical.effects.counterparts import Counterparts
-from casadical.effects.settings import setting
 
 # A link shorter than this share of the longest bends a thirtieth of it.
 BEAM = 0.3

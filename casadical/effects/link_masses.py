@@ -9,8 +9,7 @@ import numpy as np
 from casadical.core.arm import Arm
 from casadical.core.parts import Body
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Effect
-from casadical.effects.context import Context
+from casadical.effects.base import Context, Effect
 from casadical.effects.counterparts import Counterparts
 
 

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 import casadi as ca
 
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Effect
-from casadical.effects.context import Context
+from casadical.effects.base import Context, Effect, setting
 from casadical.effects.counterparts import Counterparts
-from casadical.effects.settings import setting
 
 # tanh(x) is nearest to SLOPE x that stops at STOP, off by OFF at most.
 SLOPE, STOP, OFF = 0.76, 0.92, 0.083

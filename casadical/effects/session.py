@@ -7,9 +7,7 @@ import casadi as ca
 
 from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic, small_frame, translate
-from casadical.effects.base import Effect
-from casadical.effects.context import Context
-from casadical.effects.settings import setting
+from casadical.effects.base import Context, Effect, setting
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,7 @@ import casadi as ca
 
 from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Effect
-from casadical.effects.context import Context
-from casadical.effects.settings import setting
+from casadical.effects.base import Context, Effect, setting
 from casadical.effects.thermal_growth import grown_link
 
 SIZE = 30e-6

@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 
 from casadical.core.transforms import Symbolic, small_frame
+from casadical.effects.base import Context, setting
 from casadical.effects.camera_faults import CameraFault, columns
-from casadical.effects.context import Context
 from casadical.effects.grids import FEW_TIMES
-from casadical.effects.settings import setting
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,9 @@ from typing import ClassVar
 import casadi as ca
 
 from casadical.core.transforms import Symbolic
-from casadical.effects.context import Context
+from casadical.effects.base import Context, setting
 from casadical.effects.distance_faults import WIRES, DistanceFault
 from casadical.effects.grids import FEW_TIMES
-from casadical.effects.settings import setting
 
 
 @dataclass(frozen=True)

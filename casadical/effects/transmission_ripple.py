@@ -6,9 +6,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.transforms import Symbolic
-from casadical.effects.base import Effect
-from casadical.effects.context import Context
-from casadical.effects.settings import setting
+from casadical.effects.base import Context, Effect, setting
 
 CYCLES = tuple(float(c) for c in np.arange(2, 32.01, 0.5))
 

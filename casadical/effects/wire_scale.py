@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from casadical.core.transforms import Symbolic
-from casadical.effects.context import Context
+from casadical.effects.base import Context
 from casadical.effects.distance_faults import WIRES, DistanceFault
 
 

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from casadical.core.transforms import Symbolic
-from casadical.effects.context import Context
+from casadical.effects.base import Context, setting
 from casadical.effects.distance_faults import WIRES, DistanceFault, along
 from casadical.effects.grids import TIMES
-from casadical.effects.settings import setting
 
 
 @dataclass(frozen=True)
