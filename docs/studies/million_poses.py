@@ -25,6 +25,8 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE / "benchmarks"))
 ROWS = (50_000, 200_000, 1_000_000)
 GROUP = 65_536
+# Label -> how the table is read.
+TABLES = {"at once": "at once", "in parts": "in parts", "limited": "in parts", "calibrate": "calibrate"}
 
 
 def private_mb() -> float:
@@ -136,6 +138,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rows", type=int, nargs="+", default=ROWS)
     parser.add_argument("--limit", type=float, default=192.0, help="private memory of the limited runs [MB]")
+    parser.add_argument("--only", nargs="+", choices=TABLES, default=list(TABLES), help="ways to read the table")
     parser.add_argument("--run", nargs=3, metavar=("TABLE", "READER", "LIMIT_MB"), help="one run, used by the others")
     options = parser.parse_args()
     if options.run:
@@ -146,12 +149,11 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "poses.parquet"
             subprocess.run([sys.executable, "-c", _MAKE, str(HERE), str(rows), str(path)], check=True)
-            for name, reader, limit in (
-                ("at once", "at once", 0.0), ("in parts", "in parts", 0.0), ("limited", "in parts", options.limit),
-                ("calibrate", "calibrate", 0.0),
-            ):  # fmt: skip
-                print(f"{rows:9d}  {name:9} {one(path, reader, limit)}", flush=True)
-    print(f"limited: within {options.limit:.0f} MB of private memory above what the imports took.")
+            for name in options.only:
+                limit = options.limit if name == "limited" else 0.0
+                print(f"{rows:9d}  {name:9} {one(path, TABLES[name], limit)}", flush=True)
+    if "limited" in options.only:
+        print(f"limited: within {options.limit:.0f} MB of private memory above what the imports took.")
 
 
 PROBLEM = """
