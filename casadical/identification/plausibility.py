@@ -47,7 +47,7 @@ def check_against(robot: Robot, m: Measurements) -> None:
 
 
 def _refuse_another_unit_midway(robot: Robot, m: Measurements, p: Array) -> None:
-    """p : positions of the model, shape (n, 3) [m]"""
+    """Raise InputError where some rows are in another unit; p : positions of the model, shape (n, 3) [m]."""
     by_row = np.argsort(m.row, kind="stable")
     by_row = by_row[m.weight[by_row] > 0]
     found, said = [], ""
