@@ -206,13 +206,12 @@ def learnt(H: Array, b: Array, spread: Array, groups: Sequence[str] | None = Non
     C = np.diag(spread**2)
     _, group = np.unique(np.arange(len(spread)) if groups is None else groups, return_inverse=True)
     for _ in range(ROUNDS):
-        precision = np.diag(1 / tau2)
-        V = np.linalg.inv(H + precision)
-        # The mean of greatest likelihood: theta_i integrated, each robot tells P - P V P of it.
-        Lambda = np.sum(precision - precision @ V @ precision, axis=0) + np.diag(wide)
-        C = scaled_inverse(Lambda)
-        mean = C @ np.einsum("ij,njk,nk->i", precision, V, b)
-        m = np.einsum("nij,nj->ni", V, b + mean / tau2)
+        w = 1 / tau2
+        V = np.linalg.inv(H + np.diag(w))
+        # The mean of greatest likelihood: theta_i integrated, each robot tells P - P V P of it, P = diag(w).
+        C = scaled_inverse(np.diag(len(H) * w + wide) - np.outer(w, w) * V.sum(axis=0))
+        mean = C @ (w * np.sum(V @ b[:, :, None], axis=0)[:, 0])
+        m = (V @ (b + mean * w)[:, :, None])[:, :, 0]
         found = np.mean((m - mean) ** 2 + np.diagonal(V, axis1=1, axis2=2), axis=0)
         usual = (np.bincount(group, found) / np.bincount(group))[group]
         before, tau2 = tau2, np.maximum((len(H) * found + POOLED * usual) / (len(H) + POOLED), NARROWEST**2)
