@@ -12,12 +12,15 @@ from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.localisation import Localisation, localise_residual
 from casadical.identification.accuracy import errors, residual_mm
 from casadical.identification.result import LeftOut
+from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.project.calibration import Calibration, used_poses
 from casadical.robot.robot import Robot
 
 BEFORE = "before"
+# Of more poses than this, drawn at random, where the gap lies is told.
+MOST_LOCATED = 5_000
 SETS = {
     "report": "Held-out poses",
     "identify": "Poses that identified",
@@ -108,6 +111,11 @@ def where_left(calibration: Calibration) -> Localisation | None:
     result = calibration.identification
     if len(result.measurements) != 1 or result.measurements[0].position is None:
         return None
+    if len(m := result.measurements[0]) > MOST_LOCATED:
+        # How a pose was approached, and when it was measured, follows from all of them.
+        m, _ = derive(m, [*(f"approach{i}" for i in range(1, result.given.n + 1)), "progress"])
+        some = (m[np.sort(np.random.default_rng(0).choice(len(m), MOST_LOCATED, replace=False))],)
+        result = replace(result, measurements=some, outliers=(), problem=replace(result.problem, sets=some))
     return localise_residual(make_case(result, ()), Noise(result.sigmas[0][0], 0.0))
 
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from casadical.core.blocks import Words, mm
 from casadical.identification.result import Identification
 from casadical.identification.tables import correlated, held_table, how_sure, parameter_tables
+from casadical.project import remaining_errors
 from casadical.project.calibration import Calibration
 from casadical.project.networks import Networks
 from casadical.project.outcome import left_out_table
@@ -142,7 +143,9 @@ def _where_blocks(figures: Mapping[str, Figure], result: Identification) -> Iter
     if not found:
         yield Words("Localising the gap needs exactly one set of measured positions.", "note")
         return
-    yield Words(f"Of what {result.method} leaves at the poses it was identified from. Bars are 95 % intervals.", "note")
+    most = remaining_errors.MOST_LOCATED
+    poses = "the poses" if len(result.measurements[0]) <= most else f"{most} of the poses"
+    yield Words(f"Of what {result.method} leaves at {poses} it was identified from. Bars are 95 % intervals.", "note")
     yield from where_drawings(found)
 
 

@@ -28,7 +28,7 @@ def fit_figures(
     sets : poses by what a legend calls them, each in parts of one kind; residuals : in place of the fit's own, [sigma]
     """
     if residuals is None:
-        own = np.concatenate([r.ravel() for r in result.problem.evaluate(result.solution.v)[0]])
+        own = np.concatenate([r.ravel() for r in result.problem.residuals(result.solution.v)])
         residuals = own / float(np.sqrt(result.variance))
     found = {"residuals": residual_quantiles(residuals), "coverage": joint_coverage(result.robot, sets)}
     names = most_correlated(result)

@@ -13,6 +13,7 @@ import pytest
 from casadical.diagnosis.localisation import Localisation
 from casadical.measurements.column_map import Source
 from casadical.measurements.headings import Question
+from casadical.project import remaining_errors
 from casadical.project.check.check import LACKS, Precheck, _outlook_findings
 from casadical.project.check.information import outlook
 from casadical.project.check.report import as_json
@@ -24,6 +25,7 @@ from casadical.project.outcome import _no_better, made_readings
 from casadical.project.planning import plan
 from casadical.project.problem import read_problem
 from casadical.project.remaining_errors import where_left
+from casadical.report import calibration_report
 
 if TYPE_CHECKING:
     from casadical.project.check.information import Outlook
@@ -101,6 +103,16 @@ def test_each_measured_point_has_a_table_of_its_own() -> None:
 def test_the_forecast_of_a_plan_goes_twenty_poses_beyond_it(planar: Problem) -> None:
     found = plan(planar.robot, 6, order=False)
     assert found.forecast.poses[-1] == 26
+
+
+def test_of_many_poses_some_tell_where_the_error_lies(calibrated: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    ways = {row.part for row in dict(where_left(calibrated("planar")).tables())["approach"].itertuples()}
+    monkeypatch.setattr(remaining_errors, "MOST_LOCATED", 20)
+    found = dict(where_left(calibrated("planar")).tables())
+    for name in ("regions", "time", "approach"):
+        assert set(found[name].groupby("by").poses.sum()) <= {19, 20}  # the first pose was approached from nowhere
+    assert {row.part for row in found["approach"].itertuples()} == ways
+    assert "20 of the poses it was identified from" in calibration_report([calibrated("planar")])
 
 
 def test_an_error_is_localised_in_positions_of_one_set_only(calibrated: Any) -> None:
