@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import run
-from plants import A1, planar
+from fleet_plants import A1, planar
 
 from casadical import InputError, read_robot
 from casadical.core.blocks import Table, Words

@@ -12,7 +12,7 @@ from typing import Any
 
 import pandas as pd
 import pytest
-from plants import planar
+from fleet_plants import planar
 
 from casadical import InputError
 from casadical.fleet import compare_files, run_fleet
