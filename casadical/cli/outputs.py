@@ -130,7 +130,10 @@ def _inputs(path: Path) -> Iterator[Path]:
         if problem.is_file():
             yield problem
             named = [real / text for text in _texts(tomllib.loads(problem.read_text(encoding="utf-8")))]
-            yield from (p.resolve() for p in named if p.is_file())
+            yield from (p.resolve() for p in (*named, *real.glob("campaigns/*")) if p.is_file())
+        else:
+            for folder in real.glob("*/problem.toml"):
+                yield from _inputs(folder.parent)
 
 
 def _texts(value: Any) -> Iterator[str]:

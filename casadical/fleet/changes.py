@@ -225,19 +225,26 @@ def _blocks(found: Comparison) -> list[Words | Table]:
     return [*blocks, _campaigns(found), _seen_from(found)]
 
 
-def _change(found: Comparison, change: Change) -> Iterable[Words | Table]:
+def in_words(found: Comparison, change: Change) -> str:
+    """What changed, how, since when, and by how much where it has one name."""
     since = found.campaigns[change.since].label
     how = {"jump": "a jump since", "drift": "a drift that shows since", "season": "comes again every year since"}
-    main = max(change.amounts, key=lambda a: abs(a.value) / max(a.std_error, 1e-300))
-    per = "" if change.course != "drift" else " a year" if found.campaigns[0].day is not None else " in 12 campaigns"
-    size = f"{main.name} {_signed(main.value)} {main.unit}{per} +/- {main.std_error:.2g}"
-    if change.named:
-        yield Words(f"CHANGED: {change.cause.label}, {how[change.course]} {since}: {size}.", "verdict")
-    else:
+    if not change.named:
         rivals = " or ".join(r.label for r in _likely(change))
-        yield Words(
-            f"CHANGED: {rivals}, which these poses do not distinguish, {how[change.course]} {since}.", "verdict"
-        )
+        return f"{rivals}, which these poses do not distinguish, {how[change.course]} {since}"
+    main = max(change.amounts, key=lambda a: abs(a.value) / max(a.std_error, 1e-300))
+    size = f"{main.name} {_signed(main.value)} {main.unit}{_per(found, change)} +/- {main.std_error:.2g}"
+    return f"{change.cause.label}, {how[change.course]} {since}: {size}"
+
+
+def _per(found: Comparison, change: Change) -> str:
+    """What time a change is counted by."""
+    return "" if change.course != "drift" else " a year" if found.campaigns[0].day is not None else " in 12 campaigns"
+
+
+def _change(found: Comparison, change: Change) -> Iterable[Words | Table]:
+    yield Words(f"CHANGED: {in_words(found, change)}.", "verdict")
+    since, per = found.campaigns[change.since].label, _per(found, change)
     words = f"{change.cause.words[0].upper()}{change.cause.words[1:]}."
     yield Words(f"{words} The data are {_times(change.log_odds)} times more probable with a change than without.")
     if len(found.campaigns) > 2:

@@ -17,6 +17,7 @@ from casadical.core.errors import CasadicalError, InputError
 from casadical.core.files import json_text
 from casadical.diagnosis.diagnose import diagnose
 from casadical.fleet.campaigns import day_of, day_of_problem, elsewhere, in_order
+from casadical.fleet.changes import in_words
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate, estimate
 from casadical.identification.identification import identify
@@ -99,7 +100,9 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
         "identified": list(last.names),
     }
     if with_diagnosis:
-        m = next((m for m in problem.sets["identify"] if m.position is not None), None)
+        # Of all poses of a table: fewer tell less of what is noise.
+        tables = (read_campaign(place, place / str(table["file"]), problem.robot) for table in problem.tables)
+        m = next((m for m in tables if m.position is not None), None)
         if m is not None:
             diagnosis = diagnose(problem.robot, m)
             causes = ", ".join(c.label for c in diagnosis.causes)
@@ -108,7 +111,7 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
     estimates, notes = ordered, [*notes, *said, *elsewhere(ordered)]
     if len(ordered) > 1:
         compared = compare(ordered, notes=notes)
-        changes = ", ".join(f"{c.cause.label} ({c.course}, {ordered[c.since].label})" for c in compared.changes)
+        changes = "; ".join(in_words(compared, c) for c in compared.changes)
         row |= {"changes": changes, "details": json_text(compared.to_json())}
     days = [float("nan") if e.day is None else e.day for e in estimates]
     left = [float("nan") if e.sigma is None else 1e3 * e.sigma for e in estimates]

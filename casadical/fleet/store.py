@@ -38,6 +38,12 @@ def opened(folder: Path) -> Iterator[None]:
                 raise InputError(
                     f"{shown(folder)}: this store cannot be written to; change its permissions or its place"
                 )
+            foreign = [p.name for p in folder.iterdir() if not p.name.startswith((".", "part-"))]
+            if foreign:
+                raise InputError(
+                    f"{shown(folder)}: holds {shown(min(foreign))}, which is no part of a store; a store is a folder "
+                    "of its own: give another name with --store"
+                )
             yield
     except OSError as error:
         raise InputError(f"{shown(folder)}: cannot be used as a store: {error.strerror or error}") from None

@@ -18,7 +18,7 @@ from casadical.identification.least_squares import LeastSquares, first_sigmas
 from casadical.identification.prediction import covariance_of_all
 from casadical.identification.reduction import POOR_FIT
 from casadical.identification.residuals import POINT_SCALE, Loss, make_block
-from casadical.identification.screening import SCREENINGS, solve_without_outliers
+from casadical.identification.screening import SCREENINGS, TELLING, solve_without_outliers
 from casadical.identification.solver import Solution
 from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.robot.knowledge import Knowledge, blocks
@@ -236,6 +236,14 @@ class Identification:
             {"parameter": np.array(self.names)[i], "with": np.array(self.names)[j], "correlation": C[i, j]}
         )
         return pairs.sort_values("correlation", key=np.abs, ascending=False, ignore_index=True)
+
+    @cached_property
+    def noise_is_assumed(self) -> bool:
+        """Whether a prior leaves too few degrees of freedom to tell a noise that nobody declared."""
+        problem = self.problem
+        if not problem.known or all(m.sigma for m in problem.sets):
+            return False
+        return float(problem.redundancies(self.solution.v).sum()) < TELLING
 
     def predict(self, q: Array, conditions: Mapping[str, Array] | None = None) -> tuple[Array, Array]:
         """Positions of the calibrated robot, shape (n, 3) [m], and their covariances, shape (n, 3, 3) [m^2].

@@ -17,6 +17,8 @@ Solved = tuple[LeastSquares, Solution, Identifiability]
 # Quantiles of chi-squared at 1 - 1e-5, by degrees of freedom.
 OUTLIER_CHI2 = {1: 19.51, 2: 23.03, 3: 25.90, 4: 28.47, 5: 30.86, 6: 33.11}
 LEAST_REDUNDANCY = 0.1
+# With a prior that explains nearly all, fewer degrees of freedom do not tell the noise.
+TELLING = 10.0
 SCREENINGS = 8
 SIGMA_ROUNDS = 6
 # Where the data are free of noise, so that nothing is divided by zero.
@@ -56,6 +58,9 @@ def _estimated_sigmas(problem: LeastSquares, solution: Solution) -> tuple[tuple[
     for m, (sigma, angle), both in zip(problem.sets, problem.sigmas, _with_freedom(problem, solution), strict=True):
         r, freedom = (values[m.weight > 0] for values in both)
         n = find_kind(m.kind).lengths
+        if problem.known and freedom.sum() < TELLING:
+            found.append((m.sigma or sigma, m.sigma_angle or angle))
+            continue
         if n:
             sigma = m.sigma or sigma * _deviation(problem, r[:, :n], freedom[:, :n])
         if n < r.shape[1]:

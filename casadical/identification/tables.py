@@ -25,6 +25,8 @@ def how_sure(result: Identification) -> Words:
     noise = ", ".join(f"{1e3 * sigma:.3f} mm a coordinate" for sigma, _ in result.sigmas)
     optimal = "confirmed" if result.is_optimal() else "NOT confirmed"
     condition = result.identifiability.condition
+    if result.noise_is_assumed:
+        noise += " (an upper end: so few poses do not tell it beside the prior; say sigma_mm in problem.toml)"
     return Words(
         f"Residual scatter {noise}; condition number {condition:.0f}; optimum {optimal} by recomputation; "
         f"{result.degrees_of_freedom} degrees of freedom." + (NEARLY_CONFOUNDED if condition > CONFOUNDED else "")

@@ -9,13 +9,15 @@ from casadical.identification.least_squares import LeastSquares
 def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float:
     """Of a residual, in units of sigma: the sum of squares over the degrees of freedom.
 
-    With a robust loss, and unless outliers were trimmed, from the median absolute residuals instead.
+    With a robust loss, and unless outliers were trimmed, from the median absolute residuals instead. With what is known
+    from elsewhere at least one: that the prior leaves little is no sign that it, or the instrument, is better.
     """
+    least = 1.0 if problem.known else 0.0
     freedom = max(1, problem.degrees_of_freedom)
     if problem.loss != "linear" and not trimmed:
         typical = float(np.median([robust_std(r) ** 2 for r in problem.residuals(v)]))
-        return typical * problem.residual_count / freedom
-    return (problem.square(v) + problem.prior_square(v)) / freedom
+        return max(least, typical * problem.residual_count / freedom)
+    return max(least, (problem.square(v) + problem.prior_square(v)) / freedom)
 
 
 def robust_std(r: Array) -> float:

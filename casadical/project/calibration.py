@@ -382,13 +382,19 @@ def _identified(problem: Problem, show: Callable[[str], None], count: int) -> di
 
 
 def _without_prior(plain: Problem, results: Mapping[str, Identification]) -> Accuracy | None:
-    """Of held-out poses, by the last method, as if there were no prior; plain : the problem without it."""
+    """Of held-out poses, by the last method, as if there were no prior; None where they are too few without one.
+
+    plain : the problem without the prior
+    """
     method, found = list(results.items())[-1]
     parts = {name: m for name, m in plain.parts() if name.startswith("report")}
     if not parts:
         return None
     kept = without_poses(plain.sets["identify"], found.outliers)
-    alone = identify(plain.robot, kept, method="KM" if method == "KM" else "SKCM", loss=found.loss, screen=False)
+    try:
+        alone = identify(plain.robot, kept, method="KM" if method == "KM" else "SKCM", loss=found.loss, screen=False)
+    except InputError:
+        return None
     return alone.accuracy(*(parts[name] for name in next(iter(together(parts).values()))))["calibrated"]
 
 

@@ -25,6 +25,19 @@ def problem(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.parametrize("name", ["robot.toml", "problem.toml", "campaigns/2026-03-01.csv"])
+@pytest.mark.parametrize("given", [".", ".."])
+def test_no_file_of_a_fleet_is_replaced(monkeypatch, capsys, problem: Path, name: str, given: str) -> None:
+    (problem / "campaigns").mkdir()
+    shutil.copy(problem / "poses.csv", problem / "campaigns" / "2026-03-01.csv")
+    before = (problem / name).read_bytes()
+    for option in ("--json", "--report"):
+        store = problem.parent / "fleet.parquet"
+        assert main(monkeypatch, "fleet", problem / given, "--store", store, option, problem / name) == 2
+        assert "is an input of this command and is not replaced" in capsys.readouterr().err
+    assert (problem / name).read_bytes() == before
+
+
 @pytest.mark.parametrize("name", ["robot.toml", "poses.csv", "problem.toml", "link"])
 def test_an_input_is_not_replaced(monkeypatch, capsys, problem: Path, name: str) -> None:
     (problem / "link").symlink_to("poses.csv")

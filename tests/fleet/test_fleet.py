@@ -72,7 +72,7 @@ def test_one_command_does_all_and_one_bad_robot_stops_nobody(
     by_name = {r["robot"]: r for r in figures["robots"]}
     assert by_name["broken"]["status"] == "failed"
     assert "title: is missing" in by_name["broken"]["error"]
-    assert by_name["arm5"]["changes"].startswith("lengths (jump, 2026-02-01)")
+    assert by_name["arm5"]["changes"].startswith("lengths, a jump since 2026-02-01: ")
     assert by_name["arm5"]["campaigns"] == 4
     assert "2026-04-01.csv is left out: 2026-04-01.csv: positions" in by_name["arm5"]["notes"]
     assert "2026-04-01.csv is left out" in command.stdout.replace("\n", " ")

@@ -198,3 +198,10 @@ def test_the_first_campaign_needs_no_day_and_its_copy_gives_one(first: Path) -> 
     assert (again["campaigns"], again["notes"]) == (4, "")
     assert again["days"][0] == again["days"][1] - 31
     assert again["changes"] == row["changes"]
+
+
+def test_a_folder_of_other_files_is_no_store(arms: Path) -> None:
+    before = sorted(p.name for p in (arms / "arm1").iterdir())
+    with pytest.raises(InputError, match=r"arm1: holds poses.csv, which is no part of a store"):
+        run_fleet([arms], arms / "arm1", workers=1, with_diagnosis=False)
+    assert sorted(p.name for p in (arms / "arm1").iterdir()) == before

@@ -14,6 +14,7 @@ from casadical.diagnosis.localisation import Localisation
 from casadical.measurements.column_map import Source
 from casadical.measurements.headings import Question
 from casadical.project import remaining_errors
+from casadical.project.calibration import _without_prior
 from casadical.project.check.check import LACKS, Precheck, _outlook_findings
 from casadical.project.check.information import outlook
 from casadical.project.check.report import as_json
@@ -103,6 +104,13 @@ def test_each_measured_point_has_a_table_of_its_own() -> None:
 def test_the_forecast_of_a_plan_goes_twenty_poses_beyond_it(planar: Problem) -> None:
     found = plan(planar.robot, 6, order=False)
     assert found.forecast.poses[-1] == 26
+
+
+def test_too_few_poses_without_the_prior_are_no_error(calibrated: Any) -> None:
+    planar = calibrated("planar")
+    assert _without_prior(planar.problem, planar.identifications) is not None
+    few = replace(planar.problem, sets={**planar.problem.sets, "identify": (planar.problem.sets["identify"][0][:2],)})
+    assert _without_prior(few, planar.identifications) is None
 
 
 def test_of_many_poses_some_tell_where_the_error_lies(calibrated: Any, monkeypatch: pytest.MonkeyPatch) -> None:
