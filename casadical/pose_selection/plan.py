@@ -11,6 +11,7 @@ from rich.console import RenderableType
 from casadical.core.arrays import Array
 from casadical.core.blocks import Table, Words, terminal
 from casadical.core.files import json_text
+from casadical.measurements.noise import Noise
 from casadical.pose_selection.instruments import Instrument
 from casadical.pose_selection.pose_order import travel
 from casadical.pose_selection.selection import Selection
@@ -25,7 +26,7 @@ class MeasurementPlan:
 
     forecast : expected error against the number of poses; selection : the poses in order, None for the forecast alone
     target : accuracy that is wanted [m]; checked_for_obstacles : whether a workspace said where poses may lie
-    instrument : what is read in place of positions, at the places chosen
+    instrument : what is read in place of positions, at the places chosen; noise : that was planned with
     """
 
     forecast: Forecast
@@ -33,6 +34,7 @@ class MeasurementPlan:
     target: float | None = None
     checked_for_obstacles: bool = False
     instrument: Instrument | None = None
+    noise: Noise | None = None
 
     def report(self) -> RenderableType:
         """What `casadical plan` prints."""
@@ -131,7 +133,8 @@ def _how_many(plan: MeasurementPlan) -> str:
     forecast, target = plan.forecast, plan.target
     at = np.unique(np.linspace(0, len(forecast.poses) - 1, 6).astype(int))
     course = ", ".join(f"{forecast.poses[k]}: {1e3 * forecast.error[k]:.4f}" for k in at)
-    text = f"Expected error [mm] against poses: {course}. "
+    told = f", from noise of {1e3 * plan.noise.sigma:.3g} mm" if plan.noise and plan.selection is None else ""
+    text = f"Expected error [mm] against poses{told}: {course}. "
     stop = forecast.stop()
     if stop is not None:
         text += f"From {stop} poses on, ten more gain less than 10 %. "

@@ -109,8 +109,8 @@ class Selection:
 
     @cached_property
     def observability(self) -> dict[str, float]:
-        """Indices O1 to O5 of all poses; none of instruments that read no positions."""
-        if self.instrument is not None:
+        """Indices O1 to O5 of all poses; none of instruments that read no positions, or with a prior."""
+        if self.instrument is not None or self.prior is not None:
             return {}
         return observability(self.jacobian.reshape(-1, len(self.names)), len(self.jacobian))
 

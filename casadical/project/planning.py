@@ -221,4 +221,4 @@ def plan(
         free=free, seed=seed, instrument=instrument, prior=prior,
     )  # fmt: skip
     chosen = found.ordered() if found and order else found
-    return MeasurementPlan(ahead, chosen, target, workspace is not None, instrument)
+    return MeasurementPlan(ahead, chosen, target, workspace is not None, instrument, noise or Noise())
