@@ -17,7 +17,6 @@ import controller_arms as arms  # noqa: E402, F401
 import export_models as models  # noqa: E402
 import export_targets as targets  # noqa: E402
 
-from casadical.export import Command, NetworkFunction  # noqa: E402
 from casadical.export.c.emit import elementary_functions  # noqa: E402
 from casadical.export.c.tape_program import tape_program  # noqa: E402
 
@@ -46,19 +45,8 @@ QEMU = {"armhf": "qemu-arm"}
 REALS = ("float", "double")
 WORK = Path(tempfile.mkdtemp())
 
-NETWORK = NetworkFunction(models.network(), models.LOWER, models.UPPER)
-PRODUCTS = {
-    "network": NETWORK,
-    "command": Command(
-        models.nominal(),
-        models.calibrated(),
-        models.LOWER,
-        models.UPPER,
-        jacobian_of=models.kinematics(compliance=False),
-        jacobian_at=models.bent(),
-        network=NETWORK,
-    ),
-}
+NETWORK = models.network_function()
+PRODUCTS = {"network": NETWORK, "command": models.command(NETWORK)}
 
 
 def install():

@@ -12,6 +12,7 @@ from casadical import InputError, identify
 from casadical.effects import Backlash, FrameDrift, PayloadError, ThermalGrowth
 from casadical.identification.accuracy import errors
 from casadical.identification.prior import carry_over
+from casadical.identification.tables import how_sure
 from casadical.pose_selection import Circumstances, Noise, Workspace, forecast, select_poses
 from casadical.pose_selection.candidates import candidates_at, draw, expected
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian, whitened
@@ -288,6 +289,21 @@ def test_with_a_prior_few_poses_are_as_good_as_promised(known) -> None:
     promised = np.sqrt(np.mean(found.expected_error(other) ** 2))
     assert np.sqrt(np.mean(squares)) == pytest.approx(promised, rel=0.15)
     assert np.sqrt(np.mean(told)) == pytest.approx(promised, rel=0.15)
+
+
+def test_so_few_poses_do_not_tell_the_noise_beside_a_prior(known) -> None:
+    robot, prior, _ = known
+    few, many = (readings(robot, n, 3) for n in (8, 60))
+    unsure = identify(robot, positions(robot, few, 0, SIGMA), prior=prior)
+    assert unsure.noise_is_assumed
+    assert unsure.sigmas[0][0] > 0.5 * SIGMA  # not what little the prior leaves
+    assert "an upper end: so few poses do not tell it beside the prior" in str(how_sure(unsure))
+    declared = identify(robot, replace(positions(robot, few, 0, SIGMA), sigma=SIGMA), prior=prior)
+    plenty = identify(robot, positions(robot, many, 0, SIGMA), prior=prior)
+    for result in (declared, plenty):
+        assert not result.noise_is_assumed
+        assert "an upper end" not in str(how_sure(result))
+    assert plenty.sigmas[0][0] == pytest.approx(SIGMA, rel=0.25)
 
 
 def test_with_a_prior_fewer_poses_are_enough(known, robot) -> None:

@@ -3,26 +3,18 @@
 import export_models as models
 import pytest
 
-from casadical.export import Command, NetworkFunction, load, write_c
+from casadical.export import load, write_c
 from casadical.export.c.toolchain import compilers
 
 
 @pytest.fixture(scope="session")
 def network():
-    return NetworkFunction(models.network(), models.LOWER, models.UPPER)
+    return models.network_function()
 
 
 @pytest.fixture(scope="session")
 def command(network):
-    return Command(
-        models.nominal(),
-        models.calibrated(),
-        models.LOWER,
-        models.UPPER,
-        jacobian_of=models.kinematics(compliance=False),
-        jacobian_at=models.bent(),
-        network=network,
-    )
+    return models.command(network)
 
 
 @pytest.fixture(scope="session")

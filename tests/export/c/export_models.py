@@ -3,6 +3,8 @@
 import casadi as ca
 import numpy as np
 
+from casadical.export import Command, NetworkFunction
+
 LOWER = np.deg2rad([-170.0, -60.0, -60.0, -180.0, -110.0, -180.0])
 UPPER = np.deg2rad([170.0, 75.0, 70.0, 180.0, 110.0, 180.0])
 
@@ -112,3 +114,13 @@ def pose_of(rows, betas):
     p = point(q, rows, betas, ca.SX(TOOL))
     axes = [point(q, rows, betas, ca.SX(TOOL + np.eye(3)[k])) - p for k in range(3)]
     return ca.Function("pose", [q], [p, ca.horzcat(*axes)], ["q"], ["p", "R"])
+
+
+def network_function():
+    return NetworkFunction(network(), LOWER, UPPER)
+
+
+def command(network):
+    """The correction of the bent arm, with a network."""
+    of, at = kinematics(compliance=False), bent()
+    return Command(nominal(), calibrated(), LOWER, UPPER, jacobian_of=of, jacobian_at=at, network=network)
