@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import islice
 from pydoc import locate
@@ -90,31 +90,28 @@ def results(
     """
     distributed = optional("distributed", _NEEDED)
     waiting = iter(tasks)
-    of: dict[str, tuple[Any, ...]] = {}
-    working = distributed.as_completed(with_results=False, raise_errors=False)
+    of: dict[Any, tuple[Any, ...]] = {}
+    # Results are fetched by Dask, which computes one again whose worker left before that.
+    working = distributed.as_completed(with_results=True, raise_errors=False)
 
     def submit(count: int) -> None:
         for task in islice(waiting, count):
             future = client.submit(function, *task, pure=False, retries=RETRIES)
-            of[future.key] = task
+            of[future] = task
             working.add(future)
 
     submit(AHEAD * max(1, len(client.scheduler_info(n_workers=-1)["workers"])))
     while of:
-        _wait(client, working)
-        future = next(working)
-        if future.status in ("cancelled", "lost"):
+        _wait(client, working, of)
+        future, found = next(working)
+        if future.cancelled():
             raise SchedulerLostError(_GONE)
-        try:
-            found = future.exception(timeout="30s") if future.status == "error" else future.result(timeout="30s")
-        except (OSError, TimeoutError, distributed.CancelledError) as error:
-            raise SchedulerLostError(f"{_GONE}: {error}") from None
-        task = of.pop(future.key)
+        task = of.pop(future)
         submit(1)
-        yield task, found
+        yield task, found[1] if future.status == "error" else found
 
 
-def _wait(client: Any, working: Any) -> None:
+def _wait(client: Any, working: Any, of: Iterable[Any]) -> None:
     """Until a task is done. Raises SchedulerLostError where the scheduler or all workers have been gone for a while."""
     heard = asked = staffed = monotonic()
     while not working.has_ready():
@@ -122,6 +119,8 @@ def _wait(client: Any, working: Any) -> None:
         if client.status == "running":
             heard = now
         elif client.status == "closed" or now - heard > PATIENCE:
+            raise SchedulerLostError(_GONE)
+        if any(future.cancelled() for future in of):
             raise SchedulerLostError(_GONE)
         if heard == now and now - asked > PATIENCE:
             asked = now

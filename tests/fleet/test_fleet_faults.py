@@ -131,25 +131,41 @@ def test_an_address_that_is_none_no_worker_and_another_version_are_said(monkeypa
             _connect(cluster.scheduler_address)
 
 
+def one_worker() -> Any:
+    return distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp://", dashboard_address=None
+    )
+
+
 def _after(seconds: float) -> dict[str, object]:
     time.sleep(seconds)
     return dict(NOTHING)
 
 
-def test_workers_that_all_leave_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("seconds_before", [0.0, 0.5])
+def test_workers_that_all_leave_are_said(seconds_before: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While they work, and when they are done with what was not fetched yet."""
     monkeypatch.setattr("casadical.fleet.cluster.PATIENCE", 0.3)
     monkeypatch.setattr("casadical.fleet.cluster.LONELY", 1.0)
-    with (
-        distributed.LocalCluster(
-            n_workers=1, threads_per_worker=1, processes=False, protocol="tcp://", dashboard_address=None
-        ) as cluster,
-        client_of(cluster.scheduler_address, None) as client,
-    ):
+    with one_worker() as cluster, client_of(cluster.scheduler_address, None) as client:
         done = results(client, _after, [(0.05,)] * 40)
         next(done)
+        time.sleep(seconds_before)
         cluster.scale(0)
         with pytest.raises(SchedulerLostError, match="the scheduler has had no worker for 1 s"):
             list(done)
+
+
+def test_what_a_worker_had_done_when_it_left_is_done_again() -> None:
+    with one_worker() as cluster, client_of(cluster.scheduler_address, None) as client:
+        done = results(client, _after, [(0.05,)] * 12)
+        next(done)
+        time.sleep(0.5)  # the worker is done with all that it was given
+        cluster.scale(0)
+        while client.scheduler_info(n_workers=-1)["workers"]:
+            time.sleep(0.05)
+        cluster.scale(1)
+        assert [found.keys() for _, found in done if isinstance(found, dict)] == [NOTHING.keys()] * 11
 
 
 def _connect(address: str) -> None:
