@@ -17,14 +17,18 @@ from casadical.robot.robot import Robot
 LENGTH, ANGLE, HARMONIC, SHARE, THERMAL = 3e-4, 3e-4, 5e-5, 0.3, 1e-4
 # Tool and foot are moved by more.
 MOVED = 1e-3
+# Groups of parameters of a robot without effects.
+BARE = ("geometry", "loop", "compliance", "tool", "base")
 # What differs between campaigns of a robot that does not change, one sigma: lengths, by 2 K; where the tool sits and
 # how well one frame is found again [m or rad].
 DAILY = {"lengths": 2.4e-5, "tool": 1e-5, "foot": 2e-5}
 # How often each kind of change is met, relative to the others; the joints share it.
 FREQUENCY = {
     "joint_zero": 4, "joint_stiffness": 2, "joint_curve": 2, "gear": 1, "link": 1, "loop": 1, "lengths": 1, "tool": 2,
-    "foot": 2, "effect": 1,
+    "foot": 2, "effect": 1, "another_robot": 1,
 }  # fmt: skip
+# A table of another robot of the type: everything changes, in all later campaigns or in one alone.
+ROBOT = "another_robot"
 # What a robot does gradually, and what comes and goes with the seasons; all may jump.
 GRADUAL = frozenset({"joint_zero", "joint_stiffness", "joint_curve", "lengths", "foot"})
 SEASONAL = frozenset({"lengths"})
@@ -39,6 +43,8 @@ WORDS = {
     "tool": "the measured point on the flange is elsewhere: another tool, or the same one mounted again",
     "foot": "the robot's foot moved in the measuring frame",
     "effect": "{label} has other values",
+    ROBOT: "this looks like another robot: its parameters of all kinds differ, by as much as robots of one type do; "
+    "look at the serial numbers and at the names of the tables",
 }
 
 
@@ -49,7 +55,7 @@ class Candidate:
     Parameters
     ----------
     kind : str
-        joint_zero, joint_stiffness, joint_curve, gear, link, loop, lengths, tool, foot or effect
+        joint_zero, joint_stiffness, joint_curve, gear, link, loop, lengths, tool, foot, effect or another_robot
     joint : int | None
         of a joint or four-bar, 1-based
     names : tuple[str, ...]
@@ -127,9 +133,9 @@ def _size(kind: str, p: Parameter) -> float:
         return max(SHARE * abs(p.value), 0.1 * p.prior)
     if p.group == "joint_error_curve":
         return HARMONIC
-    if kind == "effect":
+    if kind == "effect" or (kind == ROBOT and p.group not in BARE):
         return p.prior
-    if kind in ("tool", "foot"):
+    if kind in ("tool", "foot") or (kind == ROBOT and p.group in ("tool", "base")):
         return MOVED
     return LENGTH if p.unit == "m" else ANGLE
 
@@ -160,6 +166,7 @@ def _whole(chosen: Sequence[Parameter]) -> Iterable[Candidate]:
     yield Candidate("lengths", None, tuple(p.name for _, p in lengths if p.value), E, np.array([THERMAL]))
     yield _candidate("tool", None, [p.name for p in chosen if p.group == "tool"], chosen)
     yield _candidate("foot", None, [p.name for p in chosen if p.group == "base"], chosen)
+    yield _candidate(ROBOT, None, [p.name for p in chosen], chosen)
 
 
 def _effects(robot: Robot, chosen: Sequence[Parameter]) -> Iterable[Candidate]:

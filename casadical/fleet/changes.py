@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -11,15 +11,21 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.blocks import Table, Words, mm
 from casadical.diagnosis.changes import USUAL_CHANGE
-from casadical.fleet.candidates import Candidate
+from casadical.fleet.candidates import ROBOT, Candidate
 from casadical.fleet.estimates import Estimate
 
-Course = Literal["jump", "drift", "season"]
+Course = Literal["jump", "drift", "season", "once"]
 # A change is said to be there where the data are so many times more probable with one; by chance that happens once in
 # so many lives at most.
 SURE = 100.0
 # One cause is named where it is so probable among all.
 NAMED = 0.95
+# Of another robot those parameters are counted that differ by more than so many standard errors.
+CLEAR = 3
+HOW: dict[Course, str] = {
+    "jump": "a jump since", "drift": "a drift that shows since", "season": "comes again every year since",
+    "once": "in this campaign alone:",
+}  # fmt: skip
 # So many rivals and parameters are shown of a change.
 RIVALS, AMOUNTS = 4, 8
 # Rivals below this probability are not shown.
@@ -64,7 +70,7 @@ class Rival:
     ----------
     label : str
         of the cause, as joint_zero@2
-    course : {"jump", "drift", "season"}
+    course : {"jump", "drift", "season", "once"}
         how it goes on, the most probable
     since : int
         first campaign that shows it, from 0
@@ -91,7 +97,7 @@ class Change:
     ----------
     cause : Candidate
         the most probable one
-    course : {"jump", "drift", "season"}
+    course : {"jump", "drift", "season", "once"}
         how it goes on
     since : int
         first campaign that shows it, from 0
@@ -228,13 +234,20 @@ def _blocks(found: Comparison) -> list[Words | Table]:
 def in_words(found: Comparison, change: Change) -> str:
     """What changed, how, since when, and by how much where it has one name."""
     since = found.campaigns[change.since].label
-    how = {"jump": "a jump since", "drift": "a drift that shows since", "season": "comes again every year since"}
     if not change.named:
         rivals = " or ".join(r.label for r in _likely(change))
-        return f"{rivals}, which these poses do not distinguish, {how[change.course]} {since}"
-    main = max(change.amounts, key=lambda a: abs(a.value) / max(a.std_error, 1e-300))
+        return f"{rivals}, which these poses do not distinguish, {HOW[change.course]} {since}"
+    if change.cause.kind == ROBOT:
+        moved = sum(abs(a.value) > CLEAR * a.std_error for a in change.amounts)
+        of = f"{moved} of {len(change.amounts)} parameters differ by more than {CLEAR} standard errors"
+        return f"{change.cause.label}, {HOW[change.course]} {since}: {of}"
+    main = max(change.amounts, key=_sureness)
     size = f"{main.name} {_signed(main.value)} {main.unit}{_per(found, change)} +/- {main.std_error:.2g}"
-    return f"{change.cause.label}, {how[change.course]} {since}: {size}"
+    return f"{change.cause.label}, {HOW[change.course]} {since}: {size}"
+
+
+def _sureness(amount: Amount) -> float:
+    return abs(amount.value) / max(amount.std_error, 1e-300)
 
 
 def _per(found: Comparison, change: Change) -> str:
@@ -254,7 +267,10 @@ def _change(found: Comparison, change: Change) -> Iterable[Words | Table]:
     rows = [(r.label, r.course, found.campaigns[r.since].label, f"{r.probability:.3f}") for r in change.rivals[:RIVALS]]
     rows = [row for k, row in enumerate(rows) if k == 0 or change.rivals[k].probability >= SMALL]
     yield Table("Causes", ("cause", "course", "since", "probability"), rows, frozenset({3}), strong=frozenset({0}))
-    cells = [(a.name, _signed(a.value), f"{a.std_error:.2g}", a.unit + per) for a in change.amounts[:AMOUNTS]]
+    amounts: Sequence[Amount] = change.amounts
+    if len(amounts) > AMOUNTS:
+        amounts = sorted(amounts, key=_sureness)[-1 : -AMOUNTS - 1 : -1]
+    cells = [(a.name, _signed(a.value), f"{a.std_error:.2g}", a.unit + per) for a in amounts]
     yield Table("By how much", ("parameter", "change", "std error", "unit"), cells, frozenset({1, 2}))
 
 

@@ -10,7 +10,16 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.diagnosis.evidence import log_sum
-from casadical.fleet.candidates import FREQUENCY, GRADUAL, SEASONAL, Candidate, candidates_of, daily, shared_names
+from casadical.fleet.candidates import (
+    FREQUENCY,
+    GRADUAL,
+    ROBOT,
+    SEASONAL,
+    Candidate,
+    candidates_of,
+    daily,
+    shared_names,
+)
 from casadical.fleet.changes import SURE, Amount, Change, Comparison, Course, Rival
 from casadical.fleet.estimates import Estimate
 from casadical.fleet.evidence import (
@@ -31,7 +40,7 @@ from casadical.fleet.placements import placements_of, seen_from
 from casadical.identification.prior import refuse_another
 
 # Before the data: how the change goes on; how probable it begins at each campaign (see `_onsets`).
-COURSES: dict[Course, float] = {"jump": 0.6, "drift": 0.4, "season": 0.4}
+COURSES: dict[Course, float] = {"jump": 0.6, "drift": 0.4, "season": 0.4, "once": 0.4}
 HAZARD = 0.03
 MOST = 4
 # The harmonics of the robot as it is are known so many times less than the residuals of one campaign say: over a short
@@ -99,9 +108,9 @@ def compare(
     campaigns = with_common_noise(campaigns)
     names, told, candidates = told_by(campaigns, same_tool=same_tool, same_frame=same_frame)
     times = times_of(campaigns)
-    accepted, left = found_in(told, candidates, times, dated=first.day is not None)
+    accepted, left, instead = found_in(told, candidates, times, dated=first.day is not None)
     model = _beside(told, accepted)
-    changes = tuple(_change(told, accepted, k, first) for k in range(len(accepted)))
+    changes = tuple(_change(told, accepted, k, first, instead) for k in range(len(accepted)))
     return Comparison(
         tuple(campaigns),
         names,
@@ -154,24 +163,52 @@ _Accepted = tuple[Candidate, Array, float, _Hypotheses, float, list[_Hypotheses]
 
 def found_in(
     told: Told, candidates: Sequence[Candidate], times: Array, *, dated: bool
-) -> tuple[list[_Accepted], float]:
-    """Changes one by one, and the log odds of one more.
+) -> tuple[list[_Accepted], float, tuple[str, float]]:
+    """Changes one by one, the log odds of one more, and what explains them instead, with its probability.
 
-    Each with its course over the campaigns, shape (n, k), kappa, hypotheses, log odds, and those of all rivals.
+    Each with its course over the campaigns, shape (n, k), kappa, hypotheses, log odds, and those of all rivals. Several
+    changes are weighed against another robot, with what else changed then. Whether there is any change is judged
+    without it: it has so many parameters that a change which only it would explain is none that was seen.
     """
+    accepted, left, score = _chain(told, [c for c in candidates if c.kind != ROBOT], times, dated)
+    if len(accepted) < 2:
+        return accepted, left, ("", 0.0)
+    swapped, more, other = _chain(told, candidates, times, dated)
+    labels = [a[0].label for a in swapped]
+    if ROBOT not in labels:
+        return accepted, left, ("", 0.0)
+    chance = float(1 / (1 + np.exp(np.clip(score - other, -500, 500))))
+    if chance < 0.5:
+        return accepted, left, (ROBOT, chance)
+    instead = [a[0].label for a in accepted if a[0].label not in labels]
+    return swapped, more, (" with ".join(instead), 1 - chance)
+
+
+def _chain(
+    told: Told, candidates: Sequence[Candidate], times: Array, dated: bool
+) -> tuple[list[_Accepted], float, float]:
+    """As `found_in`; the last number is the evidence of all changes together, weighted, as a logarithm."""
     accepted: list[_Accepted] = []
+    score = 0.0
     while True:
-        best = _best(told, candidates, times, dated, [a[:3] for a in accepted])
+        best = _best(told, _beyond(accepted, candidates), times, dated, [a[:3] for a in accepted])
         if best[4] < np.log(SURE) or len(accepted) == MOST:
             break
         accepted.append(best)
+        score += float(best[3].logs.max())
     if len(accepted) > 1:  # each again, beside the others
         for k in range(len(accepted)):
-            others = [a[:3] for i, a in enumerate(accepted) if i != k]
-            accepted[k] = _best(told, candidates, times, dated, others)
+            others = [a for i, a in enumerate(accepted) if i != k]
+            accepted[k] = _best(told, _beyond(others, candidates), times, dated, [a[:3] for a in others])
         accepted = [a for a in accepted if a[4] >= np.log(SURE)]
         accepted = list({a[0].label: a for a in accepted}.values())
-    return accepted, best[4]
+    return accepted, best[4], score
+
+
+def _beyond(accepted: Sequence[_Accepted], candidates: Sequence[Candidate]) -> list[Candidate]:
+    """What else may have changed: another robot comes once."""
+    swapped = any(a[0].kind == ROBOT for a in accepted)
+    return [c for c in candidates if not (swapped and c.kind == ROBOT)]
 
 
 def _known(changes: Sequence[tuple[Candidate, Array, float]], p: int, n: int) -> Known:
@@ -227,14 +264,20 @@ def _courses(kind: str, times: Array, dated: bool) -> Iterable[tuple[Course, Arr
     """Each course that a kind of change may have: its name, weights, first campaigns that show it, and factors."""
     n = len(times)
     onset, since = _onsets(n), np.arange(1, n)
-    kinds: list[Course] = ["jump", *(["drift"] if kind in GRADUAL else [])]  # type: ignore[list-item]
+    kinds: list[Course] = ["jump"]
+    if kind in GRADUAL:
+        kinds.append("drift")
     if kind in SEASONAL and dated:
         kinds.append("season")
+    if kind == ROBOT and n > 2:
+        kinds.append("once")
     whole = sum(COURSES[c] for c in kinds)
     for course in kinds:
         share = COURSES[course] / whole
         if course == "season":
             yield course, np.array([share]), np.array([1]), season(times)
+        elif course == "once":  # in the last campaign alone it is a jump
+            yield course, share * onset[:-1], since[:-1], np.eye(n)[1:-1, :, None]
         else:
             yield course, share * onset, since, jumps(n) if course == "jump" else drifts(times)
 
@@ -245,7 +288,9 @@ def _onsets(n: int) -> Array:
     return np.asarray(0.5 / (k * (k + 1)) + 0.5 * HAZARD * (1 - HAZARD) ** (k - 1))
 
 
-def _change(told: Told, accepted: Sequence[_Accepted], k: int, first: Estimate) -> Change:
+def _change(
+    told: Told, accepted: Sequence[_Accepted], k: int, first: Estimate, instead: tuple[str, float] = ("", 0.0)
+) -> Change:
     candidate, _, _, top, odds, found = accepted[k]
     every = np.concatenate([averaged(h.logs) for h in found])
     total = float(log_sum(every))
@@ -264,6 +309,10 @@ def _change(told: Told, accepted: Sequence[_Accepted], k: int, first: Estimate) 
             rivals[label] = replace(old, probability=more)
         else:
             rivals[label] = Rival(label, h.course, int(h.since[best]), more)
+    other, chance = instead if ROBOT in (candidate.kind, instead[0]) else ("", 0.0)
+    rivals = {label: replace(r, probability=(1 - chance) * r.probability) for label, r in rivals.items()}
+    if other:
+        rivals[other] = Rival(other, "jump", int(top.since[at]), chance)
     m = top.courses.shape[2]
     a, C, _ = amplitude(top.H[at], top.b[at], np.tile(candidate.sizes, m), top.logs[at])
     others = [other for i, other in enumerate(accepted) if i != k]
@@ -272,7 +321,7 @@ def _change(told: Told, accepted: Sequence[_Accepted], k: int, first: Estimate) 
         top.course,
         int(top.since[at]),
         (int(likely.min()), int(likely.max())),
-        probability,
+        (1 - chance) * probability,
         float(sum(s.sum() for h, s in own if h.course == top.course)) / probability,
         odds,
         tuple(sorted(rivals.values(), key=lambda r: -r.probability)),
