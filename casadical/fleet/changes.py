@@ -24,7 +24,7 @@ NAMED = 0.95
 CLEAR = 3
 HOW: dict[Course, str] = {
     "jump": "a jump since", "drift": "a drift that shows since", "season": "comes again every year since",
-    "once": "in this campaign alone:",
+    "once": "only in",
 }  # fmt: skip
 # So many rivals and parameters are shown of a change.
 RIVALS, AMOUNTS = 4, 8
