@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -29,23 +30,11 @@ FREQUENCY = {
 }  # fmt: skip
 # A table of another robot of the type: everything changes, in all later campaigns or in one alone.
 ROBOT = "another_robot"
+# How a change goes on.
+Course = Literal["jump", "drift", "season", "once"]
 # What a robot does gradually, and what comes and goes with the seasons; all may jump.
 GRADUAL = frozenset({"joint_zero", "joint_stiffness", "joint_curve", "lengths", "foot"})
 SEASONAL = frozenset({"lengths"})
-WORDS = {
-    "joint_zero": "the zero of joint {joint} is another: a crash, a slipped belt or a lost reference",
-    "joint_stiffness": "joint {joint} bends by another amount under load: wear, a loose belt or screw",
-    "joint_curve": "the error curve of joint {joint} over its own angle is another: wear or damage of the gear",
-    "gear": "zero, stiffness and error curve of joint {joint} changed together: another gear",
-    "link": "the geometry before joint {joint} is another: a bent link or a screw joint that slipped",
-    "loop": "bars of four-bar {joint} have other lengths",
-    "lengths": "all lengths grew or shrank by one share: temperature, or the scale of the instrument",
-    "tool": "the measured point on the flange is elsewhere: another tool, or the same one mounted again",
-    "foot": "the robot's foot moved in the measuring frame",
-    "effect": "{label} has other values",
-    ROBOT: "this looks like another robot: its parameters of all kinds differ, by as much as robots of one type do; "
-    "look at the serial numbers and at the names of the tables",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +61,6 @@ class Candidate:
     >>> cause = comparison.changes[0].cause
     >>> cause.label, cause.joint
     ('lengths', None)
-    >>> cause.words
-    'all lengths grew or shrank by one share: temperature, or the scale of the instrument'
     """
 
     kind: str
@@ -87,11 +74,6 @@ class Candidate:
     def label(self) -> str:
         """kind, or kind@joint."""
         return self.effect or (self.kind if self.joint is None else f"{self.kind}@{self.joint}")
-
-    @property
-    def words(self) -> str:
-        """What it means."""
-        return WORDS[self.kind].format(joint=self.joint, label=self.effect)
 
 
 def shared_names(robot: Robot, names: Sequence[str], *, same_tool: bool, same_frame: bool) -> tuple[str, ...]:

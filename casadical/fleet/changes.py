@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.blocks import Table, Words, mm
 from casadical.diagnosis.changes import USUAL_CHANGE
-from casadical.fleet.candidates import ROBOT, Candidate
+from casadical.fleet.candidates import ROBOT, Candidate, Course
 from casadical.fleet.estimates import Estimate
+from casadical.fleet.meaning import MEANT
 
-Course = Literal["jump", "drift", "season", "once"]
 # A change is said to be there where the data are so many times more probable with one; by chance that happens once in
 # so many lives at most.
 SURE = 100.0
@@ -121,6 +121,8 @@ class Change:
     >>> change = comparison.changes[0]
     >>> change.cause.label, change.course, change.since
     ('lengths', 'jump', 1)
+    >>> change.words
+    'all lengths grew or shrank by one share: another temperature, or another scale of the instrument'
     """
 
     cause: Candidate
@@ -133,6 +135,11 @@ class Change:
     rivals: tuple[Rival, ...]
     amounts: tuple[Amount, ...]
     course_of: Array
+
+    @property
+    def words(self) -> str:
+        """What it means, with its likely cause."""
+        return MEANT[self.course][self.cause.kind].format(joint=self.cause.joint, label=self.cause.effect)
 
     @property
     def named(self) -> bool:
@@ -258,7 +265,7 @@ def _per(found: Comparison, change: Change) -> str:
 def _change(found: Comparison, change: Change) -> Iterable[Words | Table]:
     yield Words(f"CHANGED: {in_words(found, change)}.", "verdict")
     since, per = found.campaigns[change.since].label, _per(found, change)
-    words = f"{change.cause.words[0].upper()}{change.cause.words[1:]}."
+    words = f"{change.words[0].upper()}{change.words[1:]}."
     yield Words(f"{words} The data are {_times(change.log_odds)} times more probable with a change than without.")
     if len(found.campaigns) > 2:
         first, last = (found.campaigns[k].label for k in change.between)
@@ -347,7 +354,7 @@ def _change_json(c: Change, labels: list[str]) -> dict[str, Any]:
     return {
         "cause": c.cause.label,
         "named": c.named,
-        "words": c.cause.words,
+        "words": c.words,
         "probability": round(c.probability, 5),
         "course": c.course,
         "course_probability": round(c.p_course, 5),

@@ -16,11 +16,12 @@ from casadical.fleet.candidates import (
     ROBOT,
     SEASONAL,
     Candidate,
+    Course,
     candidates_of,
     daily,
     shared_names,
 )
-from casadical.fleet.changes import SURE, Amount, Change, Comparison, Course, Rival
+from casadical.fleet.changes import SURE, Amount, Change, Comparison, Rival
 from casadical.fleet.estimates import Estimate
 from casadical.fleet.evidence import (
     Known,
