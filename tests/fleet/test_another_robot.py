@@ -39,7 +39,7 @@ def test_another_robot_is_one_change_and_not_many(
     comparison = compare(told)
     assert found(comparison) == [("another_robot", True, course, since)]
     text = plain_text(comparison.blocks())
-    assert "This looks like another robot: its parameters of all kinds differ" in text
+    assert "This looks like another robot than before" in text
     assert "parameters differ by more than 3 standard errors" in " ".join(text.split())
 
 
