@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -88,7 +89,20 @@ def compare_files(
         raise InputError(f"{len(found)} of {len(paths)} campaigns can be used; two are needed. {'; '.join(faults)}")
     ordered, said = in_order(found)
     show("what changed")
-    return compare(ordered, same_tool=same_tool, same_frame=same_frame, notes=(*faults, *said, *elsewhere(ordered)))
+    notes = (*faults, *said, *elsewhere(ordered))
+    compared = compare(ordered, same_tool=same_tool, same_frame=same_frame, notes=notes)
+    return replace(compared, name=name_of([Path(p) for p in paths], robot))
+
+
+def name_of(paths: Sequence[Path], robot: str | Path | None = None) -> str:
+    """How its user calls a robot: the folder that all campaigns lie in, or that of the problem; empty: not known."""
+    folder = Path(os.path.commonpath([p.resolve().parent for p in paths]))
+    folder = folder.parent if folder.name == "campaigns" else folder  # as those of a fleet lie
+    if robot is None:
+        return folder.name
+    problem = Path(robot).resolve()
+    problem = problem.parent if problem.is_file() else problem
+    return problem.name if folder == Path.cwd() or folder.is_relative_to(problem) else folder.name
 
 
 def campaign_estimate(path: Path, robot: str | Path | None = None) -> Estimate:

@@ -142,6 +142,11 @@ class Change:
         return MEANT[self.course][self.cause.kind].format(joint=self.cause.joint, label=self.cause.effect)
 
     @property
+    def main(self) -> int:
+        """Place of the parameter in `amounts` that moved most surely, of a season in its first wave."""
+        return max(range(len(self.cause.sizes)), key=lambda k: _sureness(self.amounts[k]))
+
+    @property
     def named(self) -> bool:
         """Whether the data distinguish this cause from all others."""
         return self.probability >= NAMED
@@ -167,6 +172,8 @@ class Comparison:
         (what, how) of base and tool, which were fitted again
     notes : tuple[str, ...], default ()
         what was assumed of the campaigns
+    name : str, default ""
+        of the robot as its user knows it; empty: that of its type
 
     Examples
     --------
@@ -185,6 +192,7 @@ class Comparison:
     seen_from: tuple[tuple[str, float, str], ...]
     placements: tuple[tuple[str, str], ...]
     notes: tuple[str, ...] = ()
+    name: str = ""
 
     def __repr__(self) -> str:
         found = ", ".join(c.cause.label for c in self.changes) or "nothing changed"
@@ -194,6 +202,12 @@ class Comparison:
     def changed(self) -> bool:
         """Whether anything changed."""
         return bool(self.changes)
+
+    @property
+    def span(self) -> str:
+        """How many campaigns, and from when to when."""
+        first, last = (c.date or c.label for c in (self.campaigns[0], self.campaigns[-1]))
+        return f"{len(self.campaigns)} campaigns, {first} to {last}"
 
     def blocks(self) -> list[Words | Table]:
         """All that `casadical compare` prints.
@@ -326,6 +340,7 @@ def _json(found: Comparison) -> dict[str, Any]:
     labels = [c.label for c in found.campaigns]
     return {
         "robot": found.campaigns[0].robot.name,
+        "name": found.name,
         "changed": found.changed,
         "log_odds_of_one_more": round(found.log_odds, 3),
         "sure_from_log_odds": round(float(np.log(SURE)), 3),

@@ -7,15 +7,18 @@ from pathlib import Path
 from typing import Any
 
 from casadical.core.blocks import Words, mm
-from casadical.fleet.changes import Change, Comparison
+from casadical.fleet.changes import HOW, Change, Comparison
 from casadical.report.page import Drawing, Part, Section, Tile, report_html
 from casadical.report.provenance import provenance_of
 from casadical.report.style import BLUE, GREY, ORANGE, RED, Figure, new_figure, plain
 
 _COURSE = (
-    "The change along its own direction as each campaign alone shows it, in units of the whole change, with a 95 % "
-    "interval; the first campaign is zero by definition. Shaded: where it began, with 95 % probability."
+    "Change since the first campaign, as each campaign alone shows it, with its 95 % interval. Of several parameters "
+    "the one that moved most surely is drawn; the others move with it. Shaded: where it began, with 95 % probability."
 )
+AXES = {
+    "joint_zero": "zero of joint {joint}", "joint_stiffness": "compliance of joint {joint}", "lengths": "all lengths",
+}  # fmt: skip
 _LEFT = "What nothing explains, of one coordinate. A campaign that stands out was measured or prepared differently."
 
 
@@ -84,8 +87,9 @@ def comparison_report(found: Comparison, files: Sequence[Path] = (), command: Se
         Section("Over the life of the robot", drawn),
         Section("Campaigns", [*(Drawing("left", f, _LEFT) for n, f in figures.items() if n == "left"), *blocks[end:]]),
     ]
-    part = Part(found.campaigns[0].robot.name, f"{len(found.campaigns)} campaigns", sections, [*_tiles(found)])
-    return report_html("What changed", [part], provenance_of([f for f in files if f.is_file()], command))
+    kind = found.campaigns[0].robot.name
+    part = Part(found.name or kind, f"{kind}: {found.span}", sections, [*_tiles(found)])
+    return report_html(f"{part.title}: what changed", [part], provenance_of([f for f in files if f.is_file()], command))
 
 
 def _tiles(found: Comparison) -> Iterator[Tile]:
@@ -103,8 +107,11 @@ def _places(found: Comparison) -> list[Any]:
 
 def _course(found: Comparison, change: Change) -> Figure:
     x = _places(found)
-    size, error = change.course_of.T
-    figure = new_figure(f"{change.cause.label}: {change.course}", "campaign", "share of the change")
+    main = change.amounts[change.main]
+    size, error = main.value * change.course_of[:, 0], abs(main.value) * change.course_of[:, 1]
+    title = f"{change.cause.label}: {HOW[change.course]} {found.campaigns[change.since].label}"
+    what = AXES.get(change.cause.kind, main.name).format(joint=change.cause.joint)
+    figure = new_figure(plain(title), "campaign", plain(f"{what} [{main.unit}]"))
     figure.add_scatter(
         x=x,
         y=size,
@@ -113,7 +120,7 @@ def _course(found: Comparison, change: Change) -> Figure:
         marker={"size": 8, "color": BLUE},
         error_y={"type": "data", "array": 1.96 * error, "color": GREY, "thickness": 1.5, "width": 0},
         text=[plain(c.label) for c in found.campaigns],
-        hovertemplate="<b>%{text}</b><br>%{y:.3f} of the change<extra></extra>",
+        hovertemplate="<b>%{text}</b><br>%{y:.3g} " + main.unit + "<extra></extra>",
         showlegend=False,
     )
     first, last = change.between

@@ -1,12 +1,16 @@
-"""What a change is said to mean."""
+"""What a change is said to mean, and how it is drawn."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pytest
+from lives import as_built, changed, measured
 
-from casadical.fleet import Candidate, Change
+from casadical.fleet import Candidate, Change, compare, estimate
+from casadical.fleet.campaigns import name_of
 from casadical.fleet.candidates import FREQUENCY
 from casadical.fleet.comparison import _courses
 from casadical.fleet.meaning import MEANT
@@ -26,3 +30,29 @@ def test_each_kind_of_change_has_words_for_the_courses_that_it_may_have() -> Non
     for kind in FREQUENCY:
         possible = {course for course, *_ in _courses(kind, np.arange(4) / 12, dated=True)}
         assert possible == {course for course, words in MEANT.items() if kind in words}
+
+
+def test_a_change_is_drawn_in_the_unit_of_its_parameter() -> None:
+    pytest.importorskip("plotly")
+    from casadical.report import comparison_figures
+
+    robot, built = as_built(np.random.default_rng(1))
+    truths = (built, built, changed(built, theta5=5e-4))
+    figures = comparison_figures(compare([estimate((robot, measured(t, k)), str(k)) for k, t in enumerate(truths)]))
+    figure = figures["change/joint_zero@5"]
+    assert figure.layout.yaxis.title.text == "zero of joint 5 [deg]"
+    (drawn,) = figure.data
+    assert drawn.y == pytest.approx([0.0, 0.0, np.rad2deg(5e-4)], abs=5e-3)
+    assert (drawn.error_y.array[1:] > 0.001).all()
+    assert (drawn.error_y.array < 0.01).all()
+
+
+def test_a_robot_is_called_by_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    own = tmp_path / "R-1207"
+    tables = [own / "campaigns" / f"2026-0{k}.csv" for k in (1, 2)]
+    monkeypatch.chdir(tmp_path)
+    assert name_of(tables) == "R-1207"
+    assert name_of(tables, own) == "R-1207"
+    assert name_of(tables, tmp_path / "ur10e") == "R-1207"
+    assert name_of([tmp_path / "1.csv", tmp_path / "2.csv"], tmp_path / "ur10e") == "ur10e"
+    assert name_of([own / "2026-01" / "KM.robot.toml", own / "2026-02"]) == "R-1207"

@@ -375,7 +375,10 @@ def test_the_figure_of_a_life(tables: Path, tmp_path: Path) -> None:
     done = run("compare", "--robot", problem, *files, "--report", page, "-q")
     assert done.returncode == 5, done.stderr
     text = page.read_text()
-    assert "joint_zero@5: jump" in text
+    assert "joint_zero@5: a jump since 2026-04-01" in text
+    assert "zero of joint 5 [deg]" in text
+    assert f"<h1>{tables.name}</h1>" in text
+    assert "4 campaigns, 2026-01-01 to 2026-05-01" in text
     assert '"shape":"hvh"' in text  # a step, not a slope
     assert "2026-02-01.csv is left out" in text
 
