@@ -10,12 +10,13 @@ the covariance of the mean, is the prior of a robot that is still to be measured
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
@@ -25,6 +26,8 @@ from casadical.robot.robot import Robot
 
 # Robots of a type from which anything is learnt, and most that are used.
 LEAST, MOST = 5, 1000
+# Robots whose matrices are in memory at a time.
+BLOCK = 25
 ROUNDS = 300
 # The spread of a parameter does not change by more in the last round.
 STILL = 1e-3
@@ -158,22 +161,36 @@ class Common:
         return replace(robot.with_values(values), knowledge=known)
 
 
-def common_of(robots: pd.DataFrame) -> Common:
+def common_of(rows: Iterable[Mapping[str, Any]]) -> Common:
     """What robots of one type share, from their rows in a store. Raises InputError where they are too few."""
-    if len(robots) < LEAST:
-        raise InputError(f"{len(robots)} robots of one type; {LEAST} are needed to learn what they have in common")
-    used = robots.iloc[:MOST]
-    names = list(used.iloc[0]["names"])
+    H, b = [], []
+    first: dict[str, Any] = {}
+    identified: Counter[str] = Counter()
+    for row in islice(rows, MOST):
+        first = first or {k: row[k] for k in ("type", "type_name", "names", "spread", "scale")}
+        place = {n: k for k, n in enumerate(row["names"])}
+        order = [place[n] for n in first["names"]]
+        lower = _numbers(len(order))[np.ix_(order, order)][np.tril_indices(len(order))]
+        H.append(np.asarray(row["information"])[lower])
+        b.append(np.asarray(row["score"])[order])
+        identified.update(row["identified"])
+    if len(H) < LEAST:
+        raise InputError(f"{len(H)} robots of one type; {LEAST} are needed to learn what they have in common")
     # Of parameters that few robots identified, the drawing's value is kept: others carry their share.
-    counted = pd.Series([n for row in used["identified"] for n in row]).value_counts()
-    kept = [k for k, n in enumerate(names) if "." in n or counted.get(n, 0) > len(used) / 2]
-    H, b = zip(*(_about_drawing(row, names, kept) for _, row in used.iterrows()), strict=True)
-    spread = np.array(used.iloc[0]["spread"])[kept]
-    own = tuple(names[k] for k in kept)
-    mean, C, tau = learnt(np.array(H), np.array(b), np.minimum(spread, 3.0), [_group(n) for n in own])
-    scale = np.array(used.iloc[0]["scale"])[kept]
-    first = used.iloc[0]
-    return Common(str(first["type"]), str(first["type_name"]), len(used), own, mean, np.sqrt(np.diag(C)), tau, scale, C)
+    kept = [k for k, n in enumerate(first["names"]) if "." in n or identified[n] > len(H) / 2]
+    own = tuple(str(first["names"][k]) for k in kept)
+    spread, scale = (np.asarray(first[column])[kept] for column in ("spread", "scale"))
+    at = _numbers(len(first["names"]))[np.ix_(kept, kept)]
+    mean, C, tau = learnt(H, np.array(b)[:, kept], np.minimum(spread, 3.0), at, [_group(n) for n in own])
+    return Common(str(first["type"]), str(first["type_name"]), len(H), own, mean, np.sqrt(np.diag(C)), tau, scale, C)
+
+
+def _numbers(k: int) -> Array:
+    """Which number of a packed lower triangle stands where in the symmetric matrix, shape (k, k)."""
+    found = np.zeros((k, k), dtype=int)
+    rows, columns = np.tril_indices(k)
+    found[rows, columns] = found[columns, rows] = np.arange(len(rows))
+    return found
 
 
 def _group(name: str) -> str:
@@ -185,19 +202,13 @@ def _group(name: str) -> str:
     return name[0] if name[0] in "cL" else "length"
 
 
-def _about_drawing(row: pd.Series, names: Sequence[str], kept: Sequence[int]) -> tuple[Array, Array]:
-    """Information and score of the parameters that are kept, the others held as drawn."""
-    place = {n: k for k, n in enumerate(row["names"])}
-    whole = np.zeros((len(place), len(place)))
-    whole[np.tril_indices(len(place))] = row["information"]
-    whole = whole + whole.T - np.diag(np.diag(whole))
-    at = [place[names[k]] for k in kept]
-    return whole[np.ix_(at, at)], np.array(row["score"])[at]
+def learnt(
+    H: Sequence[Array], b: Array, spread: Array, at: Array | None = None, groups: Sequence[str] | None = None
+) -> tuple[Array, Array, Array]:
+    """Mean, shape (k,), its covariance, and spread, (k,), of n robots.
 
-
-def learnt(H: Array, b: Array, spread: Array, groups: Sequence[str] | None = None) -> tuple[Array, Array, Array]:
-    """Mean, shape (k,), its covariance, and spread, (k,), of robots with information H, (n, k, k), and score b, (n, k).
-
+    H : information of each robot, its lower triangle packed; b : their scores, (n, k); at : which packed number stands
+    where in the matrix, (k, k); None: of the whole triangle
     spread : to begin with, and one sigma of the mean before the data; groups : of parameters with a usual spread, else
     each has its own
     """
@@ -205,16 +216,21 @@ def learnt(H: Array, b: Array, spread: Array, groups: Sequence[str] | None = Non
     wide = spread**-2.0
     C = np.diag(spread**2)
     _, group = np.unique(np.arange(len(spread)) if groups is None else groups, return_inverse=True)
+    at = _numbers(len(spread)) if at is None else at
     for _ in range(ROUNDS):
         w = 1 / tau2
-        V = np.linalg.inv(H + np.diag(w))
+        whole, told, found = np.zeros_like(C), np.zeros_like(mean), np.zeros_like(mean)
+        for some in (slice(k, k + BLOCK) for k in range(0, len(H), BLOCK)):
+            V = np.linalg.inv(np.array(H[some])[:, at] + np.diag(w))
+            whole += V.sum(axis=0)
+            told += np.einsum("nij,nj->i", V, b[some])
+            m = np.einsum("nij,nj->ni", V, b[some] + mean * w)
+            found += np.sum((m - mean) ** 2 + np.diagonal(V, axis1=1, axis2=2), axis=0)
         # The mean of greatest likelihood: theta_i integrated, each robot tells P - P V P of it, P = diag(w).
-        C = scaled_inverse(np.diag(len(H) * w + wide) - np.outer(w, w) * V.sum(axis=0))
-        mean = C @ (w * np.sum(V @ b[:, :, None], axis=0)[:, 0])
-        m = (V @ (b + mean * w)[:, :, None])[:, :, 0]
-        found = np.mean((m - mean) ** 2 + np.diagonal(V, axis1=1, axis2=2), axis=0)
+        C = scaled_inverse(np.diag(len(H) * w + wide) - np.outer(w, w) * whole)
+        mean = C @ (w * told)
         usual = (np.bincount(group, found) / np.bincount(group))[group]
-        before, tau2 = tau2, np.maximum((len(H) * found + POOLED * usual) / (len(H) + POOLED), NARROWEST**2)
+        before, tau2 = tau2, np.maximum((found + POOLED * usual / len(H)) / (len(H) + POOLED), NARROWEST**2)
         if np.abs(np.log(tau2 / before)).max() < STILL:
             break
     return mean, C, np.sqrt(tau2)

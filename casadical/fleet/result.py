@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,9 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.blocks import Table, Words
-from casadical.fleet.hierarchy import LEAST, Common, common_of
+from casadical.fleet.hierarchy import LEAST, MOST, Common, common_of
+from casadical.fleet.one_robot import NOTHING
+from casadical.fleet.store import records
 from casadical.project.problem import read_problem_robot
 from casadical.robot.robot_file import to_toml
 
@@ -19,6 +21,9 @@ from casadical.robot.robot_file import to_toml
 FAR = 4.0
 # Of a campaign that could not be used, in a robot's notes.
 LEFT_OUT = "is left out:"
+# Of a stored row, what robots of one type share is learnt from; and what is kept in memory of every robot.
+TOLD = ("robot", "type", "type_name", "names", "score", "information", "spread", "scale", "identified")
+KEPT = tuple(n for n in NOTHING if n not in (*TOLD[3:], "departure", "details"))
 # Of fewer robots the 95 % quantile is no more than the worst of them.
 MANY = 20
 # A robot is worse where its last campaign leaves so many times what the median of those before left.
@@ -34,7 +39,8 @@ class Fleet:
     Parameters
     ----------
     robots : DataFrame
-        a row of each, as the store keeps it
+        a row of each, as the store keeps it; without what its campaigns tell of single parameters (`details`, `names`,
+        `departure`, `score`, `information`, `spread`, `scale`, `identified`), which `pandas.read_parquet` reads
     commons : tuple[Common, ...]
         what robots of one type share, of types with five robots or more
     outliers : tuple[str, ...]
@@ -201,23 +207,23 @@ def worse(left: Sequence[float]) -> str:
     return f"the last campaign leaves {known[-1]:.3f} mm a coordinate, those before {np.median(known[:-1]):.3f}"
 
 
-def records(robots: pd.DataFrame) -> list[dict[str, Any]]:
-    """Rows by column."""
-    return [{str(k): v for k, v in r.items()} for r in robots.to_dict("records")]
-
-
 def _plain(value: Any) -> Any:
     if isinstance(value, float):
         return value if np.isfinite(value) else None
     return value.item() if isinstance(value, np.generic) else value
 
 
-def fleet_of(robots: pd.DataFrame, notes: Sequence[str] = ()) -> Fleet:
-    """The result of the rows of a store."""
+def fleet_of(
+    robots: pd.DataFrame,
+    notes: Sequence[str] = (),
+    told: Callable[[Sequence[str]], Iterable[Mapping[str, Any]]] | None = None,
+) -> Fleet:
+    """The result of the rows of a store; told : gives rows of some robots with the columns TOLD that `robots` lacks."""
     good = robots[robots["status"] == "ok"]
     types = [some for _, some in good.groupby("type", sort=False) if len(some) >= LEAST]
     outliers = [name for some in types for name in _outliers(some)]
-    return Fleet(robots, tuple(common_of(some) for some in types), tuple(outliers), tuple(notes))
+    commons = [common_of(told(list(some["robot"][:MOST])) if told else records(some)) for some in types]
+    return Fleet(robots, tuple(commons), tuple(outliers), tuple(notes))
 
 
 def _outliers(some: pd.DataFrame) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -12,8 +13,8 @@ import pandas as pd
 from casadical.core.errors import InputError, shown
 from casadical.fleet.cluster import SchedulerLostError, client_of, results
 from casadical.fleet.one_robot import NOTHING, fingerprint, name_of, one_robot
-from casadical.fleet.result import Fleet, fleet_of, records
-from casadical.fleet.store import add, opened, rows
+from casadical.fleet.result import KEPT, TOLD, Fleet, fleet_of
+from casadical.fleet.store import add, each, opened, rows
 
 # Rows are written when there are so many, or after so many seconds.
 ROWS, SECONDS = 50, 20.0
@@ -73,13 +74,13 @@ def run_fleet(
             with client_of(scheduler, workers) as client:
                 tasks = [(str(robots[name].resolve()), with_diagnosis) for name in left]
                 _compute(results(client, one_robot, tasks), place, len(robots), len(left), show)
-        whole = rows(place, damaged=[])
+        whole = rows(place, KEPT, damaged=[])
     whole = whole[whole["robot"].isin(robots)].sort_values("robot", ignore_index=True)
     if gone := len(robots) - len(whole):
         notes.append(
             f"rows of {gone} robots are gone: {shown(place)} was changed meanwhile; run the same command again"
         )
-    return fleet_of(whole, (*damaged, *notes))
+    return fleet_of(whole, (*damaged, *notes), lambda some: each(place, some, TOLD))
 
 
 def robots_in(folders: Iterable[str | Path]) -> dict[str, Path]:
@@ -103,7 +104,8 @@ def _left(
     robots: dict[str, Path], known: pd.DataFrame, with_diagnosis: bool, place: Path
 ) -> tuple[list[str], list[str]]:
     """Robots that are to be computed; a row whose folder was renamed is taken over under the new name."""
-    left, notes, taken = [], [], []
+    left: list[str] = []
+    renamed: dict[str, list[str]] = {}
     prints = dict(zip(known.index, known["fingerprint"], strict=True))
     gone = {now: name for name, now in prints.items() if name not in robots and now}
     for name, folder in robots.items():
@@ -113,18 +115,21 @@ def _left(
         except OSError:
             now = ""
         if row is None and now in gone:
-            old = rows(place, damaged=[])
-            same = records(old[old["robot"] == gone[now]])[0]
-            taken.append({**_plain(same), "robot": name, "folder": str(folder.resolve())})
-            notes.append(f"{name} has the files of {gone[now]}, whose folder is not there: taken for it, renamed")
+            renamed.setdefault(gone[now], []).append(name)
         elif row is None or row.fingerprint != now or row.status != "ok" or (with_diagnosis and not row.verdict):
             left.append(name)
-    add(place, taken)
-    return left, notes
-
-
-def _plain(row: dict[str, Any]) -> dict[str, Any]:
-    return {k: list(v) if isinstance(NOTHING[k], list) else v for k, v in row.items()}
+    same = (
+        {**old, "robot": name, "folder": str(robots[name].resolve())}
+        for old in each(place, renamed)
+        for name in renamed[old["robot"]]
+    )
+    while some := list(islice(same, ROWS)):
+        add(place, some)
+    return left, [
+        f"{name} has the files of {old}, whose folder is not there: taken for it, renamed"
+        for old, names in renamed.items()
+        for name in names
+    ]
 
 
 def _compute(

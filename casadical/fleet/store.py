@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -86,26 +86,46 @@ def rows(folder: Path, columns: Sequence[str] | None = None, damaged: list[str] 
 
     damaged : files that cannot be read are named here and passed over; where it is not given they raise InputError, too
     """
-    parquet = optional("pyarrow.parquet", _NEEDED)
-    found = []
-    for path in parts(folder):
-        blob = io.BytesIO(read_bytes(path))
-        try:
-            version = (parquet.read_schema(blob).metadata or {}).get(KEY, b"").decode()
-            _refuse_other(path, version)
-            table = parquet.read_table(blob, columns=None if columns is None else list(columns))
-        except (OSError, ValueError) as error:
-            if isinstance(error, InputError):
-                raise
-            why = f"{shown(path)}: is no part of a store: {str(error).splitlines()[0].rstrip('.')}"
-            if damaged is None:
-                raise InputError(why) from None
-            damaged.append(f"{why}; the robots in it are computed again; remove it")
-            continue
-        found.append(table.to_pandas())
+    found = [table.to_pandas() for path in parts(folder) if (table := _read(path, columns, damaged)) is not None]
     empty = pd.DataFrame({name: [] for name in columns or NOTHING})
     whole = pd.concat(found, ignore_index=True) if found else empty
     return whole.drop_duplicates("robot", keep="last", ignore_index=True)
+
+
+def each(folder: Path, robots: Collection[str], columns: Sequence[str] | None = None) -> Iterator[dict[str, Any]]:
+    """The last row of some robots, one by one: of the store, one file at a time is in memory."""
+    left = set(robots)
+    for path in reversed(parts(folder)):
+        names = _read(path, ["robot"], [])
+        if names is None or left.isdisjoint(names["robot"].to_pylist()):
+            continue
+        table = _read(path, columns, [])
+        last = {name: k for k, name in enumerate(names["robot"].to_pylist()) if name in left}
+        left -= last.keys()
+        yield from records(table.take(list(last.values())).to_pandas())
+
+
+def records(robots: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows by column."""
+    return [{str(k): v for k, v in r.items()} for r in robots.to_dict("records")]
+
+
+def _read(path: Path, columns: Sequence[str] | None, damaged: list[str] | None) -> Any:
+    """Table of a file; None where it cannot be read, which is said in damaged. Raises InputError."""
+    parquet = optional("pyarrow.parquet", _NEEDED)
+    blob = io.BytesIO(read_bytes(path))
+    try:
+        version = (parquet.read_schema(blob).metadata or {}).get(KEY, b"").decode()
+        _refuse_other(path, version)
+        return parquet.read_table(blob, columns=None if columns is None else list(columns))
+    except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        why = f"{shown(path)}: is no part of a store: {str(error).splitlines()[0].rstrip('.')}"
+        if damaged is None:
+            raise InputError(why) from None
+        damaged.append(f"{why}; the robots in it are computed again; remove it")
+        return None
 
 
 def _refuse_other(path: Path, version: str) -> None:

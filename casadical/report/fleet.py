@@ -10,7 +10,8 @@ import pandas as pd
 from casadical.core.blocks import Table, Words
 from casadical.fleet.estimates import date_text
 from casadical.fleet.hierarchy import Common
-from casadical.fleet.result import Fleet, records, short, worse
+from casadical.fleet.result import Fleet, short, worse
+from casadical.fleet.store import records
 from casadical.report.life import left_figure
 from casadical.report.page import Block, Drawing, Part, Section, Tile, report_html
 from casadical.report.provenance import provenance_of

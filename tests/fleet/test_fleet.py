@@ -26,7 +26,7 @@ from casadical.fleet.cluster import client_of, results
 from casadical.fleet.hierarchy import Common, common_of, learnt
 from casadical.fleet.one_robot import NOTHING, fingerprint, one_robot
 from casadical.fleet.result import Fleet, fleet_of
-from casadical.fleet.store import KEY, add, parts, rows
+from casadical.fleet.store import KEY, add, each, parts, records, rows
 from casadical.report import fleet_figures
 
 distributed = pytest.importorskip("distributed", reason="distributed (Dask) is not installed")
@@ -103,6 +103,10 @@ def test_what_is_done_is_not_done_again_but_what_changed_is(
     after = again.robots.set_index("robot")["finished"]
     assert set(after.index) == {"left arm", *(f"arm{k}" for k in range(1, 6))}
     assert after["left arm"] == before["arm0"]
+    assert set(rows(store)) - set(again.robots) == {
+        "details", "departure", "names", "score", "information", "spread", "scale", "identified"
+    }  # fmt: skip
+    assert [(c.count, c.faults[0][0]) for c in again.commons] == [(6, "a1")]
     assert after["arm1"] == before["arm1"]
     assert again.notes == ("left arm has the files of arm0, whose folder is not there: taken for it, renamed",)
 
@@ -129,6 +133,10 @@ def test_rows_of_a_store_are_those_that_were_added_last(tmp_path: Path) -> None:
     assert found["after_mm"]["a"] == 3.0
     assert len(parts(tmp_path)) == 2
     assert sorted(rows(tmp_path, ["robot"])["robot"]) == ["a", "b"]
+    add(tmp_path, [{**NOTHING, "robot": "c"}])
+    assert [(row["robot"], row["after_mm"]) for row in each(tmp_path, ["a", "d"], ["robot", "after_mm"])] == [
+        ("a", 3.0)
+    ]
 
 
 def slow(name: str, folder: str, seconds: float) -> dict[str, object]:
@@ -225,6 +233,11 @@ def test_a_bug_in_one_robot_is_a_row(plant: Path, monkeypatch: pytest.MonkeyPatc
     assert "ZeroDivisionError" in row["error"]
 
 
+def packed(H: list[np.ndarray]) -> list[np.ndarray]:
+    """Lower triangles, as a store has them."""
+    return [one[np.tril_indices(len(one))] for one in H]
+
+
 def test_means_and_spreads_of_a_fleet_are_found() -> None:
     """Of 200 robots with a correlated measurement each; two parameters, one with a common departure."""
     rng = np.random.default_rng(0)
@@ -236,7 +249,7 @@ def test_means_and_spreads_of_a_fleet_are_found() -> None:
         y = J @ theta + 0.1 * rng.normal(size=6)
         H.append(J.T @ J / 0.01)
         b.append(J.T @ y / 0.01)
-    found, C, tau = learnt(np.array(H), np.array(b), np.full(3, 3.0))
+    found, C, tau = learnt(packed(H), np.array(b), np.full(3, 3.0))
     error = np.sqrt(np.diag(C))
     assert np.abs(found - mean).max() < 0.1
     assert (np.abs(found - mean) < 4 * error).all()
@@ -250,8 +263,8 @@ def test_the_spread_of_few_robots_is_near_that_of_like_parameters() -> None:
     rng = np.random.default_rng(0)
     theta = 0.05 * rng.normal(size=(6, 12))
     y = theta + 0.05 * rng.normal(size=theta.shape)
-    H, b, wide = np.tile(400 * np.eye(12), (6, 1, 1)), 400 * y, np.full(12, 1.0)
-    alone, pooled = learnt(H, b, wide)[2], learnt(H, b, wide, ["length"] * 12)[2]
+    H, b, wide = packed([400 * np.eye(12)] * 6), 400 * y, np.full(12, 1.0)
+    alone, pooled = learnt(H, b, wide)[2], learnt(H, b, wide, groups=["length"] * 12)[2]
     assert alone.min() < 0.01
     assert pooled.min() > 0.025
     assert pooled.max() < 0.1
@@ -269,7 +282,26 @@ def test_robots_that_stand_out(done: tuple[Path, subprocess.CompletedProcess[str
     )
     assert [t.rows[0][-1] for t in (few, many)] == ["", "0.5000"]  # one in six has 0.5
     with pytest.raises(InputError, match="5 are needed"):
-        common_of(good.iloc[:4])
+        common_of(records(good.iloc[:4]))
+
+
+def test_what_a_type_shares_is_the_same_in_any_order_of_parameters_and_whatever_few_robots_identified() -> None:
+    """Of a store, whose rows are read one by one."""
+    rng = np.random.default_rng(0)
+    names, rows_ = ["a1", "a2", "d3"], []
+    for k in range(12):
+        J = rng.normal(size=(8, 3))
+        H, b = J.T @ J / 0.01, J.T @ (J @ np.array([0.3, -0.2, 0.1]) + 0.1 * rng.normal(size=8)) / 0.01
+        order = [2, 0, 1] if k else [0, 1, 2]
+        rows_.append({
+            **NOTHING, "type": "t", "type_name": "arm", "names": [names[i] for i in order], "score": b[order],
+            "information": packed([H[np.ix_(order, order)]])[0], "spread": [1.0] * 3, "scale": [1e-3] * 3,
+            "identified": ["a1", "a2"] + ["d3"] * (k < 5),
+        })  # fmt: skip
+    found = common_of(rows_)
+    assert found.names == ("a1", "a2")
+    assert found.mean == pytest.approx([0.3, -0.2], abs=0.1)
+    assert common_of(row | {"identified": names} for row in rows_).mean == pytest.approx([0.3, -0.2, 0.1], abs=0.1)
 
 
 def test_a_course_without_days_is_not_drawn_among_days_and_what_grew_is_named(
