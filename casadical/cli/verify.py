@@ -27,8 +27,8 @@ def verify(
         typer.Option(
             min=0.0,
             metavar="MM",
-            help="Promised rms position error; default: of the held-out poses, from result.json or diagnosis.json "
-            "beside the robot file.",
+            help="Promised rms position error as the instrument reads it, its noise included; default: of the held-out "
+            "poses, from result.json or diagnosis.json beside the robot file.",
         ),
     ] = None,
     json_file: Json = None,

@@ -47,6 +47,7 @@ class MeasurementPlan:
         return terminal(
             [
                 Words(_verdict(plan), "verdict"),
+                *_readings(plan),
                 Words(f"Criterion {plan.criterion}; {indices}travel {turned:.0f} deg."),
                 *_places(self),
                 Words(_how_many(self)),
@@ -65,6 +66,8 @@ class MeasurementPlan:
         if plan is None:
             return forecast
         of_poses = {"poses": len(plan), "criterion": plan.criterion, "expected_error_mm": 1e3 * plan.accuracy}
+        if plan.reading_error is not None:
+            of_poses |= {"expected_reading_mm": 1e3 * plan.reading_error}
         return of_poses | {"observability": plan.observability} | forecast
 
     def files(self, path: Path) -> dict[Path, str]:
@@ -117,6 +120,19 @@ def _verdict(plan: Selection) -> str:
     )
 
 
+def _readings(plan: Selection) -> list[Words]:
+    """What `casadical verify` will say of it."""
+    if plan.reading_error is None:
+        return []
+    read = f"{1e3 * plan.reading_error:.4f} mm rms"
+    return [
+        Words(
+            f"That is the error of the robot itself; an instrument of that noise will read {read}, which casadical "
+            "verify states. Errors that the model does not have come on top of both."
+        )
+    ]
+
+
 def _below_the_base(plan: Selection) -> list[Words]:
     """A warning of poses below the base frame's plane, where a floor may be."""
     assert plan.m.position is not None
@@ -134,7 +150,7 @@ def _how_many(plan: MeasurementPlan) -> str:
     at = np.unique(np.linspace(0, len(forecast.poses) - 1, 6).astype(int))
     course = ", ".join(f"{forecast.poses[k]}: {1e3 * forecast.error[k]:.4f}" for k in at)
     told = f", from noise of {1e3 * plan.noise.sigma:.3g} mm" if plan.noise and plan.selection is None else ""
-    text = f"Expected error [mm] against poses{told}: {course}. "
+    text = f"Expected error [mm] of the robot itself against poses{told}: {course}. "
     stop = forecast.stop()
     if stop is not None:
         text += f"From {stop} poses on, ten more gain less than 10 %. "

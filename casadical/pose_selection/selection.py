@@ -174,6 +174,14 @@ class Selection:
         """Root mean square of the expected error over the task [m]."""
         return float(np.sqrt(np.mean(self.expected_error() ** 2)))
 
+    @cached_property
+    def reading_error(self) -> float | None:
+        """What an instrument of that noise will read over the task, rms [m]; None of wires and sockets."""
+        if self.instrument is not None:
+            return None
+        noise = MM**2 * np.trace(noise_covariance(self.robot, self.task, self.noise), axis1=1, axis2=2).mean()
+        return float(np.sqrt(self.accuracy**2 + noise))
+
     @property
     def parameters(self) -> pd.DataFrame:
         """Expected standard errors in readable units (mm, deg); parameters that would not be identified, and why."""

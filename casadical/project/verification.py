@@ -71,7 +71,8 @@ class Verification:
             Words(text, "verdict"),
             Words(
                 f"Up to {mm(self.limit)} mm would be chance. {self.again} fitted again; the share of that in the "
-                "error is made up for."
+                "error is made up for. Both errors are as the instrument reads them, its noise included; that of the "
+                "robot itself, which casadical plan expects, is smaller."
             ),
         ]
         if self.gone:

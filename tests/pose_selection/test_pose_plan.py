@@ -40,6 +40,7 @@ def test_a_plan_is_written_and_can_be_measured(monkeypatch, tmp_path, capsys, ro
     assert "22 measurements for elbow" in text
     assert "enough for 0.05 mm" in text
     assert "backlash@2.half" in text
+    assert "That is the error of the robot itself; an instrument of that noise will read" in " ".join(text.split())
     plan = pd.read_csv(out)
     assert plan["pose"].tolist() == list(range(1, 23))
     assert set(plan["approach2"]) == {-1, 1}
@@ -50,6 +51,7 @@ def test_a_plan_is_written_and_can_be_measured(monkeypatch, tmp_path, capsys, ro
     figures = json.loads(out.with_suffix(".json").read_text(encoding="utf-8"))
     rms = np.sqrt(np.mean(error_map.expected_error_mm**2))
     assert figures["expected_error_mm"] == pytest.approx(rms, rel=1e-4)
+    assert figures["expected_reading_mm"] == pytest.approx(np.sqrt(rms**2 + 3 * 0.02**2), rel=1e-4)
     # Measured at these readings, the file goes straight into an identification.
     robot = elbow()
     q = np.deg2rad(plan[[f"q{j}_deg" for j in range(1, 7)]].to_numpy())

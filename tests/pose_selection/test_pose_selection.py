@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pose_arms import elbow, positions, readings
+from pose_arms import elbow, planar, positions, readings
 
 import casadical
 from casadical import InputError, identify
@@ -316,3 +316,21 @@ def test_with_a_prior_fewer_poses_are_enough(known, robot) -> None:
     assert few < 0.8 * many
     with pytest.raises(InputError, match="criterion O1 does not count what is known before; allowed with a prior"):
         select_poses(ready, None, 8, "O1", prior=prior, **QUICK)
+
+
+def test_what_an_instrument_will_read_is_the_error_with_the_noise_of_instrument_and_joints() -> None:
+    """Forty campaigns at the chosen poses, each identified and read again with the same noise at other poses."""
+    robot, sigma, rho = planar(), 2e-5, 8e-5
+    chosen = select_poses(robot, None, n=6, noise=Noise(sigma, rho), seed=0, pool=200)
+    rng = np.random.default_rng(0)
+
+    def read(q, seed):
+        return replace(positions(robot, q + rho * rng.normal(size=q.shape), seed, sigma), q=q)
+
+    squares = []
+    for seed in range(40):
+        found = identify(robot, read(chosen.q, seed), chosen.names)
+        squares.append(np.mean(errors(found.robot, read(chosen.task.q, 100 + seed)) ** 2))
+    assert chosen.reading_error is not None
+    assert np.sqrt(np.mean(squares)) == pytest.approx(chosen.reading_error, rel=0.06)
+    assert chosen.reading_error > 1.3 * chosen.accuracy

@@ -42,7 +42,9 @@ def test_the_same_robot_keeps_its_promise_and_a_changed_one_does_not(
 ) -> None:
     kept = tmp_path / "kept.json"
     assert main(monkeypatch, "verify", calibrated_arm, later(tmp_path), "--json", kept) == 0
-    assert "STILL VALID" in capfd.readouterr().out
+    said = " ".join(capfd.readouterr().out.split())
+    assert "STILL VALID" in said
+    assert "Both errors are as the instrument reads them, its noise included" in said
     figures = json.loads(kept.read_text())
     assert figures["valid"]
     assert figures["poses"] == 12
