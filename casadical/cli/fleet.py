@@ -9,6 +9,7 @@ from casadical.cli.options import Json, Quiet, Report
 from casadical.cli.progress import working
 from casadical.cli.terminal import as_typed, keep, with_json, wrapped
 from casadical.core.blocks import terminal
+from casadical.core.errors import shown
 
 
 def fleet(
@@ -69,6 +70,10 @@ def fleet(
     texts = dict(found.prior_files(priors)) if priors else {}
     if priors and not texts:
         console.print("note: no prior is written: no type has five calibrated robots or more.", style="yellow")
+    for path in sorted(priors.glob(12 * "[0-9a-f]" + ".robot.toml")) if priors else ():
+        if path not in texts:
+            words = f"note: {shown(path)}: of no type of this fleet with five robots; not written now."
+            console.print(words, style="yellow", soft_wrap=True)
     if report_file:
         from casadical.report import fleet_report
 

@@ -6,6 +6,7 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from textwrap import indent
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ class Words:
     def __rich__(self) -> RenderableType:
         from rich.text import Text
 
-        return Text(f"{self.text}\n    {self.code}" if self.code else self.text, style=_STYLES[self.kind])
+        return Text(f"{self.text}\n{indent(self.code, '    ')}" if self.code else self.text, style=_STYLES[self.kind])
 
 
 @dataclass(frozen=True)

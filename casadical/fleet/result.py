@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.blocks import Table, Words
+from casadical.fleet.drawings import Drawing, drawings_of, nearly_one
 from casadical.fleet.hierarchy import LEAST, MOST, Common, common_of
 from casadical.fleet.one_robot import NOTHING
 from casadical.fleet.store import records
@@ -47,6 +48,10 @@ class Fleet:
         robots whose error stands out from that of their type
     notes : tuple[str, ...], default ()
         what was assumed
+    drawings : Mapping[str, Drawing], optional
+        by type, those that can be read
+    computed : int, optional
+        robots that were computed now, the others come from the store; None where that is not known
 
     Examples
     --------
@@ -65,6 +70,8 @@ class Fleet:
     commons: tuple[Common, ...]
     outliers: tuple[str, ...]
     notes: tuple[str, ...] = ()
+    drawings: Mapping[str, Drawing] = field(default_factory=dict)
+    computed: int | None = None
 
     def __repr__(self) -> str:
         good = int((self.robots["status"] == "ok").sum())
@@ -89,6 +96,8 @@ class Fleet:
         if len(good):
             before, after = good["before_mm"].median(), good["after_mm"].median()
             text += f"; median of their mean errors {before:.3f} mm before, {after:.3f} mm after"
+        if self.computed is not None:
+            text += f". {self.computed} computed now, {len(self.robots) - self.computed} from the store"
         return [
             Words(f"{text}.", "verdict"),
             *(Words(f"note: {note}.", "note") for note in self.notes),
@@ -118,12 +127,31 @@ class Fleet:
             texts[Path(folder) / f"{c.type}.robot.toml"] = to_toml(c.prior_of(drawn), comment)
         return texts
 
+    def correction(self, common: Common, name: str) -> str:
+        """What to write into the robot files of a type for a parameter, and where.
+
+        Parameters
+        ----------
+        common : Common
+            of the type
+        name : str
+            of the parameter
+
+        Returns
+        -------
+        str
+            as "[[joint]] 4: d_mm = 1199.7 (drawn 1200)"; empty of a parameter without a row, or where no file was read
+        """
+        return self.drawings[common.type].correction(common, name) if common.type in self.drawings else ""
+
     def _faults(self) -> Iterator[Words]:
         for c in self.commons:
             found: dict[bool, list[str]] = {False: [], True: []}
+            places: dict[bool, list[str]] = {False: [], True: []}
             for name, mean, error in c.faults:
                 size, sigma, unit = c.readable(name, mean, error)
                 soft = unit.startswith("urad")
+                places[soft].append(self.correction(c, name))
                 found[soft].append(f"{name} {'' if found[soft] else 'is '}{size:+.3g} {unit} +/- {sigma:.1g}")
             remedies = {
                 False: "correct the drawing, or the set-up of the instrument",
@@ -132,7 +160,10 @@ class Fleet:
             for soft, some in found.items():
                 if some:
                     words = f"all {c.count} robots of the type {c.name}: {', '.join(some)} from the drawing"
-                    yield Words(f"{words}: {remedies[soft]}.", "warning")
+                    yield Words(f"{words}: {remedies[soft]}.", "warning", "\n".join(filter(None, places[soft])))
+
+    def _corrections(self, common: Common) -> dict[str, str]:
+        return {name: self.correction(common, name) for name, _, _ in common.faults}
 
     def _types(self) -> Iterator[Table]:
         rows = []
@@ -187,8 +218,9 @@ class Fleet:
             "fleet": len(self.robots),
             "robots": listed,
             "outliers": list(self.outliers),
-            "types": [c.to_json() for c in self.commons],
+            "types": [{**c.to_json(), "corrections": self._corrections(c)} for c in self.commons],
             "notes": list(self.notes),
+            "computed": self.computed,
         }
 
 
@@ -217,13 +249,16 @@ def fleet_of(
     robots: pd.DataFrame,
     notes: Sequence[str] = (),
     told: Callable[[Sequence[str]], Iterable[Mapping[str, Any]]] | None = None,
+    computed: int | None = None,
 ) -> Fleet:
     """The result of the rows of a store; told : gives rows of some robots with the columns TOLD that `robots` lacks."""
     good = robots[robots["status"] == "ok"]
     types = [some for _, some in good.groupby("type", sort=False) if len(some) >= LEAST]
     outliers = [name for some in types for name in _outliers(some)]
     commons = [common_of(told(list(some["robot"][:MOST])) if told else records(some)) for some in types]
-    return Fleet(robots, tuple(commons), tuple(outliers), tuple(notes))
+    drawings = drawings_of(good)
+    said = (*notes, *nearly_one(drawings))
+    return Fleet(robots, tuple(commons), tuple(outliers), said, drawings, computed)
 
 
 def _outliers(some: pd.DataFrame) -> list[str]:

@@ -80,7 +80,7 @@ def run_fleet(
         notes.append(
             f"rows of {gone} robots are gone: {shown(place)} was changed meanwhile; run the same command again"
         )
-    return fleet_of(whole, (*damaged, *notes), lambda some: each(place, some, TOLD))
+    return fleet_of(whole, (*damaged, *notes), lambda some: each(place, some, TOLD), len(left))
 
 
 def robots_in(folders: Iterable[str | Path]) -> dict[str, Path]:

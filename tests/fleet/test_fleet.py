@@ -67,11 +67,15 @@ def test_one_command_does_all_and_one_bad_robot_stops_nobody(
     place, command = done
     assert command.returncode == 0, command.stderr
     assert "6 of 7 robots calibrated" in command.stdout
+    assert "7 computed now, 0 from the store." in command.stdout.replace("\n", " ")
     assert "a1 is +0.4" in command.stdout.replace("\n", " ")
+    assert "\n    [[joint]] 2: a_mm = 400.4" in command.stdout
     figures = json.loads((place / "fleet.json").read_text())
     by_name = {r["robot"]: r for r in figures["robots"]}
     assert by_name["broken"]["status"] == "failed"
     assert "title: is missing" in by_name["broken"]["error"]
+    assert figures["computed"] == 7
+    assert figures["types"][0]["corrections"]["a1"].startswith("[[joint]] 2: a_mm = 400.4")
     assert by_name["arm5"]["changes"].startswith("lengths, a jump since 2026-02-01: ")
     assert by_name["arm5"]["campaigns"] == 4
     assert "2026-04-01.csv is left out: 2026-04-01.csv: positions" in by_name["arm5"]["notes"]
@@ -107,6 +111,7 @@ def test_what_is_done_is_not_done_again_but_what_changed_is(
         "details", "departure", "names", "score", "information", "spread", "scale", "identified"
     }  # fmt: skip
     assert [(c.count, c.faults[0][0]) for c in again.commons] == [(6, "a1")]
+    assert again.to_json()["computed"] == 0
     assert after["arm1"] == before["arm1"]
     assert again.notes == ("left arm has the files of arm0, whose folder is not there: taken for it, renamed",)
 
