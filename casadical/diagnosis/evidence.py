@@ -343,6 +343,8 @@ class Judge:
                 k = near[i]
                 value, turned = self._spectrum(group, beside, also, k)
                 out[k] = log_gain(self.e.sigmas, KAPPAS, beside.log_base[k], value[None], turned[None])[0]
+                if self.sums.rows < self.e.combined(group).width:
+                    out[k] -= finer_than_base(self.e, beside.log_base[k])[:, None]
                 if out[k].max() < top - REACH:
                     break
                 if out[k].max() < float(beside.log_base.max()) - HOPELESS:
@@ -361,6 +363,24 @@ class Judge:
         V = every.of(beside.axes(k, group).T)
         value, vector = np.linalg.eigh(self.sums.wide(group, k) - V.T @ V)
         return value, vector.T @ every.of(beside.b[k][group][:, 0])
+
+
+def finer_than_base(e: Evidence, log_base: Array) -> Array:
+    """What a cause with more parameters than numbers were measured loses where the noise is finer than beside nothing.
+
+    It can take up all that is left, so that only the base model's priors, which grow with the noise, would say how
+    large the noise is. The numbers that the base model takes up do not count for a finer one (REML: Harville 1977).
+    log_base : log likelihood without the cause, shape (sigmas, ...); the same shape is returned
+    """
+    finer = np.log(e.sigmas[np.argmax(log_base, axis=0)] / e.sigmas.reshape(-1, *[1] * (log_base.ndim - 1)))
+    return np.asarray((absorbed_by_base(e) - e.absorbed) * np.maximum(finer, 0.0))
+
+
+def absorbed_by_base(e: Evidence) -> float:
+    """How many numbers the base model's parameters take: the trace of what projects on them, priors included."""
+    A = e.J.reshape(e.r.size, -1) * (e.prior / e.reference)
+    square = np.linalg.svd(A, compute_uv=False) ** 2
+    return float((square / (1 + square)).sum())
 
 
 def log_over_sigmas(e: Evidence, square: float, log_norm: float) -> Array:

@@ -14,7 +14,7 @@ from casadical.core.parameters import Parameter
 from casadical.diagnosis.camera_columns import with_images
 from casadical.diagnosis.candidates import Candidate, choose
 from casadical.diagnosis.cross_validation import fit_of
-from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, SIGMAS, Evidence
+from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, SIGMAS, Evidence, absorbed_by_base
 from casadical.diagnosis.linearisation import Columns, linearise
 from casadical.diagnosis.noise_floor import replicates
 from casadical.diagnosis.observations import Observations, Ratios, joined, observe, stops_in, with_far_ends
@@ -308,13 +308,6 @@ def _of_kinds(
     return Case(
         identification.robot, robot, values, m, tuple(possible), missing, whole, kept, columns, free, others=seen
     )
-
-
-def absorbed_by_base(e: Evidence) -> float:
-    """How many numbers the base model's parameters take: the trace of what projects on them, priors included."""
-    A = e.J.reshape(e.r.size, -1) * (e.prior / e.reference)
-    square = np.linalg.svd(A, compute_uv=False) ** 2
-    return float((square / (1 + square)).sum())
 
 
 def better_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:

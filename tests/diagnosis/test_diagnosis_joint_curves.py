@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cases import case, robot, simulated, small_problem
+from cases import case, plant, robot, simulated, small_problem
 from scipy.stats import multivariate_normal
 
 from casadical import InputError
-from casadical.blind_check.numpy_physics import disturbances
+from casadical.blind_check.numpy_physics import campaign, disturbances, perturb
 from casadical.core.casadi_arrays import ArrayFunction
 from casadical.diagnosis import evidence, gains
 from casadical.diagnosis.cross_validation import Noise
@@ -19,6 +19,7 @@ from casadical.effects import JointErrorCurve, TransmissionRipple
 from casadical.effects.joint_error_curve import DENSE, ORDERS, USUAL
 from casadical.identification.accuracy import errors
 from casadical.measurements.measurements import Measurements
+from casadical.measurements.reading import from_table
 
 
 def with_curves(seed: int, n: int) -> Measurements:
@@ -112,7 +113,18 @@ def test_a_wide_group_is_the_normal_density(monkeypatch: pytest.MonkeyPatch, n: 
             for size in (0.0, KAPPAS[kappa])
         ]
         gain = grid[rho, sigma, kappa] - base[rho, sigma]
-        assert gain == pytest.approx(logs[1] - logs[0], abs=1e-5)
+        # With more columns than rows, what the base model takes up does not count for finer noise.
+        finer = np.log(SIGMAS[np.argmax(base[rho])] / SIGMAS[sigma]) if 3 * n < len(group) else 0.0
+        taken = np.trace(J @ np.linalg.solve(J.T @ J + np.diag((e.reference / e.prior) ** 2), J.T))
+        assert gain == pytest.approx(logs[1] - logs[0] - taken * max(finer, 0.0), abs=1e-5)
+
+
+def test_few_poses_of_a_robot_close_to_its_drawing_show_no_curve() -> None:
+    """More parameters than numbers can take up all noise: the log Bayes factor was 14."""
+    built = perturb(plant(robot("ur10e")), 6, length_mm=0.03, angle_mrad=0.03)
+    d = diagnose(robot("ur10e"), from_table(campaign(built, 30, 6, noise_mm=0.02), 6), ["joint_error_curve"])
+    assert d.verdict == "none"
+    assert d.rankings[0].log_factor["joint_error_curve"] < -5
 
 
 def test_sizes_are_learnt_by_part() -> None:

@@ -37,7 +37,7 @@ class Ripple(Disturbance):
 @cache
 def rippled() -> Diagnosis:
     built = perturb(plant(robot("ur10e")), 1)
-    table = campaign(built, 150, 1, disturbances=[Ripple(*r) for r in RIPPLES], noise_mm=0.015)
+    table = campaign(built, 240, 1, disturbances=[Ripple(*r) for r in RIPPLES], noise_mm=0.015)
     return diagnose(robot("ur10e"), from_table(table, 6), ["joint_error_curve"])
 
 
