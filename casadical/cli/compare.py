@@ -17,7 +17,8 @@ def compare(
         typer.Argument(
             metavar="OLD NEW...",
             help="Two campaigns of one robot or more: robot files as `casadical calibrate --out` writes them, folders "
-            "of results, problem folders, or tables of measurements (with --robot).",
+            "of results, problem folders, or tables of measurements (with --robot). Or one problem folder whose later "
+            "tables lie in its folder campaigns.",
         ),
     ],
     robot: Annotated[

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 def diagnose(
     problem: Problem,
-    campaigns: Campaigns,
+    campaigns: Campaigns = None,
     json_file: Json = None,
     report_file: Report = None,
     out: Annotated[
@@ -136,6 +136,7 @@ def diagnose(
     from casadical.diagnosis.posterior import Rivals, no_rivals
     from casadical.diagnosis.text import page_of, titled
     from casadical.pose_selection.workspace_file import read_workspace
+    from casadical.project.given_tables import own_tables
     from casadical.project.problem import read_campaign, read_campaign_robot
 
     if report_file:
@@ -152,6 +153,7 @@ def diagnose(
 
         rivals = law_rivals
     console = wrapped(quiet)
+    campaigns = campaigns or own_tables(problem)
     robot = read_campaign_robot(problem)
     if isolability:
         _print_isolability(problem, robot, campaigns, effects, json_file, console)

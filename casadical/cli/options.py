@@ -82,7 +82,12 @@ Problems = Annotated[
     ),
 ]
 Problem = Annotated[Path, typer.Argument(metavar="PROBLEM_DIR", help="Folder with the robot, or a robot file.")]
-Campaigns = Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.csv...", help="Measured poses, of any kind.")]
+Campaigns = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        metavar="CAMPAIGN.csv...", help="Measured poses, of any kind; default: the tables of the problem folder."
+    ),
+]
 Effects = Annotated[
     str | None,
     typer.Option(

@@ -12,7 +12,7 @@ from casadical.cli.terminal import keep, keep_json, plain
 
 def replay(
     problem: Problem,
-    campaigns: Campaigns,
+    campaigns: Campaigns = None,
     out: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Write the models here, CAMPAIGN.STAGE.xml (0 is the nominal one)."),
@@ -34,10 +34,12 @@ def replay(
     """
     from casadical.export.mjcf.equilibrium import load_mujoco
     from casadical.export.mjcf.replay import replay_campaign
+    from casadical.project.given_tables import own_tables
     from casadical.project.problem import read_campaign, read_campaign_robot
 
     load_mujoco()
     console = plain(quiet)
+    campaigns = campaigns or own_tables(problem)
     robot = read_campaign_robot(problem)
     answers: list[dict[str, Any]] = []
     texts: dict[Path, str] = {}

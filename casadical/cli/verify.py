@@ -13,7 +13,12 @@ from casadical.core.blocks import terminal
 
 def verify(
     robot: Annotated[
-        Path, typer.Argument(metavar="ROBOT.toml", help="A calibrated robot, as `casadical calibrate --out` writes it.")
+        Path,
+        typer.Argument(
+            metavar="ROBOT.toml",
+            help="A calibrated robot, as `casadical calibrate --out` writes it, or that folder (the method that "
+            "counts).",
+        ),
     ],
     tables: Annotated[
         list[Path],

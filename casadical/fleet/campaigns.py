@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections.abc import Callable, Sequence
@@ -20,7 +19,9 @@ from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate, estimate, estimate_of_file
 from casadical.identification.identification import identify
 from casadical.identification.prior import refuse_another
+from casadical.project.given_tables import own_tables
 from casadical.project.problem import Problem, read_campaign, read_campaign_robot, read_problem
+from casadical.project.written import result_in
 from casadical.robot.robot_file import read_robot
 
 # A date in a name: 2026-03-14, 2026_03_14, 20260314, 2026-03; 1970 is that of a clock that was never set.
@@ -31,6 +32,8 @@ GAP = 1.75
 FAR = 1100.0
 # Ranges of a joint in two campaigns are other regions where they share less.
 SHARED = 0.5
+# Folder of a problem's later campaigns.
+CAMPAIGNS = "campaigns"
 EPOCH = date(1970, 1, 1).toordinal()
 
 
@@ -47,7 +50,8 @@ def compare_files(
     Parameters
     ----------
     paths : Sequence[str | Path]
-        robot files with a covariance, folders of results, problem folders, or tables of measurements
+        robot files with a covariance, folders of results, problem folders, or tables of measurements; or one problem
+        folder, whose later campaigns are the tables in its folder `campaigns`
     robot : str | Path, optional
         problem folder or robot file by which tables are understood
     same_tool : bool, default False
@@ -74,6 +78,11 @@ def compare_files(
     """
     found: list[Estimate] = []
     faults: list[str] = []
+    begun = None
+    if len(paths) == 1 and (Path(paths[0]) / CAMPAIGNS).is_dir():
+        robot = begun = Path(paths[0])
+        own = {table.read_bytes() for table in own_tables(begun)}
+        paths = [begun, *(t for t in sorted((begun / CAMPAIGNS).glob("*.csv")) if t.read_bytes() not in own)]
     for k, path in enumerate(map(Path, paths), 1):
         show(f"campaign {k} of {len(paths)}")
         try:
@@ -86,8 +95,9 @@ def compare_files(
                 raise
             faults.append(f"{shown(path)} is left out: {error}")
     if len(found) < 2:
-        raise InputError(f"{len(found)} of {len(paths)} campaigns can be used; two are needed. {'; '.join(faults)}")
-    ordered, said = in_order(found)
+        where = "; ".join(faults) or f"Give more, or a problem folder with later tables in its folder {CAMPAIGNS}."
+        raise InputError(f"{len(found)} of {len(paths)} campaigns can be used; two are needed. {where}")
+    ordered, said = in_order(found, begun=begun is not None)
     show("what changed")
     notes = (*faults, *said, *elsewhere(ordered))
     compared = compare(ordered, same_tool=same_tool, same_frame=same_frame, notes=notes)
@@ -96,8 +106,8 @@ def compare_files(
 
 def name_of(paths: Sequence[Path], robot: str | Path | None = None) -> str:
     """How its user calls a robot: the folder that all campaigns lie in, or that of the problem; empty: not known."""
-    folder = Path(os.path.commonpath([p.resolve().parent for p in paths]))
-    folder = folder.parent if folder.name == "campaigns" else folder  # as those of a fleet lie
+    folder = Path(os.path.commonpath([(p if p.is_dir() else p.parent).resolve() for p in paths]))
+    folder = folder.parent if folder.name == CAMPAIGNS else folder
     if robot is None:
         return folder.name
     problem = Path(robot).resolve()
@@ -142,20 +152,6 @@ def elsewhere(campaigns: Sequence[Estimate]) -> list[str]:
         f"other regions of the joints than in {first.label} were measured in {', '.join(said[:3])}{more}: errors that "
         "the model leaves there may look like a change; measure the same poses in each campaign"
     ]
-
-
-def result_in(folder: Path) -> Path:
-    """The robot file of the method that counts in a folder of results. Raises InputError."""
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        methods = list(json.loads((folder / "result.json").read_text(encoding="utf-8"))["methods"])
-        return folder / f"{methods[-1]}.robot.toml"
-    files = sorted(folder.glob("*.robot.toml"))
-    if len(files) == 1:
-        return files[0]
-    raise InputError(
-        f"{shown(folder)}: neither a problem folder nor results of a calibration; {len(files)} robot files are in it: "
-        "name one"
-    )
 
 
 def day_of(path: Path) -> float | None:

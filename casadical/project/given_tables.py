@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from casadical.core.errors import InputError
+from casadical.core.errors import InputError, shown
 from casadical.core.schema import check
 from casadical.measurements.raw_table import RawTable
 from casadical.measurements.table_parts import read_columns
@@ -28,6 +28,18 @@ def file_of(source: Path, tables: Sequence[str | Path]) -> ProblemFile:
     own = tables_of(source)
     found = [fitting(source, read_columns(t), own).model_copy(update={"file": str(Path(t).resolve())}) for t in tables]
     return file.model_copy(update={"measurements": found, "data": None})
+
+
+def own_tables(source: Path) -> list[Path]:
+    """Files of the tables of a problem folder. Raises InputError where it names none, and of a robot file."""
+    if source.is_file():
+        raise InputError(f"{shown(source)}: a robot file has no measurements; give their tables after it")
+    if not (source / "problem.toml").exists():
+        raise InputError(f"{shown(source)}: no problem.toml is in it, which would name tables; give them after it")
+    found = [source / table.file for table in problem_file(source).measurements]
+    if not found:
+        raise InputError(f"{shown(source / 'problem.toml')}: no [[measurements]]; give tables after the folder")
+    return found
 
 
 def tables_of(folder: Path) -> Sequence[DataTable]:

@@ -22,6 +22,7 @@ from casadical.measurements.measurements import Measurements
 from casadical.project.check.targets import recognised
 from casadical.project.problem import read_campaign
 from casadical.project.target_names import names_in
+from casadical.project.written import result_in
 from casadical.robot.robot_file import read_robot
 
 POSITION = "position"
@@ -113,7 +114,8 @@ def verify(
 ) -> Verification:
     """Check a calibrated robot by poses that were measured later; base and tool are fitted again.
 
-    robot : file as `casadical calibrate --out` writes it; tables : measured poses, one table or several of one kind
+    robot : file as `casadical calibrate --out` writes it, or that folder (the method that counts)
+    tables : measured poses, one table or several of one kind
     promised_mm : rms error [mm] of this kind; None: of the held-out poses, see `promised_rms`
 
     With `found` of c n - k degrees of freedom, c numbers a pose (3 of a position), k those of base, tool and unknown
@@ -121,6 +123,7 @@ def verify(
     in each session. Effects of the instrument that was there are left out. Raises InputError.
     """
     place, given = Path(robot), [tables] if isinstance(tables, str | Path) else list(tables)
+    place = result_in(place) if place.is_dir() else place
     whole = read_robot(place)
     gone = tuple(e.label for e in whole.effects if e.from_kind)
     arm = whole.with_only(e for e in whole.effects if not e.from_kind) if gone else whole

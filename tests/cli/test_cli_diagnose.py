@@ -52,6 +52,12 @@ def test_one_campaign_is_one_answer(tmp_path: Path, both: tuple[str, list[dict]]
     assert json.loads((tmp_path / "one.json").read_text()) == both[1][1]
 
 
+def test_without_tables_the_folder_has_its_own(tmp_path: Path, both: tuple[str, list[dict]]) -> None:
+    done = diagnosed(PROBLEM, "--effects", FEW, "--json", tmp_path / "own.json", "--quiet")
+    assert (done.returncode, done.stdout) == (0, "")
+    assert json.loads((tmp_path / "own.json").read_text()) == both[1][0]
+
+
 def test_isolability_needs_no_positions(tmp_path: Path) -> None:
     planned = tmp_path / "planned.csv"
     pd.read_csv(P03).drop(columns=["x_mm", "y_mm", "z_mm"]).to_csv(planned, index=False)
@@ -68,12 +74,14 @@ def test_isolability_needs_no_positions(tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         ((PROBLEM, PRACTICE / "none.csv"), "no such file"),
+        ((PROBLEM / "robot.toml",), "a robot file has no measurements; give their tables after it"),
+        ((PRACTICE,), "no problem.toml is in it, which would name tables; give them after it"),
         ((ROOT / "problems" / "nowhere", P03), "no such problem folder"),
         ((PROBLEM, P03, "--effects", "backlsh"), "no effect 'backlsh'"),
         ((PROBLEM, PROBLEM / "robot.toml"), "not a readable CSV table"),
         ((PROBLEM, PRACTICE / "none.csv", "--isolability"), "no such file"),
     ],
-    ids=["campaign", "problem", "effect", "no table", "design"],
+    ids=["campaign", "robot file", "no problem", "problem", "effect", "no table", "design"],
 )
 def test_a_users_mistake_ends_in_a_message_and_2(tmp_path: Path, arguments: tuple, message: str) -> None:
     done = diagnosed(*arguments, "--json", tmp_path / "answer.json", width=400)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 from lives import as_built, changed, measured, write_table
 
-from casadical import Robot
+from casadical import InputError, Robot
 from casadical.core.blocks import plain_text
 from casadical.fleet import Comparison, Estimate, compare, compare_files, estimate
 
@@ -60,9 +61,19 @@ def test_several_changes_at_once_are_no_other_robot(arms: tuple[Robot, Robot, Ro
     assert "another_robot" not in {label for label, *_ in found(comparison)}
 
 
-def test_a_table_of_another_robot_in_a_folder(arms: tuple[Robot, Robot, Robot], tmp_path: Path) -> None:
-    months = [write_table(measured(arms[1], 10 + k), tmp_path / f"2026-0{k}-01.csv") for k in (1, 2)]
-    other = write_table(measured(arms[2], 20), tmp_path / "2026-03-01.csv")
-    problem = Path(__file__).parents[2] / "problems/ur10e"
-    (change,) = compare_files([*months, other], problem).to_json()["changes"]
+def test_a_table_of_another_robot_in_the_folder_of_one(arms: tuple[Robot, Robot, Robot], tmp_path: Path) -> None:
+    """One problem folder is enough: later tables lie in its folder campaigns; a copy of the first one is none."""
+    own = tmp_path / "R-1207"
+    first = write_table(measured(arms[1], 11), own / "first.csv")
+    (own / "problem.toml").write_text('casadical = 1\ntitle = "arm"\n[[measurements]]\nfile = "first.csv"\n')
+    shutil.copy(Path(__file__).parents[2] / "problems/ur10e/robot.toml", own)
+    with pytest.raises(InputError, match=r"two are needed\. Give more, or a problem folder"):
+        compare_files([own])
+    write_table(measured(arms[1], 12), own / "campaigns" / "2026-02-01.csv")
+    write_table(measured(arms[2], 20), own / "campaigns" / "2026-03-01.csv")
+    shutil.copy(first, own / "campaigns" / "2026-01-01.csv")
+    found = compare_files([own])
+    assert [c.label for c in found.campaigns] == ["R-1207", "2026-02-01", "2026-03-01"]
+    assert found.name == "R-1207"
+    (change,) = found.to_json()["changes"]
     assert (change["cause"], change["since"]) == ("another_robot", "2026-03-01")

@@ -338,7 +338,7 @@ def test_another_robot_and_one_campaign_are_refused(before: Estimate, tables: Pa
         compare([before, replace(before, robot=other)])
     with pytest.raises(InputError, match="a table needs --robot"):
         compare_files(sorted(tables.glob("*.csv"))[:2])
-    with pytest.raises(InputError, match="neither a problem folder nor results"):
+    with pytest.raises(InputError, match=r"no result\.json of a calibration is in it, and 0 robot files"):
         compare_files([tables, tables])
 
 

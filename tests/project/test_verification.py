@@ -84,6 +84,15 @@ def test_false_alarms_are_rare(calibrated_arm: Path, tmp_path: Path) -> None:
     assert alarms <= 3
 
 
+def test_a_folder_of_results_is_the_method_that_counts(calibrated_arm: Path, tmp_path: Path) -> None:
+    results = calibrated_arm.parent
+    last = list(json.loads((results / "result.json").read_text())["methods"])[-1]
+    table = later(tmp_path)
+    assert verify(results, table) == verify(results / f"{last}.robot.toml", table)
+    with pytest.raises(InputError, match="0 robot files: give a robot file"):
+        verify(tmp_path, table)
+
+
 def test_what_cannot_be_checked_is_refused(calibrated_arm: Path, tmp_path: Path) -> None:
     q, p = first_hour.measured(4)
     with pytest.raises(InputError, match="4 poses; base and tool have 9 numbers: measure 5 or more"):
