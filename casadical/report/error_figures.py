@@ -7,7 +7,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.project.remaining_errors import PoseErrors
-from casadical.report.style import GRID, INK, MUTED, RED, Figure, new_figure, plain, style
+from casadical.report.style import GRID, INK, MUTED, RED, Figure, log_ticks, new_figure, plain, style
 
 # More poses than this are drawn evenly thinned (and said to be), or the file grows and the eye gains nothing.
 MOST_DRAWN = 400
@@ -96,12 +96,8 @@ def _limits(lengths: Sequence[Array]) -> tuple[float, float, bool]:
 def _error_axis(figure: Figure, low: float, top: float, log: bool) -> Figure:
     if not log:
         return figure.update_yaxes(range=[0, 1.06e3 * top])
-    ticks = [step * 10.0**power for power in range(-6, 5) for step in (1, 2, 5)]
     ends = [float(np.log10(0.9e3 * low)), float(np.log10(1.12e3 * top))]
-    words = [f"{v:g}" for v in ticks]
-    return figure.update_yaxes(
-        type="log", range=ends, tickvals=ticks, ticktext=words, title_text="position error [mm], logarithmic"
-    )
+    return figure.update_yaxes(**log_ticks(), range=ends, title_text="position error [mm], logarithmic")
 
 
 def _add_left_out(figure: Figure, poses: PoseErrors, low: float, top: float) -> None:

@@ -15,7 +15,7 @@ from casadical.fleet.store import records
 from casadical.report.life import left_figure
 from casadical.report.page import Block, Drawing, Part, Section, Tile, report_html
 from casadical.report.provenance import provenance_of
-from casadical.report.style import BLUE, GREY, ORANGE, RED, Figure, new_figure, plain
+from casadical.report.style import BLUE, GREY, MUTED, ORANGE, RED, Figure, log_ticks, new_figure, plain
 
 # Rows of the table, and robots whose course is drawn.
 MOST, COURSES = 2000, 60
@@ -23,17 +23,19 @@ MOST, COURSES = 2000, 60
 NAMED = 30
 _MAP = (
     "Mean error of held-out poses, a point a robot, on a logarithmic axis: grey before, blue after calibration, orange "
-    "where it stands out from its type (four scaled median absolute deviations)."
+    "where it stands out from its type (four scaled median absolute deviations); the worst of these are named."
 )
 _TREND = (
-    "What nothing explains in each campaign of a robot, of one coordinate; red where something changed, named where "
-    "the last campaign leaves much more than those before. Beside campaigns with a day, one without is not drawn."
+    "What nothing explains in each campaign of a robot, of one coordinate; red where something changed. Of many robots "
+    "those are named that changed or whose last campaign leaves much more than those before; point at a line to see "
+    "which it is. Beside campaigns with a day, one without is not drawn."
 )
-# Robots that are named at the end of their course; letters of an error beside the figures.
-LABELS, LETTERS = 12, 60
+# Names in a figure, and how far apart they are, as a share of its height; letters of an error beside the figures.
+LABELS, APART, LETTERS = 12, 0.07, 60
 _COMMON = (
-    "How far all robots of the type are from the drawing, in standard errors, over the size of the departure: mm, "
-    "mrad, of compliances their usual size. Red: a fault of the drawing, or of the instrument's set-up."
+    "How far all robots of the type are from the drawing, in standard errors, over the size of the departure; of "
+    "compliances, what they yield under the joint's greatest torque. Red: a fault of the drawing, or of the "
+    "instrument's set-up; the surest are named."
 )
 
 
@@ -147,35 +149,76 @@ def _map(found: Fleet) -> Figure:
         )
     if len(good) <= NAMED:
         figure.update_xaxes(tickvals=x, ticktext=[plain(n) for n in good["robot"]])
-    return figure.update_yaxes(type="log")
+    else:  # names do not fit on the axis
+        far = good.assign(x=x)[good["robot"].isin(found.outliers).to_numpy()].nlargest(LABELS, "after_mm")
+        for name, at, after in zip(far["robot"], far["x"], far["after_mm"], strict=True):
+            figure.add_annotation(
+                x=at, y=np.log10(after), text=plain(name), showarrow=False, xanchor="right", xshift=-8
+            )
+    return figure.update_yaxes(log_ticks())
 
 
 def _trends(good: pd.DataFrame) -> Figure:
-    several = good[good["campaigns"] > 1].sort_values("changes", ascending=False).head(COURSES)
+    several = good[good["campaigns"] > 1]
+    striking = (several["changes"] != "") | (several["left_mm"].map(worse) != "")
+    several = several.assign(striking=striking).sort_values("striking", ascending=False, kind="stable").head(COURSES)
     dated = any(np.isfinite(days).sum() > 1 for days in several["days"])
     lives: list[tuple[str, list[object], list[float], bool]] = []
     for r in records(several):  # by day or, where no robot has days, by number: not both on one axis
         points = zip([date_text(day) if dated else k + 1 for k, day in enumerate(r["days"])], r["left_mm"], strict=True)
         drawn = [(x, left) for x, left in points if x]
         lives.append((r["robot"], [x for x, _ in drawn], [left for _, left in drawn], bool(r["changes"])))
-    figure = left_figure(lives, height=340)
-    for name, x, left, _ in [life for life in lives if worse(life[2])][:LABELS]:
-        figure.add_annotation(x=x[-1], y=left[-1], text=plain(name), showarrow=False, yshift=12)
-    return figure
+    figure = left_figure(sorted(lives, key=lambda life: life[3]), height=340)  # what changed is on top
+    named = [life for life in lives if life[2] and np.isfinite(life[2][-1])]
+    if len(named) > LABELS:
+        named = [life for life in named if life[3] or worse(life[2])]
+    first = sorted(named, key=lambda life: (not life[3], -life[2][-1]))[:LABELS]
+    named = sorted(first, key=lambda life: -life[2][-1])
+    most = max((v for _, _, left, _ in lives for v in left if np.isfinite(v)), default=1.0)
+    for (name, _, _, changed), y in zip(named, _apart([life[2][-1] for life in named], APART * most), strict=True):
+        figure.add_annotation(
+            x=1,
+            xref="paper",
+            xanchor="left",
+            y=y,
+            text=plain(name),
+            showarrow=False,
+            font_color=RED if changed else MUTED,
+        )
+    return figure.update_layout(margin_r=12 + 8 * max((min(len(life[0]), 20) for life in named), default=0))
+
+
+def _apart(heights: Sequence[float], gap: float) -> list[float]:
+    """Heights of labels, given from the top down, moved down so far that none covers the next one."""
+    found: list[float] = []
+    for y in heights:
+        found.append(min(y, found[-1] - gap) if found else y)
+    # Those that came below the axis push the others up.
+    for k in range(len(found) - 1, -1, -1):
+        found[k] = max(found[k], found[k + 1] + gap if k + 1 < len(found) else 0.0)
+    return found
 
 
 def _common(c: Common) -> Figure:
+    sure = np.abs(c.mean) / np.maximum(c.std_error, 1e-12)
     bad = {name for name, _, _ in c.faults}
-    figure = new_figure(f"{plain(c.name)}: {c.count} robots", "common departure", "in standard errors")
+    named = sorted(bad, key=lambda name: -sure[c.names.index(name)])[:LABELS]
+    words = []
+    for k, name in enumerate(c.names):
+        mean, error, unit = c.readable(name, c.mean[k], c.std_error[k])
+        words.append(f"<b>{plain(name)}</b><br>{mean:+.4g} {unit} +/- {error:.1g} from the drawing")
+    title = f"{plain(c.name)}: {c.count} robots"
+    figure = new_figure(title, "common departure [mm or mrad]", "in standard errors")
     figure.add_scatter(
-        x=c.mean,
-        y=np.abs(c.mean) / np.maximum(c.std_error, 1e-12),
+        x=c.mean * np.where([n.startswith("c") and n[1:].isdigit() for n in c.names], 1.0, 1e3 * c.scale),
+        y=sure,
         mode="markers+text",
         marker={"size": 8, "color": [RED if n in bad else GREY for n in c.names]},
-        text=[n if n in bad else "" for n in c.names],
+        text=[plain(n) if n in named else "" for n in c.names],
         textposition="top center",
-        customdata=list(c.names),
-        hovertemplate="<b>%{customdata}</b><br>%{x:.3f} from the drawing<extra></extra>",
+        cliponaxis=False,
+        customdata=words,
+        hovertemplate="%{customdata}<extra></extra>",
         showlegend=False,
     )
     return figure

@@ -108,6 +108,12 @@ def new_figure(title: str, x: str = "", y: str = "", height: int = 360, **layout
     return figure.update_layout(**layout)
 
 
+def log_ticks() -> dict[str, Any]:
+    """Of a logarithmic axis whose ticks are whole numbers: 0.1, 0.2, 0.5, 1."""
+    ticks = [float(f"{step}e{power}") for power in range(-9, 6) for step in (1, 2, 5)]
+    return {"type": "log", "tickvals": ticks, "ticktext": [f"{v:g}" for v in ticks]}
+
+
 def dark(figure: Figure) -> Figure:
     """The same figure in the dark colours, for a dark notebook or page.
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from casadical.project.networks import Networks
-from casadical.report.style import Figure, new_figure, plain, style
+from casadical.report.style import Figure, log_ticks, new_figure, plain, style
 
 
 def training_history(networks: Networks) -> Figure:
@@ -30,5 +30,4 @@ def training_history(networks: Networks) -> Figure:
             hovertemplate=f"<b>{plain(name)}</b><br>step %{{customdata:d}}: %{{y:.4g}} mm²<extra></extra>",
         )
     figure.update_xaxes(range=[-2, 102])
-    ticks = [step * 10.0**power for power in range(-9, 4) for step in (1, 2, 5)]
-    return figure.update_yaxes(type="log", tickvals=ticks, ticktext=[f"{v:g}" for v in ticks])
+    return figure.update_yaxes(log_ticks())

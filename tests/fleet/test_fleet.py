@@ -28,6 +28,8 @@ from casadical.fleet.one_robot import NOTHING, fingerprint, one_robot
 from casadical.fleet.result import Fleet, fleet_of
 from casadical.fleet.store import KEY, add, each, parts, records, rows
 from casadical.report import fleet_figures
+from casadical.report.fleet import APART, LABELS
+from casadical.report.style import RED
 
 distributed = pytest.importorskip("distributed", reason="distributed (Dask) is not installed")
 parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
@@ -328,11 +330,50 @@ def test_a_course_without_days_is_not_drawn_among_days_and_what_grew_is_named(
     assert drawn["arm0"] == ["2024-11-03", "2024-12-03"]
     assert drawn["arm2"][0] == "2024-10-04"
     assert "arm1" not in drawn
-    assert [a.text for a in fleet_figures(found)["trends"].layout.annotations] == ["arm0"]
+    names = fleet_figures(found)["trends"].layout.annotations
+    assert names[0].text == "arm0"  # from the top down, in the order of the lines' ends
+    assert {a.text for a in names} >= {"arm0", "arm2", "arm5"}
+    heights = [a.y for a in names]
+    assert max(np.diff(heights)) <= -0.99 * APART * max(good["left_mm"].map(np.nanmax))
+    assert min(heights) >= 0
     to_check = next(b for b in found.blocks() if isinstance(b, Table) and "note" in b.columns)
     assert {r[0]: r[-1] for r in to_check.rows}["arm0"].startswith("the last campaign leaves 0.050 mm a coordinate")
     undated = fleet_of(good[good["robot"] == "arm1"])
     assert [list(t.x) for t in fleet_figures(undated)["trends"].data] == [[1, 2, 3]]
+
+
+def test_of_many_robots_those_that_stand_out_are_named_and_the_axes_have_numbers_and_units() -> None:
+    rng = np.random.default_rng(0)
+    count, left = 200, [[0.05, 0.05, 0.05 * (3 if k % 10 == 4 else 1)] for k in range(200)]
+    good = pd.DataFrame([
+        {**NOTHING, "robot": f"arm{k}", "status": "ok", "type": "t", "before_mm": 2.0, "campaigns": 3,
+         "after_mm": 0.5 if k == 7 else 0.08 * np.exp(0.1 * rng.normal()), "left_mm": left[k], "days": [np.nan] * 3,
+         "changes": "lengths" if k == 199 else ""}
+        for k in range(count)
+    ])  # fmt: skip
+    figures = fleet_figures(Fleet(good, (), ("arm7",)))
+    assert [a.text for a in figures["map"].layout.annotations] == ["arm7"]
+    assert figures["map"].layout.annotations[0].y == pytest.approx(np.log10(0.5))  # as plotly wants it
+    axis = figures["map"].layout.yaxis
+    assert {"0.1", "0.2", "0.5", "1", "2", "5"} <= set(axis.ticktext)
+    assert dict(zip(axis.ticktext, axis.tickvals, strict=True))["0.2"] == 0.2
+    named = {a.text: a.font.color for a in figures["trends"].layout.annotations}
+    assert len(named) == LABELS
+    assert named.pop("arm199") == RED
+    assert {int(name[3:]) % 10 for name in named} == {4}
+
+
+def test_departures_of_lengths_angles_and_curves_are_in_mm_and_mrad() -> None:
+    scale = np.array([1e-3, 1e-3, 6e-5, 1e-6])
+    names = ("a1", "alpha2", "joint_error_curve.c1_q1", "c2")
+    common = Common(
+        "t", "arm", 9, names, np.array([0.3, 0.4, 2.0, 1.5]), np.full(4, 0.01), np.full(4, 0.1), scale, np.eye(4)
+    )
+    good = pd.DataFrame([{**NOTHING, "robot": "arm", "type": "t"}])
+    figure = fleet_figures(Fleet(good, (common,), ()))["common/t"]
+    assert list(figure.data[0].x) == pytest.approx([0.3, 0.4, 0.12, 1.5])
+    assert figure.layout.xaxis.title.text == "common departure [mm or mrad]"
+    assert figure.data[0].customdata[3] == "<b>c2</b><br>+1.5 urad/(N m) +/- 0.01 from the drawing"
 
 
 def test_joints_that_yield_are_one_sentence_and_lengths_another() -> None:
