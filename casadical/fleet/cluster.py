@@ -6,6 +6,7 @@ import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import islice
+from math import ceil
 from pydoc import locate
 from time import monotonic, sleep
 from typing import Any
@@ -15,6 +16,8 @@ from casadical.core.errors import InputError, optional
 
 # Tasks that each worker has or waits for.
 AHEAD = 4
+# So many workers the scheduler keeps busy with robots one by one; with more, a task is several robots.
+WORKERS = 40
 # A task whose worker dies is given to another one so often.
 RETRIES = 2
 # A scheduler is given up when it has not answered for so many seconds.
@@ -86,29 +89,42 @@ def results(
 ) -> Iterator[tuple[tuple[Any, ...], dict[str, Any] | Exception]]:
     """Each task with its result in the order of completion, or with the exception that ended it.
 
+    Where there are very many workers, several are handed out together; if that ends in an exception, one by one.
+
     Raises SchedulerLostError when the scheduler dies; what was given until then is good.
     """
     distributed = optional("distributed", _NEEDED)
     waiting = iter(tasks)
-    of: dict[Any, tuple[Any, ...]] = {}
+    of: dict[Any, list[tuple[Any, ...]]] = {}
+    workers = max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
+    size = max(1, min(ceil(workers / WORKERS), len(tasks) // (AHEAD * workers)))
     # Results are fetched by Dask, which computes one again whose worker left before that.
     working = distributed.as_completed(with_results=True, raise_errors=False)
 
-    def submit(count: int) -> None:
-        for task in islice(waiting, count):
-            future = client.submit(function, *task, pure=False, retries=RETRIES)
-            of[future] = task
+    def submit(some: list[tuple[Any, ...]]) -> None:
+        if some:
+            future = client.submit(_in_turn, function, some, pure=False, retries=RETRIES)
+            of[future] = some
             working.add(future)
 
-    submit(AHEAD * max(1, len(client.scheduler_info(n_workers=-1)["workers"])))
+    for _ in range(AHEAD * workers):
+        submit(list(islice(waiting, size)))
     while of:
         _wait(client, working, of)
         future, found = next(working)
         if future.cancelled():
             raise SchedulerLostError(_GONE)
-        task = of.pop(future)
-        submit(1)
-        yield task, found[1] if future.status == "error" else found
+        some = of.pop(future)
+        if future.status == "error" and len(some) > 1:
+            for task in some:
+                submit([task])
+            continue
+        submit(list(islice(waiting, size)))
+        yield from zip(some, [found[1]] if future.status == "error" else found, strict=True)
+
+
+def _in_turn(function: Callable[..., dict[str, Any]], tasks: Sequence[tuple[Any, ...]]) -> list[dict[str, Any]]:
+    return [function(*task) for task in tasks]
 
 
 def _wait(client: Any, working: Any, of: Iterable[Any]) -> None:

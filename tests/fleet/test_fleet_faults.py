@@ -168,6 +168,32 @@ def test_what_a_worker_had_done_when_it_left_is_done_again() -> None:
         assert [found.keys() for _, found in done if isinstance(found, dict)] == [NOTHING.keys()] * 11
 
 
+def _all_but(number: int, bad: int) -> dict[str, object]:
+    if number == bad:
+        raise ValueError(f"robot {number}")
+    return {"robot": str(number)}
+
+
+def test_with_very_many_workers_a_task_is_several_robots_and_a_bad_one_is_lost_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("casadical.fleet.cluster.WORKERS", 0.2)  # one worker as five times as many as are ordinary
+    tasks, sizes = [(k, 13) for k in range(30)], []
+    with one_worker() as cluster, client_of(cluster.scheduler_address, None) as client:
+        submit = client.submit
+
+        def counted(function: Any, *args: Any, **options: Any) -> Any:
+            sizes.append(len(args[1]))
+            return submit(function, *args, **options)
+
+        monkeypatch.setattr(client, "submit", counted)
+        done = {task[0]: found for task, found in results(client, _all_but, tasks)}
+    assert sorted(done) == list(range(30))
+    assert {k for k, found in done.items() if not isinstance(found, dict)} == {13}
+    assert all(done[k] == {"robot": str(k)} for k in done if k != 13)
+    assert sorted(sizes) == [1] * 5 + [5] * 6
+
+
 def _connect(address: str) -> None:
     with client_of(address, None):
         pass
