@@ -96,16 +96,19 @@ class LeastSquares:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Numbers that were measured or known before, less variables.
+        """Numbers that were measured or known before, less variables."""
+        return self.residual_count - self.size + int(np.count_nonzero(np.diag(self.prior_matrix)[self._told]))
+
+    @cached_property
+    def _told(self) -> Array:
+        """Mask of the variables whose priors tell something, shape (size,).
 
         The own priors of base and tool say where to look, not where they are: they count as nothing known.
         """
         given = self.priors if isinstance(self.priors, Mapping) else {}
         told = {*given, *(n for names, _ in self.known for n in names)}
-        counted = np.array([p.group not in FRAMES or p.name in told for p in self._own] or [False])
-        return (
-            self.residual_count - self.size + int(np.count_nonzero(np.diag(self.prior_matrix)[: counted.size][counted]))
-        )
+        own = [p.group not in FRAMES or p.name in told for p in self._own]
+        return np.array([*own, *[False] * (self.size - len(own))], dtype=bool)
 
     @cached_property
     def _own(self) -> list[Parameter]:
@@ -144,16 +147,11 @@ class LeastSquares:
             matrix[np.ix_(places, places)] = inverse
         return matrix
 
-    @property
-    def _is_held(self) -> bool:
-        """Whether there are priors."""
-        return bool(self.priors or self.known)
-
-    def prior_square(self, v: Array) -> float:
-        """Squared distance of v from the priors' mean in units of their covariance."""
-        if not self._is_held:
+    def prior_square(self, v: Array, *, told: bool = False) -> float:
+        """Squared distance of v from the priors' mean in units of their covariance; told : of those that count."""
+        if not (self.priors or self.known):
             return 0.0
-        departure = v - self.prior_mean
+        departure = np.where(self._told, v - self.prior_mean, 0.0) if told else v - self.prior_mean
         return float(departure @ self.prior_matrix @ departure)
 
     @cached_property
@@ -207,7 +205,7 @@ class LeastSquares:
 
     def _gradient(self, v: Array) -> tuple[Array, Array]:
         sums = self._sums(v)
-        if not self._is_held:
+        if not (self.priors or self.known):
             return sums.gradient, sums.information
         P = self.prior_matrix
         return sums.gradient + P @ (v - self.prior_mean), sums.information + P

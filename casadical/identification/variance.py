@@ -17,7 +17,7 @@ def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float
     if problem.loss != "linear" and not trimmed:
         typical = float(np.median([robust_std(r) ** 2 for r in problem.residuals(v)]))
         return max(least, typical * problem.residual_count / freedom)
-    return max(least, (problem.square(v) + problem.prior_square(v)) / freedom)
+    return max(least, (problem.square(v) + problem.prior_square(v, told=True)) / freedom)
 
 
 def robust_std(r: Array) -> float:

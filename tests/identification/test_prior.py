@@ -1,6 +1,7 @@
 """What one campaign told of a robot as the prior of the next: fewer poses, messages, the learnt ranges."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +11,11 @@ from casadical import InputError, identify
 from casadical.core.transforms import frame, from_rpy
 from casadical.effects import JointErrorCurve, JointScale
 from casadical.identification.prior import carry_over
+from casadical.project.problem import read_campaign_robot
 from casadical.robot.knowledge import Covariance, Knowledge
 from casadical.robot.robot_file import robot_from, to_toml
 
+ROOT = Path(__file__).parents[2]
 ARM = six_axis()
 CURVE = JointErrorCurve(None, (0.0, 2e-4, 2e-4, 0.0, 0.0, 0.0), 5, 17)
 ELSEWHERE = frame(from_rpy(np.array([0.3, 0.5, -2.0])), np.array([-1.1, 2.4, 0.2]))
@@ -205,3 +208,16 @@ def test_what_robots_of_one_type_have_in_common_is_a_prior_as_it_is():
     assert own.means["a1"][1] == pytest.approx(np.sqrt(1.5 * 9e-10 + 1e-8))
     assert "as far as 12 robots of the type differ" in type_.in_words([])
     assert "variances widened 1.5 times" in own.in_words([])
+
+
+def test_where_the_robot_stands_is_no_residual_of_the_prior():
+    """The base of the HH800 is the first row of its table, which nothing places before the fit."""
+    drawn = read_campaign_robot(ROOT / "problems/hh800")
+    own = [p for p in drawn.parameters if p.group in ("geometry", "compliance")]
+    block = Covariance(tuple(p.name for p in own), np.diag([(0.1 * p.scale) ** 2 for p in own]))
+    fleet = replace(drawn, knowledge=Knowledge((block,), "20 robots of the fleet", robots=20))
+    m = replace(positions(drawn, readings(drawn, 15, 3), 4), sigma=NOISE)
+    there = replace(m, position=m.position + np.array([0.3, -0.3, 0.3]))
+    found = [identify(drawn, table, prior=carry_over(drawn, fleet, ("all",))[1]) for table in (m, there)]
+    assert found[1].robot.parameters["d1"].value - found[0].robot.parameters["d1"].value == pytest.approx(0.3, abs=1e-3)
+    assert found[1].variance == pytest.approx(found[0].variance, rel=0.02)
