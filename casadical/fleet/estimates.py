@@ -67,6 +67,8 @@ class Estimate:
         range of each joint in which nine of ten poses lie; of a robot file, in which all do [rad or m]
     fit : WideFit, optional
         by which other campaigns may tell of its noise; None of a robot file, and of more poses than `MANY`
+    freedom : float, optional
+        degrees of freedom of sigma
 
     Examples
     --------
@@ -94,6 +96,7 @@ class Estimate:
     notes: tuple[str, ...] = ()
     readings: Array | None = None
     fit: WideFit | None = None
+    freedom: float | None = None
 
     def __repr__(self) -> str:
         noise = "" if self.sigma is None else f", {1e3 * self.sigma:.3g} mm a coordinate left"
@@ -193,6 +196,7 @@ def estimate(
         (*_outliers(found), *noted),
         np.quantile(np.concatenate([m.q for m in found.used]), [0.05, 0.95], axis=0).T,
         fit if len(fit.poses) <= MANY else None,
+        fit.freedom,
     )
 
 

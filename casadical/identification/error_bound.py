@@ -18,6 +18,7 @@ from casadical.core.errors import InputError
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.residuals import make_block
 from casadical.identification.result import Identification
+from casadical.identification.screening import TELLING
 from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.robot.error_bound import doubted
 from casadical.robot.knowledge import ErrorBound
@@ -182,15 +183,22 @@ def _moment(sums: Sums, doubts: Doubts) -> tuple[float, Array]:
 
 
 def posterior_of(sums: Sums, doubts: Doubts, rounds: int = ROUNDS) -> tuple[float, Array, Array, Array]:
-    """Variance of a coordinate that nothing explains [mm^2]; mean, shape (k,), covariance, and prior variances."""
+    """Variance of a coordinate that nothing explains [mm^2]; mean, shape (k,), covariance, and prior variances.
+
+    Few poses leave less than TELLING degrees of freedom: those that miss have the variance that the identified
+    parameters alone leave. Otherwise all would be explained, and the poses be taken for exact.
+    """
     s2: float = sums.square / sums.count
+    alone: float = sums.square / max(1, sums.count - len(doubts.solved))
     variance = doubts.sigma**2
     mean, S = np.zeros(len(variance)), np.zeros((len(variance), len(variance)))
     for _ in range(rounds):
         S = scaled_inverse(sums.H / s2 + np.diag(1 / variance))
         mean = -S @ sums.g / s2
         known = len(variance) - float(np.sum(np.diag(S) / variance))
-        s2 = float(sums.square + 2 * mean @ sums.g + mean @ sums.H @ mean) / max(1.0, sums.count - known)
+        left = float(sums.square + 2 * mean @ sums.g + mean @ sums.H @ mean)
+        missing = max(0.0, TELLING - (sums.count - known))
+        s2 = (left + missing * alone) / (sums.count - known + missing)
         for joint in doubts.joints:
             variance[joint] = np.mean(mean[joint] ** 2 + np.diag(S)[joint])
     return s2, mean, S, variance

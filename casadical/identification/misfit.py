@@ -97,7 +97,7 @@ class WideFit:
 
     robot : calibrated, with harmonics of zero size; best : with the most probable of RHOS for all joints alike
     misfit : how many times more than independent noise residuals of similar poses push the parameters, at least 1
-    left : standard deviation of a coordinate that nothing explains [m]
+    left : standard deviation of a coordinate that nothing explains [m]; freedom : its degrees of freedom
     """
 
     robot: Robot
@@ -106,6 +106,7 @@ class WideFit:
     best: NoiseFit
     misfit: float
     left: float
+    freedom: float
     _tried: dict[tuple[float, ...], float] = field(default_factory=dict, repr=False)
     _last: dict[tuple[float, ...], NoiseFit] = field(default_factory=dict, repr=False)
 
@@ -136,14 +137,16 @@ def wide_fit(found: Identification) -> WideFit:
     low = [joint[: 2 * ORDERS] for joint in doubts.joints]
     doubts = replace(doubts, joints=(*low, *(joint[2 * ORDERS :] for joint in doubts.joints)))
     poses = _Poses(found, robot, doubts.names)
-    rhos, best, mean, S = _most_probable(poses, doubts)
+    rhos, best, mean = _most_probable(poses, doubts)
     parts = [_sums(rhos, poses, part)[0] for part in (_by_order(len(poses)), _by_region(poses.q))]
     times = _misfit(parts, mean, best.s2, best.variance)
-    M = S @ best.sums.H / best.s2  # a parameter with a prior counts as far as the data determine it (Hastie 1990)
+    # A parameter with a prior counts as far as the data determine it (Hastie 1990); with few poses the last round of
+    # `posterior_of` still moved s2.
+    M = scaled_inverse(best.sums.H / best.s2 + np.diag(1 / best.variance)) @ best.sums.H / best.s2
     fitted = float(2 * np.trace(M) - np.sum(M * M.T))
     plain = _sums((0.0,) * poses.joints, poses)[0][0].moved(mean)
-    left = _MM * float(np.sqrt(plain.square / max(1.0, poses.count - fitted)))
-    return WideFit(robot, doubts, poses, best, times, left)
+    freedom = max(1.0, poses.count - fitted)
+    return WideFit(robot, doubts, poses, best, times, _MM * float(np.sqrt(plain.square / freedom)), freedom)
 
 
 def _rows(found: Identification, robot: Robot, names: tuple[str, ...]) -> Iterator[_Rows]:
@@ -194,7 +197,7 @@ def _without_points(r: Array, J: Array, U: Array) -> tuple[Array, Array, float]:
     return both[:, :, 0], both[:, :, 1:], float(np.log(seen).sum())
 
 
-_Fit = tuple[tuple[float, ...], NoiseFit, Array, Array]
+_Fit = tuple[tuple[float, ...], NoiseFit, Array]
 
 
 def _most_probable(poses: _Poses, doubts: Doubts) -> _Fit:
@@ -210,8 +213,8 @@ def _most_probable(poses: _Poses, doubts: Doubts) -> _Fit:
     return tried[best]
 
 
-def _at(rhos: tuple[float, ...], poses: _Poses, doubts: Doubts, rounds: int = ROUNDS) -> tuple[NoiseFit, Array, Array]:
-    """The fit with noise s2 (I + Jq Jq'), mean and covariance; Jq : as of `_sums`."""
+def _at(rhos: tuple[float, ...], poses: _Poses, doubts: Doubts, rounds: int = ROUNDS) -> tuple[NoiseFit, Array]:
+    """The fit with noise s2 (I + Jq Jq'), and the mean; Jq : as of `_sums`."""
     (sums,), spread = _sums(rhos, poses)
     sums = replace(sums, count=poses.count)
     s2, mean, S, variance = posterior_of(sums, doubts, rounds)
@@ -219,7 +222,7 @@ def _at(rhos: tuple[float, ...], poses: _Poses, doubts: Doubts, rounds: int = RO
     log_det = float(np.log(variance).sum() - 2 * np.log(root).sum() - np.linalg.slogdet(S / np.outer(root, root))[1])
     square = float(sums.moved(mean).square / s2 + np.sum(mean**2 / variance))
     log_likelihood = -0.5 * (sums.count * np.log(s2) + square + log_det) - spread
-    return NoiseFit(log_likelihood, sums, s2, variance), mean, S
+    return NoiseFit(log_likelihood, sums, s2, variance), mean
 
 
 def _sums(rhos: tuple[float, ...], poses: _Poses, part: Array | None = None) -> tuple[list[Sums], float]:

@@ -367,6 +367,12 @@ def test_what_is_left_is_the_noise_however_much_was_fitted(arm: tuple[Robot, Rob
     assert np.sqrt(np.mean(np.square(np.array(left, dtype=float)))) == pytest.approx(NOISE, rel=0.1)
 
 
+def test_so_few_poses_are_not_taken_for_exact(arm: tuple[Robot, Robot]) -> None:
+    few = [estimate((arm[0], measured(arm[1], seed, n=14))) for seed in range(100, 105)]  # 42 numbers, 31 parameters
+    assert all(e.freedom is not None and e.freedom < 10 for e in few)
+    assert 0.4 * NOISE < np.median([e.sigma or 0.0 for e in few]) < 2.5 * NOISE
+
+
 def test_the_figure_of_a_life(tables: Path, tmp_path: Path) -> None:
     pytest.importorskip("plotly")
     problem = Path(__file__).parents[2] / "problems/ur10e"
