@@ -1,4 +1,4 @@
-"""Quantiles that the standard library does not have."""
+"""Distributions that the standard library does not have."""
 
 from statistics import NormalDist
 
@@ -14,3 +14,14 @@ def student_t(probability: float, degrees_of_freedom: int) -> float:
     g3 = (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384
     g4 = (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / 92160
     return z + g1 / n + g2 / n**2 + g3 / n**3 + g4 / n**4
+
+
+def exceeded_by_chance(ratio: float, above: float, below: float) -> float:
+    """How likely two variances of the same noise have a greater ratio, by their degrees of freedom (F distribution).
+
+    Paulson, Annals of Mathematical Statistics 13 (1942). Where both are few it is too large for small chances: of 10
+    and 10 by half at 1e-4, of 75 and 75 by 3 %.
+    """
+    a, b = 2 / (9 * above), 2 / (9 * below)
+    root = ratio ** (1 / 3)
+    return NormalDist().cdf((1 - a - (1 - b) * root) / (b * root**2 + a) ** 0.5)

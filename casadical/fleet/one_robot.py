@@ -35,7 +35,7 @@ NOTHING: dict[str, Any] = {
     "seconds": 0.0, "type": "", "type_name": "", "method": "", "poses": 0, "campaigns": 0, "before_mm": float("nan"),
     "after_mm": float("nan"), "at_bounds": "", "verdict": "", "causes": "", "changes": "", "details": "{}",
     "notes": "", "names": [], "departure": [], "score": [], "information": [], "spread": [], "scale": [],
-    "identified": [], "left_mm": [], "days": [],
+    "identified": [], "left_mm": [], "left_free": [], "days": [],
 }  # fmt: skip
 
 
@@ -115,7 +115,8 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
         row |= {"changes": changes, "details": json_text(compared.to_json())}
     days = [float("nan") if e.day is None else e.day for e in estimates]
     left = [float("nan") if e.sigma is None else 1e3 * e.sigma for e in estimates]
-    own = {"campaigns": len(estimates), "notes": "; ".join(notes), "days": days, "left_mm": left}
+    free = [float("nan") if e.freedom is None else e.freedom for e in estimates]
+    own = {"campaigns": len(estimates), "notes": "; ".join(notes), "days": days, "left_mm": left, "left_free": free}
     return row | own | told_of(estimates[-1], problem.robot)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.blocks import Table, Words
+from casadical.core.statistics import exceeded_by_chance
 from casadical.fleet.drawings import Drawing, drawings_of, nearly_one
 from casadical.fleet.hierarchy import LEAST, MOST, Common, common_of
 from casadical.fleet.one_robot import NOTHING
@@ -27,8 +28,8 @@ TOLD = ("robot", "type", "type_name", "names", "score", "information", "spread",
 KEPT = tuple(n for n in NOTHING if n not in (*TOLD[3:], "departure", "details"))
 # Of fewer robots the 95 % quantile is no more than the worst of them.
 MANY = 20
-# A robot is worse where its last campaign leaves so many times what the median of those before left.
-WORSE = 2.0
+# What a campaign leaves may differ so many times from day to day; more is named, by chance in so many fleets at most.
+USUAL, ALARMS = 1.2, 0.01
 # Rows that the terminal shows, and letters of an error that a table shows.
 SHOWN, LETTERS = 12, 240
 
@@ -82,6 +83,13 @@ class Fleet:
     def good(self) -> pd.DataFrame:
         """Rows of robots that were calibrated."""
         return self.robots[self.robots["status"] == "ok"]
+
+    @property
+    def grown(self) -> dict[str, str]:
+        """In words, by robot: its last campaign leaves more than those before, and chance does not explain it."""
+        some = self.good[self.good["campaigns"] > 1]
+        told = {r["robot"]: grown(r["left_mm"], r.get("left_free"), ALARMS / len(some)) for r in records(some)}
+        return {name: words for name, words in told.items() if words}
 
     def blocks(self) -> list[Words | Table]:
         """What `casadical fleet` prints.
@@ -177,7 +185,7 @@ class Fleet:
             yield Table("Types: median of the mean errors of their robots [mm]", head, rows, frozenset({2, 3, 4, 5}))
 
     def _to_look_at(self) -> Iterator[Table]:
-        more = {str(r["robot"]): words for r in records(self.good) if (words := worse(r["left_mm"]))}
+        more = self.grown
         some = self.robots[
             self.robots["robot"].isin([*self.outliers, *more])
             | (self.robots["changes"] != "")
@@ -230,13 +238,19 @@ def short(error: str, letters: int = LETTERS) -> str:
     return line if len(line) <= letters else f"{line[:letters].rsplit(' ', 1)[0]} ..."
 
 
-def worse(left: Sequence[float]) -> str:
-    """In words, where the last campaign leaves much more than those before [mm]."""
-    known = np.asarray(left, dtype=float)
-    known = known[np.isfinite(known)]
-    if len(known) < 2 or not known[-1] > WORSE * np.median(known[:-1]):
+def grown(left: Sequence[float], freedom: Sequence[float] | float | None, alarms: float) -> str:
+    """In words, where what the last campaign leaves [mm] is more than those before, with so many false alarms.
+
+    freedom : degrees of freedom of each; nothing is said without them, as of a row that an older casadical wrote
+    """
+    both = np.array(np.broadcast_arrays(left, np.array(freedom, dtype=float)))
+    known, free = both[:, np.isfinite(both).all(axis=0)]
+    if len(known) < 2:
         return ""
-    return f"the last campaign leaves {known[-1]:.3f} mm a coordinate, those before {np.median(known[:-1]):.3f}"
+    before = float(np.sqrt(np.average(known[:-1] ** 2, weights=free[:-1])))
+    if exceeded_by_chance((known[-1] / (USUAL * before)) ** 2, free[-1], free[:-1].sum()) > alarms:
+        return ""
+    return f"the last campaign leaves {known[-1]:.3f} mm a coordinate, those before {before:.3f}"
 
 
 def _plain(value: Any) -> Any:

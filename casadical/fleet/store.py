@@ -111,13 +111,16 @@ def records(robots: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _read(path: Path, columns: Sequence[str] | None, damaged: list[str] | None) -> Any:
-    """Table of a file; None where it cannot be read, which is said in damaged. Raises InputError."""
+    """Table of a file, without columns that were added after it was written; None where it cannot be read.
+
+    damaged : then said there. Raises InputError.
+    """
     parquet = optional("pyarrow.parquet", _NEEDED)
     blob = io.BytesIO(read_bytes(path))
     try:
-        version = (parquet.read_schema(blob).metadata or {}).get(KEY, b"").decode()
-        _refuse_other(path, version)
-        return parquet.read_table(blob, columns=None if columns is None else list(columns))
+        schema = parquet.read_schema(blob)
+        _refuse_other(path, (schema.metadata or {}).get(KEY, b"").decode())
+        return parquet.read_table(blob, columns=[n for n in schema.names if columns is None or n in columns])
     except (OSError, ValueError) as error:
         if isinstance(error, InputError):
             raise

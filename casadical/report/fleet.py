@@ -10,7 +10,7 @@ import pandas as pd
 from casadical.core.blocks import Table, Words
 from casadical.fleet.estimates import date_text
 from casadical.fleet.hierarchy import Common
-from casadical.fleet.result import Fleet, short, worse
+from casadical.fleet.result import Fleet, short
 from casadical.fleet.store import records
 from casadical.report.life import left_figure
 from casadical.report.page import Block, Drawing, Part, Section, Tile, report_html
@@ -67,7 +67,7 @@ def fleet_figures(found: Fleet) -> dict[str, Figure]:
     if len(found.good):
         figures["map"] = _map(found)
     if (found.good["campaigns"] > 1).any():
-        figures["trends"] = _trends(found.good)
+        figures["trends"] = _trends(found)
     return figures | {f"common/{c.type}": _common(c) for c in found.commons}
 
 
@@ -158,9 +158,9 @@ def _map(found: Fleet) -> Figure:
     return figure.update_yaxes(log_ticks())
 
 
-def _trends(good: pd.DataFrame) -> Figure:
-    several = good[good["campaigns"] > 1]
-    striking = (several["changes"] != "") | (several["left_mm"].map(worse) != "")
+def _trends(found: Fleet) -> Figure:
+    grown, several = found.grown, found.good[found.good["campaigns"] > 1]
+    striking = (several["changes"] != "") | several["robot"].isin(list(grown))
     several = several.assign(striking=striking).sort_values("striking", ascending=False, kind="stable").head(COURSES)
     dated = any(np.isfinite(days).sum() > 1 for days in several["days"])
     lives: list[tuple[str, list[object], list[float], bool]] = []
@@ -171,7 +171,7 @@ def _trends(good: pd.DataFrame) -> Figure:
     figure = left_figure(sorted(lives, key=lambda life: life[3]), height=340)  # what changed is on top
     named = [life for life in lives if life[2] and np.isfinite(life[2][-1])]
     if len(named) > LABELS:
-        named = [life for life in named if life[3] or worse(life[2])]
+        named = [life for life in named if life[3] or life[0] in grown]
     first = sorted(named, key=lambda life: (not life[3], -life[2][-1]))[:LABELS]
     named = sorted(first, key=lambda life: -life[2][-1])
     most = max((v for _, _, left, _ in lives for v in left if np.isfinite(v)), default=1.0)

@@ -277,6 +277,17 @@ def test_the_spread_of_few_robots_is_near_that_of_like_parameters() -> None:
     assert pooled.max() < 0.1
 
 
+def test_a_store_from_before_a_column_was_added_is_read(tmp_path: Path) -> None:
+    add(tmp_path, [{**NOTHING, "robot": "a", "left_mm": [0.1], "left_free": [40.0]}])
+    (path,) = parts(tmp_path)
+    parquet.write_table(parquet.read_table(path).drop_columns(["left_free"]), path)
+    damaged: list[str] = []
+    (row,) = records(rows(tmp_path, ["robot", "left_mm", "left_free"], damaged))
+    assert not damaged
+    assert "left_free" not in row
+    assert row["left_mm"].tolist() == [0.1]
+
+
 def test_robots_that_stand_out(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     whole = rows(done[0] / "fleet.parquet")
     good = whole[whole["status"] == "ok"].reset_index(drop=True)
@@ -325,6 +336,7 @@ def test_a_course_without_days_is_not_drawn_among_days_and_what_grew_is_named(
     for k, column in enumerate(("days", "left_mm")):
         good[column] = [lives.get(n, (v, v))[k] for n, v in zip(good["robot"], good[column], strict=True)]
     good.loc[good["robot"].isin(list(lives)), "campaigns"] = 3
+    good["left_free"] = [np.full(len(left), 40.0) for left in good["left_mm"]]
     found = fleet_of(good)
     drawn = {t.text[0]: list(t.x) for t in fleet_figures(found)["trends"].data if t.text}
     assert drawn["arm0"] == ["2024-11-03", "2024-12-03"]
@@ -338,6 +350,9 @@ def test_a_course_without_days_is_not_drawn_among_days_and_what_grew_is_named(
     assert min(heights) >= 0
     to_check = next(b for b in found.blocks() if isinstance(b, Table) and "note" in b.columns)
     assert {r[0]: r[-1] for r in to_check.rows}["arm0"].startswith("the last campaign leaves 0.050 mm a coordinate")
+    for few in (3.0, float("nan")):  # so few degrees of freedom tell nothing, nor does a row without them
+        assert fleet_of(good.assign(left_free=[np.full(len(left), few) for left in good["left_mm"]])).grown == {}
+    assert fleet_of(good.drop(columns="left_free")).grown == {}
     undated = fleet_of(good[good["robot"] == "arm1"])
     assert [list(t.x) for t in fleet_figures(undated)["trends"].data] == [[1, 2, 3]]
 
