@@ -65,6 +65,8 @@ class Fleet:
     'planar'
     >>> fleet.prior_files("priors")  # of five robots of one type or more
     {}
+    >>> fleet.grown  # of several campaigns
+    {}
     """
 
     robots: pd.DataFrame

@@ -13,7 +13,7 @@ data are synthetic.
 Judged are the predicted positions of 200 other poses, anywhere within the joint limits: "mm" is the true rms error,
 "rms" its ratio to the promised one (by `predict`), "in" the share of coordinates in their 95 % intervals; and the
 parameters, but those of the base: "values" is the share in their 95 % intervals (`parameters`), "told" that of those
-whose standard error is less than half of that of the prior. Lengths that no pose tells apart are held as drawn: the
+whose standard error is less than half of that of the prior. Lengths that poses do not distinguish are held as drawn: the
 truth of the others is what they come to in a fit to the 200 poses without noise. Where poses were not always
 enough for a result, the line says how often.
 
