@@ -13,9 +13,9 @@ data are synthetic.
 Judged are the predicted positions of 200 other poses, anywhere within the joint limits: "mm" is the true rms error,
 "rms" its ratio to the promised one (by `predict`), "in" the share of coordinates in their 95 % intervals; and the
 parameters, but those of the base: "values" is the share in their 95 % intervals (`parameters`), "told" that of those
-whose standard error is less than half of that of the prior. Lengths that poses do not distinguish are held as drawn: the
-truth of the others is what they come to in a fit to the 200 poses without noise. Where poses were not always
-enough for a result, the line says how often.
+whose standard error is less than half of that of the prior. Lengths that poses do not distinguish are held as drawn:
+the truth of the others is what they come to in a fit to the 200 poses without noise. Where poses were not always enough
+for a result, the line says how often.
 
 Good is a share of 0.90 at least, and a ratio of 0.85 to 1.15, in each line with a prior. The scatter of such a figure
 is about 0.02 of a share and 0.05 of a ratio: a robot's errors go together. The rules were committed before seed 41
