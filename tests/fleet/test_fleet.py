@@ -363,7 +363,7 @@ def test_of_many_robots_those_that_stand_out_are_named_and_the_axes_have_numbers
     good = pd.DataFrame([
         {**NOTHING, "robot": f"arm{k}", "status": "ok", "type": "t", "before_mm": 2.0, "campaigns": 3,
          "after_mm": 0.5 if k == 7 else 0.08 * np.exp(0.1 * rng.normal()), "left_mm": left[k], "days": [np.nan] * 3,
-         "changes": "lengths" if k == 199 else ""}
+         "left_free": [40.0] * 3, "changes": "lengths" if k == 199 else ""}
         for k in range(count)
     ])  # fmt: skip
     figures = fleet_figures(Fleet(good, (), ("arm7",)))
