@@ -137,21 +137,8 @@ class Fleet:
             texts[Path(folder) / f"{c.type}.robot.toml"] = to_toml(c.prior_of(drawn), comment)
         return texts
 
-    def correction(self, common: Common, name: str) -> str:
-        """What to write into the robot files of a type for a parameter, and where.
-
-        Parameters
-        ----------
-        common : Common
-            of the type
-        name : str
-            of the parameter
-
-        Returns
-        -------
-        str
-            as "[[joint]] 4: d_mm = 1199.7 (drawn 1200)"; empty of a parameter without a row, or where no file was read
-        """
+    def _correction(self, common: Common, name: str) -> str:
+        """What to write into the robot files of a type for a parameter, and where; empty where no file was read."""
         return self.drawings[common.type].correction(common, name) if common.type in self.drawings else ""
 
     def _faults(self) -> Iterator[Words]:
@@ -161,7 +148,7 @@ class Fleet:
             for name, mean, error in c.faults:
                 size, sigma, unit = c.readable(name, mean, error)
                 soft = unit.startswith("urad")
-                places[soft].append(self.correction(c, name))
+                places[soft].append(self._correction(c, name))
                 found[soft].append(f"{name} {'' if found[soft] else 'is '}{size:+.3g} {unit} +/- {sigma:.1g}")
             remedies = {
                 False: "correct the drawing, or the set-up of the instrument",
@@ -173,7 +160,7 @@ class Fleet:
                     yield Words(f"{words}: {remedies[soft]}.", "warning", "\n".join(filter(None, places[soft])))
 
     def _corrections(self, common: Common) -> dict[str, str]:
-        return {name: self.correction(common, name) for name, _, _ in common.faults}
+        return {name: self._correction(common, name) for name, _, _ in common.faults}
 
     def _types(self) -> Iterator[Table]:
         rows = []
