@@ -19,7 +19,7 @@ for a result, the line says how often.
 
 Good is a share of 0.90 at least, and a ratio of 0.85 to 1.15, in each line with a prior. The scatter of such a figure
 is about 0.02 of a share and 0.05 of a ratio: a robot's errors go together. The rules were committed before seed 41
-was run; seed 40 was used to write them.
+was run; seed 40 was used to write them. What 41 showed was cured, and 42 judges.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from casadical.identification.prior import Prior
 from casadical.project.problem import read_campaign_robot
 
 FLEETS, NEW, POSES = 5, 3, (8, 15, 25, 40, 60)
-SEED = 41
+SEED = 42
 # Robot, spread in the fleet [mm, mrad], robots in it, and noise of the instruments that measure new ones [mm].
 Kind = tuple[str, float, int, tuple[float, ...]]
 NOISES = {0.3: (0.03,), 0.03: (0.03, 0.3)}
