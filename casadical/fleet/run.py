@@ -68,7 +68,9 @@ def run_fleet(
     with opened(place):
         damaged: list[str] = []
         known = rows(place, _LOOKED_AT, damaged).set_index("robot")
-        left, notes = _left(robots, known, with_diagnosis, place)
+        robots, prints, notes = _once(robots, known)
+        left, renamed = _left(robots, prints, known, with_diagnosis, place)
+        notes += renamed
         show(f"robot {len(robots) - len(left)} of {len(robots)}")
         if left:
             with client_of(scheduler, workers) as client:
@@ -100,35 +102,48 @@ def robots_in(folders: Iterable[str | Path]) -> dict[str, Path]:
     return found
 
 
+def _once(robots: dict[str, Path], known: pd.DataFrame) -> tuple[dict[str, Path], dict[str, str], list[str]]:
+    """Robots without copies of others, the fingerprints of all, and which are copies: of two, one the store has not."""
+    prints: dict[str, str] = {}
+    for name, folder in robots.items():
+        try:
+            prints[name] = fingerprint(folder)
+        except OSError:
+            prints[name] = ""
+    stored, first = known["fingerprint"].to_dict(), dict[str, str]()
+    for name in sorted(robots, key=lambda n: (stored.get(n) != prints[n], n)):
+        first.setdefault(prints[name] or name, name)
+    of = {name: first[prints[name] or name] for name in robots}
+    said = [
+        f"{name} has the same files as {of[name]}: a copy, counted once, without a row; remove one"
+        for name in robots
+        if of[name] != name
+    ]
+    return {name: folder for name, folder in robots.items() if of[name] == name}, prints, said
+
+
 def _left(
-    robots: dict[str, Path], known: pd.DataFrame, with_diagnosis: bool, place: Path
+    robots: dict[str, Path], prints: dict[str, str], known: pd.DataFrame, with_diagnosis: bool, place: Path
 ) -> tuple[list[str], list[str]]:
     """Robots that are to be computed; a row whose folder was renamed is taken over under the new name."""
     left: list[str] = []
-    renamed: dict[str, list[str]] = {}
-    prints = dict(zip(known.index, known["fingerprint"], strict=True))
-    gone = {now: name for name, now in prints.items() if name not in robots and now}
-    for name, folder in robots.items():
-        row = known.loc[name] if name in known.index else None
-        try:
-            now = fingerprint(folder)
-        except OSError:
-            now = ""
+    renamed: dict[str, str] = {}
+    gone = {now: str(name) for name, now in known["fingerprint"].items() if name not in prints and now}
+    for name in robots:
+        row, now = known.loc[name] if name in known.index else None, prints[name]
         if row is None and now in gone:
-            renamed.setdefault(gone[now], []).append(name)
+            renamed[gone[now]] = name
         elif row is None or row.fingerprint != now or row.status != "ok" or (with_diagnosis and not row.verdict):
             left.append(name)
     same = (
-        {**old, "robot": name, "folder": str(robots[name].resolve())}
+        {**old, "robot": renamed[old["robot"]], "folder": str(robots[renamed[old["robot"]]].resolve())}
         for old in each(place, renamed)
-        for name in renamed[old["robot"]]
     )
     while some := list(islice(same, ROWS)):
         add(place, some)
     return left, [
         f"{name} has the files of {old}, whose folder is not there: taken for it, renamed"
-        for old, names in renamed.items()
-        for name in names
+        for old, name in renamed.items()
     ]
 
 

@@ -92,6 +92,28 @@ def test_files_of_a_store_that_were_cut_or_deleted_are_said_and_their_robots_com
     assert gone.startswith("rows of 1 robots are gone")
 
 
+def test_a_copy_of_a_folder_is_no_robot_also_where_the_first_was_renamed(arms: Path, tmp_path: Path) -> None:
+    plant, store = tmp_path / "plant", tmp_path / "fleet.parquet"
+    shutil.copytree(arms / "arm1", plant / "arm1")
+    shutil.copytree(arms / "arm1", plant / "arm1-copy")
+    shutil.copytree(arms / "arm2", plant / "arm2")
+    found = run_fleet([plant], store, workers=1, with_diagnosis=False)
+    assert list(found.robots["robot"]) == ["arm1", "arm2"]
+    copy = "{} has the same files as {}: a copy, counted once, without a row; remove one"
+    assert found.notes == (copy.format("arm1-copy", "arm1"),)
+    shutil.copytree(plant / "arm2", plant / "a-copy")  # what the store knows is no copy
+    (plant / "arm1").rename(plant / "eins")
+    (plant / "arm1-copy").rename(plant / "zwei")
+    found = run_fleet([plant], store, workers=1, with_diagnosis=False)
+    assert list(found.robots["robot"]) == ["arm2", "eins"]
+    assert sorted(found.notes) == [
+        copy.format("a-copy", "arm2"),
+        "eins has the files of arm1, whose folder is not there: taken for it, renamed",
+        copy.format("zwei", "eins"),
+    ]
+    assert found.computed == 0
+
+
 def test_a_full_or_read_only_disk_is_said(tmp_path: Path, arms: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     row = {**NOTHING, "robot": "a"}
     add(tmp_path, [row])
