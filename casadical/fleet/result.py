@@ -134,7 +134,11 @@ class Fleet:
         for c in self.commons:
             drawn = read_problem_robot(self.good.loc[self.good["type"] == c.type, "folder"].iloc[0])
             comment = f"What {c.count} robots of one fleet have in common, as the prior of another one of this type."
-            texts[Path(folder) / f"{c.type}.robot.toml"] = to_toml(c.prior_of(drawn), comment)
+            prior = c.prior_of(drawn)
+            assert prior.knowledge is not None
+            if held := [b.names[0] for b in prior.knowledge.covariance if b.names[0] not in c.names]:
+                comment += f"\nHeld as drawn, for the robots' poses do not determine them: {', '.join(held)}."
+            texts[Path(folder) / f"{c.type}.robot.toml"] = to_toml(prior, comment)
         return texts
 
     def _correction(self, common: Common, name: str) -> str:

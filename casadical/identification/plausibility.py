@@ -15,6 +15,8 @@ UNIT_POSES = 200
 # Parts of a table in the order of its rows, of which each may have its unit; poses of one, and share of the reach over
 # which the model moves in one, from which on its unit is seen.
 PARTS, LEAST_POSES, MOVED = 5, 6, 0.3
+# A reading may lie so far beyond a joint's limit [rad or m], as of a pose that was commanded there.
+BEYOND = 2e-3
 
 
 def check_against(robot: Robot, m: Measurements) -> None:
@@ -26,8 +28,8 @@ def check_against(robot: Robot, m: Measurements) -> None:
         raise InputError(f"{m.source}: {m.q.shape[1]} joint columns, but {robot.name} has {robot.n} joints")
     lower = np.array([j.lower for j in robot.joints])
     upper = np.array([j.upper for j in robot.joints])
-    if (m.q.min(axis=0) < lower - 1e-6).any() or (m.q.max(axis=0) > upper + 1e-6).any():
-        outside = (m.q < lower - 1e-6) | (m.q > upper + 1e-6)
+    outside = (m.q < lower - BEYOND) | (m.q > upper + BEYOND)
+    if outside.any():
         k, i = (int(v[0]) for v in np.nonzero(outside))
         unit, factor = ("deg", 180 / np.pi) if robot.joints[i].kind == "revolute" else ("mm", 1e3)
         raise InputError(

@@ -25,6 +25,10 @@ from casadical.robot.knowledge import Knowledge, blocks
 from casadical.robot.robot import Robot, modified_dh
 from casadical.robot.robot_file import to_toml
 
+# With this share of the standard error that it had before, a parameter was told by the prior alone.
+UNTOLD = 0.98
+AS_BEFORE = "as the prior has it; these poses tell no more of it"
+
 
 @dataclass(frozen=True)
 class LeftOut:
@@ -193,10 +197,14 @@ class Identification:
 
     @cached_property
     def parameters(self) -> pd.DataFrame:
-        """A row per parameter: name, group, nominal, value, std_error, low, high (95 %), unit, status, reason."""
+        """A row per parameter: name, group, nominal, value, std_error, low, high (95 %), unit, status, reason.
+
+        Where a prior tells all of an identified one, the reason says so.
+        """
         quantile = student_t(0.975, self.degrees_of_freedom)
         reasons = {u.name: u.reason for u in self.identifiability.held}
         place_of = {name: k for k, name in enumerate(self.names)}
+        before = {n: np.sqrt(v) for names, C in self.problem.known for n, v in zip(names, np.diag(C), strict=True)}
         rows = []
         for p in self.start.parameters:
             nominal = p.readable(p.value)
@@ -205,6 +213,8 @@ class Identification:
                 k = place_of[p.name]
                 value, error = p.readable(self.estimate[k]), p.readable(self.standard_errors[k])
                 status, reason = ("at bound", "its bound stops it") if p.name in self.at_bounds else ("identified", "")
+                if self.standard_errors[k] >= UNTOLD * before.get(p.name, np.inf):
+                    reason = AS_BEFORE
             elif p.name in reasons:
                 status, reason = "not identifiable", reasons[p.name]
             low, high = value - quantile * error, value + quantile * error

@@ -12,7 +12,7 @@ from casadical.core.blocks import Table, Words, mm
 from casadical.core.errors import shown
 from casadical.identification.accuracy import Accuracy, errors, summarise
 from casadical.identification.left_open import left_open
-from casadical.identification.result import Identification, LeftOut, rows_in_words
+from casadical.identification.result import AS_BEFORE, Identification, LeftOut, rows_in_words
 from casadical.project.check.coverage import coverage
 from casadical.project.networks import Networks
 from casadical.project.problem import Problem, together
@@ -106,7 +106,11 @@ def _notes(problem: Problem, last: Identification, networks: Networks | None) ->
             yield Words(f"{trained.method} makes it better on poses that it did not learn; it is in the table.", "note")
     held = len(last.identifiability.held)
     known = len(last.names)
-    yield Words(f"{known} parameters identified, {held} are not identifiable from these poses.", "note")
+    told = (
+        f" ({before} as the prior has them)" if (before := int((last.parameters["reason"] == AS_BEFORE).sum())) else ""
+    )
+    poses = sum(len(m) for m in last.measurements) - len(last.outliers)
+    yield Words(f"{known} parameters identified from {poses} poses{told}, {held} are not identifiable.", "note")
     if problem.data is None:
         yield Words("It is not said whether the data are real or synthetic (data in problem.toml).", "note")
 

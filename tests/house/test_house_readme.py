@@ -32,7 +32,7 @@ def test_the_calibrate_command_runs() -> None:
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.count("report (held out)") == 2
-    assert done.stdout.count("are not identifiable from these poses") == 2
+    assert done.stdout.count("are not identifiable.") == 2
 
 
 def test_ci_runs_the_readmes_command() -> None:

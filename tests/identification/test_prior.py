@@ -210,6 +210,16 @@ def test_what_robots_of_one_type_have_in_common_is_a_prior_as_it_is():
     assert "variances widened 1.5 times" in own.in_words([])
 
 
+def test_what_the_poses_add_nothing_to_is_said_to_be_the_priors(few):
+    """An exact length of the prior stays exact; one that it hardly knows is measured."""
+    block = (Covariance(("a1",), np.array([[1e-14]])), Covariance(("a2",), np.array([[1e-6]])))
+    model, prior = carry_over(ARM, replace(ARM, knowledge=Knowledge(block, "elsewhere", robots=9)), ("all",))
+    table = identify(model, few, BASE, prior=prior).parameters.set_index("name")
+    assert table.loc["a1", "reason"] == "as the prior has it; these poses tell no more of it"
+    assert list(table.loc[["a1", "a2"], "status"]) == ["identified", "identified"]
+    assert table.loc["a2", "reason"] == ""
+
+
 def test_where_the_robot_stands_is_no_residual_of_the_prior():
     """The base of the HH800 is the first row of its table, which nothing places before the fit."""
     drawn = read_campaign_robot(ROOT / "problems/hh800")

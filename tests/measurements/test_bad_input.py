@@ -234,11 +234,11 @@ def test_the_good_ones_pass():
 
 @pytest.mark.parametrize("end", [-2.0, 2.0])
 def test_a_reading_beyond_either_end_is_refused_and_one_at_the_end_is_not(end: float) -> None:
-    """A file's digits may round a reading past its limit by a hair."""
+    """A file's digits may round a reading past its limit; a robot sent to the limit stops a little beyond it."""
     good = from_table(table(), joints=3)
     q = good.q.copy()
-    q[5, 1] = end * (1 + 2e-7)
+    q[5, 1] = end * (1 + 0.8e-3)
     check_against(ARM, replace(good[5:6], q=q[5:6]))
-    q[5, 1] = end * 1.001
+    q[5, 1] = end * 1.0015
     with pytest.raises(InputError, match=r"q2 = .*outside of the joint's range"):
         check_against(ARM, replace(good[5:6], q=q[5:6]))
