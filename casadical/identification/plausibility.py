@@ -1,5 +1,7 @@
 """Refuse measurements that contradict the nominal robot, before a solve."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from casadical.core.arrays import Array
@@ -45,25 +47,58 @@ def check_against(robot: Robot, m: Measurements) -> None:
         fault = find_kind(m.kind).unit_fault(some.arrays, p, positions_at(robot, some), robot.reach)
         if fault:
             raise InputError(f"{m.source}: {fault}")
-        _refuse_another_unit_midway(robot, some, p)
+        _refuse_another_unit_midway(robot, m, some, p)
 
 
-def _refuse_another_unit_midway(robot: Robot, m: Measurements, p: Array) -> None:
-    """Raise InputError where some rows are in another unit; p : positions of the model, shape (n, 3) [m]."""
-    by_row = np.argsort(m.row, kind="stable")
-    by_row = by_row[m.weight[by_row] > 0]
+def _refuse_another_unit_midway(robot: Robot, m: Measurements, some: Measurements, p: Array) -> None:
+    """Raise InputError where rows are in another unit; p : positions of `some` by the model, shape (n, 3) [m]."""
+    by_row = _by_row(some)
     found, said = [], ""
     for part in np.array_split(by_row, max(1, min(PARTS, len(by_row) // LEAST_POSES))):
         if np.linalg.norm(np.ptp(p[part], axis=0)) > MOVED * robot.reach:
-            some = m[part]
-            fault = find_kind(m.kind).unit_fault(some.arrays, p[part], positions_at(robot, some), robot.reach)
-            found += [some.row.min(), some.row.max()] if fault else []
+            fault = _unit_fault(robot, some, p, part)
+            found += [(some.row[part[0]], some.row[part[-1]])] if fault else []
             said = said or fault
     if said:
+        runs = " and ".join(f"{a} to {b}" for a, b in _runs(robot, m, found))
         raise InputError(
-            f"{m.source}: between rows {min(found)} and {max(found)} another unit than in the others: {said}. One unit "
-            "a column: correct these rows, or make two tables of it"
+            f"{m.source}: rows {runs} are in another unit than the others: {said}. One unit a column: correct these "
+            "rows, or make two tables of it"
         )
+
+
+def _by_row(m: Measurements) -> Array:
+    """Places of the poses that count, in the order of their rows."""
+    order = np.argsort(m.row, kind="stable")
+    return np.asarray(order[m.weight[order] > 0])
+
+
+def _unit_fault(robot: Robot, m: Measurements, p: Array, which: Array) -> str:
+    """What is wrong with the unit of some poses; p : positions of the model, shape (n, 3) [m]."""
+    some = m[which]
+    return find_kind(m.kind).unit_fault(some.arrays, p[which], positions_at(robot, some), robot.reach)
+
+
+def _runs(robot: Robot, m: Measurements, found: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """First and last row of each run in another unit, grown row by row from the parts that were found."""
+    by_row, (p, _) = _by_row(m), predicted(robot, m)
+    rows = m.row[by_row]
+    runs: list[tuple[int, int]] = []
+    for begin, end in found:
+        first, last = (int(k) for k in np.searchsorted(rows, (begin, end)))
+        few = np.linspace(first, last, LEAST_POSES).astype(int)
+
+        def beside(k: int, few: Array = few) -> bool:
+            # As often as all others together, for faults that a median tells.
+            which = by_row[[*few, *[k] * (len(few) + 1)]]
+            return bool(_unit_fault(robot, m, p, which))
+
+        while first > 0 and beside(first - 1):
+            first -= 1
+        while last + 1 < len(rows) and beside(last + 1):
+            last += 1
+        runs.append((int(rows[first]), int(rows[last])))
+    return list(dict.fromkeys(runs))
 
 
 def least_margins(robot: Robot, m: Measurements) -> Array:

@@ -244,10 +244,15 @@ def test_a_table_whose_name_is_not_utf_8_has_a_page_and_one_that_is_not_there_is
 
 def test_units_that_change_within_a_table_are_said_with_their_rows(first: Path, tmp_path: Path) -> None:
     whole, spoilt = first / "campaigns" / "2026-02-01.csv", tmp_path / "2026-05-01.csv"
-    shutil.copy(whole, spoilt)
-    spoil(spoilt, 20, METRES, 1e-3)
-    with pytest.raises(InputError, match=r"2026-05-01.csv: between rows 26 and 41 another unit than in the others"):
-        compare_files([whole, spoilt], first)
+    told = pd.read_csv(whole)
+    end = len(told) - 1
+    for begin, last in ((20, end), (13, end), (0, 18), (9, 30)):
+        wrong = told.copy()
+        wrong.loc[begin:last, METRES] *= 1e-3
+        wrong.to_csv(spoilt, index=False)
+        said = f"2026-05-01.csv: rows {begin + 2} to {last + 2} are in another unit than the others"
+        with pytest.raises(InputError, match=said):
+            compare_files([whole, spoilt], first)
     shutil.copy(whole, spoilt)
     spoil(spoilt, 28, ["q1_deg", "q2_deg"], 3.14159265 / 180)
     found = compare_files([whole, spoilt], first)
