@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
@@ -15,7 +15,8 @@ import pandas as pd
 
 from casadical.core.errors import CasadicalError
 from casadical.core.files import read_bytes
-from casadical.fleet.hierarchy import Common
+from casadical.core.parameters import Parameter
+from casadical.fleet.hierarchy import COUNTS, SURE, Common
 from casadical.project.problem import read_problem_robot
 from casadical.project.problem_file import problem_file
 from casadical.robot.robot import Robot
@@ -38,12 +39,23 @@ class Drawing:
     robot: Robot
     standard: bool | None
 
-    def correction(self, common: Common, name: str) -> str:
-        """What to write for a parameter, and where, as "[[joint]] 4: d_mm = 1199.7 (drawn 1200)"; or nothing."""
+    @property
+    def robots(self) -> str:
+        """How many there are, in words."""
+        return f"{self.count} robot{'s' * (self.count > 1)}"
+
+    def correction(self, common: Common, name: str, near: Sequence[Drawing] = ()) -> str:
+        """What to write for a parameter, and where, as "[[joint]] 4: d_mm = 1199.7 (drawn 1200)"; or nothing.
+
+        near : drawings that are nearly this one; the value of one that would be no fault is taken, so that all are one
+        """
         if self.standard is None or name not in self.robot.parameters.names:
             return ""
         drawn, k = self.robot.parameters[name].value, common.names.index(name)
         new = drawn + common.mean[k] * common.scale[k]
+        good = max(SURE * common.std_error[k], COUNTS) * common.scale[k]
+        taken = next((other for other in near if abs(other.robot.parameters[name].value - new) <= good), None)
+        new, said = (taken.robot.parameters[name].value, f"; {taken.robots} so") if taken else (new, "")
         found = re.fullmatch(r"(L[345])(?:_(\d+))?|([a-z]+)(\d+)", name)
         if not found or (found[3] == "beta" and self.standard):
             return ""
@@ -54,7 +66,8 @@ class Drawing:
                 else "stiffness_N_per_m"
             )
             given = f"{1 / drawn:.6g}" if drawn else "no number"
-            return f"[[joint]] {found[4]}: {key} = {float(f'{1 / new:.3g}'):.0f} (drawn {given})" if new > 0 else ""
+            number = f"{1 / new:.12g}" if taken else f"{float(f'{1 / new:.3g}'):.0f}"
+            return f"[[joint]] {found[4]}: {key} = {number} (drawn {given}{said})" if new > 0 else ""
         if found[1]:
             key, where = _BARS[found[1]], f"[[four_bar]] {found[2] or 1}"
         else:
@@ -62,7 +75,8 @@ class Drawing:
             where = f"[[joint]] {int(found[4]) + (found[3] in ('alpha', 'a', 'beta', 'b') and not self.standard)}"
         factor = 1e3 if key.endswith("mm") else np.rad2deg(1.0)
         digits = max(0, int(np.ceil(-np.log10(common.std_error[k] * common.scale[k] * factor))))
-        return f"{where}: {key} = {factor * new:.{min(digits, 6)}f} (drawn {factor * drawn:.9g})"
+        number = f"{factor * new:.12g}" if taken else f"{factor * new:.{min(digits, 6)}f}"
+        return f"{where}: {key} = {number} (drawn {factor * drawn:.9g}{said})"
 
 
 def drawings_of(good: pd.DataFrame) -> dict[str, Drawing]:
@@ -79,25 +93,29 @@ def drawings_of(good: pd.DataFrame) -> dict[str, Drawing]:
     return found
 
 
+def near(drawings: Mapping[str, Drawing], kind: str) -> list[Drawing]:
+    """Drawings that are nearly that of a type, of which there are most robots first."""
+    return [other for other in drawings.values() if _differences(drawings[kind], other)]
+
+
 def nearly_one(drawings: Mapping[str, Drawing]) -> Iterator[str]:
     """In words, types whose drawings differ in few values, as where they are corrected one robot at a time."""
-    own = {
-        kind: [p for p in drawing.robot.parameters if p.group not in ("base", "tool")]
-        for kind, drawing in drawings.items()
-    }
-    for first, second in combinations(drawings, 2):
-        if [p.name for p in own[first]] != [p.name for p in own[second]]:
-            continue
-        pairs = [(p, q) for p, q in zip(own[first], own[second], strict=True) if f"{p.value:.9g}" != f"{q.value:.9g}"]
-        if len(pairs) <= FEW and all(abs(q.value - p.value) <= NEAR * p.prior for p, q in pairs):
+    for (first, one), (second, other) in combinations(drawings.items(), 2):
+        if pairs := _differences(one, other):
             words = ", ".join(
                 f"{p.name} ({p.readable(p.value):.9g} and {p.readable(q.value):.9g} {p.readable_unit})"
                 for p, q in pairs
             )
             names = " and ".join(
-                f"{drawings[kind].name}, drawing {kind} ({drawings[kind].count} robots),".replace(
-                    "(1 robots)", "(1 robot)"
-                )
-                for kind in (first, second)
+                f"{d.name}, drawing {kind} ({d.robots})," for kind, d in ((first, one), (second, other))
             )
             yield f"types {names} differ only in {words}: corrected one by one? Then correct all of them"
+
+
+def _differences(one: Drawing, other: Drawing) -> list[tuple[Parameter, Parameter]]:
+    """In which parameters two drawings that are nearly one differ; none where they are others, or the same."""
+    first, second = ([p for p in d.robot.parameters if p.group not in ("base", "tool")] for d in (one, other))
+    if [p.name for p in first] != [p.name for p in second]:
+        return []
+    pairs = [(p, q) for p, q in zip(first, second, strict=True) if f"{p.value:.9g}" != f"{q.value:.9g}"]
+    return pairs if len(pairs) <= FEW and all(abs(q.value - p.value) <= NEAR * p.prior for p, q in pairs) else []

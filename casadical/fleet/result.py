@@ -12,7 +12,7 @@ import pandas as pd
 
 from casadical.core.blocks import Table, Words
 from casadical.core.statistics import exceeded_by_chance
-from casadical.fleet.drawings import Drawing, drawings_of, nearly_one
+from casadical.fleet.drawings import Drawing, drawings_of, near, nearly_one
 from casadical.fleet.hierarchy import LEAST, MOST, Common, common_of
 from casadical.fleet.one_robot import NOTHING
 from casadical.fleet.store import records
@@ -143,7 +143,9 @@ class Fleet:
 
     def _correction(self, common: Common, name: str) -> str:
         """What to write into the robot files of a type for a parameter, and where; empty where no file was read."""
-        return self.drawings[common.type].correction(common, name) if common.type in self.drawings else ""
+        if common.type not in self.drawings:
+            return ""
+        return self.drawings[common.type].correction(common, name, near(self.drawings, common.type))
 
     def _faults(self) -> Iterator[Words]:
         for c in self.commons:

@@ -13,7 +13,7 @@ from command_line import main
 from fleet_plants import ROOT, planar
 
 from casadical import read_robot
-from casadical.fleet.drawings import Drawing, drawings_of, nearly_one
+from casadical.fleet.drawings import Drawing, drawings_of, near, nearly_one
 from casadical.fleet.hierarchy import Common
 from casadical.fleet.one_robot import one_robot, type_of
 from casadical.fleet.store import add
@@ -78,6 +78,27 @@ def test_a_type_that_is_corrected_one_by_one_is_said_and_another_arm_is_not(tmp_
     ]
     shutil.rmtree(tmp_path / "arm2")  # a drawing that cannot be read is left aside
     assert list(nearly_one(drawings_of(pd.DataFrame(rows)))) == []
+
+
+def test_what_robots_corrected_before_have_is_said_so_that_all_become_one_type(tmp_path: Path) -> None:
+    """Also a stiffness and an angle; what would be a fault is not taken, nor what another arm has."""
+    names, text = ("a1", "c1", "alpha1"), (ROOT / "problems/kr210/robot.toml").read_text()
+    found = common(names, [0.43, 0.5, 1.0], [1e-3, 1e-7, 1e-3])
+    drawings = {}
+    for kind, a1 in (("drawn", 350.0), ("two", 350.4), ("fault", 350.5), ("another", 390.43)):
+        file = tmp_path / f"{kind}.toml"
+        stiff, angle = ("2601234", "-89.9427001") if kind == "two" else ("3000000", "-90")
+        lines = text.replace("a_mm = 350", f"a_mm = {a1}", 1).replace("alpha_deg = -90", f"alpha_deg = {angle}", 1)
+        file.write_text(lines.replace("stiffness_Nm_per_rad = 3000000", f"stiffness_Nm_per_rad = {stiff}", 1))
+        drawings[kind] = Drawing("arm", 2, read_robot(file), False)
+    assert [len(near(drawings, kind)) for kind in ("drawn", "another")] == [2, 0]
+    assert [drawings["drawn"].correction(found, name, near(drawings, "drawn")) for name in names] == [
+        "[[joint]] 2: a_mm = 350.4 (drawn 350; 2 robots so)",
+        "[[joint]] 1: stiffness_Nm_per_rad = 2601234 (drawn 3e+06; 2 robots so)",
+        "[[joint]] 2: alpha_deg = -89.9427001 (drawn -90; 2 robots so)",
+    ]
+    del drawings["two"]
+    assert drawings["drawn"].correction(found, "a1", near(drawings, "drawn")).startswith("[[joint]] 2: a_mm = 350.43 (")
 
 
 def test_the_command_says_what_it_took_and_which_priors_are_old(tmp_path: Path, monkeypatch, capsys) -> None:
