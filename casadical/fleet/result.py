@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -134,7 +136,7 @@ class Fleet:
         for c in self.commons:
             drawn = read_problem_robot(self.good.loc[self.good["type"] == c.type, "folder"].iloc[0])
             comment = f"What {c.count} robots of one fleet have in common, as the prior of another one of this type."
-            prior = c.prior_of(drawn)
+            prior = replace(c.prior_of(drawn), name=c.name)
             assert prior.knowledge is not None
             if held := [b.names[0] for b in prior.knowledge.covariance if b.names[0] not in c.names]:
                 comment += f"\nHeld as drawn, for the robots' poses do not determine them: {', '.join(held)}."
@@ -261,13 +263,26 @@ def fleet_of(
     computed: int | None = None,
 ) -> Fleet:
     """The result of the rows of a store; told : gives rows of some robots with the columns TOLD that `robots` lacks."""
+    names = {kind: name_of_type(list(some)) for kind, some in robots.groupby("type")["type_name"]}
+    robots = robots.assign(type_name=robots["type"].map(names))
     good = robots[robots["status"] == "ok"]
     types = [some for _, some in good.groupby("type", sort=False) if len(some) >= LEAST]
     outliers = [name for some in types for name in _outliers(some)]
-    commons = [common_of(told(list(some["robot"][:MOST])) if told else records(some)) for some in types]
+    commons = [
+        replace(common_of(told(list(some["robot"][:MOST])) if told else records(some)), name=some["type_name"].iloc[0])
+        for some in types
+    ]
     drawings = drawings_of(good)
     said = (*notes, *nearly_one(drawings))
     return Fleet(robots, tuple(commons), tuple(outliers), said, drawings, computed)
+
+
+def name_of_type(names: Sequence[str]) -> str:
+    """One name of robots of one type: the most frequent; at a tie the words these begin with, or the first of them."""
+    times = Counter(names)
+    most = sorted(name for name, count in times.items() if count == max(times.values()))
+    words = zip(*(name.split() for name in most), strict=False)
+    return " ".join(word for word, *_ in takewhile(lambda some: len(set(some)) == 1, words)) or most[0]
 
 
 def _outliers(some: pd.DataFrame) -> list[str]:

@@ -25,7 +25,7 @@ from casadical.fleet import run_fleet
 from casadical.fleet.cluster import client_of, results
 from casadical.fleet.hierarchy import Common, common_of, learnt
 from casadical.fleet.one_robot import NOTHING, fingerprint, one_robot
-from casadical.fleet.result import Fleet, fleet_of
+from casadical.fleet.result import Fleet, fleet_of, name_of_type
 from casadical.fleet.store import KEY, add, each, parts, records, rows
 from casadical.report import fleet_figures
 from casadical.report.fleet import APART, LABELS
@@ -301,6 +301,19 @@ def test_robots_that_stand_out(done: tuple[Path, subprocess.CompletedProcess[str
     assert [t.rows[0][-1] for t in (few, many)] == ["", "0.5000"]  # one in six has 0.5
     with pytest.raises(InputError, match="5 are needed"):
         common_of(records(good.iloc[:4]))
+
+
+def test_a_type_has_one_name_in_all_outputs(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    whole = rows(done[0] / "fleet.parquet")
+    good = whole[whole["status"] == "ok"].reset_index(drop=True)
+    found = fleet_of(good.assign(type_name=[f"Planar arm SN {9 - k}" for k in range(len(good))]))
+    ((_, text),) = found.prior_files("priors").items()
+    assert 'name = "Planar arm SN"' in text
+    assert {found.commons[0].name, *found.robots["type_name"], found.drawings[found.commons[0].type].name} == {
+        "Planar arm SN"
+    }
+    assert name_of_type(["b", "a", "b"]) == "b"
+    assert name_of_type(["UR10e-2", "UR10e-1"]) == "UR10e-1"
 
 
 def test_what_a_type_shares_is_the_same_in_any_order_of_parameters_and_whatever_few_robots_identified() -> None:
