@@ -201,6 +201,10 @@ class Fleet:
         if rows:
             title = f"Robots to check first ({len(some)}, the greatest errors [mm])"
             yield Table(title, ("robot", "after", "diagnosis", "changed", "note"), rows, frozenset({1}))
+        others = self.good[~self.good["robot"].isin(some["robot"])]
+        noted = [(r["robot"], short(words)) for r in records(others) if (words := odd(r["notes"]))]
+        if noted:
+            yield Table(f"Odd about the campaigns of others ({len(noted)})", ("robot", "note"), noted[:SHOWN])
 
     def _failed(self) -> Iterator[Table]:
         bad = self.robots[self.robots["status"] != "ok"]
@@ -233,6 +237,11 @@ def short(error: str, letters: int = LETTERS) -> str:
     """Last line of an error, cut where it is long; all of it is in the JSON."""
     line = (error.strip().splitlines() or [""])[-1]
     return line if len(line) <= letters else f"{line[:letters].rsplit(' ', 1)[0]} ..."
+
+
+def odd(notes: str) -> str:
+    """Notes of a row without those of single outliers, which many campaigns have."""
+    return "; ".join(note for note in notes.split("; ") if not note.endswith("left out as outliers"))
 
 
 def grown(left: Sequence[float], freedom: Sequence[float] | float | None, alarms: float) -> str:

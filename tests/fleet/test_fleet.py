@@ -303,6 +303,17 @@ def test_robots_that_stand_out(done: tuple[Path, subprocess.CompletedProcess[str
         common_of(records(good.iloc[:4]))
 
 
+def test_what_is_odd_about_campaigns_is_printed(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    whole = rows(done[0] / "fleet.parquet")
+    good = whole[whole["status"] == "ok"].sort_values("robot", ignore_index=True)
+    twice, outlier = "two campaigns of one day, both used: b", "b: 1 pose left out as outliers"
+    good["notes"] = [f"{outlier}; {twice}", outlier, *good["notes"][2:]]
+    (table,) = (b for b in fleet_of(good).blocks() if isinstance(b, Table) and b.title.startswith("Odd about"))
+    assert table.rows[0] == ("arm0", twice)
+    assert "arm1" not in {row[0] for row in table.rows}
+    assert "arm5" not in {row[0] for row in table.rows}  # among those to check first
+
+
 def test_a_type_has_one_name_in_all_outputs(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     whole = rows(done[0] / "fleet.parquet")
     good = whole[whole["status"] == "ok"].reset_index(drop=True)
