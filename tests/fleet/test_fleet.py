@@ -265,6 +265,14 @@ def test_means_and_spreads_of_a_fleet_are_found() -> None:
     assert error == pytest.approx(np.sqrt((spread**2 + alone) / 200), rel=0.3)
 
 
+def test_the_spread_of_five_exact_robots_is_that_of_a_sample() -> None:
+    """Over one less than their number, for they make the mean."""
+    values = np.random.default_rng(2).normal(size=(5, 4))
+    H = np.array([np.eye(4) * 1e8] * 5)
+    _, _, tau = learnt(packed(H), 1e8 * values, np.full(4, 30.0))
+    np.testing.assert_allclose(tau, values.std(axis=0, ddof=1), rtol=1e-2)
+
+
 def test_the_spread_of_few_robots_is_near_that_of_like_parameters() -> None:
     """Six robots, noise as great as the spread 0.05: alone, some spreads come out as nothing."""
     rng = np.random.default_rng(0)
