@@ -204,6 +204,11 @@ class Comparison:
         return bool(self.changes)
 
     @property
+    def dated(self) -> bool:
+        """Whether all campaigns have a day; else they are counted."""
+        return all(c.date for c in self.campaigns)
+
+    @property
     def span(self) -> str:
         """How many campaigns, and from when to when."""
         first, last = (c.date or c.label for c in (self.campaigns[0], self.campaigns[-1]))
@@ -318,15 +323,15 @@ def _campaigns(found: Comparison) -> Table:
     rows = [
         (
             c.label,
-            c.date,
+            c.date if found.dated else str(k),
             str(c.poses),
             "" if c.sigma is None else mm(c.sigma),
             f"{c.misfit:.2f}",
             "; ".join(c.notes),
         )
-        for c in found.campaigns
+        for k, c in enumerate(found.campaigns, 1)
     ]
-    head = ("campaign", "day", "poses", "left [mm]", "misfit", "")
+    head = ("campaign", "day" if found.dated else "number", "poses", "left [mm]", "misfit", "")
     return Table("Campaigns", head, rows, frozenset({2, 3, 4}))
 
 

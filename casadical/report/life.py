@@ -100,9 +100,8 @@ def _tiles(found: Comparison) -> Iterator[Tile]:
 
 
 def _places(found: Comparison) -> list[Any]:
-    """Where each campaign stands on the axis: its day, or its label."""
-    dates = [c.date for c in found.campaigns]
-    return dates if all(dates) else [plain(c.label) for c in found.campaigns]
+    """Where each campaign stands on the axis: its day, or its number, from 1, where not all have a day."""
+    return [c.date if found.dated else k for k, c in enumerate(found.campaigns, 1)]
 
 
 def _course(found: Comparison, change: Change) -> Figure:
@@ -111,7 +110,7 @@ def _course(found: Comparison, change: Change) -> Figure:
     size, error = main.value * change.course_of[:, 0], abs(main.value) * change.course_of[:, 1]
     title = f"{change.cause.label}: {HOW[change.course]} {found.campaigns[change.since].label}"
     what = AXES.get(change.cause.kind, main.name).format(joint=change.cause.joint)
-    figure = new_figure(plain(title), "campaign", plain(f"{what} [{main.unit}]"))
+    figure = _in_order(new_figure(plain(title), "campaign", plain(f"{what} [{main.unit}]")), found)
     figure.add_scatter(
         x=x,
         y=size,
@@ -131,7 +130,13 @@ def _course(found: Comparison, change: Change) -> Figure:
 
 def _left(found: Comparison) -> Figure:
     left = [None if c.sigma is None else 1e3 * c.sigma for c in found.campaigns]
-    return left_figure([(found.campaigns[0].robot.name, _places(found), left, False)], height=260)
+    figure = left_figure([(found.campaigns[0].robot.name, _places(found), left, False)], height=260)
+    return _in_order(figure, found)
+
+
+def _in_order(figure: Figure, found: Comparison) -> Figure:
+    """With whole numbers on the axis where campaigns are counted."""
+    return figure if found.dated else figure.update_xaxes(tick0=1, dtick=1 + len(found.campaigns) // 12)
 
 
 def left_figure(lives: Iterable[tuple[str, Sequence[Any] | None, Sequence[float | None], bool]], height: int) -> Figure:

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from lives import as_built, changed, measured
 
+from casadical.core.blocks import Table
 from casadical.fleet import Candidate, Change, compare, estimate
-from casadical.fleet.campaigns import name_of
+from casadical.fleet.campaigns import in_order, name_of
 from casadical.fleet.candidates import FREQUENCY
 from casadical.fleet.comparison import _courses
 from casadical.fleet.meaning import MEANT
@@ -45,6 +46,25 @@ def test_a_change_is_drawn_in_the_unit_of_its_parameter() -> None:
     assert drawn.y == pytest.approx([0.0, 0.0, np.rad2deg(5e-4)], abs=5e-3)
     assert (drawn.error_y.array[1:] > 0.001).all()
     assert (drawn.error_y.array < 0.01).all()
+
+
+def test_campaigns_of_which_one_has_no_date_are_all_drawn_by_their_numbers() -> None:
+    pytest.importorskip("plotly")
+    from casadical.report import comparison_figures
+
+    robot, built = as_built(np.random.default_rng(1))
+    truths = (built, built, changed(built, theta5=5e-4))
+    labels = ("poses", "2026-02-12", "2026-03-12")
+    days = (None, 1000.0, 1028.0)
+    told = [estimate((robot, measured(t, k)), labels[k], days[k]) for k, t in enumerate(truths)]
+    found = compare(in_order(told)[0])
+    figures = comparison_figures(found)
+    for figure in figures.values():
+        assert tuple(figure.data[0].x) == (1, 2, 3)
+        assert figure.layout.xaxis.dtick == 1
+    table = next(b for b in found.blocks() if isinstance(b, Table) and b.title == "Campaigns")
+    assert tuple(table.columns[:2]) == ("campaign", "number")
+    assert [tuple(row[:2]) for row in table.rows] == [("poses", "1"), ("2026-02-12", "2"), ("2026-03-12", "3")]
 
 
 def test_a_robot_is_called_by_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
