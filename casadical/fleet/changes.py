@@ -30,6 +30,8 @@ HOW: dict[Course, str] = {
 RIVALS, AMOUNTS = 4, 8
 # Rivals below this probability are not shown.
 SMALL = 0.005
+# Data are said to be so many times more probable, as a power of ten, at most.
+MOST = 100
 # See `casadical.fleet.placements.FAR`.
 NOT_SEEN = "not below 30 times its usual size"
 
@@ -316,6 +318,8 @@ def _signed(value: float) -> str:
 
 
 def _times(log_odds: float) -> str:
+    if log_odds > MOST * np.log(10):
+        return f"more than 1e{MOST}"
     return f"{np.exp(log_odds):.3g}" if log_odds < 20 else f"1e{log_odds / np.log(10):.0f}"
 
 

@@ -13,6 +13,7 @@ from casadical.core.blocks import Table
 from casadical.fleet import Candidate, Change, compare, estimate
 from casadical.fleet.campaigns import in_order, name_of
 from casadical.fleet.candidates import FREQUENCY
+from casadical.fleet.changes import _times
 from casadical.fleet.comparison import _courses
 from casadical.fleet.meaning import MEANT
 
@@ -65,6 +66,10 @@ def test_campaigns_of_which_one_has_no_date_are_all_drawn_by_their_numbers() -> 
     table = next(b for b in found.blocks() if isinstance(b, Table) and b.title == "Campaigns")
     assert tuple(table.columns[:2]) == ("campaign", "number")
     assert [tuple(row[:2]) for row in table.rows] == [("poses", "1"), ("2026-02-12", "2"), ("2026-03-12", "3")]
+
+
+def test_odds_beyond_all_measure_are_not_counted() -> None:
+    assert [_times(odds * np.log(10)) for odds in (2, 99, 8871)] == ["100", "1e99", "more than 1e100"]
 
 
 def test_a_robot_is_called_by_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
