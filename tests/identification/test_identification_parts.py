@@ -32,9 +32,9 @@ def result():
     return identify(arm, arms.positions(arms.planted_in(arm, ["a2", "theta2"], 2), q, 3), ["placement", "a2", "theta2"])
 
 
-@pytest.mark.parametrize(("beyond", "refused"), [(-1e-3, False), (5e-7, False), (2e-6, True), (0.3, True)])
+@pytest.mark.parametrize(("beyond", "refused"), [(-1e-3, False), (1.9e-3, False), (2.1e-3, True), (0.3, True)])
 @pytest.mark.parametrize("end", [-2.0, 2.0])
-def test_readings_end_a_millionth_beyond_the_limits(end: float, beyond: float, refused: bool) -> None:
+def test_readings_end_two_milliradians_beyond_the_limits(end: float, beyond: float, refused: bool) -> None:
     q = np.tile([0.1, 0.2], (5, 1))
     q[3, 1] = end + np.sign(end) * beyond
     if not refused:
