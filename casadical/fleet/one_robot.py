@@ -16,7 +16,7 @@ from casadical import __version__
 from casadical.core.errors import CasadicalError, InputError
 from casadical.core.files import json_text
 from casadical.diagnosis.diagnose import diagnose
-from casadical.fleet.campaigns import day_of, day_of_problem, elsewhere, in_order
+from casadical.fleet.campaigns import CAMPAIGNS, day_of, day_of_problem, elsewhere, in_order
 from casadical.fleet.changes import in_words
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate, estimate
@@ -27,8 +27,6 @@ from casadical.project.problem_file import problem_file
 from casadical.project.tables import judged_on
 from casadical.robot.robot import Robot
 
-# Later campaigns of a robot are tables in this folder of its problem, their days in their names.
-CAMPAIGNS = "campaigns"
 # A row of a store of which nothing is known.
 NOTHING: dict[str, Any] = {
     "robot": "", "folder": "", "status": "", "error": "", "fingerprint": "", "written_by": "", "finished": 0.0,

@@ -26,8 +26,8 @@ _MAP = (
     "where it stands out from its type (four scaled median absolute deviations); the worst of these are named."
 )
 _TREND = (
-    "What nothing explains in each campaign of a robot, of one coordinate; red where something changed. Of many robots "
-    "those are named that changed or whose last campaign leaves much more than those before; point at a line to see "
+    "What nothing explains in each campaign of a robot, of one coordinate; orange where something changed. Of many "
+    "robots those are named that changed or whose last campaign leaves more than those before; point at a line to see "
     "which it is. Beside campaigns with a day, one without is not drawn."
 )
 # Names in a figure, and how far apart they are, as a share of its height; letters of an error beside the figures.

@@ -55,6 +55,7 @@ FLEET_KINDS: tuple[Kind, ...] = (
     *((name, mm, 20, NOISES[mm]) for mm in NOISES for name in NAMES),
     ("ur10e", 0.03, 5, (0.03, 0.3)),
 )
+FIVES: tuple[Kind, ...] = (("ur10e", 0.03, 5, (0.03, 0.3)), ("hh800", 0.3, 5, (0.03,)), ("kr210", 0.03, 5, (0.03,)))
 NOTHING = {"square": np.nan, "promised": np.nan}
 # Whether the noise is declared, and whether there is a prior.
 KINDS = ((True, True), (False, True), (True, False))
@@ -176,13 +177,15 @@ def main() -> None:
     add_options(parser, "prior_coverage")
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--fleets", type=int, default=FLEETS)
+    parser.add_argument("--fives", action="store_true", help="fleets of five robots alone")
     given = parser.parse_args()
+    kinds = FIVES if given.fives else FLEET_KINDS
     todo = [
         (f"{name}-{mm}-{robots}-{fleet}-{given.seed}", (name, mm, robots, noises, fleet, given.seed))
         for fleet in range(given.fleets)
-        for name, mm, robots, noises in FLEET_KINDS
+        for name, mm, robots, noises in kinds
     ]
-    print("\n".join(printed(rows_of(todo, lambda entry: case(*entry), given), FLEET_KINDS)))
+    print("\n".join(printed(rows_of(todo, lambda entry: case(*entry), given), kinds)))
 
 
 if __name__ == "__main__":
