@@ -37,13 +37,14 @@ def commands(scratch: Path) -> dict[str, list[str]]:
         name = table.stem.split("-")[0]
         own = CAMPAIGNS / "robots_B" / f"{name}.robot.toml"
         place = own if own.is_file() else ROOT / "problems" / name
-        todo[f"diagnose-{table.stem}"] = f"diagnose {place} {table} --json OUT/a.json --details"
+        inputs = f"{place.relative_to(ROOT)} {table.relative_to(ROOT)}"
+        todo[f"diagnose-{table.stem}"] = f"diagnose {inputs} --json OUT/a.json --details"
     for series, (folder, table) in SERIES.items():
         lines = (ROOT / f"data/ur10_laser_tracker/series_{table}.csv").read_text().splitlines()
         step, some = (len(lines) - 1) // 300, scratch / f"{series}.csv"
         some.write_text("\n".join([lines[0], *lines[1::step][:300]]) + "\n")
         todo[f"diagnose-ur10-{series}"] = f"diagnose problems/{folder} {some} --json OUT/a.json --details"
-    hh800, kr210 = (min(CAMPAIGNS.glob(f"practice/{name}*.csv")) for name in ("hh800", "kr210"))
+    hh800, kr210 = (min(CAMPAIGNS.glob(f"practice/{name}*.csv")).relative_to(ROOT) for name in ("hh800", "kr210"))
     todo["report-hh800"] = f"diagnose problems/hh800 {hh800} --report OUT/a.html --out OUT/files --next OUT/next.csv"
     todo["fleet-three"] = (
         "fleet problems/planar problems/kr210 problems/hh800 --store OUT/store.parquet --json OUT/a.json"
