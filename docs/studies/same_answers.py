@@ -50,7 +50,8 @@ def commands(scratch: Path) -> dict[str, list[str]]:
         "fleet problems/planar problems/kr210 problems/hh800 --store OUT/store.parquet --json OUT/a.json"
     )
     todo["plan-kr210"] = "plan problems/kr210 -n 20 --out OUT/plan.csv --quiet"
-    todo["compare-kr210"] = f"compare problems/kr210 {kr210} --json OUT/a.json"
+    todo["compare-kr210"] = f"compare {kr210} {kr210.with_stem('kr210-P05')} --robot problems/kr210 --json OUT/a.json"
+    todo["report-planar"] = "calibrate problems/planar --report OUT/a.html"
     todo["discover-kr210"] = f"discover problems/kr210 {kr210} --json OUT/a.json"
     for name in ("kr210", "ur10"):
         robots = f"MADE/calibrate-{name}/files/SKCM.robot.toml --nominal problems/{name}/robot.toml"
