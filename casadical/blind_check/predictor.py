@@ -102,12 +102,12 @@ def answer_campaign(by: str, name: str, model: str, seen: pd.DataFrame, unseen: 
 def diagnosis(s: Session) -> dict[str, Any]:
     """The answer of the diagnosis."""
     from casadical.diagnosis.details import Details
-    from casadical.diagnosis.diagnose import diagnose
     from casadical.diagnosis.json_answer import as_json
     from casadical.diagnosis.localisation import localise
     from casadical.diagnosis.smooth_description import describe_unlisted
+    from casadical.project.diagnosis import Campaign, diagnose_campaign
 
-    found = diagnose(s.robot, s.measured)
+    found = diagnose_campaign(Campaign(s.robot, (s.measured,))).diagnosis
     answer = as_json(found, s.name, Details(where=localise(found), unlisted=describe_unlisted(found)))
     first = found.rankings[0]
     posterior = {"none": first.none, "unknown": 0.0}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -24,9 +24,6 @@ from casadical.cli.options import (
 )
 from casadical.cli.progress import DIAGNOSIS, working
 from casadical.cli.terminal import as_text, as_typed, keep, keep_json, wrapped
-
-if TYPE_CHECKING:
-    from casadical.robot.robot import Robot
 
 
 def diagnose(
@@ -128,16 +125,10 @@ def diagnose(
     """
     from casadical.core.blocks import terminal
     from casadical.core.errors import InputError, shown
-    from casadical.diagnosis.brief import brief
-    from casadical.diagnosis.details import analyse
-    from casadical.diagnosis.diagnose import Masses
-    from casadical.diagnosis.diagnose import diagnose as run
-    from casadical.diagnosis.json_answer import as_json, diagnosis_files
     from casadical.diagnosis.posterior import Rivals, no_rivals
-    from casadical.diagnosis.text import page_of, titled
+    from casadical.diagnosis.text import titled
     from casadical.pose_selection.workspace_file import read_workspace
-    from casadical.project.given_tables import own_tables
-    from casadical.project.problem import read_campaign, read_campaign_robot
+    from casadical.project.diagnosis import Options, diagnose_campaign, read_campaigns
 
     if report_file:
         from casadical.report.optional_imports import require
@@ -153,68 +144,55 @@ def diagnose(
 
         rivals = law_rivals
     console = wrapped(quiet)
-    campaigns = campaigns or own_tables(problem)
-    robot = read_campaign_robot(problem)
     if isolability:
-        _print_isolability(problem, robot, campaigns, effects, json_file, console)
+        _print_isolability(problem, campaigns, effects, json_file, console)
         return
-    if robot.effects:
-        console.print(f"Effects of the robot file are in the model, held at their values: {robot.effects_in_words}.")
-    robot, known = carried(prior, prior_effects, frozen)(robot)
+    given = read_campaigns(problem, campaigns, carried(prior, prior_effects, frozen), together=together)
+    robot = given[0].robot
+    if given[0].own_effects:
+        console.print(f"Effects of the robot file are in the model, held at their values: {given[0].own_effects}.")
     workspace = read_workspace(room, robot) if room else None
-    answers, answered = [], []
+    options = Options(
+        effects=effects_of(effects),
+        seed=seed,
+        bootstrap=bootstrap,
+        masses="nuisance" if nuisance_masses else "candidate",
+        rivals=rivals,
+        laws=laws is not False,
+    )
+    file = measure_next if len(given) == 1 else None
+    answers = []
     texts: dict[Path, str] = {}
-    tables = {path: read_campaign(problem, path, robot) for path in campaigns}
-    sets = {campaigns[0]: [*tables.values()]} if together else {path: [m] for path, m in tables.items()}
-    for path, m in sets.items():
-        with working(quiet, "diagnosing", path.stem, DIAGNOSIS) as show:
-            masses: Masses = "nuisance" if nuisance_masses else "candidate"
-            chosen = effects_of(effects)
-            found = run(
-                robot,
-                m,
-                chosen,
-                seed=seed,
-                bootstrap=bootstrap,
-                prior=known,
-                masses=masses,
-                rivals=rivals,
-                laws=laws is not False,
-                show=show,
-            )
-            file = measure_next if len(sets) == 1 else None
-            name_of_file = file.name if file else ""
-            more = analyse(
-                found,
+    for campaign in given:
+        with working(quiet, "diagnosing", campaign.name, DIAGNOSIS) as show:
+            found = diagnose_campaign(campaign, options, show).analysed(
                 poses=next_n,
                 workspace=workspace,
                 networks=network,
                 highest_line=highest_line,
-                file=name_of_file,
+                file=file.name if file else "",
                 show=show,
             )
             if out:
                 show("the robot with its causes")
-                folder = out if len(sets) == 1 else out / path.stem
-                texts |= diagnosis_files(folder, found, more, path.stem, unlisted=unlisted)
-        answers.append(as_json(found, path.stem, more))
-        answered.append((path, found, more))
-        title = f"{', '.join(p.stem for p in (campaigns if together else [path]))} ({robot.name})"
+                texts |= found.files(out if len(given) == 1 else out / campaign.name, unlisted=unlisted)
+        answers.append(found)
         if details:
-            console.print(titled(title, page_of(found, more)), soft_wrap=True)
+            console.print(titled(campaign.title, found.page()), soft_wrap=True)
         else:
-            console.print(terminal(brief(title, found, more)))
+            console.print(terminal(found.brief()))
         console.print()
-        if file and more.poses is not None:
-            if len(more.poses):
-                texts[file] = more.poses.to_csv(index=False)
+        if file and found.details.poses is not None:
+            if len(found.details.poses):
+                texts[file] = found.details.poses.to_csv(index=False)
             else:
                 console.print(f"{shown(file)}: not written, for nothing is in question", markup=False)
     if json_file:
-        texts[json_file] = as_text(answers)
+        texts[json_file] = as_text([found.to_json() for found in answers])
     if report_file:
         from casadical.report import diagnosis_report
 
+        answered = [(found.campaign.tables[0], found.diagnosis, found.details) for found in answers]
         with working(quiet, "writing the report"):
             texts[report_file] = diagnosis_report(problem, answered, as_typed())
     keep(texts, console)
@@ -223,18 +201,18 @@ def diagnose(
 
 
 def _print_isolability(
-    problem: Path, robot: Robot, campaigns: list[Path], effects: str | None, json_file: Path | None, console: Console
+    problem: Path, tables: list[Path] | None, effects: str | None, json_file: Path | None, console: Console
 ) -> None:
     from casadical.diagnosis.isolability import isolability, isolability_json, isolability_page
     from casadical.diagnosis.text import titled
-    from casadical.project.problem import read_campaign
+    from casadical.project.diagnosis import read_campaigns
 
     answers = []
-    for path in campaigns:
-        m = read_campaign(problem, path, robot, readings_only=True)
-        found = isolability(robot, m, effects_of(effects))
-        answers.append(isolability_json(found, path.stem))
-        page = titled(f"{path.stem} ({robot.name}), {len(m)} poses", isolability_page(found))
+    for campaign in read_campaigns(problem, tables, readings_only=True):
+        (m,) = campaign.sets
+        found = isolability(campaign.robot, m, effects_of(effects))
+        answers.append(isolability_json(found, campaign.name))
+        page = titled(f"{campaign.title}, {len(m)} poses", isolability_page(found))
         console.print(page, soft_wrap=True)
         console.print()
     keep_json(json_file, answers, console)

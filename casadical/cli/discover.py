@@ -39,19 +39,19 @@ def discover(
     """
     from casadical.core.blocks import terminal
     from casadical.diagnosis.laws.answer import as_json, blocks_of, files_of
-    from casadical.diagnosis.laws.discovery import discover as run
-    from casadical.project.problem import read_campaign, read_campaign_robot
+    from casadical.diagnosis.laws.discovery import laws_beside
+    from casadical.project.diagnosis import Options, diagnose_campaign, read_campaigns
 
     if report_file:
         from casadical.report.optional_imports import require
 
         require()
     console = wrapped(quiet)
-    robot = read_campaign_robot(problem)
-    m = read_campaign(problem, campaign, robot)
+    (given,) = read_campaigns(problem, [campaign])
     texts: dict[Path, str] = {}
     with working(quiet, "diagnosing", campaign.stem, DISCOVERY) as show:
-        found = run(robot, m, effects_of(effects), seed=seed, show=show)
+        diagnosed = diagnose_campaign(given, Options(effects_of(effects), seed), show)
+        found = laws_beside(diagnosed.diagnosis, show)
         if out:
             show("the robot with its law")
             texts |= dict(files_of(found, out, campaign.stem))

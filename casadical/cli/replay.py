@@ -34,25 +34,23 @@ def replay(
     """
     from casadical.export.mjcf.equilibrium import load_mujoco
     from casadical.export.mjcf.replay import replay_campaign
-    from casadical.project.given_tables import own_tables
-    from casadical.project.problem import read_campaign, read_campaign_robot
+    from casadical.project.diagnosis import read_campaigns
 
     load_mujoco()
     console = plain(quiet)
-    campaigns = campaigns or own_tables(problem)
-    robot = read_campaign_robot(problem)
     answers: list[dict[str, Any]] = []
     texts: dict[Path, str] = {}
-    for path in campaigns:
-        m = read_campaign(problem, path, robot)
-        with working(quiet, "diagnosing", path.stem, DIAGNOSIS) as show:
-            found = replay_campaign(robot, m, effects.split(",") if effects else "standard", seed=seed, show=show)
-        console.print(f"{path.stem} ({robot.name}), held-out poses replayed in MuJoCo")
+    for campaign in read_campaigns(problem, campaigns):
+        (m,), name = campaign.sets, campaign.name
+        chosen = effects.split(",") if effects else "standard"
+        with working(quiet, "diagnosing", name, DIAGNOSIS) as show:
+            found = replay_campaign(campaign.robot, m, chosen, seed=seed, show=show)
+        console.print(f"{campaign.title}, held-out poses replayed in MuJoCo")
         console.print(found.table.to_string(index=False, float_format=lambda v: f"{v:.4f}"))
         for text in found.stages[-1].export.left_out:
             console.print(f"LEFT OUT {text}")
-        answers.append({"campaign": path.stem, **found.to_json()})
+        answers.append({"campaign": name, **found.to_json()})
         if out:
-            texts |= {out / f"{path.stem}.{k}.xml": s.export.text for k, s in enumerate(found.stages)}
+            texts |= {out / f"{name}.{k}.xml": s.export.text for k, s in enumerate(found.stages)}
     keep(texts, console)
     keep_json(json_file, answers, console)

@@ -17,7 +17,6 @@ from casadical.core.errors import CasadicalError, InputError, shown
 from casadical.fleet.changes import Comparison
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate, estimate, estimate_of_file
-from casadical.identification.identification import identify
 from casadical.identification.prior import refuse_another
 from casadical.project.given_tables import own_tables
 from casadical.project.problem import Problem, read_campaign, read_campaign_robot, read_problem
@@ -124,9 +123,8 @@ def campaign_estimate(path: Path, robot: str | Path | None = None) -> Estimate:
         label = path.parent.name if label in ("KM", "SKCM", "diagnosed", "discovered") else label
         return estimate_of_file(read_robot(path), label or path.name, day)
     if (path / "problem.toml").exists():
-        problem = read_problem(path)
-        sets = [m for _, m in problem.parts()]
-        return estimate(identify(problem.robot, sets, loss="huber"), label, day_of_problem(problem))
+        problem = read_problem(path, campaign=True)
+        return estimate((problem.robot, [m for _, m in problem.parts()]), label, day_of_problem(problem))
     if path.is_dir():
         return estimate_of_file(read_robot(result_in(path)), label, day)
     if robot is None:

@@ -15,13 +15,12 @@ import numpy as np
 from casadical import __version__
 from casadical.core.errors import CasadicalError, InputError
 from casadical.core.files import json_text
-from casadical.diagnosis.diagnose import diagnose
 from casadical.fleet.campaigns import CAMPAIGNS, day_of, day_of_problem, elsewhere, in_order
 from casadical.fleet.changes import in_words
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate, estimate
-from casadical.identification.identification import identify
 from casadical.project.calibration import calibrate
+from casadical.project.diagnosis import CampaignDiagnosis, diagnose_campaign, read_campaigns
 from casadical.project.problem import Problem, read_campaign, read_problem
 from casadical.project.problem_file import problem_file
 from casadical.project.tables import judged_on
@@ -43,7 +42,7 @@ def fingerprint(folder: Path) -> str:
     files = {str(p.relative_to(folder)): p for p in folder.rglob("*") if p.is_file() and not p.name.startswith(".")}
     with suppress(CasadicalError):  # what is wrong with the problem is said when it is computed
         named = problem_file(folder)
-        others = [named.robot, *(data.file for data in named.measurements)]
+        others = [named.robot, named.of_campaigns, *(data.file for data in named.measurements)]
         files |= {name: folder / name for name in others if (folder / name).is_file()}
     for name, path in sorted(files.items()):
         found.update(name.encode())
@@ -84,8 +83,10 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
     found = calibrate(problem)
     method, before, after, _ = judged_on(found.accuracies)
     last = found.identification
-    estimates = [estimate(last, place.name, day_of_problem(problem))]
-    notes = _later(place, problem, estimates)
+    campaign = read_problem(place, campaign=True)
+    of_first = last if campaign.robot_file == problem.robot_file else (campaign.robot, campaign.sets["identify"])
+    estimates = [estimate(of_first, place.name, day_of_problem(problem))]
+    notes = _later(place, campaign, estimates)
     notes += [f"{e.label}: {note}" for e in estimates for note in e.notes]
     row: dict[str, Any] = {
         "type": type_of(problem),
@@ -98,13 +99,10 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
         "identified": list(last.names),
     }
     if with_diagnosis:
-        # Of all poses of a table: fewer tell less of what is noise.
-        tables = (read_campaign(place, place / str(table["file"]), problem.robot) for table in problem.tables)
-        m = next((m for m in tables if m.position is not None), None)
-        if m is not None:
-            diagnosis = diagnose(problem.robot, m)
-            causes = ", ".join(c.label for c in diagnosis.causes)
-            row |= {"verdict": diagnosis.verdict, "causes": causes}
+        diagnosed = first_diagnosis(place)
+        if diagnosed is not None:
+            causes = ", ".join(c.label for c in diagnosed.diagnosis.causes)
+            row |= {"verdict": diagnosed.diagnosis.verdict, "causes": causes}
     ordered, said = in_order(estimates, begun=True)
     estimates, notes = ordered, [*notes, *said, *elsewhere(ordered)]
     if len(ordered) > 1:
@@ -115,7 +113,14 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
     left = [float("nan") if e.sigma is None else 1e3 * e.sigma for e in estimates]
     free = [float("nan") if e.freedom is None else e.freedom for e in estimates]
     own = {"campaigns": len(estimates), "notes": "; ".join(notes), "days": days, "left_mm": left, "left_free": free}
-    return row | own | told_of(estimates[-1], problem.robot)
+    return row | own | told_of(estimates[-1], campaign.robot)
+
+
+def first_diagnosis(place: Path) -> CampaignDiagnosis | None:
+    """Of a folder's first table of positions, all its poses, as the command diagnoses it; None without positions."""
+    campaigns = (c for c in read_campaigns(place) if c.sets[0].position is not None)
+    first = next(campaigns, None)
+    return None if first is None else diagnose_campaign(first)
 
 
 def _later(place: Path, problem: Problem, estimates: list[Estimate]) -> list[str]:
@@ -128,7 +133,7 @@ def _later(place: Path, problem: Problem, estimates: list[Estimate]) -> list[str
                 estimates[0] = replace(estimates[0], day=day_of(path))
                 continue
             m = read_campaign(place, path, problem.robot, later=True)
-            estimates.append(estimate(identify(problem.robot, m, loss="huber"), path.stem, day_of(path)))
+            estimates.append(estimate((problem.robot, m), path.stem, day_of(path)))
         except CasadicalError as error:
             faults.append(f"{path.name} is left out: {error}")
     return faults

@@ -24,7 +24,7 @@ def file_of(source: Path, tables: Sequence[str | Path]) -> ProblemFile:
         file = ProblemFile(casadical=1, title="", robot=str(source.resolve()))
     else:
         file = problem_file(source)
-        file = file.model_copy(update={"robot": file.campaign_robot or file.robot, "title": "", "paper": None})
+        file = file.model_copy(update={"robot": file.of_campaigns, "title": "", "paper": None})
     own = tables_of(source)
     found = [fitting(source, read_columns(t), own).model_copy(update={"file": str(Path(t).resolve())}) for t in tables]
     return file.model_copy(update={"measurements": found, "data": None})

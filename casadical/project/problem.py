@@ -174,6 +174,8 @@ def read_problem(
     seed: int | None = None,
     carried: Carried = as_it_is,
     tables: Sequence[str | Path] = (),
+    *,
+    campaign: bool = False,
 ) -> Problem:
     """Read a problem folder; `seed` replaces the one that its file gives for the split.
 
@@ -187,6 +189,8 @@ def read_problem(
         what puts into the robot what another campaign found (see `casadical.identification.prior.carry_over`)
     tables : Sequence[str | Path], default ()
         measured poses in place of the folder's own, understood as these are (see `read_campaign`)
+    campaign : bool, default False
+        whether the robot is that of a diagnosis (see `read_campaign_robot`)
 
     Returns
     -------
@@ -211,7 +215,7 @@ def read_problem(
             f"{path}: measurements: is missing; a calibration needs at least one table: [[measurements]], or a CSV "
             "after the folder"
         )
-    place, urdf = folder / file.robot, file.urdf or UrdfTable()
+    place, urdf = folder / (file.of_campaigns if campaign else file.robot), file.urdf or UrdfTable()
     robot, prior = carried(replace(_read_robot(place, urdf), sessions=file.sessions.sessions()))
     sets = file.sets if seed is None else file.sets.model_copy(update={"seed": seed})
     split: dict[str, list[Measurements]] = {}
@@ -274,7 +278,7 @@ def read_campaign_robot(folder: str | Path) -> Robot:
 
 def _robot_of(folder: Path, campaign: bool) -> Robot:
     file = problem_file(folder)
-    name = file.campaign_robot if campaign and file.campaign_robot else file.robot
+    name = file.of_campaigns if campaign else file.robot
     return replace(_read_robot(folder / name, file.urdf or UrdfTable()), sessions=file.sessions.sessions())
 
 

@@ -188,6 +188,11 @@ class ProblemFile(_Strict):
     sets: SetsTable = SetsTable()
     sessions: SessionsTable = SessionsTable()
 
+    @property
+    def of_campaigns(self) -> str:
+        """The robot file that campaigns are diagnosed with."""
+        return self.campaign_robot or self.robot
+
 
 def base_methods(methods: Sequence[str]) -> tuple[BaseMethod, ...]:
     """The identifications that these methods need: networks learn what SKCM leaves."""

@@ -2,10 +2,11 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import ANSWERS, diagnosed, practice, robot, simulated
+from cases import ANSWERS, PRACTICE, ROOT, diagnosed, practice, robot, simulated
 
 from casadical.blind_check.numpy_physics import disturbances
 from casadical.diagnosis.details import analyse
@@ -13,7 +14,9 @@ from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.text import page_of
 from casadical.diagnosis.thresholds import CLAIM
+from casadical.fleet.one_robot import first_diagnosis, one_robot
 from casadical.identification.identification import identify
+from casadical.measurements.reading import read_measurements
 
 FEW = ["friction_windup", "backlash"]
 VERDICTS = {"none", "explained", "ambiguous", "unknown"}
@@ -174,3 +177,30 @@ def test_applied_cause_can_be_identified() -> None:
     found = dict(zip(refit.names, refit.estimate, strict=True))
     for name, (value, error, _) in d.causes[0].estimates.items():
         assert found[f"friction_windup@3.{name}"] == pytest.approx(value, abs=2 * error + 2e-6)
+
+
+def test_a_fleet_says_of_the_practice_campaigns_what_a_diagnosis_says(tmp_path: Path) -> None:
+    """Also where the folder has a robot of its own for campaigns, as that of the HH800 has."""
+    for name in ANSWERS:
+        folder, problem = tmp_path / name, ROOT / "problems" / name.split("-")[0]
+        folder.mkdir()
+        named = [f'campaign_robot = "{problem}/campaign.robot.toml"'] * (problem / "campaign.robot.toml").exists()
+        measured = ["[[measurements]]", f'file = "{PRACTICE / name}.csv"']
+        lines = ["casadical = 1", f'title = "{name}"', f'robot = "{problem}/robot.toml"', *named, *measured]
+        (folder / "problem.toml").write_text("\n".join(lines))
+        said = first_diagnosis(folder)
+        assert said is not None
+        assert_same(said.diagnosis, diagnosed(name))
+
+
+def test_a_fleet_says_of_the_hh800_what_a_diagnosis_says() -> None:
+    row = one_robot(str(ROOT / "problems" / "hh800"), True)
+    table = read_measurements(ROOT / "data" / "hh800_twin" / "hh800_twin.csv", 6)
+    d = diagnose(robot("hh800"), table)
+    assert (row["status"], row["verdict"], row["causes"]) == ("ok", d.verdict, ", ".join(c.label for c in d.causes))
+    assert len(set(row["names"]) & {f"c{j}" for j in range(1, 7)}) == 6  # what robots of a type share is of it, too
+
+
+def assert_same(a: Diagnosis, b: Diagnosis) -> None:
+    assert (a.verdict, [c.label for c in a.causes]) == (b.verdict, [c.label for c in b.causes])
+    assert (a.gap.before, a.gap.after) == pytest.approx((b.gap.before, b.gap.after), rel=1e-9)

@@ -13,8 +13,8 @@ import pandas as pd
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.diagnosis.refit import refit
+from casadical.diagnosis.result import Diagnosis
 from casadical.export.mjcf.drives import counterparts
 from casadical.export.mjcf.equilibrium import positions
 from casadical.export.mjcf.mjcf import MjcfExport, mjcf
@@ -23,6 +23,7 @@ from casadical.identification.identification import identify
 from casadical.identification.result import Identification
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
+from casadical.project.diagnosis import Campaign, Options, diagnose_campaign
 from casadical.robot.robot import Robot
 
 Show = Callable[[str], None]
@@ -198,7 +199,7 @@ def replay_campaign(
     m, _ = derive(m, ["progress"])
     parts = m.split(PARTS, seed)
     fitted, held_out = parts["identify"], parts["report"]
-    found = diagnose(robot, fitted, effects, seed=seed, show=show)
+    found = diagnose_campaign(Campaign(robot, (fitted,)), Options(effects, seed), show).diagnosis
     return Replay(m.source, robot.name, _stages(robot, fitted, held_out, found, found.apply, show), found)
 
 

@@ -4,12 +4,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from casadical.core.errors import InputError
-from casadical.diagnosis.diagnose import Diagnosis, diagnose
+from casadical.diagnosis.result import Diagnosis
 from casadical.effects.counterparts import Omission
 from casadical.export.mjcf.into_mjcf import into_mjcf
 from casadical.export.mjcf.mjcf import MjcfExport
 from casadical.project.calibration import Calibration, calibrate
-from casadical.project.problem import read_campaign, read_campaign_robot, read_problem, read_problem_robot
+from casadical.project.diagnosis import Options, diagnose_campaign, read_campaigns
+from casadical.project.problem import read_campaign_robot, read_problem, read_problem_robot
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
@@ -35,9 +36,9 @@ def robot_to_write(
         raise InputError(f"{source}: no such problem folder or robot file")
     if campaign is None:
         return read_campaign_robot(source) if source.is_file() else calibrated(source).robot, None
-    robot = read_campaign_robot(source)
-    m = read_campaign(source, campaign, robot)
-    found = diagnose(robot, m, effects.split(",") if effects else "standard", show=show)
+    (given,) = read_campaigns(source, [campaign])
+    options = Options(effects.split(",") if effects else "standard")
+    found = diagnose_campaign(given, options, show).diagnosis
     return found.apply(), found
 
 

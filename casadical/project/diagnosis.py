@@ -1,0 +1,163 @@
+"""A campaign of a problem folder diagnosed: one result, what was asked of it, and its files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from casadical.core.blocks import Table, Words
+from casadical.diagnosis.brief import brief
+from casadical.diagnosis.details import NEXT, Details, analyse
+from casadical.diagnosis.diagnose import Masses, diagnose
+from casadical.diagnosis.json_answer import as_json, diagnosis_files
+from casadical.diagnosis.posterior import Rivals, no_rivals
+from casadical.diagnosis.result import Diagnosis
+from casadical.diagnosis.text import page_of
+from casadical.effects import Effect
+from casadical.identification.prior import Prior
+from casadical.measurements.measurements import Measurements
+from casadical.pose_selection.workspace import Workspace
+from casadical.project.given_tables import own_tables
+from casadical.project.problem import Carried, as_it_is, read_campaign, read_campaign_robot
+from casadical.robot.robot import Robot
+
+Show = Callable[[str], None]
+
+
+def silent(_text: str) -> None:
+    """Shows no progress."""
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """What a diagnosis is of: a robot, and what was measured of it as it stood.
+
+    robot : nominal, as a diagnosis takes it (`read_campaign_robot`), with the effects of the prior in its model
+    sets : one for each table; tables : their files; folder : of the problem, or the robot file
+    prior : what another campaign told; own_effects : of the robot file, in words, which are held at their values
+    """
+
+    robot: Robot
+    sets: tuple[Measurements, ...]
+    tables: tuple[Path, ...] = ()
+    folder: Path = Path()
+    prior: Prior | None = None
+    own_effects: str = ""
+
+    @property
+    def name(self) -> str:
+        """Of the results: that of the first table."""
+        return self.tables[0].stem if self.tables else self.sets[0].source
+
+    @property
+    def title(self) -> str:
+        """Of what is printed: all tables, and the robot."""
+        return f"{', '.join(path.stem for path in self.tables) or self.name} ({self.robot.name})"
+
+
+def read_campaigns(
+    folder: Path,
+    tables: Sequence[Path] | None = None,
+    carried: Carried = as_it_is,
+    *,
+    together: bool = False,
+    readings_only: bool = False,
+) -> tuple[Campaign, ...]:
+    """The campaigns of a problem folder, or of tables beside a robot file; each table is one.
+
+    tables : in place of the folder's own; carried : puts the prior of another campaign into the robot
+    together : whether the tables are one campaign; readings_only : of poses that are planned, not measured
+    Raises InputError.
+    """
+    paths = list(tables or own_tables(folder))
+    nominal = read_campaign_robot(folder)
+    robot, prior = carried(nominal)
+    sets = {path: read_campaign(folder, path, robot, readings_only=readings_only) for path in paths}
+    groups = [paths] if together else [[path] for path in sets]
+    return tuple(
+        Campaign(robot, tuple(sets[p] for p in group), tuple(group), folder, prior, nominal.effects_in_words)
+        for group in groups
+    )
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a campaign is diagnosed; each as in `casadical.diagnose`."""
+
+    effects: Sequence[str | Effect] | Literal["standard", "extended"] = "standard"
+    seed: int = 0
+    bootstrap: int = 0
+    masses: Masses = "candidate"
+    rivals: Rivals = no_rivals
+    laws: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class CampaignDiagnosis:
+    """A diagnosed campaign; details : what `analysed` adds."""
+
+    campaign: Campaign
+    options: Options
+    diagnosis: Diagnosis
+    details: Details = field(default_factory=Details)
+
+    def analysed(
+        self,
+        *,
+        poses: int = NEXT,
+        workspace: Workspace | None = None,
+        networks: bool = False,
+        highest_line: float | None = None,
+        file: str = "",
+        show: Show = silent,
+    ) -> CampaignDiagnosis:
+        """The same with its details, each as of `casadical.diagnosis.analyse`. Raises ConvergenceError."""
+        details = analyse(
+            self.diagnosis,
+            poses=poses,
+            workspace=workspace,
+            networks=networks,
+            highest_line=highest_line,
+            file=file,
+            show=show,
+        )
+        return replace(self, details=details)
+
+    def brief(self) -> Sequence[Words | Table]:
+        """What counts, in a few lines: verdict, errors before and after, what must be known of them."""
+        return brief(self.campaign.title, self.diagnosis, self.details)
+
+    def page(self) -> str:
+        """All that was found, as a page of plain text."""
+        return page_of(self.diagnosis, self.details)
+
+    def to_json(self) -> dict[str, Any]:
+        """The answer as plain data, lengths in mm."""
+        return as_json(self.diagnosis, self.campaign.name, self.details)
+
+    def files(self, folder: str | Path, *, unlisted: bool = False) -> Mapping[Path, str]:
+        """Robot file with the causes, figures and page; unlisted : with the description of an unknown cause, too."""
+        return diagnosis_files(folder, self.diagnosis, self.details, self.campaign.name, unlisted=unlisted)
+
+
+def diagnose_campaign(campaign: Campaign, options: Options | None = None, show: Show = silent) -> CampaignDiagnosis:
+    """Diagnose a campaign; the command, a fleet, a replay and exports get the same answer, because all ask here.
+
+    Raises InputError where the measurements cannot carry a diagnosis.
+    """
+    asked = options or Options()
+    found = diagnose(
+        campaign.robot,
+        campaign.sets,
+        asked.effects,
+        seed=asked.seed,
+        bootstrap=asked.bootstrap,
+        prior=campaign.prior,
+        masses=asked.masses,
+        rivals=asked.rivals,
+        laws=asked.laws,
+        show=show,
+    )
+    return CampaignDiagnosis(campaign, asked, found)
