@@ -21,7 +21,8 @@ from casadical.core.errors import ConvergenceError, optional
 from casadical.diagnosis.candidates import Candidate, standard_candidates
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.effects import Effect
-from casadical.identification.identification import identify
+from casadical.identification.identification import base_calibrated
+from casadical.identification.prepared import prepare
 from casadical.robot.robot import Robot
 
 SIGNIFICANT = 0.01
@@ -143,7 +144,7 @@ class _Taken:
 
 
 def _forward(s: Session, step: Step) -> dict[str, Any]:
-    found = identify(s.robot, s.measured, ("kinematic", "compliance"), loss="huber", priors=True, screen=False)
+    found = base_calibrated(prepare(s.robot, s.measured))
     case = make_case(found, [c for c in standard_candidates(s.robot) if c.listed])
     left = regression(case)
     before = _mean_length(left.y)

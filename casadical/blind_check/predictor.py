@@ -13,7 +13,8 @@ import pandas as pd
 from casadical.core.arrays import Array
 from casadical.core.errors import ConvergenceError, InputError
 from casadical.identification.accuracy import predicted
-from casadical.identification.identification import identify
+from casadical.identification.identification import base_calibrated
+from casadical.identification.prepared import prepare
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table
@@ -63,7 +64,7 @@ class Session:
         m = self._with_columns(robot)
         m = m[self.seen & ~np.isin(m.row, leave_out)]
         free = ("kinematic", "compliance", *dict.fromkeys(e.label for e in robot.effects))
-        return identify(robot, m, free, loss="huber", priors=True, screen=False).robot
+        return base_calibrated(prepare(robot, m), free).robot
 
 
 Method = Callable[[Session], dict[str, Any]]

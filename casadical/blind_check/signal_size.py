@@ -4,7 +4,8 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.diagnosis.linearisation import signatures
-from casadical.identification.identification import identify
+from casadical.identification.identification import base_calibrated
+from casadical.identification.prepared import prepare
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
@@ -15,7 +16,7 @@ RANK = 1e-9
 
 def base_jacobian(robot: Robot, clean: Measurements) -> Array:
     """Columns of the base model, shape (n, 3, P), calibrated on a campaign without effects."""
-    found = identify(robot, clean, ("kinematic", "compliance"), loss="huber", priors=True, screen=False)
+    found = base_calibrated(prepare(robot, clean))
     m, _ = derive(clean, robot.conditions)
     return signatures(robot, (), m, robot.values_of(found.robot))[1]
 

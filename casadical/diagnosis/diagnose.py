@@ -7,7 +7,6 @@ from typing import Literal
 import numpy as np
 
 from casadical.core.errors import InputError
-from casadical.core.transforms import frame
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.changes import changes
 from casadical.diagnosis.conclusion import conclude
@@ -17,13 +16,12 @@ from casadical.diagnosis.linear_problem import Case, better_ratios, make_case
 from casadical.diagnosis.posterior import Rivals, no_rivals
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import Show, State, search
-from casadical.effects import Effect, LinkMasses, PayloadError
-from casadical.identification.identification import identify
-from casadical.identification.placement import place_frames
-from casadical.identification.prior import Prior, carry_over
+from casadical.effects import Effect
+from casadical.identification.identification import base_calibrated
+from casadical.identification.prepared import Prepared, prepare, prepared_again
+from casadical.identification.prior import Prior
 from casadical.identification.result import Identification
-from casadical.identification.sessions import sessions_in, with_sessions
-from casadical.identification.unknown_masses import with_unknown_masses
+from casadical.identification.sessions import sessions_in
 from casadical.identification.variance import robust_std
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
@@ -43,7 +41,7 @@ Masses = Literal["candidate", "nuisance"]
 
 
 def diagnose(
-    robot: Robot | Identification,
+    robot: Robot | Prepared | Identification,
     m: Measurements | Sequence[Measurements] | None = None,
     effects: Sequence[str | Effect] | Literal["standard", "extended"] = "standard",
     *,
@@ -59,9 +57,10 @@ def diagnose(
 
     Parameters
     ----------
-    robot : Robot | Identification
-        nominal model, with the compliances that it should have, which is calibrated on the campaign first; or an
-        identification, whose own measurements are diagnosed unless others of the same robot are given
+    robot : Robot | Prepared | Identification
+        nominal model, with the compliances that it should have, which is calibrated on the campaign first; or robot,
+        measurements and prior together, as `prepare` gives them; or an identification, whose own measurements are
+        diagnosed unless others of the same robot are given
     m : Measurements | Sequence[Measurements], optional
         one set of any kind, or several that were measured of the same robot, each with noise of its own; an unknown
         tool turns freely where orientations were measured, and these are left aside where they contradict the model
@@ -104,55 +103,34 @@ def diagnose(
     """
     if bootstrap < 0:
         raise InputError(f"bootstrap is {bootstrap}; give the number of draws, 2000 say, or 0 for none")
-    if prior is not None and isinstance(robot, Identification):
-        raise InputError("prior: this robot is identified already; give the nominal robot and the measurements")
-    if isinstance(prior, Robot) and isinstance(robot, Robot):
-        robot, prior = carry_over(robot, prior)
-    free: tuple[str, ...] = ()
-    given = () if m is None else (m,) if isinstance(m, Measurements) else tuple(m)
-    if isinstance(robot, Identification):
-        if masses == "nuisance":
-            raise InputError("masses='nuisance': this robot is identified already; give the nominal robot instead")
-        free = _free_masses(robot)
-    else:
-        robot, free = with_unknown_masses(robot, given)
-        if not free and (masses == "nuisance" or robot.masses == "estimated"):
-            robot, free = _with_free_masses(robot)
-        if given:
-            robot, sessions = with_sessions(robot, given)
-            free = (*free, *sessions)
-    known = prior if isinstance(prior, Prior) else Prior()
-    if isinstance(robot, Identification):
-        identification = robot if m is None else _of(robot.given, given, known, free, show)
-    elif not given:
-        raise InputError("measurements are missing; give diagnose(robot, measurements), or an identification alone")
-    else:
-        identification = _of(robot, given, known, free, show)
+    prepared = _prepared(robot, m, prior, masses)
+    base = prepared.identification or _base(prepared, show)
     show("signatures of the candidates")
-    if effects == "standard" and identification.given.sessions.base == "shared" and len(sessions_in(given)) > 1:
+    if effects == "standard" and base.given.sessions.base == "shared" and len(sessions_in(prepared.sets)) > 1:
         effects = ["standard", "frame_step"]  # a foot or an instrument that moved between them
-    candidates = candidates_of(identification.given, effects)
-    case = make_case(identification, candidates, free)
+    candidates = candidates_of(base.given, effects)
+    case = make_case(base, candidates, prepared.free)
     changed: tuple[Change, ...] = ()
+    known = prepared.prior
     if known.free:
         show("what changed since the campaign of the prior")
         changed, known = changes(case, known)
 
+    def with_prior(case: Case) -> Case:
+        return case.with_prior(known, base.sigmas[0][0]) if known.free else case
+
     def searched(case: Case) -> Diagnosis:
-        case = replace(case, assumed=_assumed(case, identification, given))
+        case = replace(case, assumed=_assumed(case, base, prepared.sets))
         state, end, p_nothing = search(case, seed, bootstrap, show, rivals)
-        return conclude(identification, state, end, seed, p_nothing)
+        return conclude(base, state, end, seed, p_nothing)
 
-    def prepared(case: Case) -> Case:
-        return case.with_prior(known, identification.sigmas[0][0]) if known.free else case
-
-    found = searched(case := prepared(case))
+    found = searched(case := with_prior(case))
     for _ in range(MOST_RATIOS):
         ratios = better_ratios(found.case, found.columns, found.noise)
         if ratios is None:
             break
         show("the sets' noise differs from what the base model left: searched again")
-        found = searched(case := prepared(make_case(identification, candidates, free, ratios)))
+        found = searched(case := with_prior(make_case(base, candidates, prepared.free, ratios)))
     usual = case.whole.sigmas
     if not usual[0] < found.noise.sigma < usual[-1]:
         show("the noise lies beyond the usual grid: searched again on a wider one")
@@ -160,7 +138,43 @@ def diagnose(
     if laws:
         show("laws in place of the causes")
         found = _held_against_laws(found)
-    return replace(found, prior=prior if isinstance(prior, Prior) else None, changes=changed)
+    told = prepared.prior
+    return replace(found, prior=told if told.free or told.frozen else None, changes=changed)
+
+
+def _prepared(
+    robot: Robot | Prepared | Identification,
+    m: Measurements | Sequence[Measurements] | None,
+    prior: Robot | Prior | None,
+    masses: Masses,
+) -> Prepared:
+    """What is diagnosed: a robot and its measurements, made ready here unless they are. Raises InputError."""
+    if isinstance(robot, Prepared):
+        return robot
+    sets = () if m is None else (m,) if isinstance(m, Measurements) else tuple(m)
+    if isinstance(robot, Identification):
+        if prior is not None or masses == "nuisance":
+            what = "prior" if prior is not None else "masses='nuisance'"
+            raise InputError(f"{what}: this robot is identified already; give the nominal robot and the measurements")
+        return prepared_again(robot, sets)
+    if not sets:
+        raise InputError("measurements are missing; give diagnose(robot, measurements), or an identification alone")
+    of_masses: Literal["free", "unknown"] = "free" if masses == "nuisance" else "unknown"
+    return prepare(robot, sets, prior, masses=of_masses, tool_turns=True)
+
+
+def _base(prepared: Prepared, show: Show) -> Identification:
+    """The base model calibrated; gross errors have little weight, and are screened with the causes, not before.
+
+    Orientations of another convention than the robot's would spoil it: they are left aside where they do not fit.
+    """
+    show("calibrating the base model")
+    found, sets = base_calibrated(prepared), prepared.sets
+    off = [m.orientation is not None and s[1] > NO_NOISE for m, s in zip(sets, found.problem.sigmas, strict=True)]
+    if not any(off):
+        return found
+    alone = (m.positions_alone() if bad else m for m, bad in zip(sets, off, strict=True))
+    return base_calibrated(replace(prepared, sets=tuple(alone)))
 
 
 def _held_against_laws(found: Diagnosis) -> Diagnosis:
@@ -176,48 +190,6 @@ def _held_against_laws(found: Diagnosis) -> Diagnosis:
         state = State(found.case, rankings=found.rankings[:1])
         found = conclude(found.identification, state, "unknown", found.seed, found.p_nothing)
     return replace(found, law=law)
-
-
-def _with_free_masses(robot: Robot) -> tuple[Robot, tuple[str, ...]]:
-    """The robot with masses and mass centres of links in its model, and their label; none where none are declared."""
-    if not any(isinstance(e, LinkMasses) for e in robot.effects):
-        robot = robot.with_effect(*LinkMasses.candidates(robot))
-    return robot, tuple(e.label for e in robot.effects if isinstance(e, LinkMasses))
-
-
-def _free_masses(found: Identification) -> tuple[str, ...]:
-    """Labels of what an identification found of masses that nobody knows."""
-    if found.given.masses != "estimated":
-        return ()
-    freed = {found.given.parameters[name].group for name in found.names}
-    of_masses = (e.label for e in found.given.effects if isinstance(e, (LinkMasses, PayloadError)))
-    return tuple(label for label in of_masses if label in freed)
-
-
-def _of(
-    robot: Robot, sets: tuple[Measurements, ...], prior: Prior, free: tuple[str, ...], show: Show
-) -> Identification:
-    """The base model calibrated; gross errors have little weight, and are screened with the causes, not before.
-
-    Orientations of another convention than the robot's would spoil it: they are left aside where they do not fit.
-    """
-    show("calibrating the base model")
-    turned = any(m.orientation is not None for m in sets)
-    if turned and robot.tool.unknown == "position":
-        robot = replace(robot, tool=replace(robot.tool, unknown="pose"))
-    if turned and robot.tool.unknown == "pose":
-        placed = place_frames(robot, next(m for m in sets if m.orientation is not None))
-        robot = replace(robot, tool=replace(robot.tool, T=frame(placed.tool.T[:3, :3], robot.tool.T[:3, 3])))
-    wanted = ("kinematic", "compliance", *free)
-
-    def fitted(sets: tuple[Measurements, ...]) -> Identification:
-        return identify(robot, sets, wanted, loss="huber", priors=True, prior=prior, screen=False)
-
-    found = fitted(sets)
-    off = [m.orientation is not None and s[1] > NO_NOISE for m, s in zip(sets, found.problem.sigmas, strict=True)]
-    if any(off):
-        return fitted(tuple(m.positions_alone() if bad else m for m, bad in zip(sets, off, strict=True)))
-    return found
 
 
 def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -> tuple[str, ...]:

@@ -10,7 +10,8 @@ from casadical.diagnosis.cross_validation import covariance
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.observations import edges_of, separated
 from casadical.effects import Effect
-from casadical.identification.identification import identify
+from casadical.identification.identification import calibrated
+from casadical.identification.prepared import prepare
 from casadical.identification.residuals import make_block
 from casadical.identification.result import Identification
 from casadical.measurements.derived_columns import derive
@@ -34,7 +35,7 @@ def refit(case: Case, effects: Sequence[Effect], noise: Noise, use: Array | None
     sets = sets if use is None else chosen_of(sets, use[case.rows])
     free = ("kinematic", "compliance", *case.free, *dict.fromkeys(e.label for e in effects))
     priors = _priors(case) | _priors_of_effects(case, effects)
-    return identify(case.robot.with_effect(*effects), sets, free, priors=priors, prior=case.prior)
+    return calibrated(prepare(case.robot.with_effect(*effects), sets, case.prior), free, priors=priors)
 
 
 def _priors(case: Case) -> dict[str, tuple[float, float]]:

@@ -3,25 +3,18 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Literal
 
 from casadical.core.errors import InputError
 from casadical.identification.least_squares import LeastSquares, first_sigmas
-from casadical.identification.plausibility import check_against
-from casadical.identification.prior import Prior, carry_over
+from casadical.identification.prepared import METHODS, Method, Prepared, prepare
+from casadical.identification.prior import Prior
 from casadical.identification.residuals import ALL_LOSSES, AnyLoss
 from casadical.identification.result import Identification, learnt_from
 from casadical.identification.screening import SCREENINGS, solve_without_outliers
-from casadical.identification.sessions import place_sessions, with_sessions
 from casadical.identification.solver import Progress
-from casadical.identification.unknown_masses import with_unknown_masses
 from casadical.identification.variance import variance
 from casadical.measurements.measurements import Measurements
-from casadical.robot.knowledge import Knowledge
 from casadical.robot.robot import Robot
-
-Method = Literal["KM", "SKCM"]
-METHODS: dict[str, tuple[str, ...]] = {"KM": ("kinematic",), "SKCM": ("kinematic", "compliance")}
 
 
 def identify(
@@ -86,44 +79,49 @@ def identify(
     >>> print(f"a1 = {1e3 * found.robot.parameters['a1'].value:.3f} mm")
     a1 = 400.601 mm
     """
-    sets = _as_sets(measurements)
+    prepared = prepare(robot, measurements, prior, method=method)
+    return calibrated(prepared, free, loss=loss, priors=priors, screen=screen, progress=progress)
+
+
+def calibrated(
+    prepared: Prepared,
+    free: Iterable[str] = (),
+    *,
+    loss: AnyLoss = "linear",
+    priors: bool | Mapping[str, tuple[float, float]] = False,
+    screen: bool = True,
+    progress: Progress | None = None,
+) -> Identification:
+    """Identify what was prepared; arguments as of `identify`, a method brings its own parameters.
+
+    Raises InputError, ConvergenceError.
+    """
+    robot, sets, prior = prepared.robot, prepared.sets, prepared.prior
+    free = (free,) if isinstance(free, str) else tuple(free)
     if loss == "auto":
-        free = free if isinstance(free, str) else tuple(free)
-        by = partial(identify, robot, sets, free, method=method, priors=priors, prior=prior, progress=progress)
+        by = partial(calibrated, prepared, free, priors=priors, progress=progress)
         robust = by(loss="huber", screen=screen)
         return robust if robust.outliers else by(loss="linear")
-    if isinstance(prior, Robot):
-        robot, prior = carry_over(robot, prior)
-    prior = prior or Prior()
-    if prior.frozen:
-        prior.refuse_uncovered(sets)
-    known = robot.knowledge or Knowledge()
-    if method is not None:
-        robot, free = by_method(robot, method, sets)
-    robot, sessions = with_sessions(robot, sets)
-    if sessions:
-        free = (*([free] if isinstance(free, str) else free), *sessions)
-    if prior.free:
-        free = (*([free] if isinstance(free, str) else free), *prior.free)
-        priors = {**prior.means, **(priors if isinstance(priors, Mapping) else {})}
     if loss not in ALL_LOSSES:
         raise InputError(f"loss {loss!r} is not known; allowed: {', '.join(ALL_LOSSES)}")
-    for m in sets:
-        check_against(robot, m)
-    start = place_sessions(robot, sets)
-    names = start.parameters.select(free)
+    if prior.free:
+        priors = {**prior.means, **(priors if isinstance(priors, Mapping) else {})}
+    wanted = (*(METHODS[prepared.method] if prepared.method else free), *prepared.free, *prior.free)
+    start = prepared.start
+    names = start.parameters.select(wanted)
     if not names:
         raise InputError(
-            f"free={list(free)} chooses no parameter of {robot.name}; groups: {', '.join(start.parameters.groups)}"
+            f"free={list(wanted)} chooses no parameter of {robot.name}; groups: {', '.join(start.parameters.groups)}"
         )
     problem = LeastSquares(start, sets, names, loss, priors, first_sigmas(sets), known=prior.known)
     (reduced, solution, found), outliers = solve_without_outliers(problem, SCREENINGS if screen else 0, progress)
+    placed = start.effect_values != robot.effect_values  # base and tool of further sessions
     result = Identification(
-        given=replace(robot, effect_values=start.effect_values) if sessions else robot,
+        given=replace(robot, effect_values=start.effect_values) if placed else robot,
         start=start,
         robot=start.with_values(reduced.values(solution.v)),
         measurements=sets,
-        method=method or "identify",
+        method=prepared.method or "identify",
         loss=loss,
         identifiability=found,
         problem=reduced,
@@ -134,30 +132,14 @@ def identify(
     )
     if not robot.effects:
         return result
-    learnt = learnt_from(result, known)
+    learnt = learnt_from(result, prepared.knowledge)
     learnt = prior.knowledge.joined(learnt) if prior.free else learnt
     return replace(result, robot=replace(result.robot, knowledge=learnt))
 
 
-def _as_sets(measurements: Measurements | Sequence[Measurements]) -> tuple[Measurements, ...]:
-    sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
-    wrong = [type(m).__name__ for m in sets if not isinstance(m, Measurements)]
-    if wrong or not sets:
-        raise InputError(
-            f"measurements are {wrong[0] if wrong else 'an empty list'}; "
-            "allowed: one or several Measurements (see from_table, read_measurements)"
-        )
-    return sets
+def base_calibrated(prepared: Prepared, free: Iterable[str] = ("kinematic", "compliance")) -> Identification:
+    """As a diagnosis starts: gross errors have little weight, but stay, and priors hold back what nobody measured.
 
-
-def by_method(robot: Robot, method: str, sets: Sequence[Measurements]) -> tuple[Robot, tuple[str, ...]]:
-    """The robot as a method of the paper takes it, and what it identifies, of masses that nobody knows, too.
-
-    Raises InputError for other methods.
+    Raises InputError, ConvergenceError.
     """
-    if method not in METHODS:
-        raise InputError(f"method {method!r} is not known; allowed: {', '.join(METHODS)}")
-    if method == "KM":  # rigid joints
-        return robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0)), METHODS[method]
-    robot, unknown = with_unknown_masses(robot, sets)
-    return robot, (*METHODS[method], *unknown)
+    return calibrated(prepared, free, loss="huber", priors=True, screen=False)

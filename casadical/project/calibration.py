@@ -15,9 +15,10 @@ from casadical.core.files import claimed, json_text, write_together
 from casadical.core.notebook import html
 from casadical.identification.accuracy import Accuracy
 from casadical.identification.error_bound import learn_bound
-from casadical.identification.identification import identify
+from casadical.identification.identification import calibrated
 from casadical.identification.misfit import misfit_of
 from casadical.identification.plausibility import check_against
+from casadical.identification.prepared import prepare
 from casadical.identification.residuals import ALL_LOSSES, AnyLoss
 from casadical.identification.result import Identification, without_poses
 from casadical.identification.tables import correlated, held_table, how_sure, parameter_tables
@@ -369,9 +370,8 @@ def _identified(problem: Problem, show: Callable[[str], None], count: int) -> di
         def progress(iteration: int, cost: float) -> None:
             show(f"part {part} of {count}: {method} iteration {iteration}, cost {cost:.6g}")
 
-        return identify(
-            problem.robot, among, method=method, loss=loss, prior=problem.prior, screen=screen, progress=progress
-        )
+        prepared = prepare(problem.robot, among, problem.prior, method=method)
+        return calibrated(prepared, loss=loss, screen=screen, progress=progress)
 
     found = by(last, problem.loss)
     if problem.loss != "auto" or not found.outliers:
@@ -392,7 +392,8 @@ def _without_prior(plain: Problem, results: Mapping[str, Identification]) -> Acc
         return None
     kept = without_poses(plain.sets["identify"], found.outliers)
     try:
-        alone = identify(plain.robot, kept, method="KM" if method == "KM" else "SKCM", loss=found.loss, screen=False)
+        prepared = prepare(plain.robot, kept, method="KM" if method == "KM" else "SKCM")
+        alone = calibrated(prepared, loss=found.loss, screen=False)
     except InputError:
         return None
     return alone.accuracy(*(parts[name] for name in next(iter(together(parts).values()))))["calibrated"]

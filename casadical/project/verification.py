@@ -14,15 +14,16 @@ from casadical.core.arrays import Array
 from casadical.core.blocks import Table, Words, mm
 from casadical.core.errors import InputError
 from casadical.identification.accuracy import errors
-from casadical.identification.identification import identify
+from casadical.identification.identification import calibrated
+from casadical.identification.prepared import Prepared, prepare
 from casadical.identification.result import LeftOut, rows_in_words
-from casadical.identification.sessions import with_sessions
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.project.check.targets import recognised
 from casadical.project.problem import read_campaign
 from casadical.project.target_names import names_in
 from casadical.project.written import result_in
+from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
 POSITION = "position"
@@ -30,6 +31,8 @@ POSITION = "position"
 QUANTILE = 2.326
 # A pose with more than so many times the promised error is named.
 FAR = 4.0
+# So many numbers must be left to judge by.
+SPARE = 6
 # Of the length of a normally distributed error in three coordinates.
 RMS_OF_MEAN = float(np.sqrt(3 * np.pi / 8))
 
@@ -130,57 +133,101 @@ def verify(
     sets = [read_campaign(place, table, arm, later=True, words=True) for table in given]
     kind = _kind_of(sets)
     promised = 1e-3 * promised_mm if promised_mm is not None else promised_rms(place, kind)
-    if arm.targets and not any(map(names_in, sets)):  # the tool is fitted again, whichever it was
-        arm = replace(arm, targets=(), tool_name="")
-    for m in sets:
-        if (several := recognised(arm, m)) and several.turning:
-            raise InputError(several.in_words(m.source))
-    sets = [m.positions_alone() if m.position is not None else m for m in sets]
-    arm, sessions = with_sessions(arm, sets)
-    rule, n = find_kind(sets[0].kind), sum(map(len, sets))
-    points = sum(3 * len(set(rule.point_names(m.arrays))) for m in sets)
-    # Readings to unknown places alone do not tell where the base is.
-    placed_by = ("base", "tool") if any(rule.at_rest(m.arrays) for m in sets) else ("tool",)
-    groups = [g for g in (*placed_by, *sessions) if g in arm.parameters.groups]
-    k = len(arm.parameters.select(groups)) if groups else 0
-    needed = -(-(k + points + 6) // rule.lengths)
-    if rule.lengths * n < points + k + 6:
-        have = f"base and tool have {k} numbers" if "base" in placed_by else f"the tool has {k} numbers"
-        raise InputError(
-            f"{', '.join(map(str, given))}: {n} poses; {have}{f', the points {points}' if points else ''}: "
-            f"measure {needed} or more"
-        )
-    placed = arm
-    if groups:
-        fitted = identify(arm, sets, groups)
+    prepared = _of_one_tool(arm, sets)
+    placing = _Placing.of(prepared)
+    placing.refuse_too_few(", ".join(map(str, given)))
+    placed, k = prepared.robot, 0
+    if placing.groups:
+        fitted = calibrated(prepared, placing.groups)
         placed, k = fitted.robot, len(fitted.names)  # contacts do not tell where the base is
-    e = np.concatenate([errors(placed, m) for m in sets])
-    at = [(m.source, int(row)) for m in sets for row in m.row]
-    shared = points + k
-    # Touched points, which are many for few poses, lower the promised error alike; far ends of distances hardly do.
-    made_up = shared if rule.name == "distance" else k
-    found, limit = _scatter(e, made_up, rule.lengths * n - shared), _limit(promised, rule.lengths * n - shared)
+    e = np.concatenate([errors(placed, m) for m in prepared.sets])
+    at = [(m.source, int(row)) for m in prepared.sets for row in m.row]
+    found, limit = placing.scatter(e, k), _limit(promised, placing.freedom(len(e), k))
     far = [LeftOut(at[i][0], at[i][1], float(e[i])) for i in np.argsort(-e) if e[i] > FAR * promised]
     without = None
-    if found > limit and groups:  # a few gross errors draw base and tool, and so all others, towards themselves
-        robust = identify(arm, sets, groups, loss="huber")
-        if 0 < len(robust.outliers) <= n // 3:
+    if found > limit and placing.groups:  # a few gross errors draw base and tool, and so all others, towards themselves
+        robust = calibrated(prepared, placing.groups, loss="huber")
+        if 0 < len(robust.outliers) <= len(e) // 3:
             kept = np.concatenate([errors(robust.robot, m) for m in robust.used])
-            far, without = list(robust.left_out), _scatter(kept, made_up, rule.lengths * len(kept) - shared)
-    again = "The tool was" if not points else "The tool and the unknown places were"
+            far, without = list(robust.left_out), placing.scatter(kept, k)
     return Verification(
         robot=arm.name,
         promised=promised,
         found=found,
         limit=limit,
-        n=n,
-        far=tuple(far[: n // 3]),
+        n=len(e),
+        far=tuple(far[: len(e) // 3]),
         without=without,
         lost=tuple((m.source, row) for m in sets for row in m.lost),
         tables=tuple(m.source for m in sets),
-        again="Base and tool were" if "base" in placed_by else again,
+        again=placing.again,
         gone=gone,
     )
+
+
+def _of_one_tool(arm: Robot, sets: Sequence[Measurements]) -> Prepared:
+    """Positions alone of the tool that was measured, whichever it was: it is fitted again. Raises InputError."""
+    if arm.targets and not any(map(names_in, sets)):
+        arm = replace(arm, targets=(), tool_name="")
+    for m in sets:
+        if (several := recognised(arm, m)) and several.turning:
+            raise InputError(several.in_words(m.source))
+    return prepare(arm, [m.positions_alone() if m.position is not None else m for m in sets])
+
+
+@dataclass(frozen=True)
+class _Placing:
+    """What is fitted again: groups of `numbers` parameters, and `points` coordinates of unknown places.
+
+    n : poses, each of so many `lengths`; base : whether the base is among it; touched : whether places were touched
+    """
+
+    groups: tuple[str, ...]
+    numbers: int
+    points: int
+    n: int
+    lengths: int
+    base: bool
+    touched: bool
+
+    @classmethod
+    def of(cls, prepared: Prepared) -> _Placing:
+        robot, sets = prepared.robot, prepared.sets
+        kind = find_kind(sets[0].kind)
+        # Readings to unknown places alone do not tell where the base is.
+        base = any(kind.at_rest(m.arrays) for m in sets)
+        wanted = (*(["base"] if base else []), "tool", *prepared.free)
+        groups = tuple(g for g in wanted if g in robot.parameters.groups)
+        numbers = len(robot.parameters.select(groups)) if groups else 0
+        points = sum(3 * len(set(kind.point_names(m.arrays))) for m in sets)
+        return cls(groups, numbers, points, sum(map(len, sets)), kind.lengths, base, kind.name != "distance")
+
+    def refuse_too_few(self, tables: str) -> None:
+        """Raises InputError where fewer than six numbers are left to judge by."""
+        if self.freedom(self.n, self.numbers) >= SPARE:
+            return
+        have = f"base and tool have {self.numbers} numbers" if self.base else f"the tool has {self.numbers} numbers"
+        needed = -(-(self.numbers + self.points + SPARE) // self.lengths)
+        points = f", the points {self.points}" if self.points else ""
+        raise InputError(f"{tables}: {self.n} poses; {have}{points}: measure {needed} or more")
+
+    def freedom(self, n: int, k: int) -> int:
+        """Numbers of n poses that k fitted parameters, and the points, leave."""
+        return self.lengths * n - self.points - k
+
+    def scatter(self, e: Array, k: int) -> float:
+        """Rms [m] of errors, shape (n,), after a fit of k parameters; the fit's own share is made up for."""
+        # Touched points, which are many for few poses, lower the promised error alike; far ends of distances hardly do.
+        made_up = k if self.touched else self.points + k
+        freedom = self.freedom(len(e), k)
+        return float(np.sqrt(np.mean(e**2) * (freedom + made_up) / freedom))
+
+    @property
+    def again(self) -> str:
+        """What was fitted again, as the beginning of a sentence."""
+        if self.base:
+            return "Base and tool were"
+        return "The tool was" if not self.points else "The tool and the unknown places were"
 
 
 def _kind_of(sets: Sequence[Measurements]) -> str:
@@ -191,11 +238,6 @@ def _kind_of(sets: Sequence[Measurements]) -> str:
             f"{', '.join(m.source for m in sets)}: tables of kinds {', '.join(kinds)}; check one at a time"
         )
     return kinds[0]
-
-
-def _scatter(e: Array, k: int, freedom: int) -> float:
-    """Rms of errors of which k numbers were fitted, the fit's own share made up for [m]; freedom : what is left."""
-    return float(np.sqrt(np.mean(e**2) * (freedom + k) / freedom))
 
 
 def _limit(promised: float, freedom: int) -> float:

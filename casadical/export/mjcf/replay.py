@@ -19,8 +19,8 @@ from casadical.export.mjcf.drives import counterparts
 from casadical.export.mjcf.equilibrium import positions
 from casadical.export.mjcf.mjcf import MjcfExport, mjcf
 from casadical.identification.accuracy import Accuracy, predicted, summarise
-from casadical.identification.identification import identify
-from casadical.identification.result import Identification
+from casadical.identification.identification import base_calibrated, calibrated
+from casadical.identification.prepared import prepare
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.project.diagnosis import Campaign, Options, diagnose_campaign
@@ -258,15 +258,11 @@ def _stages(
     """
     show("calibrating")
     rigid = robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0))
-    placed = _fit(rigid, fitted, ("placement",))
-    plain = _fit(robot, fitted, ("kinematic", "compliance"))
+    placed = calibrated(prepare(rigid, fitted), ["placement"], loss="huber", screen=False)
+    plain = base_calibrated(prepare(robot, fitted))
     stages = [replay(placed.robot, held_out, "nominal"), replay(plain.robot, held_out, "geometry and stiffness")]
     show("replaying")
     named = [c.label for c in found.causes if c.effects]
     if named:
         stages.append(replay(with_causes(), held_out, " and ".join(named)))
     return tuple(stages)
-
-
-def _fit(robot: Robot, m: Measurements, free: tuple[str, ...]) -> Identification:
-    return identify(robot, m, free, loss="huber", priors=free != ("placement",), screen=False)

@@ -9,9 +9,9 @@ import numpy as np
 
 from casadical.core.errors import InputError, shown
 from casadical.identification.identifiability import CONFOUNDED
-from casadical.identification.identification import by_method
 from casadical.identification.left_open import left_open_before
 from casadical.identification.plausibility import check_against
+from casadical.identification.prepared import METHODS, by_method
 from casadical.identification.sessions import apart, place_sessions, with_sessions
 from casadical.measurements.clock import clock_faults
 from casadical.measurements.measurements import Measurements
@@ -138,7 +138,7 @@ def precheck(
         try:
             several, sessions = with_sessions(start, trusted)
             taken, free = by_method(place_sessions(several, trusted) if sessions else several, method, trusted)
-            outlooks.append(outlook(taken, trusted, (*free, *sessions), method, noise))
+            outlooks.append(outlook(taken, trusted, (*METHODS[method], *free, *sessions), method, noise))
         except (InputError, np.linalg.LinAlgError) as error:
             found.append(Finding("error", "identifiability", f"{method}: {error}"))
     for view in outlooks:
