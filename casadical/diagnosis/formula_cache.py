@@ -14,10 +14,10 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.casadi_arrays import ArrayFunction
 from casadical.core.errors import InputError
 from casadical.core.files import write_whole
 from casadical.core.private_folder import private_folder
+from casadical.core.sx_instructions import Instruction, SxInstructions
 from casadical.diagnosis.seams import Seams
 from casadical.effects import Effect
 
@@ -33,7 +33,7 @@ class Formula:
     conditions : of the formula's input w, in order; rows, columns : seam and parameter of each nonzero
     """
 
-    function: ArrayFunction
+    function: SxInstructions
     conditions: tuple[str, ...]
     rows: Array
     columns: Array
@@ -41,13 +41,18 @@ class Formula:
     def as_data(self) -> list[Any]:
         """Plain data."""
         f = self.function
-        return [[f.steps, f.places, f.nonzeros], self.conditions, self.rows.tolist(), self.columns.tolist()]
+        return [
+            [f.name, f.instructions, f.places, f.nonzeros],
+            self.conditions,
+            self.rows.tolist(),
+            self.columns.tolist(),
+        ]
 
     @classmethod
     def from_data(cls, data: list[Any]) -> Formula:
         """What `as_data` gave."""
-        (steps, places, nonzeros), conditions, rows, columns = data
-        function = ArrayFunction(tuple(map(tuple, steps)), places, tuple(nonzeros))
+        (name, steps, places, nonzeros), conditions, rows, columns = data
+        function = SxInstructions(name, tuple(Instruction(*step) for step in steps), places, tuple(nonzeros))
         return cls(function, tuple(conditions), np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64))
 
 

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.casadi_arrays import ArrayFunction
+from casadical.core.sx_instructions import SxInstructions
 from casadical.diagnosis.formula_cache import Formula, kept_formulas
 from casadical.diagnosis.seams import Seams
 from casadical.effects import Effect
@@ -46,7 +46,7 @@ def _composed(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula 
     inputs = [q, w, phi, constants, s.seen, ca.vertcat(*symbols.values())]
     function = ca.Function("formula", [ca.SX(i) for i in inputs], [derivative])
     rows, columns = (np.array(k, dtype=np.int64) for k in derivative.sparsity().get_triplet())
-    return Formula(ArrayFunction.of(function), conditions, rows, columns)
+    return Formula(SxInstructions.read(function), conditions, rows, columns)
 
 
 def _seam_derivative(effect: Effect, s: Seams, logged: dict[str, ca.SX]) -> ca.SX:

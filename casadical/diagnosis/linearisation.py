@@ -175,7 +175,7 @@ class Linearisation:
                     continue
                 logged = [self._condition(c, turn)[None] for c in f.conditions]
                 settings = [setting[:, None] for setting in part.settings]
-                (factors,) = f.function(q, logged, list(self.phi), list(self.constants), seen, settings)
+                (factors,) = f.function.on_arrays(q, logged, list(self.phi), list(self.constants), seen, settings)
                 for seam, column, factor in zip(f.rows.tolist(), f.columns, factors, strict=True):
                     if seam >= least:
                         own = np.broadcast_to(factor, (len(part.starts), n))

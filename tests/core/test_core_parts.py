@@ -17,13 +17,13 @@ from scipy import stats
 
 from casadical.core import lazy, private_folder, threads
 from casadical.core.arm import Arm
-from casadical.core.casadi_arrays import ArrayFunction
 from casadical.core.casadi_buffers import call
 from casadical.core.file_locks import exchange
 from casadical.core.parameters import Parameter
 from casadical.core.parts import Joint
 from casadical.core.schema import TomlTable
 from casadical.core.statistics import student_t
+from casadical.core.sx_instructions import SxInstructions
 
 
 @pytest.mark.parametrize(("freedom", "within"), [(3, 5e-3), (5, 1e-3), (15, 1e-5), (100, 1e-7)])
@@ -46,7 +46,7 @@ def test_arrays_through_a_casadi_function_are_casadis_numbers() -> None:
     operations = [1 / x, 2 * x, -x, ca.sqrt(x), ca.log1p(x), ca.atan2(x, y), ca.fmax(x, y), x**y, ca.fmod(y, x)]
     f = ca.Function("f", [x, y], [ca.vertcat(*operations, ca.if_else(x < y, x, 0), ca.logic_not(x))])
     points = np.random.default_rng(0).uniform(0.2, 3, (2, 7))
-    (found,) = ArrayFunction.of(f)([points[0]], [points[1]])
+    (found,) = SxInstructions.read(f).on_arrays([points[0]], [points[1]])
     expected = f.map(7)(points[:1], points[1:]).full()
     np.testing.assert_allclose(np.array([np.broadcast_to(v, 7) for v in found]), expected, rtol=1e-14, atol=1e-15)
 

@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 
 from casadical import InputError
 from casadical.blind_check.numpy_physics import campaign, disturbances, perturb
-from casadical.core.casadi_arrays import ArrayFunction
+from casadical.core.sx_instructions import SxInstructions
 from casadical.diagnosis import evidence, gains
 from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.diagnose import diagnose
@@ -178,6 +178,6 @@ def test_functions_on_arrays_are_casadis() -> None:
     terms += [ca.atan2(x[0], x[1]), ca.sqrt(ca.fabs(x[2])), ca.sign(x[1]), 1 / (2 + x[0] ** 2), ca.SX(3.5)]
     f = ca.Function("f", [x], [ca.vertcat(*terms)])
     values = np.random.default_rng(1).normal(size=(4, 7))
-    (found,) = ArrayFunction.of(f)([*values])
+    (found,) = SxInstructions.read(f).on_arrays([*values])
     expected = np.array([f(column).full().ravel() for column in values.T])
     np.testing.assert_allclose(np.stack([np.broadcast_to(v, 7) for v in found], axis=1), expected, rtol=1e-14)

@@ -8,51 +8,23 @@ times its input, else a table for each of them (see periodic_table.py). The C em
 this list only.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import partial, reduce
 
 import casadi
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.sx_instructions import SxInstructions
 from casadical.export.c.coefficients import ANGLE_LIMIT, EXP_LIMIT
 from casadical.export.c.periodic_table import TABLE_LIMIT, periodic_tables
 
-# Operations that take the same name in the tape as in CasADi: {instruction id: (name, number of arguments)}.
-_PLAIN: dict[int, tuple[str, int]] = {
-    casadi.OP_ADD: ("add", 2),
-    casadi.OP_SUB: ("sub", 2),
-    casadi.OP_MUL: ("mul", 2),
-    casadi.OP_DIV: ("div", 2),
-    casadi.OP_NEG: ("neg", 1),
-    casadi.OP_EXP: ("exp", 1),
-    casadi.OP_SQRT: ("sqrt", 1),
-    casadi.OP_TANH: ("tansig", 1),
-    casadi.OP_ATAN2: ("atan2", 2),
-    casadi.OP_FABS: ("fabs", 1),
-    casadi.OP_FMIN: ("fmin", 2),
-    casadi.OP_FMAX: ("fmax", 2),
-    casadi.OP_LT: ("lt", 2),
-    casadi.OP_LE: ("le", 2),
-    casadi.OP_IF_ELSE_ZERO: ("select", 2),
-    casadi.OP_NOT: ("not", 1),
-    casadi.OP_SIGN: ("sign", 1),
-}
-_OTHER = {
-    casadi.OP_SQ: "sq",
-    casadi.OP_TWICE: "twice",
-    casadi.OP_INV: "inv",
-    casadi.OP_SIN: "sin",
-    casadi.OP_COS: "cos",
-    casadi.OP_TAN: "tan",
-    casadi.OP_ATAN: "atan",
-    casadi.OP_ASIN: "asin",
-    casadi.OP_ACOS: "acos",
-    casadi.OP_ASSIGN: "assign",
-    casadi.OP_HYPOT: "hypot",
-}
+# Operations of CasADi that are operations of the tape, by the tape's name; what becomes several of the tape's.
+_PLAIN = {name: name for name in ("add", "sub", "mul", "div", "neg", "exp", "sqrt", "atan2", "fabs", "fmin", "fmax")}
+_PLAIN |= {name: name for name in ("lt", "le", "not", "sign")} | {"tanh": "tansig", "if_else_zero": "select"}
+_COMPOSED = ("sq", "twice", "inv", "sin", "cos", "tan", "atan", "asin", "acos", "hypot")
 _COMMUTATIVE = {"add", "mul"}
 
 
@@ -148,23 +120,38 @@ class _Builder:
         opposite = self.root(self.add("mul", self.add("sub", one, x), self.add("add", one, x)))
         return self.add("atan2", x, opposite) if op == "asin" else self.add("atan2", opposite, x)
 
-    def other(self, op: str, args: list[int]) -> int:
-        x = args[0]
-        if op == "sq":
-            return self.add("mul", x, x)
-        if op == "twice":
-            return self.add("add", x, x)
-        if op == "inv":
-            return self.add("div", self.constant(1.0), x)
-        if op in ("sin", "cos"):
-            return self.sincos(x, op)
-        if op == "tan":
-            return self.add("div", self.sincos(x, "sin"), self.sincos(x, "cos"))
-        if op == "hypot":
-            return self.root(self.add("add", self.add("mul", x, x), self.add("mul", args[1], args[1])))
-        return x if op == "assign" else self.arc(op, x)
+    def operation(self, name: str, *args: int) -> int | None:
+        """An operation of CasADi by its name; None where the generated C does not have it."""
+        if name not in _PLAIN:
+            return self.composed(name, *args)
+        op = _PLAIN[name]
+        known = self.tansig(op, args)
+        if known is not None:
+            return known
+        if op == "sqrt":
+            return self.root(args[0])
+        if op == "exp":
+            args = (self.add("guard_max", args[0], value=EXP_LIMIT),)
+        return self.add(op, *args)
 
-    def tansig(self, op: str, args: list[int]) -> int | None:
+    def composed(self, name: str, x: int, y: int = 0) -> int | None:
+        if name == "assign":
+            return x
+        if name == "sq":
+            return self.add("mul", x, x)
+        if name == "twice":
+            return self.add("add", x, x)
+        if name == "inv":
+            return self.add("div", self.constant(1.0), x)
+        if name in ("sin", "cos"):
+            return self.sincos(x, name)
+        if name == "tan":
+            return self.add("div", self.sincos(x, "sin"), self.sincos(x, "cos"))
+        if name == "hypot":
+            return self.root(self.add("add", self.add("mul", x, x), self.add("mul", y, y)))
+        return self.arc(name, x) if name in ("atan", "asin", "acos") else None
+
+    def tansig(self, op: str, args: tuple[int, ...]) -> int | None:
         """Recognise 2/(1+exp(-2a))-1 and 1-2/(exp(2a)+1) when the last operation is about to be added."""
         if op not in ("sub", "add"):
             return None
@@ -213,33 +200,43 @@ def tape_of(function: casadi.Function) -> Tape:
     does not have, or calls a function that cannot be a table.
     """
     function = _expanded(function)
-    starts_in = _starts(function, [function.sparsity_in(i) for i in range(function.n_in())])
-    starts_out = _starts(function, [function.sparsity_out(i) for i in range(function.n_out())])
+    _refuse_sparse(function)
+    sizes = [function.numel_in(i) for i in range(function.n_in())]
     builder = _Builder()
-    inputs = [builder.add("input", value=float(k)) for k in range(starts_in[-1])]
+    inputs = iter([builder.add("input", value=float(k)) for k in range(sum(sizes))])
+
+    def operation(name: str, *args: int) -> int:
+        node = builder.operation(name, *args)
+        if node is None:
+            allowed = ", ".join(sorted({*_PLAIN.values(), *_COMPOSED}))
+            raise InputError(
+                f"function {function.name()!r} uses the operation OP_{name.upper()}, which the generated C does not "
+                f"have; allowed are {allowed}; write the function with these"
+            )
+        return node
+
+    outputs = SxInstructions.read(function).evaluate(
+        [[next(inputs) for _ in range(size)] for size in sizes],
+        lambda name: partial(operation, name),
+        builder.constant,
+        zero=builder.constant(0.0),
+        call=_call(builder, function),
+    )
+    return _live(builder.nodes, sum(sizes), [node for output in outputs for node in output])
+
+
+def _call(builder: _Builder, function: casadi.Function) -> Callable[[list[int]], list[int]]:
+    """What becomes of the call of a function: weighted sums, or tables."""
     called = _called(function)
     matrix = None if called is None else _matrix(called)
     tables = periodic_tables(called) if called is not None and matrix is None else []
-    work: dict[int, int] = {}
-    outputs = [builder.constant(0.0)] * starts_out[-1]
-    for k in range(function.n_instructions()):
-        op, source, target = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
-        if op == casadi.OP_INPUT:
-            work[target[0]] = inputs[starts_in[source[0]] + source[1]]
-        elif op == casadi.OP_OUTPUT:
-            outputs[starts_out[target[0]] + target[1]] = work[source[0]]
-        elif op == casadi.OP_CONST:
-            work[target[0]] = builder.constant(function.instruction_constant(k))
-        elif op == casadi.OP_CALL:
-            args = [work[s] for s in source]
-            if matrix is None:
-                made = [builder.periodic(a, *table) for a, table in zip(args, tables, strict=True)]
-            else:
-                made = [builder.weighted_sum(args, row) for row in matrix]
-            work |= dict(zip(target, made, strict=True))
-        else:
-            work[target[0]] = _operation(builder, function, op, [work[s] for s in source])
-    return _live(builder.nodes, starts_in[-1], outputs)
+
+    def nodes(args: list[int]) -> list[int]:
+        if matrix is not None:
+            return [builder.weighted_sum(args, row) for row in matrix]
+        return [builder.periodic(a, *table) for a, table in zip(args, tables, strict=True)]
+
+    return nodes
 
 
 def in_single_operations(tape: Tape) -> Tape:
@@ -254,27 +251,6 @@ def in_single_operations(tape: Tape) -> Tape:
         terms = [builder.add("mul", builder.constant(w), a) for w, a in zip(node.weights, args, strict=True)]
         place.append(reduce(lambda total, term: builder.add("add", total, term), terms))
     return _live(builder.nodes, tape.n_in, [place[o] for o in tape.outputs])
-
-
-def _operation(builder: _Builder, function: casadi.Function, op: int, args: list[int]) -> int:
-    if op in _PLAIN:
-        name = _PLAIN[op][0]
-        known = builder.tansig(name, args)
-        if known is not None:
-            return known
-        if name == "sqrt":
-            return builder.root(args[0])
-        if name == "exp":
-            args = [builder.add("guard_max", args[0], value=EXP_LIMIT)]
-        return builder.add(name, *args)
-    if op in _OTHER:
-        return builder.other(_OTHER[op], args)
-    names = {getattr(casadi, n): n for n in dir(casadi) if n.startswith("OP_")}
-    allowed = sorted({name for name, _ in _PLAIN.values()} | set(_OTHER.values()) - {"assign"})
-    raise InputError(
-        f"function {function.name()!r} uses the operation {names.get(op, op)}, which the generated C does not have; "
-        f"allowed are {', '.join(allowed)}; write the function with these"
-    )
 
 
 def _called(function: casadi.Function) -> casadi.Function | None:
@@ -315,16 +291,14 @@ def _expanded(function: casadi.Function) -> casadi.Function:
         ) from error
 
 
-def _starts(function: casadi.Function, sparsities: list[casadi.Sparsity]) -> list[int]:
-    starts = [0]
-    for sparsity in sparsities:
+def _refuse_sparse(function: casadi.Function) -> None:
+    arguments = [function.sparsity_in(i) for i in range(function.n_in())]
+    for sparsity in (*arguments, *(function.sparsity_out(i) for i in range(function.n_out()))):
         if not sparsity.is_dense():
             raise InputError(
                 f"function {function.name()!r} has an argument of sparsity {sparsity.dim(True)}; "
                 "only dense ones can be exported; use casadi.densify"
             )
-        starts.append(starts[-1] + sparsity.nnz())
-    return starts
 
 
 def _live(nodes: Iterable[Node], n_in: int, outputs: list[int]) -> Tape:
