@@ -1,18 +1,20 @@
 """Diagnose what is left after calibration: the verdict, its causes, and how far the gap shrinks without them."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
 from casadical.core.errors import InputError
-from casadical.diagnosis.candidates import candidates_of
+from casadical.diagnosis.candidates import Candidate, candidates_of
 from casadical.diagnosis.changes import changes
 from casadical.diagnosis.conclusion import conclude
 from casadical.diagnosis.evidence import ALL_SIGMAS
 from casadical.diagnosis.laws.contest import beside_nothing, instead
 from casadical.diagnosis.linear_problem import Case, better_ratios, make_case
+from casadical.diagnosis.observations import Ratios
 from casadical.diagnosis.posterior import Rivals, no_rivals
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import Show, State, search
@@ -104,42 +106,83 @@ def diagnose(
     if bootstrap < 0:
         raise InputError(f"bootstrap is {bootstrap}; give the number of draws, 2000 say, or 0 for none")
     prepared = _prepared(robot, m, prior, masses)
-    base = prepared.identification or _base(prepared, show)
-    show("signatures of the candidates")
-    if effects == "standard" and base.given.sessions.base == "shared" and len(sessions_in(prepared.sets)) > 1:
-        effects = ["standard", "frame_step"]  # a foot or an instrument that moved between them
-    candidates = candidates_of(base.given, effects)
-    case = make_case(base, candidates, prepared.free)
-    changed: tuple[Change, ...] = ()
-    known = prepared.prior
-    if known.free:
-        show("what changed since the campaign of the prior")
-        changed, known = changes(case, known)
+    return _Question(prepared, effects, seed, bootstrap, rivals, laws, show).answer()
 
-    def with_prior(case: Case) -> Case:
-        return case.with_prior(known, base.sigmas[0][0]) if known.free else case
 
-    def searched(case: Case) -> Diagnosis:
-        case = replace(case, assumed=_assumed(case, base, prepared.sets))
-        state, end, p_nothing = search(case, seed, bootstrap, show, rivals)
-        return conclude(base, state, end, seed, p_nothing)
+@dataclass(frozen=True, eq=False)
+class _Question:
+    """A diagnosis while it is made: what it is of, and the arguments of `diagnose`."""
 
-    found = searched(case := with_prior(case))
-    for _ in range(MOST_RATIOS):
-        ratios = better_ratios(found.case, found.columns, found.noise)
-        if ratios is None:
-            break
-        show("the sets' noise differs from what the base model left: searched again")
-        found = searched(case := with_prior(make_case(base, candidates, prepared.free, ratios)))
-    usual = case.whole.sigmas
-    if not usual[0] < found.noise.sigma < usual[-1]:
-        show("the noise lies beyond the usual grid: searched again on a wider one")
-        found = _refuse_coarser(searched(case.with_all_sigmas()))
-    if laws:
-        show("laws in place of the causes")
-        found = _held_against_laws(found)
-    told = prepared.prior
-    return replace(found, prior=told if told.free or told.frozen else None, changes=changed)
+    prepared: Prepared
+    effects: Sequence[str | Effect] | Literal["standard", "extended"]
+    seed: int
+    bootstrap: int
+    rivals: Rivals
+    laws: bool
+    show: Show
+
+    @cached_property
+    def base(self) -> Identification:
+        """The base model calibrated; gross errors have little weight, and are screened with the causes, not before.
+
+        Orientations of another convention than the robot's would spoil it: they are left aside where they do not fit.
+        """
+        prepared = self.prepared
+        if prepared.identification:
+            return prepared.identification
+        self.show("calibrating the base model")
+        found, sets = base_calibrated(prepared), prepared.sets
+        off = [m.orientation is not None and s[1] > NO_NOISE for m, s in zip(sets, found.problem.sigmas, strict=True)]
+        if not any(off):
+            return found
+        alone = (m.positions_alone() if bad else m for m, bad in zip(sets, off, strict=True))
+        return base_calibrated(replace(prepared, sets=tuple(alone)))
+
+    @cached_property
+    def candidates(self) -> Sequence[Candidate]:
+        """Of causes; of several sessions, a foot or an instrument that moved between them is one, too."""
+        given, effects = self.base.given, self.effects
+        self.show("signatures of the candidates")
+        if effects == "standard" and given.sessions.base == "shared" and len(sessions_in(self.prepared.sets)) > 1:
+            effects = ["standard", "frame_step"]
+        return candidates_of(given, effects)
+
+    def case(self, ratios: Ratios | None = None) -> Case:
+        """The linear problem, without what is known from elsewhere; ratios : see `make_case`."""
+        return make_case(self.base, self.candidates, self.prepared.free, ratios)
+
+    def with_known(self, case: Case, known: Prior) -> Case:
+        """The case with what an earlier campaign told and what did not change since."""
+        return case.with_prior(known, self.base.sigmas[0][0]) if known.free else case
+
+    def searched(self, case: Case) -> Diagnosis:
+        """The causes in a case."""
+        case = replace(case, assumed=_assumed(case, self.base, self.prepared.sets))
+        state, end, p_nothing = search(case, self.seed, self.bootstrap, self.show, self.rivals)
+        return conclude(self.base, state, end, self.seed, p_nothing)
+
+    def answer(self) -> Diagnosis:
+        """The diagnosis; searched again where the noise turns out other than it was taken for."""
+        told = self.prepared.prior
+        case, known, changed = self.case(), told, tuple[Change, ...]()
+        if told.free:
+            self.show("what changed since the campaign of the prior")
+            changed, known = changes(case, told)
+        found = self.searched(case := self.with_known(case, known))
+        for _ in range(MOST_RATIOS):
+            ratios = better_ratios(found.case, found.columns, found.noise)
+            if ratios is None:
+                break
+            self.show("the sets' noise differs from what the base model left: searched again")
+            found = self.searched(case := self.with_known(self.case(ratios), known))
+        usual = case.whole.sigmas
+        if not usual[0] < found.noise.sigma < usual[-1]:
+            self.show("the noise lies beyond the usual grid: searched again on a wider one")
+            found = _refuse_coarser(self.searched(case.with_all_sigmas()))
+        if self.laws:
+            self.show("laws in place of the causes")
+            found = _held_against_laws(found)
+        return replace(found, prior=told if told.free or told.frozen else None, changes=changed)
 
 
 def _prepared(
@@ -161,20 +204,6 @@ def _prepared(
         raise InputError("measurements are missing; give diagnose(robot, measurements), or an identification alone")
     of_masses: Literal["free", "unknown"] = "free" if masses == "nuisance" else "unknown"
     return prepare(robot, sets, prior, masses=of_masses, tool_turns=True)
-
-
-def _base(prepared: Prepared, show: Show) -> Identification:
-    """The base model calibrated; gross errors have little weight, and are screened with the causes, not before.
-
-    Orientations of another convention than the robot's would spoil it: they are left aside where they do not fit.
-    """
-    show("calibrating the base model")
-    found, sets = base_calibrated(prepared), prepared.sets
-    off = [m.orientation is not None and s[1] > NO_NOISE for m, s in zip(sets, found.problem.sigmas, strict=True)]
-    if not any(off):
-        return found
-    alone = (m.positions_alone() if bad else m for m, bad in zip(sets, off, strict=True))
-    return base_calibrated(replace(prepared, sets=tuple(alone)))
 
 
 def _held_against_laws(found: Diagnosis) -> Diagnosis:
