@@ -34,38 +34,51 @@ class Plan:
     repeatability: float
     seed: int
 
+    @property
+    def not_logged(self) -> tuple[str, ...]:
+        """Columns that are left out."""
+        return tuple(self.missing.split(",")) if self.missing else ()
+
 
 def draw_plans(
-    n: int, seed: int, words: tuple[Sequence[str], Sequence[str]], poses: Sequence[int] = POSES
+    n: int,
+    seed: int,
+    words: tuple[Sequence[str], Sequence[str]],
+    poses: Sequence[int] = POSES,
+    *,
+    robots: Sequence[str] = ROBOTS,
+    noises: Sequence[float] = NOISES,
+    struck: float = STRUCK,
 ) -> list[Plan]:
     """n campaigns in random order; shares are kept as nearly as whole numbers allow, all else takes turns.
 
     words : effects that are on the diagnosis' list, and on none; poses : numbers of poses of a campaign
+    robots, noises [m] : one of these each; struck : share of campaigns in which a column is not logged
     """
     rng = np.random.default_rng([seed, 1])
     kinds = shuffled(rng, in_shares(n, SHARES))
-    struck = shuffled(rng, in_shares(n, {True: STRUCK, False: 1 - STRUCK}))
-    robots, sizes, columns = turns(rng, ROBOTS), turns(rng, poses), turns(rng, COLUMNS)
+    lacking = shuffled(rng, in_shares(n, {True: struck, False: 1 - struck}))
+    names, sizes, columns = turns(rng, robots), turns(rng, poses), turns(rng, COLUMNS)
     known, foreign = (turns(rng, pool) for pool in words)
-    found = []
+    plans = []
     for k, kind in enumerate(kinds):
         count = {"none": 0, "one": 1, "unlisted": 1}.get(kind) if kind != "several" else int(rng.integers(2, 4))
         pool = foreign if kind == "unlisted" else known
-        robot = next(robots)
-        found.append(
+        robot = next(names)
+        plans.append(
             Plan(
                 name=f"{robot}-{k + 1:03d}",
                 robot=robot,
                 kind=kind,
                 effects=distinct(pool, count or 0),
                 poses=next(sizes),
-                missing=next(columns) if struck[k] else None,
-                noise=float(rng.choice(NOISES)),
+                missing=next(columns) if lacking[k] else None,
+                noise=float(rng.choice(noises)),
                 repeatability=float(rng.uniform(*REPEATABILITIES)),
                 seed=int(rng.integers(1 << 62)),
             )
         )
-    return found
+    return plans
 
 
 def in_shares(n: int, shares: dict[Thing, float]) -> list[Thing]:

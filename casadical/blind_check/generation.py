@@ -6,15 +6,15 @@ import secrets
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from casadical.blind_check.campaign_plans import POSES, Plan, draw_plans
-from casadical.blind_check.physics import Record, physics_named
+from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, Plant
+from casadical.blind_check.mujoco_physics.table import MEASURED, TRUE
 from casadical.blind_check.predictor import nominal
 from casadical.blind_check.protocol import (
     KEY,
@@ -27,8 +27,8 @@ from casadical.blind_check.protocol import (
     Secret,
     sha256,
 )
+from casadical.blind_check.recording import MUJOCO, Record, Simulator, Subject, record
 from casadical.blind_check.signal_size import base_jacobian, unabsorbed_rms
-from casadical.blind_check.synthetic.campaigns import APPROACHES, MEASURED, TRUE
 from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.arrays import Array
 from casadical.core.errors import ConvergenceError, InputError
@@ -40,11 +40,11 @@ from casadical.robot.robot_file import to_toml
 UNSEEN = 50
 LEAST_POSES = 20
 REDRAWN = 5
-_COLUMNS = {"temperature": ["temperature_degC"], "payload": ["payload_kg"], "approach": APPROACHES, "time": ["time_s"]}
+_COLUMNS = {"temperature": "temperature_degC", "payload": "payload_kg", "approach": "approach", "time": "time_s"}
 
 
 @dataclass(frozen=True, eq=False)
-class _Campaign:
+class Campaign:
     """The texts of a campaign's tables, and what it hides."""
 
     name: str
@@ -60,7 +60,6 @@ def make(
     seed: int | None = None,
     *,
     poses: Sequence[int] = POSES,
-    physics: str = "mujoco",
     project: str | Path = ".",
     executor: Executor | None = None,
     show: Callable[[str, int, int], None] = lambda _text, _done, _all: None,
@@ -80,8 +79,6 @@ def make(
         of everything drawn, kept in the key; by default a random one, which a real test needs
     poses : Sequence[int], default POSES
         numbers of poses of a campaign, one of these; each has 50 more whose positions are only in the key
-    physics : str, default "mujoco"
-        mujoco, or numpy for the project's own simulator
     project : str | Path, default "."
         folder with problems/ and data/
     executor : Executor, optional
@@ -106,27 +103,27 @@ def make(
     >>> from casadical.blind_check import make
     >>> from concurrent.futures import ThreadPoolExecutor
     >>> with ThreadPoolExecutor(1) as pool:
-    ...     published = make("campaigns", "key", 4, seed=1, poses=(20,), physics="numpy", executor=pool)
+    ...     published = make("campaigns", "key", 4, seed=1, poses=(20,), executor=pool)
     >>> len(published.campaigns)
     4
     """
     folder, key_folder = Path(folder), Path(key)
     _check(folder, key_folder, n, poses)
     seed = secrets.randbits(62) if seed is None else seed
-    simulated = physics_named(physics)
-    todo = draw_plans(n, seed, (simulated.listed, simulated.unlisted), poses)
-    drawings = {r: _drawing(Path(project), r) for r in sorted({p.robot for p in todo})}
-    made: dict[str, _Campaign] = {}
+    versions = {"casadical": version("casadical"), **engine_versions()}
+    todo = draw_plans(n, seed, (tuple(LISTED), tuple(UNLISTED)), poses)
+    subjects = {r: _subject(Path(project), r) for r in sorted({p.robot for p in todo})}
+    made: dict[str, Campaign] = {}
     with workers(executor) as pool:
-        tasks = [(physics, *drawings[p.robot], p) for p in todo]
+        tasks = [(subjects[p.robot], p) for p in todo]
         for done, campaign in enumerate(completed(pool, campaign_of, tasks), 1):
             made[campaign.name] = campaign
             show(campaign.name, done, len(todo))
     inside = Key(
         salt=hashlib.sha256(f"casadical withheld {seed}".encode()).hexdigest(),
         seed=seed,
-        reality=physics,
-        versions={"casadical": version("casadical"), **simulated.versions()},
+        reality="mujoco",
+        versions=versions,
         campaigns={p.name: made[p.name].secret for p in todo},
     )
     manifest = Manifest(
@@ -134,7 +131,7 @@ def make(
     )
     # The key first: campaigns whose key was lost would be of no use.
     texts = {key_folder / KEY: inside.text()}
-    texts |= {folder / ROBOTS / f"{name}.robot.toml": text for name, (_, text) in drawings.items()}
+    texts |= {folder / ROBOTS / f"{name}.robot.toml": subject.model for name, subject in subjects.items()}
     texts |= {folder / f"{c.name}.csv": c.seen for c in made.values()}
     texts |= {folder / f"{c.name}.unseen.csv": c.unseen for c in made.values()}
     texts |= {folder / MANIFEST: manifest.model_dump_json(indent=1) + "\n"}
@@ -155,59 +152,81 @@ def _check(folder: Path, key: Path, n: int, poses: Sequence[int]) -> None:
             raise InputError(f"{path}: is there already; name a new folder, or delete that check first")
 
 
-def _drawing(project: Path, robot: str) -> tuple[dict[str, Any], str]:
-    """The physics' table of a nominal robot, and the text of the base model that the diagnosis is given."""
+def engine_versions() -> dict[str, str]:
+    """Of the packages on which campaigns depend. Raises InputError if one is not installed."""
+    try:
+        return {name: version(name) for name in ("mujoco", "numpy")}
+    except PackageNotFoundError as error:
+        raise InputError(f"the engine {error.name} is not installed: pip install 'casadical[withheld]'") from None
+
+
+def _subject(project: Path, robot: str) -> Subject:
+    """A robot of the project: the physics' table of it, and the base model that the diagnosis is given."""
     path = project / "data" / "campaigns" / "robots" / f"{robot}.json"
     if not path.is_file():
         raise InputError(f"{path}: no such robot; name the project's folder (with problems/ and data/) by --project")
-    return json.loads(path.read_text(encoding="utf-8")), to_toml(read_campaign_robot(project / "problems" / robot))
+    drawing = Plant.from_dict(json.loads(path.read_text(encoding="utf-8")))
+    return Subject(drawing, to_toml(read_campaign_robot(project / "problems" / robot)))
 
 
-def campaign_of(physics: str, table: Mapping[str, Any], model: str, plan: Plan) -> _Campaign:
-    """One campaign of a plan; runs in a worker. model : text of the base model's robot file."""
-    plan, record = _recorded(physics, table, plan)
+def campaign_of(subject: Subject, plan: Plan, simulator: Simulator = MUJOCO) -> Campaign:
+    """One campaign of a plan; runs in a worker."""
     rng = np.random.default_rng([plan.seed, 2])
     # Among the others, so that nothing has to be predicted beyond the campaign's time and temperature.
     kept = np.ones(plan.poses + UNSEEN, dtype=bool)
     kept[1 + rng.choice(len(kept) - 2, UNSEEN, replace=False)] = False
-    struck = _COLUMNS[plan.missing] if plan.missing else []
-    shown = record.session.drop(columns=[*struck, *TRUE])
-    unseen = record.session[~kept]
-    return _Campaign(
+    readings = None if subject.readings is None else with_poses_between(subject.readings, kept)
+    plan, recorded = _recorded(subject, plan, readings, simulator)
+    struck = [c for word in plan.not_logged for c in recorded.session if str(c).startswith(_COLUMNS[word])]
+    shown = recorded.session.drop(columns=[*struck, *TRUE])
+    unseen = recorded.session[~kept]
+    return Campaign(
         name=plan.name,
         seen=shown[kept].to_csv(index=False),
         unseen=shown[~kept].drop(columns=MEASURED).to_csv(index=False),
-        secret=_secret(plan, record, kept, model, unseen),
+        secret=_secret(plan, recorded, kept, subject.model, unseen),
     )
 
 
-def _recorded(physics: str, table: Mapping[str, Any], plan: Plan, left: int = REDRAWN) -> tuple[Plan, Record]:
+def with_poses_between(readings: Array, kept: Array) -> Array:
+    """Given poses, shape (poses, joints), where the mask says so, and between them poses on the way to the next one."""
+    place = np.cumsum(kept) - 1.0
+    for k in np.flatnonzero(~kept):
+        place[k] = (place[k - 1] + np.floor(place[k - 1]) + 1) / 2
+    before = np.floor(place).astype(int)
+    share = (place - before)[:, None]
+    return np.asarray((1 - share) * readings[before] + share * readings[np.minimum(before + 1, len(readings) - 1)])
+
+
+def _recorded(
+    subject: Subject, plan: Plan, readings: Array | None, simulator: Simulator, left: int = REDRAWN
+) -> tuple[Plan, Record]:
     """The session of a plan. If it finds no equilibrium, all except the plan is drawn again, a few times."""
     try:
-        return plan, physics_named(physics).record(table, plan, plan.poses + UNSEEN)
+        return plan, record(subject, plan, plan.poses + UNSEEN, readings, simulator)
     except ConvergenceError:
         if not left:
             raise
-        return _recorded(physics, table, replace(plan, seed=plan.seed + 1), left - 1)
+        return _recorded(subject, replace(plan, seed=plan.seed + 1), readings, simulator, left - 1)
 
 
-def _secret(plan: Plan, record: Record, kept: Array, model: str, unseen: pd.DataFrame) -> Secret:
+def _secret(plan: Plan, recorded: Record, kept: Array, model: str, unseen: pd.DataFrame) -> Secret:
     robot = nominal(model)
-    clean = from_table(record.clean[kept].drop(columns=TRUE), robot.n, "position")
+    clean = from_table(recorded.clean[kept].drop(columns=TRUE), [j.kind for j in robot.joints], "position")
     J = base_jacobian(robot, clean)
 
     def seen(table: pd.DataFrame) -> float:
-        shift = table[MEASURED].to_numpy(float) - record.clean[MEASURED].to_numpy(float)
+        shift = table[MEASURED].to_numpy(float) - recorded.clean[MEASURED].to_numpy(float)
         return round(unabsorbed_rms(J, 1e-3 * shift[kept]), 9)
 
-    together = seen(record.session)
-    alone = [seen(t) for t in record.alone] or [together] * len(record.hidden)
+    together = seen(recorded.session)
+    alone = [seen(t) for t in recorded.alone] or [together] * len(recorded.hidden)
     return Secret(
         robot=plan.robot,
         kind=plan.kind,
         hidden=tuple(
             HiddenEffect(effect=a.effect, joint=a.joint, about=a.about, visible=v)
-            for a, v in zip(record.hidden, alone, strict=True)
+            for a, v in zip(recorded.hidden, alone, strict=True)
         ),
         poses=plan.poses,
         missing=plan.missing,

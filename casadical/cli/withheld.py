@@ -48,9 +48,6 @@ def make_command(
         int | None, typer.Option(min=0, help="Of everything drawn; default: a random one, kept in the key.")
     ] = None,
     poses: Annotated[str, typer.Option(metavar="N,N", help="Poses of a campaign, one of these.")] = "40,100,200",
-    reality: Annotated[
-        str, typer.Option(metavar="mujoco|numpy", help="The physics: MuJoCo, or the project's own simulator.")
-    ] = "mujoco",
     project: Annotated[Path, typer.Option(metavar="DIR", help="Folder with problems/ and data/.")] = Path(),
     workers: Workers = None,
     json_file: Json = None,
@@ -83,7 +80,6 @@ def make_command(
             n,
             seed,
             poses=sizes,
-            physics=reality,
             project=project,
             executor=executor,
             show=show,

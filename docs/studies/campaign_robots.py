@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from casadical.blind_check.numpy_physics import Plant
+from casadical.blind_check.mujoco_physics import Plant
 from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot import Robot
 

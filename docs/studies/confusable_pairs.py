@@ -18,8 +18,7 @@ import numpy as np
 import pandas as pd
 from campaign_robots import machine as drawn_robot
 
-from casadical.blind_check.mujoco_physics import draw_effect, measure
-from casadical.blind_check.numpy_physics import perturb
+from casadical.blind_check.mujoco_physics import draw_effect, measure, perturb
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.next_poses import next_poses

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -13,15 +14,10 @@ from campaign_robots import machine
 
 from casadical import Placement, Robot
 from casadical.blind_check import mujoco_physics
-from casadical.blind_check.mujoco_physics import Hidden
-from casadical.blind_check.numpy_physics import Plant
-from casadical.blind_check.numpy_physics.disturbance import Disturbance
-from casadical.blind_check.numpy_physics.statics import (
-    positions,
-    rated_torque,
-)
-from casadical.blind_check.synthetic.fourbar import unfolded
-from casadical.blind_check.synthetic.stops import Stops, Warmup, draw_poses, draw_stops
+from casadical.blind_check.mujoco_physics import Hidden, Plant
+from casadical.blind_check.mujoco_physics.fourbar import unfolded
+from casadical.blind_check.mujoco_physics.statics import rated_torque
+from casadical.blind_check.mujoco_physics.stops import Stops, Warmup, draw_poses, draw_stops
 from casadical.core.arrays import Array
 from casadical.core.transforms import frame
 from casadical.effects import (
@@ -29,6 +25,11 @@ from casadical.effects import (
 )
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import unmeasured
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
+
+from numpy_physics.disturbance import Disturbance
+from numpy_physics.statics import positions
 
 ROOT = Path(__file__).parents[2]
 ROBOTS = ("hh800", "kr210", "ur10e")

@@ -26,12 +26,15 @@ from joint_curves import SERIES
 from real_diagnoses import campaign
 
 from casadical import Diagnosis, InputError, diagnose, read_problem
-from casadical.blind_check import numpy_physics
-from casadical.blind_check.synthetic.stops import Stops, only
+from casadical.blind_check.mujoco_physics.stops import Stops, only
 from casadical.diagnosis.line_search import Line
 from casadical.diagnosis.spectrum import JointCurve, Spectrum, spectrum
 from casadical.diagnosis.spectrum_report import curve_rows, seen
 from casadical.measurements.reading import from_table
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
+
+import numpy_physics
 
 ROOT = Path(__file__).parents[2]
 FAR = 330.0

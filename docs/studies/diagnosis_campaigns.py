@@ -1,7 +1,7 @@
 """Diagnose campaigns of the independent simulator and score: python docs/studies/diagnosis_campaigns.py
 
 Some 1,500 campaigns (half an hour on two idle cores), a part for each figure; --share 0.1 makes a tenth. Three robots;
-effects, sizes and joints are drawn by casadical.blind_check.numpy_physics, which shares no formula with the candidates;
+effects, sizes and joints are drawn by numpy_physics, which shares no formula with the candidates;
 joint repeatability and instrument noise are always there. The same campaign made without the effect tells how far
 the gap can shrink. Synthetic data throughout. Seeds are [2027, part, number], which nobody had seen when the rules
 were fixed (commit 033c84f); these were chosen on seeds [77, number], [2026, part, number] and on campaigns
@@ -11,6 +11,7 @@ of casadical.blind_check.mujoco_physics.
 import argparse
 import json
 import os
+import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -25,8 +26,7 @@ import numpy as np
 from campaign_robots import machine
 from diagnosis_scores import Trial, near_rival, table, visible
 
-from casadical.blind_check.numpy_physics import Disturbance, campaign, draw_disturbance, perturb
-from casadical.blind_check.numpy_physics.disturbances import LISTED, UNLISTED
+from casadical.blind_check.mujoco_physics import perturb
 from casadical.diagnosis.candidates import standard_candidates
 from casadical.diagnosis.cross_validation import held_out_errors, likely_noise, random_folds
 from casadical.diagnosis.diagnose import diagnose
@@ -38,6 +38,11 @@ from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.measurements.reading import from_table
 from casadical.robot.robot import Robot
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
+
+from numpy_physics import Disturbance, campaign, draw_disturbance
+from numpy_physics.disturbances import LISTED, UNLISTED
 
 ROOT = Path(__file__).parents[2]
 ROBOTS = ("hh800", "kr210", "ur10e")

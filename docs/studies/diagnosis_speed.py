@@ -23,8 +23,12 @@ import pandas as pd
 from campaign_robots import machine
 
 from casadical import diagnose
-from casadical.blind_check.numpy_physics import campaign, draw_disturbance, perturb
+from casadical.blind_check.mujoco_physics import perturb
 from casadical.project.problem import read_campaign, read_campaign_robot
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
+
+from numpy_physics import campaign, draw_disturbance
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "data" / "ur10_laser_tracker"

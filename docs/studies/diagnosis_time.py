@@ -5,18 +5,24 @@ first of a robot builds its signatures, which later ones of the same process sha
 """
 
 import os
+import sys
 import time
+from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from diagnosis_campaigns import ROBOTS, hidden, machine
 
-from casadical.blind_check.numpy_physics import campaign, perturb
+from casadical.blind_check.mujoco_physics import perturb
 from casadical.diagnosis.diagnose import diagnose
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table
 from casadical.robot.robot import Robot
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
+
+from numpy_physics import campaign
 
 CAMPAIGNS, DRAWS = 36, 2000
 

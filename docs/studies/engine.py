@@ -15,15 +15,17 @@ import numpy as np
 from campaign_robots import machine as drawn
 
 from casadical.blind_check import mujoco_physics as engine
+from casadical.blind_check.mujoco_physics import Plant, perturb
 from casadical.blind_check.mujoco_physics.equilibrium import Engine, Stop
+from casadical.blind_check.mujoco_physics.fourbar import unfolded
 from casadical.blind_check.mujoco_physics.robot import start
-from casadical.blind_check.numpy_physics import Plant, perturb
-from casadical.blind_check.numpy_physics.statics import positions
-from casadical.blind_check.synthetic.fourbar import unfolded
-from casadical.blind_check.synthetic.stops import Stops, draw_poses
+from casadical.blind_check.mujoco_physics.stops import Stops, draw_poses
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "blind_check"))
+
 from mujoco_physics.oracle import rest as by_pinocchio
+from numpy_physics.statics import positions
 
 ROBOTS = ("hh800", "kr210", "ur10e")
 FOLDER = Path(__file__).parents[2] / "data" / "campaigns" / "robots"

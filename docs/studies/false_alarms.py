@@ -4,18 +4,23 @@ Clean synthetic campaigns of the independent simulator; 1000 bootstrap draws of 
 each (see casadical.diagnosis.bootstrap), judged as `diagnose` judges. Some ten minutes of one core.
 """
 
+import sys
 from pathlib import Path
 
 import numpy as np
 from campaign_robots import machine
 
-from casadical.blind_check.numpy_physics import campaign, perturb
+from casadical.blind_check.mujoco_physics import perturb
 from casadical.diagnosis.bootstrap import noise_odds
 from casadical.diagnosis.candidates import standard_candidates
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.thresholds import detection
 from casadical.identification.identification import identify
 from casadical.measurements.reading import from_table
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
+
+from numpy_physics import campaign
 
 ROOT = Path(__file__).parents[2]
 ROBOTS, POSES, CAMPAIGNS, DRAWS = ("hh800", "kr210", "ur10e"), (40, 60, 100, 200), 3, 1000

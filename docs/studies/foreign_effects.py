@@ -6,17 +6,22 @@ are angles and times of the machine, not of the campaign: another campaign of th
 """
 
 import re
+import sys
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from casadical.blind_check.numpy_physics.disturbance import Disturbance
-from casadical.blind_check.numpy_physics.state import GRAVITY, State
-from casadical.blind_check.synthetic.fourbar import close_loop
-from casadical.blind_check.synthetic.plant import Plant
-from casadical.blind_check.synthetic.rigid import Array, back, motion, move, point, random_vector, slide
-from casadical.blind_check.synthetic.stops import Stops, only
+from casadical.blind_check.mujoco_physics.fourbar import close_loop
+from casadical.blind_check.mujoco_physics.plant import Plant
+from casadical.blind_check.mujoco_physics.rigid import Array, back, motion, move, point, random_vector, slide
+from casadical.blind_check.mujoco_physics.stops import Stops, only
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
+
+from numpy_physics.disturbance import Disturbance
+from numpy_physics.state import GRAVITY, State
 
 Direction = tuple[float, float, float]
 _ZERO = np.zeros(3)

@@ -4,10 +4,15 @@ What the HH800 twin is made of: how far each unmodelled effect alone moves the r
 would vanish in an identification), and how much of all of them does not repeat at the same joint readings.
 """
 
+import sys
+from pathlib import Path
+
 import numpy as np
 
-from casadical.blind_check.numpy_physics import campaign, hh800_true, hh800_twin
-from casadical.blind_check.numpy_physics.twin import UNMODELLED, WARMUP
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
+
+from numpy_physics import campaign, hh800_true, hh800_twin
+from numpy_physics.twin import UNMODELLED, WARMUP
 
 Q = [f"q{j}_deg" for j in range(1, 7)]
 TRUE = ["x_true_mm", "y_true_mm", "z_true_mm"]

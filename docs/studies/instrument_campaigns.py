@@ -8,7 +8,9 @@ touches them. Every instrument has noise of its own, and the joints do not repea
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,12 +20,16 @@ from instrument_touches import TOUCHED, touched
 from scipy.stats import ncx2
 from sessions import UNLISTED, Session
 
-from casadical.blind_check.numpy_physics import Plant, disturbances, perturb
+from casadical.blind_check.mujoco_physics import Plant, perturb
 from casadical.core.arrays import Array
 from casadical.core.errors import ConvergenceError, InputError
 from casadical.identification.placement import place_frames
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
+
+from numpy_physics import disturbances
 
 NAMES = ("hh800", "kr210", "ur10e")
 KINDS = ("distances", "sockets", "poses", "mixed", "distances", "planes", "poses", "mixed", "distances", "balls")

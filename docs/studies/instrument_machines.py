@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from casadical.blind_check import mujoco_physics, numpy_physics
-from casadical.blind_check.numpy_physics import Plant
+from casadical.blind_check import mujoco_physics
+from casadical.blind_check.mujoco_physics import Plant
+from casadical.blind_check.mujoco_physics.table import MEASURED
 from casadical.blind_check.signal_size import column_space
-from casadical.blind_check.synthetic.campaigns import MEASURED
 from casadical.core.arrays import Array
 from casadical.diagnosis.linearisation import signatures
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table
 from casadical.robot.robot import Robot
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
+
+import numpy_physics
 
 # Points of the flange that tell its orientation [m].
 POINTS = np.array([[0.0, 0.0, 0.0], [0.15, 0.0, 0.0], [0.0, 0.15, 0.0]])

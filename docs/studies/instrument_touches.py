@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from instrument_machines import POINTS, Machine, Model, blank, scaled, visible
 
-from casadical.blind_check.numpy_physics import Plant
-from casadical.blind_check.synthetic.fourbar import crank_distance, unfolded
+from casadical.blind_check.mujoco_physics import Plant
+from casadical.blind_check.mujoco_physics.fourbar import crank_distance, unfolded
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.identification.accuracy import predicted

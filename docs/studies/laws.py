@@ -12,9 +12,11 @@ What counts as right (TRUTH) was written down before any of these campaigns was 
 """
 
 import argparse
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,16 +25,20 @@ from campaign_robots import machine
 from foreign_effects import FOREIGN, draw_foreign
 from kept import add_options, rows_of
 
-from casadical.blind_check.numpy_physics import Disturbance, campaign, disturbances, draw_disturbance, perturb
-from casadical.blind_check.numpy_physics.disturbances_rare import draw_rare
+from casadical.blind_check.mujoco_physics import perturb
+from casadical.blind_check.mujoco_physics.plant import Plant
 from casadical.blind_check.signal_size import base_jacobian, unabsorbed_rms
-from casadical.blind_check.synthetic.plant import Plant
 from casadical.core.errors import CasadicalError
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.laws.answer import lines_of
 from casadical.diagnosis.laws.discovery import Discovery, laws_beside
 from casadical.diagnosis.laws.held_out import held_out
 from casadical.measurements.reading import from_table
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
+
+from numpy_physics import Disturbance, campaign, disturbances, draw_disturbance
+from numpy_physics.disturbances_rare import draw_rare
 
 ROBOTS, POSES, NOISE_MM, SIGNALS, SEED = ("kr210", "ur10e"), 100, 0.02, (0.8, 2.5), 92000
 # Of noise that follows itself: how much of it stays from pose to pose.

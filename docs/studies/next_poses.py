@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 from campaign_robots import plant_of
 
-from casadical.blind_check.numpy_physics import Plant, Warmup, draw_disturbance, perturb
-from casadical.blind_check.numpy_physics.statics import positions
-from casadical.blind_check.synthetic.stops import Stops, draw_poses, draw_stops
+from casadical.blind_check.mujoco_physics import Plant, Warmup, perturb
+from casadical.blind_check.mujoco_physics.stops import Stops, draw_poses, draw_stops
 from casadical.core.errors import InputError
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.linear_problem import make_case
@@ -25,6 +24,11 @@ from casadical.identification.identification import identify
 from casadical.measurements.measurements import Measurements
 from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot import Robot
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
+
+from numpy_physics import draw_disturbance
+from numpy_physics.statics import positions
 
 ROOT = Path(__file__).parents[2]
 FIRST, MORE = 50, 15

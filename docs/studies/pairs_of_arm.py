@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from counterpart_pairs import Bench, Pair, named, progress, without_mass, without_tool
 
 from casadical.blind_check.mujoco_physics import Hidden
-from casadical.blind_check.numpy_physics import disturbances
-from casadical.blind_check.numpy_physics.disturbance import Disturbance
-from casadical.blind_check.numpy_physics.statics import (
-    stretched_moments,
-)
-from casadical.blind_check.synthetic.stops import Stops
+from casadical.blind_check.mujoco_physics.statics import stretched_moments
+from casadical.blind_check.mujoco_physics.stops import Stops
 from casadical.core.arrays import Array
 from casadical.effects import (
     AxisWobble,
@@ -26,6 +24,11 @@ from casadical.effects import (
     ThermalGrowth,
     TrackerScale,
 )
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
+
+from numpy_physics import disturbances
+from numpy_physics.disturbance import Disturbance
 
 
 def wobble(b: Bench) -> Pair:

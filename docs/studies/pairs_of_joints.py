@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from counterpart_pairs import Bench, Pair, approach, named, progress
 
-from casadical.blind_check.mujoco_physics import Hidden
+from casadical.blind_check.mujoco_physics import Hidden, Plant
 from casadical.blind_check.mujoco_physics.cause import warmth_inside
-from casadical.blind_check.numpy_physics import Plant, disturbances
-from casadical.blind_check.numpy_physics.disturbance import Disturbance
-from casadical.blind_check.numpy_physics.statics import (
-    settle,
-)
-from casadical.blind_check.synthetic.stops import Stops
+from casadical.blind_check.mujoco_physics.stops import Stops
 from casadical.core.arrays import Array
 from casadical.effects import (
     Backlash,
@@ -37,6 +34,12 @@ from casadical.effects import (
     ThermalZeroDrift,
     TransmissionRipple,
 )
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
+
+from numpy_physics import disturbances
+from numpy_physics.disturbance import Disturbance
+from numpy_physics.statics import settle
 
 
 def eccentric(b: Bench) -> Pair:

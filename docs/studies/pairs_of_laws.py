@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from counterpart_pairs import Bench, Pair, approach, named, progress
 
-from casadical.blind_check.numpy_physics import disturbances, disturbances_rare
-from casadical.blind_check.numpy_physics.disturbance import Disturbance
-from casadical.blind_check.synthetic.rigid import motion, move, slide
-from casadical.blind_check.synthetic.stops import Stops, only
+from casadical.blind_check.mujoco_physics.rigid import motion, move, slide
+from casadical.blind_check.mujoco_physics.stops import Stops, only
 from casadical.core.arrays import Array
 from casadical.effects import (
     CrossCoupling,
@@ -26,6 +26,11 @@ from casadical.effects import (
 from casadical.effects.registry import BacklashByLoad, FrameSettling
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import unmeasured
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
+
+from numpy_physics import disturbances, disturbances_rare
+from numpy_physics.disturbance import Disturbance
 
 
 def slipped_foot(b: Bench) -> Pair:

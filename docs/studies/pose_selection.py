@@ -17,12 +17,16 @@ from campaign_robots import plant_of
 from scipy.stats import chi2
 
 from casadical import identify, read_robot
-from casadical.blind_check.numpy_physics import campaign, perturb
+from casadical.blind_check.mujoco_physics import perturb
 from casadical.measurements.reading import from_table
 from casadical.pose_selection import Box, Noise, Tracker, Workspace, forecast, select_poses
 from casadical.pose_selection.candidates import draw, expected
 from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian, whitened
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
+
+from numpy_physics import campaign
 
 HERE = Path(__file__).parent
 PROBLEMS = HERE.parents[1] / "problems"

@@ -1,6 +1,7 @@
 """Measuring sessions of both physics without noise, and what may be hidden in them that is on no list."""
 
 import os
+import sys
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,16 @@ import numpy as np
 import pandas as pd
 from foreign_effects import FOREIGN, draw_foreign
 
-from casadical.blind_check import mujoco_physics, numpy_physics
-from casadical.blind_check.numpy_physics import Disturbance, Plant, disturbances, draw_disturbance
-from casadical.blind_check.synthetic.rigid import random_vector
-from casadical.blind_check.synthetic.stops import Stops, only
+from casadical.blind_check import mujoco_physics
+from casadical.blind_check.mujoco_physics import Plant
+from casadical.blind_check.mujoco_physics.rigid import random_vector
+from casadical.blind_check.mujoco_physics.stops import Stops, only
 from casadical.core.arrays import Array
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
+
+import numpy_physics
+from numpy_physics import Disturbance, disturbances, draw_disturbance
 
 ROOT = Path(__file__).parents[2]
 REPEATABILITY_URAD = 4.0

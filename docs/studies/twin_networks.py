@@ -21,10 +21,13 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from casadical import from_table, identify, read_problem
-from casadical.blind_check.numpy_physics import campaign, hh800_true, hh800_twin
-from casadical.blind_check.numpy_physics.twin import UNMODELLED, WARMUP
 from casadical.compensator import Compensator, Layout, LevenbergMarquardt, Trainer, network_methods
 from casadical.identification import residual_mm
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
+
+from numpy_physics import campaign, hh800_true, hh800_twin
+from numpy_physics.twin import UNMODELLED, WARMUP
 
 HH800 = Path(__file__).parents[2] / "problems" / "hh800"
 SEEDS, EXPERIMENTS, STARTS = 50, 30, 20

@@ -11,6 +11,7 @@ diagnosis did not have. A ratio is that without masses by that with the true one
 
 import argparse
 import json
+import sys
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -21,7 +22,8 @@ from kept import Row, add_options, rows_of
 
 from casadical.blind_check.campaign_plans import Plan, draw_plans
 from casadical.blind_check.generation import campaign_of
-from casadical.blind_check.physics import physics_named
+from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, Plant
+from casadical.blind_check.recording import MUJOCO, Subject
 from casadical.core.errors import CasadicalError
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.identification.accuracy import errors
@@ -33,7 +35,13 @@ from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
+
+from numpy_physics.simulator import NUMPY, WORDS
+
 ROOT = Path(__file__).parents[2]
+# Of each physics its simulator, and its effects: listed, and on no list.
+PHYSICS = {"numpy": (NUMPY, WORDS), "mujoco": (MUJOCO, (tuple(LISTED), tuple(UNLISTED)))}
 ALLOWED = 1.15
 POSITION = ["x_mm", "y_mm", "z_mm"]
 
@@ -58,7 +66,7 @@ def judged(entry: tuple[str, Plan]) -> Row:
     physics, plan = entry
     robot = read_campaign_robot(ROOT / "problems" / plan.robot)
     table = json.loads((ROOT / "data" / "campaigns" / "robots" / f"{plan.robot}.json").read_text())
-    made = campaign_of(physics, table, to_toml(robot), plan)
+    made = campaign_of(Subject(Plant.from_dict(table), to_toml(robot)), plan, PHYSICS[physics][0])
     m = from_table(pd.read_csv(StringIO(made.seen)), robot.n, "position")
     unseen = pd.read_csv(StringIO(made.unseen))
     unseen[POSITION] = np.array(made.secret.measured_mm)
@@ -83,8 +91,7 @@ def main() -> None:
     given = parser.parse_args()
     plans = []
     for physics in given.physics or ("numpy", "mujoco"):
-        s = physics_named(physics)
-        drawn = draw_plans(given.campaigns, given.seed, (s.listed, s.unlisted), (100,))
+        drawn = draw_plans(given.campaigns, given.seed, PHYSICS[physics][1], (100,))
         plans += [(f"{physics} {given.seed} {plan.name}", (physics, plan)) for plan in drawn]
     rows = rows_of(plans, judged, given)
     print(f"{len(rows)} of {len(plans)} campaigns\n")

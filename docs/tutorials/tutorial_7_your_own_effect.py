@@ -18,7 +18,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from casadical import Effect, diagnose, from_table, identify, read_campaign_robot
-from casadical.blind_check.numpy_physics import Disturbance, Plant, campaign, disturbances, perturb
+from casadical.blind_check.mujoco_physics import Hidden, Plant, campaign, perturb
 from casadical.identification import errors
 
 ROOT = Path(sys.argv[0]).resolve().parents[2]  # this file lies in docs/tutorials
@@ -51,29 +51,22 @@ class SlackDressPack(Effect):
 # %%
 # A robot with this effect
 # ------------------------
-# We test on campaigns of the package's simulator, which is independent of the model above: there the hose is a torque
-# in numpy, on a true robot with errors in every link. (For your own robot, use your CSV here.)
-
-
-@dataclass(frozen=True)
-class Hose(Disturbance):
-    def torque(self, rest):
-        tau = np.zeros_like(rest.stops.q)
-        q5 = rest.stops.q[:, 4]
-        tau[:, 4] = -12.0 * np.sign(q5) * np.maximum(np.abs(q5) - 1.0, 0)
-        return tau
-
+# We test on campaigns of the engine MuJoCo (``pip install 'casadical[withheld]'``), which is independent of the model
+# above: there the hose is a spring with slack between links, on a true robot with errors in every link. Its size is how
+# far it winds the joint at the end of its range. (For your own robot, use your CSV here.)
 
 nominal = json.loads((ROOT / "data/campaigns/robots/ur10e.json").read_text())
 plant = perturb(Plant.from_dict(nominal), seed=11)
+end = plant.ranges[4, 1]
+hose = Hidden("tight_cable", 5, {"size": 12.0 * (end - 1.0) / plant.stiffness[4], "free": 1.0 / end})
 
 
 def measured(*hidden):
     """A campaign of 100 poses with these effects hidden in it."""
-    return from_table(campaign(plant, 100, seed=4, disturbances=hidden), robot.n, "position")
+    return from_table(campaign(plant, hidden, 100, seed=4), robot.n, "position")
 
 
-with_hose = measured(Hose())
+with_hose = measured(hose)
 
 # %%
 # First the standard list, without it
@@ -157,7 +150,7 @@ plt.show()
 
 for name, hidden, expected in (
     ("nothing hidden", (), []),
-    ("friction in joint 3", (disturbances.FrictionWindup(3, size=60e-6),), ["friction_windup@3"]),
+    ("friction in joint 3", (Hidden("friction_windup", 3, {"size": 60e-6, "load_share": 0.8}),), ["friction_windup@3"]),
 ):
     answer = diagnose(robot, measured(*hidden), effects=["standard", SlackDressPack(5)])
     print(f"{name}: {answer.verdict}", [c.label for c in answer.causes])

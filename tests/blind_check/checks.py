@@ -1,4 +1,4 @@
-"""A small check, made once a run: four campaigns of the project's own simulator, with their key and BIC's answers."""
+"""A small check, made once a run: four campaigns, with their key and BIC's answers."""
 
 from __future__ import annotations
 

@@ -21,7 +21,8 @@ class Small:
 
 @pytest.fixture(scope="session")
 def small(tmp_path_factory) -> Small:
+    pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'casadical[withheld]'")
     top = tmp_path_factory.mktemp("withheld")
     folder, key = top / "campaigns", top / "key"
-    make(folder, key, N, 5, poses=[40], physics="numpy", project=ROOT, executor=Here())
+    make(folder, key, N, 5, poses=[40], project=ROOT, executor=Here())
     return Small(folder, key, predict(folder, top / "bic.jsonl", by="bic", executor=Here()))

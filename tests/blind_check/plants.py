@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from casadical.blind_check.synthetic.plant import Plant
-from casadical.blind_check.synthetic.stops import Stops
+from casadical.blind_check.mujoco_physics.plant import Plant
+from casadical.blind_check.mujoco_physics.stops import Stops
 
 ARM: dict[str, Any] = {
     "name": "arm",

@@ -10,10 +10,14 @@ from typing import Any
 import numpy as np
 import plants
 import pytest
+from numpy_physics import campaign, draw_disturbance
+from numpy_physics.disturbance import Disturbance
+from numpy_physics.disturbances_rare import _OfJoint
+from numpy_physics.statics import placed, settle
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
-from casadical.blind_check import physics, worker_pool
+from casadical.blind_check import worker_pool
 from casadical.blind_check.baselines import Regression
 from casadical.blind_check.mujoco_physics.campaigns import _machine
 from casadical.blind_check.mujoco_physics.causes_load import GravityCompensator
@@ -21,15 +25,11 @@ from casadical.blind_check.mujoco_physics.causes_loose import CrackedLink
 from casadical.blind_check.mujoco_physics.causes_structure import LinkFlexure
 from casadical.blind_check.mujoco_physics.draw import _size
 from casadical.blind_check.mujoco_physics.hidden import Hidden, cause
+from casadical.blind_check.mujoco_physics.plant import _home
 from casadical.blind_check.mujoco_physics.robot import mechanism
-from casadical.blind_check.numpy_physics import campaign, draw_disturbance
-from casadical.blind_check.numpy_physics.disturbance import Disturbance
-from casadical.blind_check.numpy_physics.disturbances_rare import _OfJoint
-from casadical.blind_check.numpy_physics.statics import placed, settle
+from casadical.blind_check.mujoco_physics.stops import Warmup, draw_stops
 from casadical.blind_check.protocol import read_table
 from casadical.blind_check.signal_size import unabsorbed_rms
-from casadical.blind_check.synthetic.perturb import _home
-from casadical.blind_check.synthetic.stops import Warmup, draw_stops
 from casadical.core.errors import InputError
 
 ARM = plants.arm()
@@ -123,7 +123,6 @@ def test_drawn_sizes_lie_in_their_ranges() -> None:
     assert 8e-6 <= min(ovals) < 9e-6
     assert 31e-6 < max(ovals) <= 32e-6
     assert {draw_disturbance("link_flexure", k).link for k in range(30)} == {2, 3}
-    assert physics.SCALES == (0.7, 1.0, 1.5, 2.5)
 
 
 @pytest.mark.parametrize("joint", [0, 7, None])

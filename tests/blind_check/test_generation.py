@@ -15,6 +15,7 @@ from checks import ROOT, Here, N
 from casadical.blind_check.campaign_plans import draw_plans, in_shares
 from casadical.blind_check.generation import UNSEEN, make
 from casadical.blind_check.protocol import Manifest, read_key, read_manifest
+from casadical.blind_check.recording import MUJOCO
 from casadical.blind_check.signal_size import unabsorbed_rms
 from casadical.core.errors import ConvergenceError, InputError
 
@@ -40,7 +41,7 @@ def test_shares_add_up_whatever_the_number() -> None:
 
 
 def test_a_seed_gives_the_same_check_to_the_byte(small, tmp_path) -> None:
-    make(tmp_path / "a", tmp_path / "b", N, 5, poses=[40], physics="numpy", project=ROOT, executor=Here())
+    make(tmp_path / "a", tmp_path / "b", N, 5, poses=[40], project=ROOT, executor=Here())
     again = {p.relative_to(tmp_path / "a"): p.read_bytes() for p in (tmp_path / "a").rglob("*.*") if p.is_file()}
     first = {p.relative_to(small.folder): p.read_bytes() for p in small.folder.rglob("*.*") if p.is_file()}
     assert again == first
@@ -58,7 +59,7 @@ def test_without_a_seed_each_check_is_another_and_none_is_left_half_written(tmp_
         with pytest.raises(InputError, match="nothing was written"):
             make(
                 *(tmp_path / f"{k}", tmp_path / f"{k}-key", N),
-                poses=[20], physics="numpy", project=ROOT, executor=Here(), also=also,
+                poses=[20], project=ROOT, executor=Here(), also=also,
             )  # fmt: skip
     assert len(hashes) == 2
     assert list(tmp_path.iterdir()) == []
@@ -81,17 +82,15 @@ def test_a_session_without_rest_is_drawn_anew(monkeypatch) -> None:
 
     seeds: list[int] = []
 
-    class Restless:
-        @staticmethod
-        def record(_table, plan, _poses) -> str:
-            seeds.append(plan.seed)
-            if len(seeds) < 3:
-                raise ConvergenceError("no rest")
-            return "measured"
+    def restless(_subject, plan, *_rest) -> str:
+        seeds.append(plan.seed)
+        if len(seeds) < 3:
+            raise ConvergenceError("no rest")
+        return "measured"
 
-    monkeypatch.setattr(module, "physics_named", lambda _name: Restless)
+    monkeypatch.setattr(module, "record", restless)
     plan = draw_plans(4, 1, WORDS)[0]
-    found, record = module._recorded("mujoco", {}, plan)
+    found, record = module._recorded(None, plan, None, MUJOCO)
     assert (record, seeds) == ("measured", [plan.seed, plan.seed + 1, plan.seed + 2])
     assert (found.kind, found.effects, found.seed) == (plan.kind, plan.effects, plan.seed + 2)
 
@@ -127,12 +126,11 @@ def test_unseen_poses_are_others_and_come_without_positions(small) -> None:
     [
         ({"n": 3}, "n is 3; a blind check needs at least 4"),
         ({"poses": [5]}, "a campaign needs at least 20"),
-        ({"physics": "paper"}, "--reality paper: not known; allowed: mujoco, numpy"),
         ({"project": "nowhere"}, "no such robot; name the project's folder"),
     ],
 )
 def test_bad_input_is_named(tmp_path, change, message) -> None:
-    given = {"n": 4, "seed": 1, "physics": "numpy", "project": ROOT, "executor": Here()} | change
+    given = {"n": 4, "seed": 1, "project": ROOT, "executor": Here()} | change
     with pytest.raises(InputError, match=message):
         make(tmp_path / "a", tmp_path / "b", **given)
     assert not any(tmp_path.rglob("*.csv"))
@@ -141,6 +139,6 @@ def test_bad_input_is_named(tmp_path, change, message) -> None:
 def test_the_key_may_not_lie_with_the_campaigns(tmp_path, small) -> None:
     for key in (tmp_path / "a", tmp_path / "a" / "inside"):
         with pytest.raises(InputError, match="must lie apart"):
-            make(tmp_path / "a", key, 4, 1, physics="numpy", project=ROOT)
+            make(tmp_path / "a", key, 4, 1, project=ROOT)
     with pytest.raises(InputError, match="is there already"):
-        make(small.folder, tmp_path / "key", 4, 1, physics="numpy", project=ROOT)
+        make(small.folder, tmp_path / "key", 4, 1, project=ROOT)

@@ -11,13 +11,14 @@ import pytest
 from checks import ROOT
 
 ROOM = "casadical.blind_check"
-# Of the package, the two physics and what they share may load no more than this.
+# Of the package, the physics may load no more than this.
 ALLOWED = {"casadical", "casadical.core", "casadical.core.errors", "casadical.core.lazy", ROOM}
-PHYSICS = tuple(f"{ROOM}.{part}" for part in ("synthetic", "numpy_physics", "mujoco_physics"))
+PHYSICS = tuple(f"{ROOM}.{part}" for part in ("mujoco_physics",))
 # Every effect there is, hidden and measured.
 NUMPY_AT_WORK = """
+sys.path.insert(0, "..")
 from plants import arm
-from casadical.blind_check.numpy_physics import campaign, disturbances, draw_disturbance, hh800_twin
+from numpy_physics import campaign, disturbances, draw_disturbance, hh800_twin
 hh800_twin(truth=True)
 for word, kind in (disturbances.LISTED | disturbances.UNLISTED).items():
     joint = 5 if "joint" in kind.__dataclass_fields__ else None
@@ -25,6 +26,7 @@ for word, kind in (disturbances.LISTED | disturbances.UNLISTED).items():
 """
 MUJOCO_AT_WORK = """
 import numpy as np
+sys.path.insert(0, "..")
 from mujoco_physics.machines import built
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, campaign, draw_effect
 for word in (*LISTED, *UNLISTED):
@@ -64,7 +66,7 @@ def of_the_room(loaded: set[str]) -> list[str]:
 @pytest.mark.parametrize(
     ("program", "needs"),
     [
-        ("import casadical.blind_check.numpy_physics, casadical.blind_check.mujoco_physics", "numpy"),
+        ("import casadical.blind_check.mujoco_physics", "numpy"),
         (NUMPY_AT_WORK, "numpy"),
         (MUJOCO_AT_WORK, "mujoco"),
     ],
@@ -76,7 +78,7 @@ def test_the_physics_load_nothing_of_what_they_judge(program: str, needs: str) -
     ours = {m for m in loaded if m.split(".")[0] == "casadical"}
     assert {m for m in ours if m not in ALLOWED and not m.startswith(PHYSICS)} == set()
     assert {m.split(".")[0] for m in loaded} & {"casadi", "scipy", "pinocchio", "sklearn"} == set()
-    assert f"{ROOM}.numpy_physics.disturbances_load" in ours
+    assert f"{ROOM}.mujoco_physics.causes_load" in ours
     assert ("mujoco" in loaded) == (needs == "mujoco")
 
 
@@ -97,4 +99,4 @@ def test_a_user_who_calibrates_or_diagnoses_loads_nothing_of_the_blind_check(wor
 def test_predicting_loads_nothing_that_makes_campaigns() -> None:
     loaded = of_the_room(loaded_by(PREDICTING))
     assert f"{ROOM}.predictor" in loaded
-    assert [m for m in loaded if m.startswith((*PHYSICS, f"{ROOM}.physics", f"{ROOM}.generation"))] == []
+    assert [m for m in loaded if m.startswith((*PHYSICS, f"{ROOM}.recording", f"{ROOM}.generation"))] == []

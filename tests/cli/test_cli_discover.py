@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 from command_line import main
+from numpy_physics import campaign
+from numpy_physics.disturbances_rare import SlippedMark
 
 from casadical import read_robot
-from casadical.blind_check.numpy_physics import Plant, campaign, perturb
-from casadical.blind_check.numpy_physics.disturbances_rare import SlippedMark
+from casadical.blind_check.mujoco_physics import Plant, perturb
 
 ROOT = Path(__file__).parents[2]
 PROBLEM = ROOT / "problems" / "ur10e"

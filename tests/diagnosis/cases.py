@@ -6,8 +6,9 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from numpy_physics import Disturbance, campaign
 
-from casadical.blind_check.numpy_physics import Disturbance, campaign, perturb
+from casadical.blind_check.mujoco_physics import perturb
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.diagnosis.evidence import Evidence

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cases import ANSWERS, PRACTICE, ROOT, diagnosed, practice, robot, simulated
+from numpy_physics import disturbances
 
-from casadical.blind_check.numpy_physics import disturbances
 from casadical.diagnosis.details import analyse
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.diagnosis.json_answer import as_json

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cases import case, practice, robot, simulated, small_problem
+from numpy_physics import disturbances
 from test_diagnosis_cross_validation import NOISE, refit
 
 from casadical import InputError
-from casadical.blind_check.numpy_physics import disturbances
 from casadical.compensator import LevenbergMarquardt
 from casadical.diagnosis.cross_validation import covariance, held_out_errors, random_folds
 from casadical.diagnosis.diagnose import Diagnosis, diagnose

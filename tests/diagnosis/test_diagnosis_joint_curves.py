@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cases import case, plant, robot, simulated, small_problem
+from numpy_physics import campaign, disturbances
 from scipy.stats import multivariate_normal
 
 from casadical import InputError
-from casadical.blind_check.numpy_physics import campaign, disturbances, perturb
+from casadical.blind_check.mujoco_physics import perturb
 from casadical.core.sx_instructions import SxInstructions
 from casadical.diagnosis import evidence, gains
 from casadical.diagnosis.cross_validation import Noise

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cases import case, plant, robot
+from numpy_physics import campaign
+from numpy_physics.disturbance import Disturbance
+from numpy_physics.disturbances_drive import GearEccentricity
+from numpy_physics.disturbances_rare import CableStop
 
 from casadical import Discovery, diagnose, discover
-from casadical.blind_check.numpy_physics import campaign, perturb
-from casadical.blind_check.numpy_physics.disturbance import Disturbance
-from casadical.blind_check.numpy_physics.disturbances_drive import GearEccentricity
-from casadical.blind_check.numpy_physics.disturbances_rare import CableStop
+from casadical.blind_check.mujoco_physics import perturb
 from casadical.core.blocks import Words
 from casadical.core.errors import InputError
 from casadical.diagnosis.brief import brief

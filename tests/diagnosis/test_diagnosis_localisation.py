@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from cases import case, diagnosed, robot, simulated
+from numpy_physics import Disturbance, disturbances
 
-from casadical.blind_check.numpy_physics import Disturbance, disturbances
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.localisation import (

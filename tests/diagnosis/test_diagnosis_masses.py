@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cases import robot, simulated
+from numpy_physics import disturbances
 
-from casadical.blind_check.numpy_physics import disturbances
 from casadical.core.errors import InputError
 from casadical.core.parts import Body, BodyWidth, Joint
 from casadical.diagnosis.candidates import standard_candidates

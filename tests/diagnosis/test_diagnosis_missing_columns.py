@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from cases import robot, simulated
+from numpy_physics import disturbances
 
-from casadical.blind_check.numpy_physics import disturbances
 from casadical.diagnosis.candidates import choose, standard_candidates
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.json_answer import as_json

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cases import case, robot, simulated
+from numpy_physics import disturbances
 
-from casadical.blind_check.numpy_physics import disturbances
 from casadical.core.arrays import Array
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.claims import cause_set

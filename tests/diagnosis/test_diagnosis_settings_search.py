@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from cases import case, robot, simulated
+from numpy_physics import disturbances
 
-from casadical.blind_check.numpy_physics import disturbances
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
 from casadical.diagnosis.linear_problem import Case, make_case

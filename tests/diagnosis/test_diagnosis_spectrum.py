@@ -6,9 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 from cases import diagnosed, plant, robot
+from numpy_physics import Disturbance, campaign
 
-from casadical.blind_check.numpy_physics import Disturbance, campaign, perturb
-from casadical.blind_check.synthetic.stops import Stops, only
+from casadical.blind_check.mujoco_physics import perturb
+from casadical.blind_check.mujoco_physics.stops import Stops, only
 from casadical.core.errors import InputError
 from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Diagnosis, diagnose

@@ -20,7 +20,7 @@ PACKAGES = (
         f"casadical.{part}"
         for part in (
             *("compensator", "diagnosis", "effects", "export", "identification", "measurements", "pose_selection"),
-            *("report", "robot", "blind_check.numpy_physics"),
+            *("report", "robot", "blind_check.mujoco_physics"),
         )
     ),
 )

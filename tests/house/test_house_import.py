@@ -50,7 +50,7 @@ def test_the_help_loads_no_solver() -> None:
     [
         ("casadical.compensator", KINEMATICS | {"casadi", "casadical.export"}),
         ("casadical.export", KINEMATICS | {"casadical.compensator"}),
-        ("casadical.blind_check.numpy_physics", KINEMATICS | {"casadi", "casadical.export", "casadical.compensator"}),
+        ("casadical.blind_check.mujoco_physics", KINEMATICS | {"casadi", "casadical.export", "casadical.compensator"}),
     ],
 )
 def test_a_part_that_stands_alone_loads_no_kinematics(package: str, foreign: set[str]) -> None:

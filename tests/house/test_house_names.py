@@ -17,7 +17,7 @@ LAZY = sorted(".".join(path.parent.relative_to(ROOT).parts) for path in (ROOT / 
 PACKAGES = [*LAZY, "casadical.compensator", "casadical.effects", "casadical.pose_selection"]
 NAMES = [f"{package}.{name}" for package in PACKAGES for name in importlib.import_module(package).__all__]
 # Of packages whose page lists a part of their names.
-FURTHER = ["casadical.export.mjcf", "casadical.blind_check.mujoco_physics", "casadical.blind_check.numpy_physics"]
+FURTHER = ["casadical.export.mjcf", "casadical.blind_check.mujoco_physics"]
 FURTHER_NAMES = [f"{package}.{name}" for package in FURTHER for name in importlib.import_module(package).__all__]
 # Members of families: public in their package by their line in the registry, and listed on the page from there.
 REGISTRIES = {"casadical.effects": "effects.registry", "casadical.compensator": "compensator.trainers.registry"}

@@ -1,9 +1,10 @@
 """Independent physics: robots as built in the engine MuJoCo, with hidden effects.
 
-``campaign`` measures a robot with ``Hidden`` effects, ``measure`` does so at given poses, ``draw_hidden`` draws effects
-at random. The engine finds the equilibrium. Nominal robots, their building errors and the drawing of poses are those of
-``casadical.blind_check.synthetic``; nothing is taken from the model, the effects or the diagnosis. MuJoCo is loaded
-when an ``Engine`` is made: ``pip install 'casadical[withheld]'``.
+``Plant.from_dict`` reads a nominal robot, ``perturb`` adds building errors, ``campaign`` measures it with ``Hidden``
+effects, ``measure`` does so at given poses, ``draw_hidden`` draws effects at random. The engine finds the equilibrium.
+Of casadical only the errors are imported: rotations, loops and tables are written again here, so that a diagnosis
+checked against these campaigns is not checked against its own formulas. MuJoCo is loaded when an ``Engine`` is made:
+``pip install 'casadical[withheld]'``.
 """
 
 from casadical.blind_check.mujoco_physics.campaigns import campaign, measure, positions
@@ -12,7 +13,9 @@ from casadical.blind_check.mujoco_physics.equilibrium import Engine, Setting, St
 from casadical.blind_check.mujoco_physics.hidden import LISTED, UNLISTED, Hidden
 from casadical.blind_check.mujoco_physics.mechanism import Body, Cord, Joint, Loop, Mechanism, Shaft
 from casadical.blind_check.mujoco_physics.mjcf import mjcf
+from casadical.blind_check.mujoco_physics.plant import FourBar, Plant, perturb
 from casadical.blind_check.mujoco_physics.robot import mechanism
+from casadical.blind_check.mujoco_physics.stops import Warmup
 
 __all__ = [
     "LISTED",
@@ -20,18 +23,22 @@ __all__ = [
     "Body",
     "Cord",
     "Engine",
+    "FourBar",
     "Hidden",
     "Joint",
     "Loop",
     "Mechanism",
+    "Plant",
     "Setting",
     "Shaft",
     "Stop",
+    "Warmup",
     "campaign",
     "draw_effect",
     "draw_hidden",
     "measure",
     "mechanism",
     "mjcf",
+    "perturb",
     "positions",
 ]

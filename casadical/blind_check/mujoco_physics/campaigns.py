@@ -9,11 +9,11 @@ import pandas as pd
 
 from casadical.blind_check.mujoco_physics.equilibrium import Engine, Setting, Stop
 from casadical.blind_check.mujoco_physics.hidden import Hidden, causes
+from casadical.blind_check.mujoco_physics.plant import Plant
+from casadical.blind_check.mujoco_physics.rigid import Array
 from casadical.blind_check.mujoco_physics.robot import mechanism, start
-from casadical.blind_check.synthetic.campaigns import Machine, Options, simulate, simulate_readings
-from casadical.blind_check.synthetic.plant import Plant
-from casadical.blind_check.synthetic.rigid import Array
-from casadical.blind_check.synthetic.stops import Stops
+from casadical.blind_check.mujoco_physics.stops import Stops
+from casadical.blind_check.mujoco_physics.table import Machine, Options, simulate, simulate_readings
 
 REPEATABILITY_URAD = 5.0
 
@@ -42,7 +42,7 @@ def campaign(
     repeatability_urad : float, default REPEATABILITY_URAD
         one sigma of each joint about its reading [urad]
     **options : Unpack[Options]
-        as of `casadical.blind_check.synthetic.campaigns.simulate`
+        as of `casadical.blind_check.mujoco_physics.table.simulate`
 
     Returns
     -------
@@ -116,7 +116,7 @@ def measure(
 
 
 def positions(plant: Plant, hidden: Sequence[Hidden], stops: Stops, jitter: Array | float = 0.0) -> Array:
-    """Where the tracker sees the reflector without noise, (n, 3) [m]; ``jitter`` (n, 6) [rad] adds to the readings.
+    """Where the tracker sees the reflector without noise, (n, 3) [m]; ``jitter`` (n, joints) adds to the readings.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def positions(plant: Plant, hidden: Sequence[Hidden], stops: Stops, jitter: Arra
         its effects
     stops : Stops
         readings and circumstances
-    jitter : Array | float, shape (n, 6) [rad], default 0.0
+    jitter : Array | float, shape (n, joints) [rad or m], default 0.0
         errors of the joints
 
     Returns
@@ -141,17 +141,17 @@ def positions(plant: Plant, hidden: Sequence[Hidden], stops: Stops, jitter: Arra
     Examples
     --------
     >>> from casadical.blind_check.mujoco_physics import positions
-    >>> from casadical.blind_check.synthetic.stops import Stops
+    >>> from casadical.blind_check.mujoco_physics.stops import Stops
     >>> stops = Stops(np.full((1, 6), 0.3), np.zeros(1), np.zeros(1), np.zeros(1), np.ones((1, 6)))
     >>> positions(plant, (), stops).shape
     (1, 3)
     """
-    acting = causes(hidden)
+    acting = causes(hidden, plant.n)
     built, factor = mechanism(plant), 1.0
     for cause in acting:
         built = cause.built(built, plant)
         factor *= cause.payload_factor
-    engine = Engine(built, travels=any(c.travels for c in acting), factor=factor)
+    engine = Engine(built, travels=any(c.travels for c in acting), factor=factor, gravity=tuple(plant.gravity))
     motors = stops.q + jitter + sum(c.motors(plant, stops) for c in acting)
     changes = [s for c in acting for s in c.settings(plant, stops)]
     seen = np.empty((len(stops), 3))
@@ -164,4 +164,4 @@ def positions(plant: Plant, hidden: Sequence[Hidden], stops: Stops, jitter: Arra
 
 
 def _machine(plant: Plant, hidden: Sequence[Hidden]) -> Machine:
-    return Machine(plant, partial(positions, plant, hidden), causes(hidden), true_decimals=6)
+    return Machine(plant, partial(positions, plant, hidden), causes(hidden, plant.n))

@@ -7,11 +7,11 @@ from typing import ClassVar
 import numpy as np
 
 from casadical.blind_check.mujoco_physics.equilibrium import Setting
+from casadical.blind_check.mujoco_physics.fourbar import close_loop, crank_angle
 from casadical.blind_check.mujoco_physics.mechanism import Mechanism
-from casadical.blind_check.synthetic.fourbar import close_loop
-from casadical.blind_check.synthetic.plant import Plant
-from casadical.blind_check.synthetic.rigid import Array
-from casadical.blind_check.synthetic.stops import Stops
+from casadical.blind_check.mujoco_physics.plant import Plant
+from casadical.blind_check.mujoco_physics.rigid import Array
+from casadical.blind_check.mujoco_physics.stops import Stops
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Cause:
         return 1.0
 
     def motors(self, plant: Plant, stops: Stops) -> Array | float:
-        """Where the motors stop beyond the readings, (n, 6) [rad]."""
+        """Where the motors stop beyond the readings, (n, joints) [rad]."""
         return 0.0
 
     def settings(self, plant: Plant, stops: Stops) -> Sequence[Setting]:
@@ -56,8 +56,8 @@ class JointCause(Cause):
 
 def turned(plant: Plant, stops: Stops, joint: int) -> Array:
     """How far the link beyond ``joint`` is turned in the one before it, (n,) [rad], by the readings."""
-    if joint == 3 and plant.four_bar is not None:
-        return close_loop(plant, stops.q[:, 2] - stops.q[:, 1]).passive
+    if plant.four_bar is not None and joint == plant.four_bar.driven:
+        return close_loop(plant, crank_angle(plant, stops.q)).passive
     return stops.q[:, joint - 1]
 
 

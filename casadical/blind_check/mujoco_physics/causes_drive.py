@@ -7,9 +7,9 @@ import numpy as np
 
 from casadical.blind_check.mujoco_physics.cause import Cause, JointCause, warmth_inside
 from casadical.blind_check.mujoco_physics.mechanism import Mechanism, Shaft
-from casadical.blind_check.synthetic.plant import Plant
-from casadical.blind_check.synthetic.rigid import Array
-from casadical.blind_check.synthetic.stops import Stops, only
+from casadical.blind_check.mujoco_physics.plant import Plant
+from casadical.blind_check.mujoco_physics.rigid import Array
+from casadical.blind_check.mujoco_physics.stops import Stops, only
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class GearEccentricity(JointCause):
         rolled *= 4 * np.pi / rolled[-1]
         lag = angle - (rolled - 2 * np.pi)
         q = stops.q[:, self.joint - 1]
-        return only(self.joint, np.interp(q, rolled - 2 * np.pi, lag))
+        return only(self.joint, np.interp(q, rolled - 2 * np.pi, lag), plant.n)
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class TransmissionRipple(JointCause):
     def motors(self, plant: Plant, stops: Stops) -> Array:
         mesh = self.cycles * stops.q[:, self.joint - 1] + self.phase
         flank = np.arcsin(0.95 * np.sin(mesh)) / np.arcsin(0.95)
-        return only(self.joint, self.size * flank)
+        return only(self.joint, self.size * flank, plant.n)
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class JointScale(JointCause):
     """A pulley larger than drawn by the share ``size``."""
 
     def motors(self, plant: Plant, stops: Stops) -> Array:
-        return only(self.joint, self.size * stops.q[:, self.joint - 1])
+        return only(self.joint, self.size * stops.q[:, self.joint - 1], plant.n)
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class JointZeroStep(JointCause):
     at_s: float
 
     def motors(self, plant: Plant, stops: Stops) -> Array:
-        return only(self.joint, np.where(stops.time_s >= self.at_s, self.size, 0.0))
+        return only(self.joint, np.where(stops.time_s >= self.at_s, self.size, 0.0), plant.n)
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class ThermalZeroDrift(JointCause):
     lag_minutes: float
 
     def motors(self, plant: Plant, stops: Stops) -> Array:
-        return only(self.joint, self.size * warmth_inside(stops, self.lag_minutes))
+        return only(self.joint, self.size * warmth_inside(stops, self.lag_minutes), plant.n)
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class EncoderPit(JointCause):
     def motors(self, plant: Plant, stops: Stops) -> Array:
         q = stops.q[:, self.joint - 1]
         beside = np.abs((q - self.at_rad + np.pi) % (2 * np.pi) - np.pi) / self.width_rad
-        return only(self.joint, self.size * np.where(beside < 1, (1 - beside**2) ** 2, 0.0))
+        return only(self.joint, self.size * np.where(beside < 1, (1 - beside**2) ** 2, 0.0), plant.n)
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class DamagedTooth(JointCause):
 
     def motors(self, plant: Plant, stops: Stops) -> Array:
         pinion = (self.ratio * stops.q[:, self.joint - 1] - self.at_rad) % (2 * np.pi) / (2 * np.pi)
-        return only(self.joint, np.where(pinion < 0.1, -self.size, 0.0))
+        return only(self.joint, np.where(pinion < 0.1, -self.size, 0.0), plant.n)
 
 
 @dataclass(frozen=True)
@@ -142,4 +142,4 @@ class LostBits(JointCause):
 
     def motors(self, plant: Plant, stops: Stops) -> Array:
         q = stops.q[:, self.joint - 1] - self.at_rad
-        return only(self.joint, self.size * np.round(q / self.size) - q)
+        return only(self.joint, self.size * np.round(q / self.size) - q, plant.n)

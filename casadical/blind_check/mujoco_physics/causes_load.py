@@ -7,11 +7,11 @@ import numpy as np
 
 from casadical.blind_check.mujoco_physics.cause import Cause, JointCause
 from casadical.blind_check.mujoco_physics.mechanism import Body, Cord, Joint, Mechanism, Shaft
+from casadical.blind_check.mujoco_physics.plant import Plant
+from casadical.blind_check.mujoco_physics.rigid import Array
 from casadical.blind_check.mujoco_physics.robot import SLOW, spring
-from casadical.blind_check.numpy_physics.statics import rated_torque, settle
-from casadical.blind_check.synthetic.plant import Plant
-from casadical.blind_check.synthetic.rigid import Array
-from casadical.blind_check.synthetic.stops import Stops, only
+from casadical.blind_check.mujoco_physics.statics import rated_torque, settle
+from casadical.blind_check.mujoco_physics.stops import Stops, only
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class HosePull(Cause):
     size: float
 
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
-        wrist, end = plant.centres[4], plant.at_home(6, plant.reflector)
+        wrist, end = plant.centres[4], plant.at_home(plant.n, plant.reflector)
         forearm = plant.centres[2] - wrist
         clip = wrist + 0.3 * forearm + 0.15 * float(np.linalg.norm(forearm)) * plant.axes[2]
         mechanism = mark(mechanism, plant, 3, "clip", clip)
@@ -169,7 +169,7 @@ class RubberCoupling(JointCause):
         for k in range(len(stops)):
             crept += (end[k] - crept) * share[k]
             given[k] = crept
-        return only(self.joint, given)
+        return only(self.joint, given, plant.n)
 
 
 def mark(mechanism: Mechanism, plant: Plant, link: int, name: str, home: Array) -> Mechanism:

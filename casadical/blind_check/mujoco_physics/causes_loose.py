@@ -7,10 +7,9 @@ import numpy as np
 
 from casadical.blind_check.mujoco_physics.cause import Cause, JointCause, beam_axes, length_of, triple
 from casadical.blind_check.mujoco_physics.mechanism import Body, Mechanism
+from casadical.blind_check.mujoco_physics.plant import Plant
 from casadical.blind_check.mujoco_physics.robot import SLOW, spring, springs
-from casadical.blind_check.numpy_physics.state import GRAVITY
-from casadical.blind_check.numpy_physics.statics import stretched_moments
-from casadical.blind_check.synthetic.plant import Plant
+from casadical.blind_check.mujoco_physics.statics import stretched_moments
 
 
 @dataclass(frozen=True)
@@ -18,7 +17,7 @@ class BearingPlay(JointCause):
     """The joint's bearing is worn: its ring drops up to ``size`` [m] across its axis, between stops; on no list."""
 
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
-        weight = GRAVITY * (plant.mass[self.joint - 1 :].sum() + plant.payload_kg)
+        weight = plant.weight * (plant.mass[self.joint - 1 :].sum() + plant.payload_kg)
         k = 0.1 * weight / self.size
         slides = springs(f"worn{self.joint}", k, self.size, "xy", kind="slide")
         name = next(
@@ -71,7 +70,7 @@ class LooseFlange(Cause):
     size: float
 
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
-        moment = GRAVITY * plant.payload_kg * float(np.linalg.norm(plant.payload_com))
+        moment = plant.weight * plant.payload_kg * float(np.linalg.norm(plant.payload_com))
         hinges = springs("flange", 0.3 * moment / self.size, self.size, "xy")
         tool = mechanism.body("tool")
         return mechanism.with_body(replace(tool, joints=hinges))
@@ -90,7 +89,7 @@ class ToolSlip(Cause):
     grip: float
 
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
-        weight = GRAVITY * plant.payload_kg
+        weight = plant.weight * plant.payload_kg
         k = weight / self.size
         heavy = 10 * k * SLOW**2  # for what sticks in the engine creeps the less
         sticking = {"friction": self.grip * weight, "inertia": heavy, "damping": k * SLOW, "keeps": True}
@@ -110,8 +109,8 @@ class LooseCargo(Cause):
     size: float
 
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
-        weight = GRAVITY * plant.payload_kg
-        slide = self.size * float(plant.stiffness[4]) / weight
+        weight = plant.weight * plant.payload_kg
+        slide = self.size * float(plant.stiffness[min(4, plant.n - 1)]) / weight
         pad = 0.1 * weight / slide
         slides = springs("cargo", pad, slide, "xyz", inertia_of=3 * pad, kind="slide")
         return mechanism.with_body(replace(mechanism.body("payload"), joints=slides))

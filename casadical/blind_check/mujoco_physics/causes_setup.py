@@ -7,10 +7,10 @@ import numpy as np
 
 from casadical.blind_check.mujoco_physics.cause import Cause
 from casadical.blind_check.mujoco_physics.equilibrium import Setting
-from casadical.blind_check.numpy_physics.statics import positions
-from casadical.blind_check.synthetic.plant import Plant
-from casadical.blind_check.synthetic.rigid import Array
-from casadical.blind_check.synthetic.stops import Stops
+from casadical.blind_check.mujoco_physics.plant import Plant
+from casadical.blind_check.mujoco_physics.rigid import Array
+from casadical.blind_check.mujoco_physics.statics import reflector, settle
+from casadical.blind_check.mujoco_physics.stops import Stops
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class FrameDrift(Cause):
 
 @dataclass(frozen=True)
 class TargetShift(Cause):
-    """The reflector moves in its nest by ``shift_m`` (3,) in frame 6 at the time ``at_s``."""
+    """The reflector moves in its nest by ``shift_m`` (3,) in the last frame at the time ``at_s``."""
 
     shift_m: tuple[float, float, float]
     at_s: float
@@ -63,6 +63,6 @@ class RangeOffset(Cause):
     stand_m: tuple[float, float, float]
 
     def settings(self, plant: Plant, stops: Stops) -> Sequence[Setting]:
-        sight = positions(plant, (), stops) - np.array(self.stand_m)
+        sight = reflector(settle(plant, stops)) - np.array(self.stand_m)
         away = sight / np.linalg.norm(sight, axis=1, keepdims=True)
         return (Setting("shift", "tracker", -self.size * away),)

@@ -17,11 +17,11 @@ from casadical.blind_check.mujoco_physics.cause import (
 )
 from casadical.blind_check.mujoco_physics.equilibrium import Setting
 from casadical.blind_check.mujoco_physics.mechanism import Body, Mechanism, X, Y
+from casadical.blind_check.mujoco_physics.plant import Plant
+from casadical.blind_check.mujoco_physics.rigid import Array
 from casadical.blind_check.mujoco_physics.robot import spring
-from casadical.blind_check.numpy_physics.statics import stretched_moments
-from casadical.blind_check.synthetic.plant import Plant
-from casadical.blind_check.synthetic.rigid import Array
-from casadical.blind_check.synthetic.stops import Stops
+from casadical.blind_check.mujoco_physics.statics import stretched_moments
+from casadical.blind_check.mujoco_physics.stops import Stops
 
 
 @dataclass(frozen=True)
@@ -106,20 +106,22 @@ class ThermalGrowth(Cause):
     lag_minutes: float
 
     def settings(self, plant: Plant, stops: Stops) -> Sequence[Setting]:
-        warm = [warmth_inside(stops, self.lag_minutes * (1.6 - 0.2 * i)) for i in range(7)]
+        n = plant.n
+        warm = [warmth_inside(stops, self.lag_minutes * max(1.6 - 0.2 * i, 0.2)) for i in range(n + 1)]
         settings = [Setting("shift", "link1", self._longer(warm[0], plant.home[0, :3, 3]))]
-        settings += [Setting("shift", f"link{i + 1}", self._longer(warm[i], length_of(plant, i))) for i in range(1, 6)]
-        settings.append(Setting("mark", "reflector", self._longer(0.3 * warm[6], plant.reflector)))
+        settings += [Setting("shift", f"link{i + 1}", self._longer(warm[i], length_of(plant, i))) for i in range(1, n)]
+        settings.append(Setting("mark", "reflector", self._longer(0.3 * warm[n], plant.reflector)))
         if plant.four_bar is not None:
             bar, angle = plant.four_bar, plant.four_bar.crank_zero_rad
             end = bar.crank_m * np.array([np.cos(angle), np.sin(angle), 0.0])
             rocker = bar.rocker_m * np.array([np.cos(bar.passive_offset_rad), -np.sin(bar.passive_offset_rad), 0.0])
-            rocker = plant.home[2, :3, :3].T @ plant.home[1, :3, :3] @ rocker
+            d = bar.driven
+            rocker = plant.home[d - 1, :3, :3].T @ plant.home[d - 2, :3, :3] @ rocker
             settings += [
-                Setting("shift", "crank", self._longer(warm[1], length_of(plant, 1))),
-                Setting("shift", "coupler", self._longer(warm[2], end)),
-                Setting("mark", "coupler_end", self._longer(warm[2], np.array([bar.coupler_m, 0.0, 0.0]))),
-                Setting("mark", "rocker_end", self._longer(warm[3], rocker)),
+                Setting("shift", "crank", self._longer(warm[d - 2], length_of(plant, d - 2))),
+                Setting("shift", "coupler", self._longer(warm[d - 1], end)),
+                Setting("mark", "coupler_end", self._longer(warm[d - 1], np.array([bar.coupler_m, 0.0, 0.0]))),
+                Setting("mark", "rocker_end", self._longer(warm[d], rocker)),
             ]
         return settings
 
@@ -129,7 +131,7 @@ class ThermalGrowth(Cause):
 
 @dataclass(frozen=True)
 class PayloadError(Cause):
-    """The payload is heavier than declared by the share ``size``, its mass centre off by ``shift_m`` in frame 6."""
+    """The payload is heavier than declared by the share ``size``, its mass centre off by ``shift_m`` on the flange."""
 
     size: float
     shift_m: tuple[float, float, float]
@@ -158,5 +160,6 @@ class ThermalBend(Cause):
         difference = stops.warmth_K - warmth_inside(stops, self.lag_minutes)
         turn = np.outer(self.size * difference, lean) @ plant.home[0, :3, :3]
         sideways = np.cross(turn, length_of(plant, 1)) / 2
-        links = ("link2",) if plant.four_bar is None else ("link2", "crank")
+        bar = plant.four_bar
+        links = ("link2", "crank") if bar is not None and bar.driven == 3 else ("link2",)
         return [Setting("turn", link, turn) for link in links] + [Setting("shift", link, sideways) for link in links]

@@ -4,10 +4,11 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from casadical.blind_check.mujoco_physics.cause import length_of
 from casadical.blind_check.mujoco_physics.hidden import LISTED, UNLISTED, Hidden
-from casadical.blind_check.numpy_physics.statics import rated_torque
-from casadical.blind_check.synthetic.plant import Plant
-from casadical.blind_check.synthetic.rigid import random_vector
+from casadical.blind_check.mujoco_physics.plant import Plant
+from casadical.blind_check.mujoco_physics.rigid import random_vector
+from casadical.blind_check.mujoco_physics.statics import largest_torque, rated_torque
 from casadical.core.errors import InputError
 
 Kind = Literal["none", "one", "pair", "three", "unlisted"]
@@ -99,11 +100,43 @@ def draw_effect(plant: Plant, effect: str, rng: np.random.Generator, *, poses: i
 
 def _joint(plant: Plant, effect: str, rng: np.random.Generator) -> int | None:
     if effect in _LOADED:
-        torque = rated_torque(plant)
+        torque = rated_torque(plant) * np.isin(np.arange(1, plant.n + 1), plant.turning)
         return int(rng.choice(np.flatnonzero(torque > 0.06 * torque.max()) + 1))
     if effect == "joint_coupling":
-        return int(rng.integers(4, 7))
-    return int(rng.integers(1, 7)) if effect in _ANY else None
+        return int(rng.integers(plant.n - 2, plant.n + 1))
+    return plant.turning[int(rng.integers(len(plant.turning)))] if effect in _ANY else None
+
+
+def impossible(plant: Plant) -> dict[str, str]:
+    """Effects that a robot cannot have, and why not; of a six-axis robot with payload on its feet there is none."""
+    n, last, down = plant.n, range(plant.n - 2, plant.n + 1), plant.base[:3, :3].T @ plant.gravity / plant.weight
+    bar, arm = plant.four_bar, plant.centres[2] - plant.centres[1] if n > 2 else np.zeros(3)
+    lifted = {1, 2} <= set(plant.turning) and np.linalg.norm(arm) > 0.01 * plant.reach
+    reasons = {
+        "it has no payload": (plant.payload_kg <= 0, ("payload_error", "loose_flange", "tool_slip", "loose_cargo")),
+        "its payload's mass centre lies in the flange": (not plant.payload_com.any(), ("loose_flange",)),
+        "no revolute joint carries weight": (not largest_torque(plant)[np.array(plant.turning) - 1].any(), _LOADED),
+        "it has no revolute wrist of three joints": (
+            n < 4 or not set(last) <= set(plant.turning) or (bar is not None and bar.driven in last),
+            ("joint_coupling",),
+        ),
+        "its joint 2 lifts no arm": (
+            not lifted or abs(plant.axes[1] @ down) > 0.5 or down[2] > -0.8,
+            ("gravity_compensator",),
+        ),
+        "it has no six revolute joints": (n != 6 or bool(plant.slides), ("hose_pull",)),
+        "its links 2 and 3 have no length": (not _links(plant), ("link_flexure", "cracked_link")),
+        "it has one link": (n < 2, ("thermal_bend",)),
+    }
+    found: dict[str, str] = {}
+    for reason, (true, effects) in reasons.items():
+        found |= {effect: reason for effect in effects if true and effect not in found}
+    return found
+
+
+def _links(plant: Plant) -> list[int]:
+    """Links that may bend or crack: the second and the third, where they have some length."""
+    return [k for k in (2, 3) if k <= plant.n and np.linalg.norm(length_of(plant, k)) > 0.01 * plant.reach]
 
 
 def _size(
@@ -112,7 +145,7 @@ def _size(
     """Everything but the joint, ``usual`` times as large as it is on most robots."""
     sign, angle = float(rng.choice([-1.0, 1.0])), _between(rng, 0, 2 * np.pi)
     middle = float(np.round(rng.uniform(0.3, 0.7) * lasts_s))
-    inside = _between(rng, *plant.ranges[(joint or 1) - 1])
+    inside, links = _between(rng, *plant.ranges[(joint or 1) - 1]), _links(plant) or [2]
     sizes: dict[str, dict[str, Any]] = {
         "gear_eccentricity": {
             "size": 40e-6 * usual,
@@ -126,7 +159,10 @@ def _size(
             "phase": angle,
         },
         "joint_scale": {"size": 60e-6 * usual * sign},
-        "joint_coupling": {"source": 5 if joint == 4 else (joint or 5) - 1, "size": 80e-6 * usual * sign},
+        "joint_coupling": {
+            "source": plant.n - 1 if joint == plant.n - 2 else (joint or 5) - 1,
+            "size": 80e-6 * usual * sign,
+        },
         "joint_zero_step": {"size": 40e-6 * usual * sign, "at_s": middle},
         "thermal_growth": {"size": 11.5e-6 * float(np.clip(usual, 0.8, 2.0)), "lag_minutes": _between(rng, 4, 12)},
         "thermal_zero_drift": {"size": 5e-6 * usual * sign, "lag_minutes": _between(rng, 4, 15)},
@@ -146,7 +182,7 @@ def _size(
         },
         "backlash": {"size": 60e-6 * usual, "friction": _between(rng, 0.01, 0.05)},
         "friction_windup": {"size": 40e-6 * usual, "load_share": _between(rng, 0, 0.8)},
-        "link_flexure": {"link": int(rng.choice([2, 3])), "size": 60e-6 * usual, "torsion": _between(rng, 0.6, 1.0)},
+        "link_flexure": {"link": int(rng.choice(links)), "size": 60e-6 * usual, "torsion": _between(rng, 0.6, 1.0)},
         "base_compliance": {"size": 50e-6 * usual, "across": _between(rng, 0.5, 1.0), "height_m": 0.3},
         "frame_drift": {
             "shift_m": random_vector(rng, 50e-6 * usual),
@@ -158,7 +194,7 @@ def _size(
         "tool_slip": {"size": 40e-6 * usual, "grip": _between(rng, 0.3, 0.6)},
         "bearing_play": {"size": 30e-6 * usual},
         "hose_pull": {"size": 100e-6 * usual},
-        "cracked_link": {"link": int(rng.choice([2, 3])), "size": 100e-6 * usual, "towards": angle},
+        "cracked_link": {"link": int(rng.choice(links)), "size": 100e-6 * usual, "towards": angle},
         "loose_anchor": {"size": 40e-6 * usual, "towards": angle},
         "thermal_bend": {"size": 15e-6 * usual, "towards": angle, "lag_minutes": _between(rng, 15, 40)},
         "encoder_pit": {"size": 100e-6 * usual * sign, "at_rad": inside, "width_rad": _between(rng, 0.3, 0.9)},
@@ -186,6 +222,5 @@ def _added_later(
 
 def _stand(plant: Plant, towards: float, rng: np.random.Generator) -> tuple[float, float, float]:
     """Position of a tracker: out of the robot's reach, at eye level or lower."""
-    reach = float(np.linalg.norm(np.diff(plant.stations, axis=0), axis=-1).sum())
-    away = reach * _between(rng, 1.3, 2.0)
+    away = plant.reach * _between(rng, 1.3, 2.0)
     return away * float(np.cos(towards)), away * float(np.sin(towards)), _between(rng, 0.0, 1.5)

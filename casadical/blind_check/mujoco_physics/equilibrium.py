@@ -5,7 +5,7 @@ or so, whatever its stiffness, so that steps of 20 ms suffice. The equilibrium o
 weights, springs, loops, stops and dry friction depends on neither.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from casadical.blind_check.mujoco_physics.mechanism import Mechanism
 from casadical.blind_check.mujoco_physics.mjcf import mjcf
-from casadical.blind_check.synthetic.rigid import Array
+from casadical.blind_check.mujoco_physics.rigid import Array
 from casadical.core.errors import ConvergenceError, optional
 
 STILL = 2e-9  # rad/s or m/s; the way left to go is a tenth of it in rad or m
@@ -53,8 +53,8 @@ class Setting:
 class Stop:
     """What the robot does at one pose.
 
-    motors : array (6,), where the motors stop [rad]
-    approach : array (6,) of -1 and 1, from which side they come
+    motors : array (joints,), where the motors stop [rad or m]
+    approach : array (joints,) of -1 and 1, from which side they come
     start : coordinates of joints to start from
     payload_kg : declared payload
     settings : what is not as built
@@ -78,6 +78,8 @@ class Engine:
         whether it moves to every pose from the side it is approached from, which only friction and play need
     factor : float, default 1.0
         true over declared mass of the payload
+    gravity : Sequence[float], optional
+        in the measuring frame [m/s^2]
 
     Raises
     ------
@@ -96,10 +98,17 @@ class Engine:
     True
     """
 
-    def __init__(self, mechanism: Mechanism, *, travels: bool = False, factor: float = 1.0) -> None:
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        *,
+        travels: bool = False,
+        factor: float = 1.0,
+        gravity: Sequence[float] = (0.0, 0.0, -9.81),
+    ) -> None:
         self.mujoco = optional("mujoco", "the engine needs MuJoCo; install it with: pip install 'casadical[withheld]'")
         self.mechanism, self.travels, self.factor = mechanism, travels, factor
-        self.xml = mjcf(mechanism)
+        self.xml = mjcf(mechanism, gravity)
         self.model = self.mujoco.MjModel.from_xml_string(self.xml)
         self.data = self.mujoco.MjData(self.model)
         m = self.model

@@ -77,7 +77,7 @@ class Hidden:
         return self.effect if self.joint is None else f"{self.effect}@{self.joint}"
 
 
-def cause(hidden: Hidden) -> Cause:
+def cause(hidden: Hidden, joints: int = 6) -> Cause:
     """What a hidden effect does in the engine. Raises InputError when its name, joint or sizes are not those of one."""
     kind = {**LISTED, **UNLISTED}.get(hidden.effect)
     if kind is None:
@@ -90,11 +90,11 @@ def cause(hidden: Hidden) -> Cause:
         raise InputError(f"effect {hidden.effect!r} sits in no joint; leave joint={hidden.joint} out")
     if set(given) != names:
         raise InputError(f"effect {hidden.effect!r} has the sizes {sorted(given)}; it needs {sorted(names)}")
-    if "joint" in names and hidden.joint not in range(1, 7):
-        raise InputError(f"effect {hidden.effect!r} needs a joint from 1 to 6, not {hidden.joint}")
+    if "joint" in names and hidden.joint not in range(1, joints + 1):
+        raise InputError(f"effect {hidden.effect!r} needs a joint from 1 to {joints}, not {hidden.joint}")
     return kind(**given)
 
 
-def causes(hidden: Sequence[Hidden]) -> list[Cause]:
+def causes(hidden: Sequence[Hidden], joints: int = 6) -> list[Cause]:
     """What hidden effects do in the engine, in the order in which they are built in."""
-    return sorted((cause(h) for h in hidden), key=lambda c: c.last)
+    return sorted((cause(h, joints) for h in hidden), key=lambda c: c.last)

@@ -1,18 +1,19 @@
 """MJCF, the XML of MuJoCo, of a mechanism."""
 
+from collections.abc import Sequence
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Mechanism, Shaft
-from casadical.blind_check.synthetic.rigid import Array
+from casadical.blind_check.mujoco_physics.rigid import Array
 
 STEP = 0.02  # s, of the integrator
 HARD = "0.9999 0.9999 0.001 0.5 2"  # the hardest impedance that MuJoCo has, at every violation
 
 
-def mjcf(mechanism: Mechanism) -> str:
-    """The mechanism in MuJoCo's XML: world = the levelled measuring frame, gravity 9.81 m/s^2 along its -z.
+def mjcf(mechanism: Mechanism, gravity: Sequence[float] = (0.0, 0.0, -9.81)) -> str:
+    """The mechanism in MuJoCo's XML: world = the measuring frame.
 
     Loops are equality constraints between sites, motors the rests of joint springs (``qpos_spring`` and
     ``tendon_lengthspring``, which the model keeps at ``ref``). The body ``tracker`` stands at the world's origin, and
@@ -22,6 +23,8 @@ def mjcf(mechanism: Mechanism) -> str:
     ----------
     mechanism : Mechanism
         the robot as built
+    gravity : Sequence[float], optional
+        in the measuring frame [m/s^2]
 
     Returns
     -------
@@ -39,7 +42,7 @@ def mjcf(mechanism: Mechanism) -> str:
     root = ET.Element("mujoco", model="robot")
     ET.SubElement(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
     option = ET.SubElement(
-        root, "option", timestep=repr(STEP), integrator="implicitfast", gravity="0 0 -9.81", tolerance="0"
+        root, "option", timestep=repr(STEP), integrator="implicitfast", gravity=numbers(*gravity), tolerance="0"
     )
     ET.SubElement(option, "flag", contact="disable")
     default = ET.SubElement(root, "default")

@@ -1,14 +1,14 @@
-"""The mechanism of a six-axis robot as built: links on springs, a four-bar of real bodies, the payload as a body."""
+"""The mechanism of a robot as built: links on springs, a four-bar of real bodies, the payload as a body."""
 
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from casadical.blind_check.mujoco_physics.fourbar import close_loop, crank_angle, pivot
 from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Loop, Mechanism, X, Y, Z
-from casadical.blind_check.synthetic.fourbar import close_loop, pivot
-from casadical.blind_check.synthetic.plant import Plant
-from casadical.blind_check.synthetic.rigid import Array, turn
+from casadical.blind_check.mujoco_physics.plant import Plant
+from casadical.blind_check.mujoco_physics.rigid import Array, slide, turn
 
 SLOW = 0.1  # s: every spring joint alone would come to rest with this time constant
 NONE = np.zeros(3)
@@ -16,11 +16,11 @@ AXES = {"x": X, "y": Y, "z": Z}
 
 
 def mechanism(plant: Plant) -> Mechanism:
-    """Bodies ``pedestal``, ``link1`` to ``link6``, ``tool``, ``payload``; joints ``joint1`` to ``joint6``.
+    """Bodies ``pedestal``, ``link1`` .., ``tool``, ``payload``; joints ``joint1`` ...
 
-    A four-bar adds the bodies ``crank`` (turned by ``joint3`` on the axis of joint 2) and ``coupler``, and the free
-    hinge ``elbow`` between links 2 and 3; the coupler ends in a ball joint on link 3. It is drawn in the middle of the
-    joint ranges.
+    A four-bar that drives joint 3 adds the bodies ``crank`` (turned by ``joint3`` on the axis of joint 2) and
+    ``coupler``, and the free hinge ``elbow`` between links 2 and 3; the coupler ends in a ball joint on link 3. It is
+    drawn in the middle of the joint ranges.
 
     Parameters
     ----------
@@ -41,17 +41,24 @@ def mechanism(plant: Plant) -> Mechanism:
     middle = np.mean(plant.ranges, 1)
     bodies = [Body("pedestal", "world", plant.base)]
     parent, before = "pedestal", np.eye(4)
-    for i in range(6):
-        joint = spring(f"joint{i + 1}", plant.stiffness[i], motor=i + 1, ref=float(middle[i]))
-        if i == 2 and plant.four_bar is not None:
-            joint = free("elbow", plant.stiffness[2], ref=float(close_loop(plant, _crank(middle[None])).passive[0]))
+    for i in range(plant.n):
+        joint = spring(
+            f"joint{i + 1}",
+            plant.stiffness[i],
+            motor=i + 1,
+            ref=float(middle[i]),
+            kind="slide" if i + 1 in plant.slides else "hinge",
+        )
+        if plant.four_bar is not None and i + 1 == plant.four_bar.driven:
+            elbow = float(close_loop(plant, crank_angle(plant, middle[None])).passive[0])
+            joint = free("elbow", plant.stiffness[i], ref=elbow)
         place = np.linalg.solve(before, plant.home[i])
         size = float(np.linalg.norm(place[:3, 3])) + 0.1
         bodies.append(
             Body(
                 f"link{i + 1}",
                 parent,
-                _turned(place, joint.ref),
+                _moved(place, joint),
                 (joint,),
                 plant.mass[i],
                 tuple(plant.com[i]),
@@ -59,7 +66,7 @@ def mechanism(plant: Plant) -> Mechanism:
             )
         )
         parent, before = f"link{i + 1}", plant.home[i]
-    bodies.append(Body("tool", "link6", np.eye(4), marks={"reflector": plant.reflector}))
+    bodies.append(Body("tool", f"link{plant.n}", np.eye(4), marks={"reflector": plant.reflector}))
     held = np.eye(4)
     held[:3, 3] = plant.payload_com
     bodies.append(Body("payload", "tool", held, mass=plant.payload_kg))
@@ -68,10 +75,10 @@ def mechanism(plant: Plant) -> Mechanism:
 
 
 def start(plant: Plant, angles: Array) -> dict[str, float]:
-    """Where to start to look for the rest at the motor angles (6,) [rad]: coordinates of all joints but the small."""
-    first = {f"joint{i + 1}": float(angles[i]) for i in range(6)}
+    """Where to start to look for the rest at the motor angles (joints,): coordinates of all joints but the small."""
+    first = {f"joint{i + 1}": float(angles[i]) for i in range(plant.n)}
     if plant.four_bar is not None:
-        loop = close_loop(plant, _crank(angles[None]))
+        loop = close_loop(plant, crank_angle(plant, angles[None]))
         first |= {"elbow": float(loop.passive[0]), "coupler_turn": _coupler(plant, angles), "coupler_tilt": 0.0}
     return first
 
@@ -99,45 +106,45 @@ def free(name: str, like: float, **more: object) -> Joint:
 
 
 def _with_four_bar(plain: Mechanism, plant: Plant, middle: Array) -> Mechanism:
-    bar, k = plant.four_bar, plant.stiffness[2]
+    bar = plant.four_bar
     assert bar is not None
-    axis2 = np.linalg.solve(plant.home[0], plant.home[1])
-    crank = spring("joint3", k, motor=3, ref=float(middle[2]))
+    d = bar.driven
+    k, before = plant.stiffness[d - 1], np.eye(4) if d == 2 else plant.home[d - 3]
+    axis = np.linalg.solve(before, plant.home[d - 2])
+    crank = spring(f"joint{d}", k, motor=d, ref=float(middle[d - 1]))
     end = bar.crank_m * np.array([np.cos(bar.crank_zero_rad), np.sin(bar.crank_zero_rad), 0.0])
     hinge, tilt = free("coupler_turn", k, ref=_coupler(plant, middle)), free("coupler_tilt", k, axis=(0.0, 1.0, 0.0))
     coupler = np.eye(4)
     coupler[:3, 3] = end
     bodies = (
-        Body("crank", "link1", _turned(axis2, crank.ref), (crank,), mass=1e-3),
+        Body("crank", "pedestal" if d == 2 else f"link{d - 2}", _moved(axis, crank), (crank,), mass=1e-3),
         Body(
             "coupler",
             "crank",
-            _turned(coupler, hinge.ref),
+            _moved(coupler, hinge),
             (hinge, tilt),
             mass=1e-3,
             marks={"coupler_end": np.array([bar.coupler_m, 0.0, 0.0])},
         ),
     )
-    link = plain.body("link3")
+    link = plain.body(f"link{d}")
     direction = np.array([np.cos(bar.passive_offset_rad), -np.sin(bar.passive_offset_rad)])
-    end_home = plant.at_home(2, np.append(pivot(plant) + bar.rocker_m * direction, 0.0))
-    mark = plant.home[2, :3, :3].T @ (end_home - plant.home[2, :3, 3])
+    end_home = plant.at_home(d - 1, np.append(pivot(plant) + bar.rocker_m * direction, 0.0))
+    mark = plant.home[d - 1, :3, :3].T @ (end_home - plant.home[d - 1, :3, 3])
     plain = plain.with_body(replace(link, marks={"rocker_end": mark}))
     return replace(plain, bodies=plain.bodies + bodies, loops=(Loop("four_bar", "coupler_end", "rocker_end"),))
 
 
-def _crank(angles: Array) -> Array:
-    crank: Array = angles[:, 2] - angles[:, 1]
-    return crank
-
-
 def _coupler(plant: Plant, angles: Array) -> float:
     """Angle [rad] of the coupler in the crank."""
-    loop = close_loop(plant, _crank(angles[None]))
+    crank = crank_angle(plant, angles[None])
+    loop = close_loop(plant, crank)
     x, y = (loop.coupler_end - loop.crank_end)[0]
-    return float((np.arctan2(y, x) + angles[1] - angles[2] + np.pi) % (2 * np.pi) - np.pi)
+    return float((np.arctan2(y, x) - crank[0] + np.pi) % (2 * np.pi) - np.pi)
 
 
-def _turned(place: Array, angle: float) -> Array:
-    turned: Array = place @ turn(np.array([0.0, 0.0, 1.0]), NONE, np.array(angle))
-    return turned
+def _moved(place: Array, joint: Joint) -> Array:
+    """Where a body is when its joint is at its reference."""
+    up, by = np.array([0.0, 0.0, 1.0]), np.array(joint.ref)
+    moved: Array = place @ (slide(joint.ref * up) if joint.kind == "slide" else turn(up, NONE, by))
+    return moved

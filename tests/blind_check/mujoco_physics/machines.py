@@ -4,12 +4,12 @@ import json
 from pathlib import Path
 
 import numpy as np
+from numpy_physics.statics import settle, tool_point
 
 from casadical.blind_check import mujoco_physics as engine
-from casadical.blind_check.numpy_physics import Plant, perturb
-from casadical.blind_check.numpy_physics.statics import settle, tool_point
-from casadical.blind_check.synthetic.fourbar import unfolded
-from casadical.blind_check.synthetic.stops import Stops, draw_poses
+from casadical.blind_check.mujoco_physics import Plant, perturb
+from casadical.blind_check.mujoco_physics.fourbar import unfolded
+from casadical.blind_check.mujoco_physics.stops import Stops, draw_poses
 
 ROBOTS = ("hh800", "kr210", "ur10e")
 FOLDER = Path(__file__).parents[3] / "data" / "campaigns" / "robots"

@@ -3,16 +3,17 @@
 from dataclasses import replace
 
 import numpy as np
+import numpy_physics as simulation
 import pytest
+from numpy_physics.state import moments
+from numpy_physics.statics import positions, settle
 
 from casadical.blind_check import mujoco_physics as engine
-from casadical.blind_check import numpy_physics as simulation
 from casadical.blind_check.mujoco_physics import Hidden
 from casadical.blind_check.mujoco_physics.equilibrium import Engine, Stop
 from casadical.blind_check.mujoco_physics.hidden import cause
 from casadical.blind_check.mujoco_physics.robot import start
-from casadical.blind_check.numpy_physics.state import moments
-from casadical.blind_check.numpy_physics.statics import positions, rated_torque, settle
+from casadical.blind_check.mujoco_physics.statics import rated_torque
 
 from .machines import angle_about, built, drawn, nominal, shift, stops
 

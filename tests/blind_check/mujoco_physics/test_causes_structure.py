@@ -3,15 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
+import numpy_physics as simulation
 import pytest
+from numpy_physics.statics import settle, tool_point
 
 from casadical.blind_check import mujoco_physics as engine
-from casadical.blind_check import numpy_physics as simulation
 from casadical.blind_check.mujoco_physics import Hidden
 from casadical.blind_check.mujoco_physics.equilibrium import Engine, Stop
 from casadical.blind_check.mujoco_physics.hidden import cause
 from casadical.blind_check.mujoco_physics.robot import start
-from casadical.blind_check.numpy_physics.statics import settle, tool_point
 
 from .machines import built, drawn, nominal, shift, stops
 

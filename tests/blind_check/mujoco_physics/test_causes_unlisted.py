@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy_physics.statics import placed, settle, tool_point
 
 from casadical.blind_check import mujoco_physics as engine
 from casadical.blind_check.mujoco_physics import Hidden
-from casadical.blind_check.numpy_physics.statics import placed, rated_torque, settle, tool_point
+from casadical.blind_check.mujoco_physics.statics import rated_torque
 
 from .machines import angle_about, built, drawn, shift, stops
 

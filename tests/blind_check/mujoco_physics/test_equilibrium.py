@@ -1,10 +1,10 @@
 """Where the engine comes to rest, against the simulator's fixed point and against Pinocchio."""
 
 import numpy as np
+import numpy_physics as simulation
 import pytest
 
 from casadical.blind_check import mujoco_physics as engine
-from casadical.blind_check import numpy_physics as simulation
 
 from .machines import ROBOTS, built
 

@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy_physics import HH800
+from numpy_physics.disturbance import Disturbance
+from numpy_physics.disturbances_rare import RARE, SlippedMark, WormSlack, draw_rare
+from numpy_physics.statics import positions
 
-from casadical.blind_check.numpy_physics import HH800, Plant, perturb
-from casadical.blind_check.numpy_physics.disturbance import Disturbance
-from casadical.blind_check.numpy_physics.disturbances_rare import RARE, SlippedMark, WormSlack, draw_rare
-from casadical.blind_check.numpy_physics.statics import positions
-from casadical.blind_check.synthetic.rigid import Array
-from casadical.blind_check.synthetic.stops import Stops, Warmup, draw_poses, draw_stops
+from casadical.blind_check.mujoco_physics import Plant, perturb
+from casadical.blind_check.mujoco_physics.rigid import Array
+from casadical.blind_check.mujoco_physics.stops import Stops, Warmup, draw_poses, draw_stops
 
 PLANT = perturb(Plant.from_dict({k: v for k, v in HH800.items() if k != "four_bar"}), 3)
 

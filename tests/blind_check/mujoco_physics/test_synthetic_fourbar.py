@@ -4,15 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy_physics import HH800
+from numpy_physics.state import GRAVITY, State, moments
+from numpy_physics.statics import placed, settle, tool_point
 from pinocchio_arm import PinocchioArm
 from plants import arm, stops_at
 from scipy.optimize import fsolve
 
-from casadical.blind_check.numpy_physics import HH800, Plant, perturb
-from casadical.blind_check.numpy_physics.state import GRAVITY, State, moments
-from casadical.blind_check.numpy_physics.statics import placed, settle, tool_point
-from casadical.blind_check.synthetic.fourbar import close_loop, crank_distance, unfolded
-from casadical.blind_check.synthetic.stops import draw_poses
+from casadical.blind_check.mujoco_physics import Plant, perturb
+from casadical.blind_check.mujoco_physics.fourbar import close_loop, crank_distance, unfolded
+from casadical.blind_check.mujoco_physics.stops import draw_poses
 from casadical.core.errors import InputError
 
 

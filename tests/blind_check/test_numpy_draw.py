@@ -4,8 +4,8 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
+from numpy_physics import disturbances, draw_disturbance
 
-from casadical.blind_check.numpy_physics import disturbances, draw_disturbance
 from casadical.core.errors import InputError
 
 ALL = disturbances.LISTED | disturbances.UNLISTED

@@ -1,6 +1,6 @@
 """A campaign as a table: poses, their circumstances, and what an instrument would have recorded.
 
-A physics says where the reflector is; all that is drawn, rounded and written is the same for both.
+A physics says where the reflector is; what is drawn, rounded and written does not depend on it.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,18 +10,41 @@ from typing import Any, Literal, Protocol, TypedDict
 import numpy as np
 import pandas as pd
 
-from casadical.blind_check.synthetic.fourbar import unfolded
-from casadical.blind_check.synthetic.plant import Plant
-from casadical.blind_check.synthetic.rigid import Array
-from casadical.blind_check.synthetic.stops import Stops, Warmup, draw_poses, draw_stops
+from casadical.blind_check.mujoco_physics.fourbar import unfolded
+from casadical.blind_check.mujoco_physics.plant import Plant
+from casadical.blind_check.mujoco_physics.rigid import Array
+from casadical.blind_check.mujoco_physics.stops import Stops, Warmup, draw_poses, draw_stops
 from casadical.core.errors import InputError
 
-READINGS, APPROACHES = [f"q{j}_deg" for j in range(1, 7)], [f"approach{j}" for j in range(1, 7)]
 MEASURED, TRUE = ["x_mm", "y_mm", "z_mm"], ["x_true_mm", "y_true_mm", "z_true_mm"]
 
 
+def approaches(joints: int) -> list[str]:
+    """Columns of the directions of the joints' last motions."""
+    return [f"approach{j}" for j in range(1, joints + 1)]
+
+
+def readings(plant: Plant) -> list[str]:
+    """Columns of the readings."""
+    return [f"q{j}_mm" if j in plant.slides else f"q{j}_deg" for j in range(1, plant.n + 1)]
+
+
+def _per_joint(plant: Plant, turns: Array, slides: Array) -> Array:
+    return np.where([j in plant.slides for j in range(1, plant.n + 1)], slides, turns)
+
+
+def in_columns(plant: Plant, q: Array) -> Array:
+    """Readings (n, joints) [rad or m] as the columns have them [deg or mm]."""
+    return _per_joint(plant, np.rad2deg(q), 1e3 * q)
+
+
+def in_si(plant: Plant, shown: Array) -> Array:
+    """Readings (n, joints) [deg or mm] of the columns [rad or m]."""
+    return _per_joint(plant, np.deg2rad(shown), 1e-3 * shown)
+
+
 class Instrument(Protocol):
-    """An effect as the instrument sees it; those of both physics have this method."""
+    """An effect as the instrument sees it."""
 
     def measured(self, xyz: Array, stops: Stops, rng: np.random.Generator) -> Array:
         """What the instrument makes of the positions ``xyz`` (n, 3) [m]."""
@@ -29,10 +52,10 @@ class Instrument(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """A robot as built with its effects, as one of the physics simulates it.
+    """A robot as built with its effects, as a physics simulates it.
 
     plant : the robot as built (see ``perturb``)
-    positions : where the reflector is, (n, 3) [m], at n stops with errors (n, 6) [rad] of the joints
+    positions : where the reflector is, (n, 3) [m], at n stops with errors (n, joints) [rad or m] of the joints
     instruments : effects, for what they do to the measured positions
     true_decimals : of true positions [mm] in a table
     """
@@ -40,12 +63,12 @@ class Machine:
     plant: Plant
     positions: Callable[[Stops, Array | float], Array]
     instruments: Sequence[Instrument]
-    true_decimals: int
+    true_decimals: int = 6
 
     def measured(
         self,
         stops: Stops,
-        q_deg: Array,
+        shown: Array,
         temperature: Array,
         seeds: Sequence[np.random.SeedSequence],
         noise_mm: float,
@@ -54,19 +77,19 @@ class Machine:
     ) -> pd.DataFrame:
         """The table of a campaign, rounded like a real one.
 
-        q_deg, temperature : readings (n, 6) [deg] and temperatures (n,) [degC] as written
+        shown, temperature : readings (n, joints) [deg or mm] and temperatures (n,) [degC] as written
         seeds : of the joints' errors, the noise, and the instrument's errors; all else as in ``simulate``
         """
         joints, noise, instrument = (np.random.default_rng(s) for s in seeds)
         n = len(stops)
-        xyz = self.positions(stops, joints.normal(0, repeatability_urad * 1e-6, (n, 6)))
+        xyz = self.positions(stops, joints.normal(0, repeatability_urad * 1e-6, stops.q.shape))
         for effect in self.instruments:
             xyz = effect.measured(xyz, stops, instrument)
         table = pd.DataFrame({"pose": np.arange(1, n + 1), "time_s": np.round(stops.time_s, 1)})
         table["temperature_degC"] = temperature
         table["payload_kg"] = stops.payload_kg
-        table[APPROACHES] = stops.approach.astype(int)
-        table[READINGS] = q_deg
+        table[approaches(self.plant.n)] = stops.approach.astype(int)
+        table[readings(self.plant)] = shown
         table[MEASURED] = np.round(1e3 * xyz + noise.normal(0, noise_mm, (n, 3)), 4)
         if truth:
             table[TRUE] = np.round(1e3 * self.positions(stops, 0.0), self.true_decimals)
@@ -74,7 +97,7 @@ class Machine:
 
 
 class Options(TypedDict, total=False):
-    """Keywords of ``simulate`` that the ``campaign`` of each physics passes on."""
+    """Keywords of ``simulate`` that ``campaign`` passes on."""
 
     noise_mm: float
     payload_states: Sequence[float] | None
@@ -105,8 +128,6 @@ def simulate(
 
     Poses, circumstances and noise do not depend on the effects: the same campaign without them is their absence.
 
-    Returns a DataFrame with pose, time_s, temperature_degC, payload_kg, approach1..6, q1_deg..q6_deg, x_mm, y_mm, z_mm.
-
     Parameters
     ----------
     machine : Machine
@@ -116,7 +137,7 @@ def simulate(
     seed : int
         what everything drawn follows from
     repeatability_urad : float
-        one sigma of each joint about its reading [urad]
+        one sigma of each joint about its reading [urad, or um of a prismatic joint]
     noise_mm : float, default 0.02
         one sigma of each measured coordinate [mm]
     payload_states : Sequence[float], optional
@@ -125,9 +146,9 @@ def simulate(
         the arm's temperature; by default 7 K in some 35 minutes
     approach : {"chance", "motion"}, default "chance"
         direction of each joint's last motion, random or (``"motion"``) as it follows from the order of the poses
-    q_deg : Array, shape (n, 6) [deg], optional
+    q_deg : Array, shape (n, joints) [deg, or mm of a prismatic joint], optional
         readings to take instead of drawing them
-    ranges_deg : Array, shape (6, 2) [deg], optional
+    ranges_deg : Array, shape (joints, 2) [deg or mm], optional
         between which readings are drawn; None: the plant's
     crank_distance_m : tuple[float, float], optional
         limits of the loop's crank distance [m]; None: a quarter of the rocker away from the folds
@@ -137,7 +158,7 @@ def simulate(
     Returns
     -------
     DataFrame
-        columns pose, time_s, temperature_degC, payload_kg, approach1..6, q1_deg..q6_deg, x_mm, y_mm, z_mm
+        columns pose, time_s, temperature_degC, payload_kg, approach1.., q1_deg.. (q1_mm), x_mm, y_mm, z_mm
 
     Raises
     ------
@@ -146,61 +167,65 @@ def simulate(
 
     Examples
     --------
-    >>> from casadical.blind_check.numpy_physics import HH800, Plant
-    >>> from casadical.blind_check.synthetic.campaigns import Machine, simulate
-    >>> still = Machine(Plant.from_dict(HH800), lambda stops, errors: np.zeros((len(stops), 3)), (), 6)
+    >>> from casadical.blind_check.mujoco_physics.table import Machine, simulate
+    >>> still = Machine(plant, lambda stops, errors: np.zeros((len(stops), 3)), ())
     >>> simulate(still, 4, 1, repeatability_urad=8.0).shape
     (4, 19)
     """
+    plant, warmup = machine.plant, warmup or Warmup()
     if n < 1:
         raise InputError(f"n is {n}; a campaign needs at least 1 pose")
     if min(noise_mm, repeatability_urad) < 0:
         raise InputError(f"noise_mm is {noise_mm} and repeatability_urad {repeatability_urad}; neither may be negative")
-    if ranges_deg is not None and np.shape(ranges_deg) != (6, 2):
-        raise InputError(f"ranges_deg has shape {np.shape(ranges_deg)}; it must be (6, 2): lowest and highest readings")
+    if ranges_deg is not None and np.shape(ranges_deg) != (plant.n, 2):
+        raise InputError(
+            f"ranges_deg has shape {np.shape(ranges_deg)}; it must be ({plant.n}, 2): lowest and highest readings"
+        )
     if payload_states is not None and len(payload_states) == 0:
         raise InputError("payload_states is empty; give at least one declared payload [kg], 0 for none")
     poses, *times, thermometer, joints, noise, instrument = np.random.SeedSequence(seed).spawn(7)
-    plant, warmup = machine.plant, warmup or Warmup()
     if q_deg is None:
-        ranges = plant.ranges if ranges_deg is None else np.deg2rad(np.asarray(ranges_deg, float))
+        ranges = plant.ranges if ranges_deg is None else in_si(plant, np.asarray(ranges_deg, float).T).T
         limits = crank_distance_m or unfolded(plant)
-        q_deg = np.rad2deg(draw_poses(plant, n, np.random.default_rng(poses), ranges, limits))
-    if np.shape(q_deg) != (n, 6):
-        raise InputError(f"q_deg has shape {np.shape(q_deg)}; for n = {n} it must be ({n}, 6)")
+        q_deg = in_columns(plant, draw_poses(plant, n, np.random.default_rng(poses), ranges, limits))
+    if np.shape(q_deg) != (n, plant.n):
+        raise InputError(f"q_deg has shape {np.shape(q_deg)}; for n = {n} it must be ({n}, {plant.n})")
     q_deg = np.round(q_deg, 6)
     states = (0.0, plant.payload_kg) if payload_states is None else payload_states
-    stops = draw_stops(np.deg2rad(q_deg), times, states, warmup, approach)
+    stops = draw_stops(in_si(plant, q_deg), times, states, warmup, approach)
     shown = warmup.start_degC + stops.warmth_K + np.random.default_rng(thermometer).normal(0, warmup.sensor_K, n)
     seeds = (joints, noise, instrument)
     return machine.measured(stops, q_deg, np.round(shown, 2), seeds, noise_mm, repeatability_urad, truth)
 
 
 def simulate_readings(
-    machine: Machine, readings: pd.DataFrame, seed: int, *, noise_mm: float, repeatability_urad: float, truth: bool
+    machine: Machine, given: pd.DataFrame, seed: int, *, noise_mm: float, repeatability_urad: float, truth: bool
 ) -> pd.DataFrame:
-    """Measure given poses: the table ``readings`` with the positions of the reflector.
+    """Measure given poses: the table ``given`` with the positions of the reflector.
 
     machine, seed, noise_mm, repeatability_urad, truth : as in ``simulate``
-    readings : one row a pose, with q1_deg..q6_deg; where they are missing, time_s is 30 s a pose, temperature_degC 20
-        throughout, payload_kg the robot's, approach1..6 1
+    given : one row a pose, with all readings; where they are missing, time_s is 30 s a pose, temperature_degC 20
+        throughout, payload_kg the robot's, approach1.. 1
 
     Raises InputError when a reading is missing.
     """
-    n = len(readings)
+    n, plant = len(given), machine.plant
+    sides, columns = approaches(plant.n), readings(plant)
     usual: dict[str, Any] = {"time_s": 30.0 * np.arange(1, n + 1), "temperature_degC": 20.0}
-    usual |= {"payload_kg": machine.plant.payload_kg, **dict.fromkeys(APPROACHES, 1)}
-    full = readings.assign(**{name: value for name, value in usual.items() if name not in readings})
-    missing = [name for name in READINGS if name not in full]
+    usual |= {"payload_kg": plant.payload_kg, **dict.fromkeys(sides, 1)}
+    full = given.assign(**{name: value for name, value in usual.items() if name not in given})
+    missing = [name for name in columns if name not in full]
     if missing or n == 0:
-        raise InputError(f"readings: {n} rows, columns missing: {', '.join(missing) or 'none'}; give q1_deg to q6_deg")
-    q_deg, temperature = full[READINGS].to_numpy(float), full["temperature_degC"].to_numpy(float)
+        raise InputError(
+            f"readings: {n} rows, columns missing: {', '.join(missing) or 'none'}; give {columns[0]} to {columns[-1]}"
+        )
+    shown, temperature = full[columns].to_numpy(float), full["temperature_degC"].to_numpy(float)
     stops = Stops(
-        np.deg2rad(q_deg),
+        in_si(plant, shown),
         full["time_s"].to_numpy(float),
         temperature - Warmup().start_degC,
         full["payload_kg"].to_numpy(float),
-        np.where(full[APPROACHES].to_numpy(float) < 0, -1.0, 1.0),
+        np.where(full[sides].to_numpy(float) < 0, -1.0, 1.0),
     )
     seeds = np.random.SeedSequence(seed).spawn(3)
-    return machine.measured(stops, q_deg, temperature, seeds, noise_mm, repeatability_urad, truth)
+    return machine.measured(stops, shown, temperature, seeds, noise_mm, repeatability_urad, truth)

@@ -3,11 +3,12 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy_physics import HH800, campaign, disturbances
+from numpy_physics.statics import settle
 from plants import ARM, arm, stops_at
 
-from casadical.blind_check.numpy_physics import HH800, Plant, Warmup, campaign, disturbances, perturb
-from casadical.blind_check.numpy_physics.statics import settle
-from casadical.blind_check.synthetic.fourbar import crank_distance
+from casadical.blind_check.mujoco_physics import Plant, Warmup, perturb
+from casadical.blind_check.mujoco_physics.fourbar import crank_distance
 from casadical.core.errors import ConvergenceError, InputError
 
 COLUMNS = [
@@ -111,7 +112,7 @@ def test_unusable_robots() -> None:
         Plant.from_dict({k: v for k, v in ARM.items() if k != "com_m"})
     with pytest.raises(InputError, match=r"mass_kg has shape \(2,\)"):
         Plant.from_dict(ARM | {"mass_kg": [1.0, 2.0]})
-    with pytest.raises(InputError, match="has 5 rows"):
+    with pytest.raises(InputError, match=r"mass_kg has shape \(6,\); it must be finite numbers of shape \(5,\)"):
         Plant.from_dict(ARM | {"modified_dh": ARM["modified_dh"][:5]})
 
 

@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.blind_check.synthetic.plant import FourBar, Plant
-from casadical.blind_check.synthetic.rigid import Array
+from casadical.blind_check.mujoco_physics.plant import FourBar, Plant
+from casadical.blind_check.mujoco_physics.rigid import Array
 from casadical.core.errors import InputError
 
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """The loop in the plane of link 2, axis 2 at the origin: points (n, 2) [m] and the passive angle (n,) [rad]."""
+    """In the plane of the link before, from its axis: points (n, 2) [m], and the driven link's angle (n,) [rad]."""
 
     crank_end: Array
     coupler_end: Array
@@ -20,28 +20,36 @@ class ClosedLoop:
 
     @property
     def lever(self) -> Array:
-        """Crank torque for a unit torque on link 3, shape (n,): the coupler is a bar with no force but along itself."""
+        """Crank torque for a unit torque on the driven link, shape (n,): the coupler's force is along itself."""
         along = self.crank_end - self.coupler_end
         return _cross(self.crank_end, along) / _cross(self.coupler_end - self.pivot, along)
 
 
 def pivot(plant: Plant) -> Array:
-    """Joint 3 in the plane of link 2, shape (2,) [m], seen from axis 2 and the x axis of link 2."""
-    R, p = plant.home[1, :3, :3], plant.home[2, :3, 3] - plant.home[1, :3, 3]
+    """The driven joint in the plane of the link before, shape (2,) [m], seen from that link's axis and x axis."""
+    k = _bar(plant).driven - 1
+    R, p = plant.home[k - 1, :3, :3], plant.home[k, :3, 3] - plant.home[k - 1, :3, 3]
     flat: Array = (R.T @ p)[:2]
     return flat
 
 
 def crank_end(bar: FourBar, crank: Array) -> Array:
-    """End of the crank (n, 2) [m] in the plane of link 2; ``crank`` (n,) is theta3 - theta2 [rad]."""
+    """End of the crank (n, 2) [m] in the plane of the link before; ``crank`` (n,) as of `crank_angle` [rad]."""
     angle = crank + bar.crank_zero_rad
     return bar.crank_m * np.stack([np.cos(angle), np.sin(angle)], -1)
 
 
+def crank_angle(plant: Plant, angles: Array) -> Array:
+    """Angle (n,) [rad] of the crank in the link before, at those of the motors, (n, joints)."""
+    k = _bar(plant).driven - 1
+    crank: Array = angles[:, k] - angles[:, k - 1]
+    return crank
+
+
 def crank_distance(plant: Plant, q: Array) -> Array:
-    """Distance (n,) [m] between the crank's end and joint 3 at the readings ``q`` (n, 6) [rad]."""
+    """Distance (n,) [m] between the crank's end and the driven joint at the readings ``q`` (n, joints) [rad]."""
     bar = _bar(plant)
-    distance: Array = np.linalg.norm(crank_end(bar, q[:, 2] - q[:, 1]) - pivot(plant), axis=-1)
+    distance: Array = np.linalg.norm(crank_end(bar, crank_angle(plant, q)) - pivot(plant), axis=-1)
     return distance
 
 
@@ -55,7 +63,7 @@ def unfolded(plant: Plant) -> tuple[float, float] | None:
 
 
 def close_loop(plant: Plant, crank: Array) -> ClosedLoop:
-    """Close the loop, not crossed, at the crank angles theta3 - theta2 (n,) [rad].
+    """Close the loop, not crossed, at the crank angles (n,) [rad] of `crank_angle`.
 
     Raises InputError at the first pose where the bars do not reach each other.
     """
@@ -67,8 +75,9 @@ def close_loop(plant: Plant, crank: Array) -> ClosedLoop:
     if (aside_2 < 0).any():
         row = int(np.argmax(aside_2 < 0))
         raise InputError(
-            f"pose {row + 1}: the four-bar is open, crank end and joint 3 are {d[row]:.4f} m apart; coupler and rocker "
-            f"reach {abs(bar.coupler_m - bar.rocker_m):.4f} to {bar.coupler_m + bar.rocker_m:.4f} m; drop the pose"
+            f"pose {row + 1}: the four-bar is open, crank end and joint {bar.driven} are {d[row]:.4f} m apart; "
+            f"coupler and rocker reach {abs(bar.coupler_m - bar.rocker_m):.4f} to "
+            f"{bar.coupler_m + bar.rocker_m:.4f} m; drop the pose"
         )
     unit = reach / d[:, None]
     left = np.stack([-unit[:, 1], unit[:, 0]], -1)

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.blind_check.numpy_physics.disturbance import Disturbance
-from casadical.blind_check.synthetic.rigid import Array
-from casadical.blind_check.synthetic.stops import Stops, only
+from casadical.blind_check.mujoco_physics.rigid import Array
+from casadical.blind_check.mujoco_physics.stops import Stops, only
+from numpy_physics.disturbance import Disturbance
 
 
 @dataclass(frozen=True)

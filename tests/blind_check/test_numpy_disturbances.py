@@ -5,16 +5,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy_physics import HH800, disturbances
+from numpy_physics.disturbance import Disturbance
+from numpy_physics.state import GRAVITY, State
+from numpy_physics.statics import placed, settle, tool_point
 from plants import arm, stops_at
 from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from casadical.blind_check.numpy_physics import HH800, Plant, disturbances, perturb
-from casadical.blind_check.numpy_physics.disturbance import Disturbance
-from casadical.blind_check.numpy_physics.state import GRAVITY, State
-from casadical.blind_check.numpy_physics.statics import placed, rated_torque, settle, tool_point
-from casadical.blind_check.synthetic.stops import Stops, Warmup, draw_poses, draw_stops
+from casadical.blind_check.mujoco_physics import Plant, perturb
+from casadical.blind_check.mujoco_physics.statics import rated_torque
+from casadical.blind_check.mujoco_physics.stops import Stops, Warmup, draw_poses, draw_stops
 
 ALL = disturbances.LISTED | disturbances.UNLISTED
 NOTHING: dict[str, dict[str, Any]] = {

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.blind_check.numpy_physics.disturbance import Disturbance
-from casadical.blind_check.numpy_physics.state import GRAVITY, State
-from casadical.blind_check.synthetic.rigid import Array, back, motion, move
-from casadical.blind_check.synthetic.stops import only
+from casadical.blind_check.mujoco_physics.rigid import Array, back, motion, move
+from casadical.blind_check.mujoco_physics.stops import only
+from numpy_physics.disturbance import Disturbance
+from numpy_physics.state import GRAVITY, State
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadical.blind_check.numpy_physics.disturbance import Disturbance
-from casadical.blind_check.numpy_physics.state import GRAVITY, State
-from casadical.blind_check.numpy_physics.statics import stretched_moments
-from casadical.blind_check.synthetic.plant import Plant
-from casadical.blind_check.synthetic.rigid import Array, back, motion, move, slide
+from casadical.blind_check.mujoco_physics.plant import Plant
+from casadical.blind_check.mujoco_physics.rigid import Array, back, motion, move, slide
+from casadical.blind_check.mujoco_physics.statics import stretched_moments
+from numpy_physics.disturbance import Disturbance
+from numpy_physics.state import GRAVITY, State
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from casadical.blind_check.numpy_physics.disturbance import Disturbance
-from casadical.blind_check.numpy_physics.state import State
-from casadical.blind_check.synthetic.plant import Plant
-from casadical.blind_check.synthetic.rigid import Array, back, motion, move, slide
-from casadical.blind_check.synthetic.stops import Stops, only
+from casadical.blind_check.mujoco_physics.plant import Plant
+from casadical.blind_check.mujoco_physics.rigid import Array, back, motion, move, slide
+from casadical.blind_check.mujoco_physics.stops import Stops, only
+from numpy_physics.disturbance import Disturbance
+from numpy_physics.state import State
 
 Direction = tuple[float, float, float]
 _ZERO = np.zeros(3)

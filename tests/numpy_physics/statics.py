@@ -1,21 +1,17 @@
-"""Static equilibrium by fixed-point iteration of torques and joint deflections.
-
-The bodies are followed as motions from their places at zero readings (products of turns about the axes as they lie
-then), not as products of link transforms.
-"""
+"""Static equilibrium with disturbances by fixed-point iteration of torques and joint deflections, in numpy alone."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from casadical.blind_check.numpy_physics.disturbance import Disturbance
-from casadical.blind_check.numpy_physics.state import GRAVITY, State, moments
-from casadical.blind_check.synthetic.fourbar import close_loop, unfolded
-from casadical.blind_check.synthetic.plant import Plant
-from casadical.blind_check.synthetic.rigid import Array, move, turn
-from casadical.blind_check.synthetic.stops import Stops, draw_poses
+from casadical.blind_check.mujoco_physics.plant import Plant
+from casadical.blind_check.mujoco_physics.rigid import Array, move
+from casadical.blind_check.mujoco_physics.statics import link_angles, moments, moved_by, rated_torque
+from casadical.blind_check.mujoco_physics.stops import Stops
 from casadical.core.errors import ConvergenceError
+from numpy_physics.disturbance import Disturbance
+from numpy_physics.state import State
 
 
 def placed(plant: Plant, stops: Stops, angles: Array) -> State:
@@ -45,40 +41,16 @@ def settle(plant: Plant, stops: Stops, disturbances: Sequence[Disturbance] = (),
     raise ConvergenceError(f"no rest after 200 steps: the last one moved by {change:.1e}; are the joints too soft?")
 
 
-def rated_torque(plant: Plant) -> Array:
-    """The largest torque of the weights on each joint in 300 fixed poses, (6,) [N m]; at least 5 % of the greatest."""
-    q = draw_poses(plant, 300, np.random.default_rng(0), plant.ranges, unfolded(plant))
-    still = Stops(q, np.arange(300.0), np.zeros(300), np.full(300, plant.payload_kg), np.ones_like(q))
-    largest: Array = np.abs(moments(placed(plant, still, q))).max(0)
-    floored: Array = np.maximum(largest, 0.05 * largest.max())
-    return floored
-
-
-def stretched_moments(plant: Plant, link: int) -> tuple[float, float]:
-    """Moments [N m] of all weights beyond ``link`` about its end and about its root, if they hung at full stretch."""
-    ends = plant.stations
-    steps = np.linalg.norm(np.diff(ends, axis=0), axis=-1)
-    about_end = about_root = 0.0
-    for body in range(link, 7):
-        mass, com = (plant.mass[body], plant.com[body]) if body < 6 else (plant.payload_kg, plant.payload_com)
-        reach = float(steps[link + 1 : min(body, 5) + 1].sum() + np.linalg.norm(com))
-        about_end += GRAVITY * mass * reach
-        about_root += GRAVITY * mass * (reach + steps[link])
-    return about_end, about_root
-
-
 def _bodies(state: State, angles: Array, disturbances: Sequence[Disturbance]) -> Array:
     plant, n = state.plant, len(state.stops)
-    drive = angles.copy()
-    if plant.four_bar is not None:
-        drive[:, 2] = close_loop(plant, angles[:, 2] - angles[:, 1]).passive
+    drive = link_angles(plant, angles)
     G, bodies = np.broadcast_to(plant.base, (n, 4, 4)), np.empty((7, n, 4, 4))
     for link in range(7):
         for d in disturbances:
             D = d.outboard(link, state)
             G = G if D is None else G @ D
         if link < 6:
-            G = G @ turn(plant.axes[link], plant.centres[link], drive[:, link])
+            G = G @ moved_by(plant, link, drive[:, link])
         bodies[link] = G
     return bodies
 

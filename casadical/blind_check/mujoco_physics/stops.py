@@ -6,9 +6,9 @@ from typing import Literal
 
 import numpy as np
 
-from casadical.blind_check.synthetic.fourbar import crank_distance
-from casadical.blind_check.synthetic.plant import Plant
-from casadical.blind_check.synthetic.rigid import Array
+from casadical.blind_check.mujoco_physics.fourbar import crank_distance
+from casadical.blind_check.mujoco_physics.plant import Plant
+from casadical.blind_check.mujoco_physics.rigid import Array
 from casadical.core.errors import InputError
 
 
@@ -16,11 +16,11 @@ from casadical.core.errors import InputError
 class Stops:
     """What is known of n poses when the robot has stopped.
 
-    q : array (n, 6), joint readings [rad]
+    q : array (n, joints), readings [rad or m]
     time_s : array (n,), since the start
     warmth_K : array (n,), the arm's surface over its temperature at time 0
     payload_kg : array (n,), declared
-    approach : array (n, 6) of -1 and 1, each joint's last motion before it stopped
+    approach : array (n, joints) of -1 and 1, each joint's last motion before it stopped
     """
 
     q: Array
@@ -65,7 +65,7 @@ class Warmup:
 
     Examples
     --------
-    >>> from casadical.blind_check.numpy_physics import Warmup
+    >>> from casadical.blind_check.mujoco_physics import Warmup
     >>> Warmup().course(np.array([0.0, 35 * 60.0])).round(2)
     array([0.  , 4.42])
     """
@@ -76,17 +76,7 @@ class Warmup:
     sensor_K: float = 0.05
 
     def course(self, time_s: Array) -> Array:
-        """Warmth at times.
-
-        Parameters
-        ----------
-        time_s : Array, shape (n,) [s]
-            since the start
-
-        Returns
-        -------
-        Array, shape (n,) [K]
-        """
+        """Warmth (n,) [K] at times (n,) [s] since the start."""
         rise: Array = -self.rise_K * np.expm1(-np.asarray(time_s, float) / (60.0 * self.minutes))
         return rise
 
@@ -94,13 +84,13 @@ class Warmup:
 def draw_poses(
     plant: Plant, n: int, rng: np.random.Generator, ranges: Array, crank_distance_m: tuple[float, float] | None
 ) -> Array:
-    """Readings (n, 6) [rad], uniform in ``ranges`` (6, 2) [rad], the loop within its distance limits.
+    """Readings (n, joints) [rad or m], uniform in ``ranges`` (joints, 2), the loop within its distance limits.
 
     Raises InputError when hardly any pose in the ranges keeps the limits.
     """
-    kept = np.empty((0, 6))
+    kept = np.empty((0, plant.n))
     for _ in range(200):
-        q = rng.uniform(ranges[:, 0], ranges[:, 1], (max(2 * n, 64), 6))
+        q = rng.uniform(ranges[:, 0], ranges[:, 1], (max(2 * n, 64), plant.n))
         if plant.four_bar is not None and crank_distance_m is not None:
             distance = crank_distance(plant, q)
             q = q[(distance >= crank_distance_m[0]) & (distance <= crank_distance_m[1])]
@@ -133,10 +123,10 @@ def draw_stops(
     warmup: Warmup,
     approach: Literal["chance", "motion"] = "chance",
 ) -> Stops:
-    """Circumstances of the readings ``q`` (n, 6) [rad]: 20 to 40 s a pose, payloads in blocks, approaches."""
+    """Circumstances of the readings ``q`` (n, joints): 20 to 40 s a pose, payloads in blocks, approaches."""
     n = len(q)
     time = np.cumsum(np.round(np.random.default_rng(seeds[0]).uniform(20.0, 40.0, n), 1))
-    came = np.random.default_rng(seeds[1]).choice([-1.0, 1.0], (n, 6))
+    came = np.random.default_rng(seeds[1]).choice([-1.0, 1.0], q.shape)
     if approach == "motion":
         came[1:] = np.where(np.diff(q, axis=0) < 0, -1.0, 1.0)
     blocks = 1 if len(payload_states) == 1 else 2 * len(payload_states)
@@ -144,8 +134,8 @@ def draw_stops(
     return Stops(q, time, warmup.course(time), np.asarray(payload_states, float)[turn], came)
 
 
-def only(joint: int, values: Array) -> Array:
-    """Zeros (n, 6) with ``values`` (n,) in the column of ``joint`` (1-based)."""
-    columns = np.zeros((len(values), 6))
+def only(joint: int, values: Array, joints: int = 6) -> Array:
+    """Zeros (n, joints) with ``values`` (n,) in the column of ``joint`` (1-based)."""
+    columns = np.zeros((len(values), joints))
     columns[:, joint - 1] = values
     return columns

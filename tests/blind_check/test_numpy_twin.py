@@ -3,13 +3,14 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy_physics import HH800, campaign, hh800_true, hh800_twin
+from numpy_physics.statics import placed
+from numpy_physics.twin import UNMODELLED, WARMUP
 from plants import stops_at
 from scipy.optimize import least_squares
 
-from casadical.blind_check.numpy_physics import HH800, Plant, campaign, hh800_true, hh800_twin
-from casadical.blind_check.numpy_physics.statics import placed
-from casadical.blind_check.numpy_physics.twin import UNMODELLED, WARMUP
-from casadical.blind_check.synthetic.rigid import rotation
+from casadical.blind_check.mujoco_physics import Plant
+from casadical.blind_check.mujoco_physics.rigid import rotation
 
 Q, XYZ = [f"q{j}_deg" for j in range(1, 7)], ["x_mm", "y_mm", "z_mm"]
 

@@ -1,7 +1,7 @@
 """All disturbances by the words of the diagnosis, and those that are on no list."""
 
-from casadical.blind_check.numpy_physics.disturbance import Disturbance
-from casadical.blind_check.numpy_physics.disturbances_drive import (
+from numpy_physics.disturbance import Disturbance
+from numpy_physics.disturbances_drive import (
     GearEccentricity,
     JointCoupling,
     JointScale,
@@ -9,7 +9,7 @@ from casadical.blind_check.numpy_physics.disturbances_drive import (
     ThermalZeroDrift,
     TransmissionRipple,
 )
-from casadical.blind_check.numpy_physics.disturbances_load import (
+from numpy_physics.disturbances_load import (
     Backlash,
     FrictionWindup,
     HardeningSpring,
@@ -17,8 +17,8 @@ from casadical.blind_check.numpy_physics.disturbances_load import (
     LooseFlange,
     SpringBalancer,
 )
-from casadical.blind_check.numpy_physics.disturbances_setup import BeamRefraction, FrameDrift, Outliers, TargetShift
-from casadical.blind_check.numpy_physics.disturbances_structure import (
+from numpy_physics.disturbances_setup import BeamRefraction, FrameDrift, Outliers, TargetShift
+from numpy_physics.disturbances_structure import (
     AxisWobble,
     BearingSag,
     LinkFlexure,

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy_physics.state import moments
+from numpy_physics.statics import placed, settle, tool_point
 from pinocchio_arm import PinocchioArm
 from plants import ARM, random_arm, stops_at
 from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
 
-from casadical.blind_check.numpy_physics.state import moments
-from casadical.blind_check.numpy_physics.statics import placed, settle, tool_point
-from casadical.blind_check.synthetic.plant import Plant
+from casadical.blind_check.mujoco_physics.plant import Plant
 
 ROBOTS = [ARM, *(random_arm(seed) for seed in range(5))]
 

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from casadical.blind_check.numpy_physics.disturbance import Disturbance
-from casadical.blind_check.numpy_physics.disturbances import LISTED, UNLISTED
-from casadical.blind_check.synthetic.rigid import random_vector
+from casadical.blind_check.mujoco_physics.rigid import random_vector
 from casadical.core.errors import InputError
+from numpy_physics.disturbance import Disturbance
+from numpy_physics.disturbances import LISTED, UNLISTED
 
 _EITHER_SIGN = {
     *("joint_scale", "joint_coupling", "joint_zero_step", "thermal_zero_drift", "payload_error"),
@@ -19,35 +19,7 @@ _SIZES = {"size", "oval", "shift_m", "turn_rad", "share", "gradient_K_per_m"}
 
 
 def draw_disturbance(effect: str, seed: int, *, joint: int | None = None, scale: float = 1.0) -> Disturbance:
-    """The effect with 0.7 to 1.5 times its usual size, times ``scale``, and everything else at random.
-
-    Parameters
-    ----------
-    effect : str
-        a word of ``disturbances.LISTED`` or ``disturbances.UNLISTED``
-    seed : int
-        everything drawn follows from it
-    joint : int, optional
-        1 to 6, for an effect that sits in a joint; a coupling comes from the joint before it
-    scale : float, default 1.0
-        factor on its usual size
-
-    Returns
-    -------
-    Disturbance
-        the effect
-
-    Raises
-    ------
-    InputError
-        an unknown effect, or a joint that is missing or out of place
-
-    Examples
-    --------
-    >>> from casadical.blind_check.numpy_physics import draw_disturbance
-    >>> draw_disturbance("backlash", seed=1, joint=5).joint
-    5
-    """
+    """The effect with 0.7 to 1.5 times its usual size, times ``scale``, and everything else at random."""
     kind = (LISTED | UNLISTED).get(effect)
     if kind is None:
         raise InputError(f"effect {effect!r} is unknown; there are {', '.join([*LISTED, *UNLISTED])}")

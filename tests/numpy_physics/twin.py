@@ -16,20 +16,19 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from casadical.blind_check.numpy_physics.campaigns import campaign
-from casadical.blind_check.numpy_physics.disturbance import Disturbance
-from casadical.blind_check.numpy_physics.disturbances_drive import GearEccentricity, TransmissionRipple
-from casadical.blind_check.numpy_physics.disturbances_load import Backlash, FrictionWindup, HardeningSpring
-from casadical.blind_check.numpy_physics.disturbances_structure import (
+from casadical.blind_check.mujoco_physics.fourbar import unfolded
+from casadical.blind_check.mujoco_physics.plant import Plant, perturb
+from casadical.blind_check.mujoco_physics.stops import Warmup, draw_poses, spread_poses
+from numpy_physics.campaigns import campaign
+from numpy_physics.disturbance import Disturbance
+from numpy_physics.disturbances_drive import GearEccentricity, TransmissionRipple
+from numpy_physics.disturbances_load import Backlash, FrictionWindup, HardeningSpring
+from numpy_physics.disturbances_structure import (
     AxisWobble,
     LinkFlexure,
     PedestalTilt,
     ThermalGrowth,
 )
-from casadical.blind_check.synthetic.fourbar import unfolded
-from casadical.blind_check.synthetic.perturb import perturb
-from casadical.blind_check.synthetic.plant import Plant
-from casadical.blind_check.synthetic.stops import Warmup, draw_poses, spread_poses
 
 SETS = {"identify": 40, "train": 50, "choose": 50, "report": 50}
 SEED, ROBOT_SEED = 145, 102
@@ -82,24 +81,7 @@ def hh800_nominal() -> Plant:
 
 
 def hh800_true(robot_seed: int = ROBOT_SEED) -> Plant:
-    """The twin's true robot: errors in every link that leave about 4.5 mm once base and tool frames are fitted.
-
-    Parameters
-    ----------
-    robot_seed : int, default ROBOT_SEED
-        of its errors
-
-    Returns
-    -------
-    Plant
-        the robot as built
-
-    Examples
-    --------
-    >>> from casadical.blind_check.numpy_physics import hh800_true
-    >>> hh800_true().payload_kg
-    300.0
-    """
+    """The twin's true robot: errors in every link that leave about 4.5 mm once base and tool frames are fitted."""
     robot = perturb(hh800_nominal(), robot_seed, length_mm=0.84, angle_mrad=0.593)
     return replace(robot, stiffness=TRUE_STIFFNESS)
 
@@ -114,26 +96,6 @@ def hh800_twin(
     robot; ``disturbances=()`` is a twin that the model describes exactly, except the compliance of joints 1 and 6.
     ``truth`` as in ``campaign``.
 
-    Parameters
-    ----------
-    seed : int, default SEED
-        of the experiment
-    disturbances : Sequence[Disturbance], default UNMODELLED
-        what the model does not contain; ``()`` for a twin that it describes exactly, except the compliance of joints
-        1 and 6
-    truth : bool, default False
-        whether true positions are added, as in ``campaign``
-
-    Returns
-    -------
-    DataFrame
-        columns of a campaign, and ``set``
-
-    Examples
-    --------
-    >>> from casadical.blind_check.numpy_physics import hh800_twin
-    >>> sorted(set(hh800_twin()["set"]))
-    ['choose', 'identify', 'report', 'train']
     """
     plant = hh800_true()
     rng, limits = np.random.default_rng([seed, 7]), unfolded(hh800_nominal())

@@ -1,0 +1,315 @@
+"""A robot as built: its axes, masses and reflector when every reading is zero, and how it departs from its drawing.
+
+The nominal robot comes from plain numbers (modified DH rows, masses, stiffness, an optional four-bar); from there on
+there are no DH parameters, only frames at zero readings and the axes about which the bodies turn or along which they
+slide.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
+
+import numpy as np
+
+from casadical.blind_check.mujoco_physics.rigid import Array, motion
+from casadical.core.errors import InputError
+
+_X, _Y, _Z, _0 = np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), np.array([0, 0, 1.0]), np.zeros(3)
+_KEYS = ("name", "modified_dh", "tool_m", "mass_kg", "com_m", "payload", "stiffness_Nm_per_rad", "joint_range_deg")
+
+
+@dataclass(frozen=True)
+class FourBar:
+    """A planar loop that drives a joint: ground bar = the link before it, crank on that link's axis, coupler, rocker.
+
+    Parameters
+    ----------
+    crank_m, coupler_m, rocker_m : float
+        length [m]
+    crank_zero_rad : float, default 0.0
+        added to the reading of the driven joint [rad]
+    passive_offset_rad : float, default -pi/2
+        added to the rocker's direction in the link before, which gives the angle of the driven link [rad]
+    driven : int, default 3
+        joint that it drives, 1-based; its crank turns about the axis of the joint before
+
+    Examples
+    --------
+    >>> from casadical.blind_check.mujoco_physics import FourBar
+    >>> FourBar(crank_m=0.4, coupler_m=1.2, rocker_m=0.4).crank_m
+    0.4
+    """
+
+    crank_m: float
+    coupler_m: float
+    rocker_m: float
+    crank_zero_rad: float = 0.0
+    passive_offset_rad: float = -np.pi / 2
+    driven: int = 3
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A robot of n axes at zero readings, in SI units.
+
+    Parameters
+    ----------
+    name : str
+        of the robot
+    home : Array, shape (n, 4, 4) [m]
+        frame of every link in the robot's base at zero readings; joint i turns about its z axis, or slides along it
+    reflector : Array, shape (3,) [m]
+        in the last frame
+    mass : Array, shape (n,) [kg]
+        of the links
+    com : Array, shape (n, 3) [m]
+        mass centres in the link frames
+    payload_kg : float
+        declared payload [kg]
+    payload_com : Array, shape (3,) [m]
+        its mass centre in the last frame
+    stiffness : Array, shape (n,) [N m/rad or N/m]
+        of the actuated joints (a joint driven by a four-bar: of the crank)
+    ranges : Array, shape (n, 2) [rad or m]
+        joint ranges
+    base : Array, shape (4, 4) [m]
+        the robot's base in the measuring frame
+    four_bar : FourBar, optional
+        loop that drives a joint
+    payload_factor : float, default 1.0
+        true mass of the payload over the declared one
+    slides : frozenset[int], default frozenset()
+        prismatic joints, 1-based
+    gravity : Array, shape (3,) [m/s^2]
+        in the measuring frame
+
+    Examples
+    --------
+    >>> plant.at_home(plant.n, plant.reflector).shape, plant.payload_kg, plant.turning
+    ((3,), 10.0, [1, 2, 3, 4, 5, 6])
+    """
+
+    name: str
+    home: Array
+    reflector: Array
+    mass: Array
+    com: Array
+    payload_kg: float
+    payload_com: Array
+    stiffness: Array
+    ranges: Array
+    base: Array
+    four_bar: FourBar | None = None
+    payload_factor: float = 1.0
+    slides: frozenset[int] = frozenset()
+    gravity: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
+
+    @classmethod
+    def from_dict(cls, robot: Mapping[str, Any]) -> Self:
+        """The nominal robot, without errors, of a mapping as the files of data/campaigns/robots.
+
+        Parameters
+        ----------
+        robot : Mapping[str, Any]
+            of revolute joints
+
+        Raises
+        ------
+        InputError
+            a key is missing, or a table has the wrong shape
+        """
+        for key in _KEYS:
+            if key not in robot:
+                raise InputError(f"robot: key {key!r} is missing; needed are {', '.join(_KEYS)}")
+        rows, bar = robot["modified_dh"], robot.get("four_bar")
+        n = len(rows)
+        return cls(
+            name=str(robot["name"]),
+            home=home_frames(
+                [
+                    (
+                        np.deg2rad(float(r["alpha_deg"])),
+                        r["a_m"],
+                        0.0,
+                        0.0,
+                        np.deg2rad(float(r.get("theta0_deg", 0.0))),
+                        r["d_m"],
+                    )
+                    for r in rows
+                ]
+            ),
+            reflector=_table(robot, "tool_m", (3,)),
+            mass=_table(robot, "mass_kg", (n,)),
+            com=_table(robot, "com_m", (n, 3)),
+            payload_kg=float(robot["payload"]["mass_kg"]),
+            payload_com=np.array(robot["payload"]["com_m"], float),
+            stiffness=_table(robot, "stiffness_Nm_per_rad", (n,)),
+            ranges=np.deg2rad(_table(robot, "joint_range_deg", (n, 2))),
+            base=np.eye(4),
+            four_bar=None
+            if bar is None
+            else FourBar(
+                crank_m=float(bar["crank_L5_m"]),
+                coupler_m=float(bar["coupler_L4_m"]),
+                rocker_m=float(bar["rocker_L3_m"]),
+                passive_offset_rad=float(np.deg2rad(bar.get("passive_offset_deg", -90.0))),
+            ),
+        )
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.home)
+
+    @property
+    def turning(self) -> list[int]:
+        """Revolute joints, 1-based."""
+        return [j for j in range(1, self.n + 1) if j not in self.slides]
+
+    @property
+    def weight(self) -> float:
+        """Acceleration by gravity [m/s^2]."""
+        return float(np.hypot(np.hypot(self.gravity[0], self.gravity[1]), self.gravity[2]))
+
+    @property
+    def axes(self) -> Array:
+        """Directions of the joint axes at zero readings, shape (n, 3) [unit vectors], in the robot's base."""
+        return self.home[:, :3, 2]
+
+    @property
+    def centres(self) -> Array:
+        """A point on every joint axis at zero readings, shape (n, 3) [m], in the robot's base."""
+        return self.home[:, :3, 3]
+
+    def at_home(self, link: int, x: Array) -> Array:
+        """Points (..., 3) [m] of a link frame (1-based), in the robot's base at zero readings."""
+        placed: Array = x @ self.home[link - 1, :3, :3].T + self.home[link - 1, :3, 3]
+        return placed
+
+    @property
+    def stations(self) -> Array:
+        """Base origin, the joint centres and the reflector at zero readings, shape (n + 2, 3) [m]: the links' ends."""
+        return np.vstack([np.zeros(3), self.centres, self.at_home(self.n, self.reflector)])
+
+    @property
+    def reach(self) -> float:
+        """Length of all links together [m]."""
+        return float(np.linalg.norm(np.diff(self.stations, axis=0), axis=-1).sum())
+
+
+def home_frames(rows: Sequence[tuple[float, float, float, float, float, float]]) -> Array:
+    """Frames (n, 4, 4) [m] at zero readings of modified rows alpha, a, beta, b, theta, d [rad, m].
+
+    A row is Rot_x(alpha) Trans_x(a) Rot_y(beta) Trans_y(b) Rot_z(theta) Trans_z(d).
+    """
+    T, frames = np.eye(4), []
+    for alpha, a, beta, b, theta, d in rows:
+        if beta or b:
+            T = T @ motion(alpha * _X, _0, _0) @ motion(beta * _Y, np.array([a, 0.0, 0.0]), _0)
+            T = T @ motion(theta * _Z, np.array([0.0, b, d]), _0)
+        else:
+            T = T @ motion(alpha * _X, _0, _0) @ motion(theta * _Z, np.array([a, 0.0, d], float), _0)
+        frames.append(T)
+    return np.array(frames)
+
+
+def _table(robot: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> Array:
+    table = np.array(robot[key], float)
+    if table.shape != shape or not np.isfinite(table).all():
+        raise InputError(f"robot: {key} has shape {table.shape}; it must be finite numbers of shape {shape}")
+    return table
+
+
+@dataclass(frozen=True)
+class Building:
+    """Which of its errors a robot has: those that its model leaves open.
+
+    base_shift, base_turn : of the base in the measuring frame, first link included; reflector : of its place
+    mass_spread : standard deviation of the logarithm of the links' masses
+    """
+
+    base_shift: bool = True
+    base_turn: bool = True
+    reflector: bool = True
+    mass_spread: float = 0.0
+
+
+def perturb(
+    plant: Plant,
+    seed: int,
+    *,
+    length_mm: float = 0.3,
+    angle_mrad: float = 0.3,
+    base: tuple[float, float] = (0.03, 2.0),
+    tool_mm: float = 1.0,
+    stiffness_spread: float = 0.4,
+    building: Building = Building(),
+) -> Plant:
+    """The robot with generic errors: all six of every link, not only those that DH rows name.
+
+    Parameters
+    ----------
+    plant : Plant
+        the nominal robot
+    seed : int
+        everything drawn follows from it
+    length_mm : float, default 0.3
+        one sigma of each coordinate of a link's error, of the bars and the crank too [mm]
+    angle_mrad : float, default 0.3
+        one sigma of each angle of a link's error [mrad]
+    base : tuple[float, float], optional
+        greatest shift [m] and turn [deg] of the robot's base against the measuring frame
+    tool_mm : float, default 1.0
+        one sigma of each coordinate of the reflector's error [mm]
+    stiffness_spread : float, default 0.4
+        standard deviation of the logarithm of the joint stiffnesses
+    building : Building, optional
+        which errors it has; by default all but those of the masses
+
+    Examples
+    --------
+    >>> from casadical.blind_check.mujoco_physics import perturb
+    >>> perturb(plant, seed=1).name
+    'ur10e'
+    """
+    links, bars, place, tool, spring = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(5))
+    turns, shifts = links.normal(0, angle_mrad * 1e-3, (plant.n, 3)), links.normal(0, length_mm * 1e-3, (plant.n, 3))
+    turns[0] *= building.base_turn
+    shifts[0] *= building.base_shift
+    bar = plant.four_bar
+    if bar is not None:
+        crank, coupler, zero = bars.normal(0, [length_mm, length_mm, angle_mrad]) * 1e-3
+        bar = replace(
+            bar,
+            crank_m=bar.crank_m + crank,
+            coupler_m=bar.coupler_m + coupler,
+            crank_zero_rad=bar.crank_zero_rad + zero,
+        )
+    turned = building.base_turn * np.deg2rad(base[1]) * _in_ball(place)
+    shifted = building.base_shift * base[0] * _in_ball(place)
+    return replace(
+        plant,
+        home=_home(plant, motion(turns, shifts, np.zeros(3))),
+        base=plant.base @ motion(turned, shifted, np.zeros(3)),
+        reflector=plant.reflector + building.reflector * tool.normal(0, tool_mm * 1e-3, 3),
+        stiffness=plant.stiffness * np.exp(spring.normal(0, stiffness_spread, plant.n)),
+        mass=plant.mass * np.exp(building.mass_spread * spring.normal(0, 1.0, plant.n)),
+        four_bar=bar,
+    )
+
+
+def _home(plant: Plant, wrong: Array) -> Array:
+    """Frames at zero readings when each link ends in a frame that is ``wrong`` (n, 4, 4) in its own axes."""
+    before, frame, frames = np.eye(4), np.eye(4), []
+    for nominal, error in zip(plant.home, wrong, strict=True):
+        frame = frame @ np.linalg.solve(before, nominal) @ error
+        before = nominal
+        frames.append(frame)
+    return np.array(frames)
+
+
+def _in_ball(rng: np.random.Generator) -> Array:
+    """A point drawn evenly from the unit ball."""
+    direction = rng.standard_normal(3)
+    drawn: Array = direction / np.linalg.norm(direction) * rng.random() ** (1 / 3)
+    return drawn

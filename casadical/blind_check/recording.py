@@ -1,0 +1,116 @@
+"""Measuring sessions of planned campaigns: a robot as built in a physics, what is hidden in it, and its table."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from casadical.blind_check.campaign_plans import Plan
+from casadical.blind_check.mujoco_physics import Plant, campaign, draw_effect, perturb
+from casadical.blind_check.mujoco_physics.plant import Building
+from casadical.core.arrays import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A robot whose diagnosis is checked.
+
+    nominal : its drawing, for the physics; model : text of the file of the base model that the diagnosis is given
+    building : which errors the real robot has; level : whether gravity is known in the measuring frame, not in the base
+    readings : of the poses to measure, shape (poses, joints) [deg or mm]; None: drawn within the joint ranges
+    """
+
+    nominal: Plant
+    model: str
+    building: Building = Building()  # noqa: RUF009  (frozen)
+    level: bool = True
+    readings: Array | None = None
+
+    def built(self, seed: int) -> Plant:
+        """A robot as built after the drawing."""
+        plant = perturb(self.nominal, seed, building=self.building)
+        if self.level:
+            return plant
+        before, now = self.nominal.base[:3, :3], plant.base[:3, :3]
+        return replace(plant, gravity=now @ before.T @ plant.gravity)
+
+
+@dataclass(frozen=True, eq=False)
+class Acting:
+    """An effect that is switched on.
+
+    effect, joint : its name, and its 1-based joint or None; about : its sizes in words
+    itself : the effect as the physics knows it
+    """
+
+    effect: str
+    joint: int | None
+    about: str
+    itself: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Simulator:
+    """What measures robots: draw gives an effect by its name for a campaign of so many poses, campaign its table."""
+
+    draw: Callable[[Plant, str, np.random.Generator, int], Acting]
+    campaign: Callable[..., pd.DataFrame]
+
+
+def _drawn(plant: Plant, effect: str, rng: np.random.Generator, poses: int) -> Acting:
+    hidden = draw_effect(plant, effect, rng, poses=poses)
+    return Acting(effect, hidden.joint, sizes_in_words(hidden.size), hidden)
+
+
+def sizes_in_words(sizes: Mapping[str, Any]) -> str:
+    """Sizes of an effect by name."""
+    return ", ".join(f"{name} {np.round(value, 9).tolist()}" for name, value in sizes.items())
+
+
+MUJOCO = Simulator(_drawn, campaign)
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """A measuring session as it was, and as it would have been with less.
+
+    session : with all that is hidden; its columns are a campaign's, and x_true_mm, y_true_mm, z_true_mm without noise
+    clean : without any effect; alone : with each effect by itself; of the same seed, poses and noise
+    """
+
+    hidden: tuple[Acting, ...]
+    session: pd.DataFrame
+    clean: pd.DataFrame
+    alone: tuple[pd.DataFrame, ...]
+
+
+def record(subject: Subject, plan: Plan, poses: int, readings: Array | None, simulator: Simulator = MUJOCO) -> Record:
+    """The session of a plan; readings as of `Subject`, of all its poses."""
+    rng = np.random.default_rng(plan.seed)
+    plant = subject.built(int(rng.integers(1 << 30)))
+    hidden = tuple(simulator.draw(plant, effect, rng, poses) for effect in plan.effects)
+    seed = int(rng.integers(1 << 30))
+
+    def session(*acting: Acting) -> pd.DataFrame:
+        return simulator.campaign(
+            plant,
+            [a.itself for a in acting],
+            poses,
+            seed,
+            noise_mm=1e3 * plan.noise,
+            repeatability_urad=1e6 * plan.repeatability,
+            # A payload that is not logged is constant.
+            payload_states=[plant.payload_kg] if "payload" in plan.not_logged else None,
+            approach="motion",
+            q_deg=readings,
+            truth=True,
+        )
+
+    return Record(
+        hidden=hidden,
+        session=session(*hidden),
+        clean=session(),
+        alone=tuple(session(each) for each in hidden) if len(hidden) > 1 else (),
+    )
