@@ -18,9 +18,8 @@ from casadical.fleet.changes import Comparison
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate, estimate, estimate_of_file
 from casadical.identification.prior import refuse_another
-from casadical.project.given_tables import own_tables
 from casadical.project.problem import Problem, read_campaign, read_campaign_robot, read_problem
-from casadical.project.written import result_in
+from casadical.project.problem_file import own_tables, result_in
 from casadical.robot.robot_file import read_robot
 
 # A date in a name: 2026-03-14, 2026_03_14, 20260314, 2026-03; 1970 is that of a clock that was never set.

@@ -13,9 +13,9 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.identification.identifiability import Unidentifiable, drop_poor
-from casadical.identification.independence import independent_parameters
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.prior import Prior
+from casadical.identification.reduction import independent_parameters
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.robot.robot import Robot

@@ -36,7 +36,7 @@ from casadical.project.outcome import (
     usual_held_out,
     worse_than_before,
 )
-from casadical.project.problem import Carried, Problem, as_it_is, read_problem, together
+from casadical.project.problem import Carried, Problem, nothing_carried, read_problem, together
 from casadical.project.problem_file import BASE_METHODS, BaseMethod, all_methods, base_methods
 from casadical.project.tables import Accuracies, error_tables, judged_on, network_tables, paper_tables, verdict
 from casadical.project.target_names import unfitted
@@ -322,7 +322,7 @@ def calibrate(
     plain = None
     if not isinstance(problem, Problem):
         folder = problem
-        problem = read_problem(folder, seed, carried or as_it_is, tables)
+        problem = read_problem(folder, seed, carried or nothing_carried, tables)
         plain = read_problem(folder, seed, tables=tables) if problem.prior else None
     elif seed is not None:
         raise InputError(f"seed {seed}: this problem is split into sets already; give the seed to read_problem")

@@ -19,8 +19,8 @@ from casadical.effects import Effect
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.workspace import Workspace
-from casadical.project.given_tables import own_tables
-from casadical.project.problem import Carried, as_it_is, read_campaign, read_campaign_robot
+from casadical.project.problem import Carried, nothing_carried, read_campaign, read_campaign_robot
+from casadical.project.problem_file import own_tables
 from casadical.robot.robot import Robot
 
 Show = Callable[[str], None]
@@ -60,7 +60,7 @@ class Campaign:
 def read_campaigns(
     folder: Path,
     tables: Sequence[Path] | None = None,
-    carried: Carried = as_it_is,
+    carried: Carried = nothing_carried,
     *,
     together: bool = False,
     readings_only: bool = False,

@@ -30,8 +30,8 @@ from casadical.pose_selection.pose_search import select_poses
 from casadical.pose_selection.selection import Selection
 from casadical.pose_selection.stopping_rule import forecast
 from casadical.pose_selection.workspace import Workspace
-from casadical.project.given_tables import tables_of
 from casadical.project.problem import read_campaign, read_campaign_robot
+from casadical.project.problem_file import tables_of
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 

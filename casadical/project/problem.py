@@ -22,7 +22,6 @@ from casadical.measurements.raw_table import RawTable
 from casadical.measurements.reading import from_columns, named_columns, readings_alone
 from casadical.measurements.table_parts import read_columns
 from casadical.project.coupled_readings import with_coupled
-from casadical.project.given_tables import file_of, fitting, tables_of
 from casadical.project.problem_file import (
     BaseMethod,
     DataTable,
@@ -30,7 +29,10 @@ from casadical.project.problem_file import (
     SetsTable,
     UrdfTable,
     base_methods,
+    file_with_tables,
     problem_file,
+    table_like,
+    tables_of,
 )
 from casadical.project.target_names import refuse_nameless, with_known_targets
 from casadical.robot.robot import Robot
@@ -40,7 +42,7 @@ from casadical.robot.robot_file import read_robot, with_tools
 Carried = Callable[[Robot], tuple[Robot, Prior | None]]
 
 
-def as_it_is(robot: Robot) -> tuple[Robot, Prior | None]:
+def nothing_carried(robot: Robot) -> tuple[Robot, Prior | None]:
     """The robot without anything from another campaign."""
     return robot, None
 
@@ -172,7 +174,7 @@ def together(names: Iterable[str]) -> dict[str, list[str]]:
 def read_problem(
     folder: str | Path,
     seed: int | None = None,
-    carried: Carried = as_it_is,
+    carried: Carried = nothing_carried,
     tables: Sequence[str | Path] = (),
     *,
     campaign: bool = False,
@@ -185,7 +187,7 @@ def read_problem(
         problem folder, with its problem.toml; or with tables also a robot file
     seed : int, optional
         of the split, in place of the one in the file; None: that of the file
-    carried : Carried, default as_it_is
+    carried : Carried, default nothing_carried
         what puts into the robot what another campaign found (see `casadical.identification.prior.carry_over`)
     tables : Sequence[str | Path], default ()
         measured poses in place of the folder's own, understood as these are (see `read_campaign`)
@@ -209,7 +211,7 @@ def read_problem(
     {'identify': 25, 'report': 15}
     """
     folder = Path(folder)
-    file, path = file_of(folder, tables), folder / "problem.toml"
+    file, path = file_with_tables(folder, tables), folder / "problem.toml"
     if not file.measurements:
         raise InputError(
             f"{path}: measurements: is missing; a calibration needs at least one table: [[measurements]], or a CSV "
@@ -313,7 +315,7 @@ def read_campaign(
     Raises InputError.
     """
     folder, raw = Path(folder), read_columns(path)
-    data = fitting(folder, raw, tables_of(folder))
+    data = table_like(folder, raw, tables_of(folder))
     columns, joints = _columns(raw, data, robot), [j.kind for j in robot.joints]
     lost = (columns.lost_rows if words else columns.empty_rows) if later else ()
     columns = columns.without(lost, "the table")

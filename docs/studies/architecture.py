@@ -3,7 +3,8 @@
 It reads every Python file of the package with `ast` and imports none. It writes docs/images/architecture.svg and the
 tables between the markers of docs/architecture.md. `--check` writes nothing and ends in 1 if the page is out of date:
 other rooms, imports or circles, or a figure that differs by more than a tenth. `--figures [PACKAGE]` prints the
-figures, also of another copy of the package; architecture_before.txt holds those of commit e4e7bcd, before the rooms.
+figures, also of another copy of the package, and more: what a parameter passes (`parameter_walk`), who calls, how long
+functions and tests are. architecture_before.txt holds those of commit e4e7bcd, before the rooms.
 
 A room is an entry of the package's folder: a folder or a module. An arrow from room A to room B means that a module of
 A imports one of B, anywhere in the file: inside functions, under TYPE_CHECKING, or as a module's name in a string.
@@ -20,6 +21,7 @@ from statistics import median
 
 from floor_plan import ROOT, floors, picture
 from imports_of_package import House, classes, files_naming, repeated_lines
+from parameter_walk import Walk, callers
 
 PAGE = ROOT / "docs" / "architecture.md"
 PICTURE = ROOT / "docs" / "images" / "architecture.svg"
@@ -75,6 +77,57 @@ def figures(house: House) -> dict[str, str]:
             for family, members in families.items()
         },
     }
+
+
+# Ways of a parameter: module, function, parameter.
+WAYS = (
+    ("diagnosis.diagnose", "diagnose", "robot"),
+    ("identification.identification", "identify", "robot"),
+    ("project.calibration", "calibrate", "problem"),
+)
+
+
+def further(house: House) -> dict[str, str]:
+    """What is measured beside the page: ways of parameters, callers, public names, commands, tests, long functions."""
+    found = {}
+    for module, function, parameter in WAYS:
+        way = Walk(house).follow(module, function, parameter)
+        value = f"{way.stations} stations, {way.climbs} climbs, {len(way.names)} names"
+        found[f"`{parameter}` in {function}"] = value
+    for function in ("diagnose", "identify"):
+        found[f"places that call {function}"] = str(len(callers(house, function)))
+    stubs = (m for m in house.modules.values() if m.is_package)
+    names = {a.asname for m in stubs for n in m.nodes if isinstance(n, ast.ImportFrom) for a in n.names}
+    found["public names"] = str(len(names - {None}))
+    cli = [n for m in house.modules.values() if m.room == "cli" for n in m.nodes]
+    loops = [len(n.iter.elts) - 1 for n in cli if isinstance(n, ast.For) and _registered(n)]
+    found["commands"] = str(sum(loops) + sum(_registers(n) for n in cli))
+    tests = house.folder.parent.joinpath("tests").rglob("*.py")
+    found["lines of tests"] = str(sum(len(p.read_text(encoding="utf-8").splitlines()) for p in tests))
+    sizes = {f"{m.name}.{n.name}": _code_lines(n) for m in house.modules.values() for n in m.nodes if _is_function(n)}
+    longest = sorted(sizes, key=lambda name: -sizes[name])[:3]
+    found["functions above 60 lines of code"] = str(sum(size > 60 for size in sizes.values()))
+    return found | {"longest functions": ", ".join(f"{name} {sizes[name]}" for name in longest)}
+
+
+def _is_function(node: ast.AST) -> bool:
+    return isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+
+
+def _registers(node: ast.AST) -> bool:
+    """Whether it is a call of a Typer's `command`."""
+    return isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "command"
+
+
+def _registered(node: ast.For) -> bool:
+    return any(map(_registers, ast.walk(node)))
+
+
+def _code_lines(node: ast.FunctionDef) -> int:
+    """Of a function, without its docstring."""
+    first = node.body[0]
+    doc = isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant)
+    return node.end_lineno - node.lineno + 1 - doc * (first.end_lineno - first.lineno + 1)
 
 
 def _range(counts: list[int]) -> str:
@@ -136,7 +189,8 @@ def main() -> int:
     parser.add_argument("--figures", nargs="?", type=Path, const=ROOT / "casadical", metavar="PACKAGE")
     options = parser.parse_args()
     if options.figures:
-        print("\n".join(f"{name:42}  {value}" for name, value in figures(House(options.figures)).items()))
+        house = House(options.figures)
+        print("\n".join(f"{name:42}  {value}" for name, value in (figures(house) | further(house)).items()))
         return 0
     house = House(ROOT / "casadical")
     if options.check:

@@ -38,7 +38,7 @@ STAGES = (
     ("kernels: model, residuals and Jacobian", "core.mapped_function", "MappedFunction.__call__"),
     ("Gram matrix and gradient", "identification.least_squares", "LeastSquares._summed"),
     ("triangular factor (QR)", "numpy.linalg", "qr"),
-    ("independence of the columns", "identification.independence", "analyse"),
+    ("independence of the columns", "identification.reduction", "analyse"),
     ("poorly determined ones", "identification.reduction", "drop_poor"),
     ("functions that Ipopt calls", "identification.solver", "_Evaluation.eval_buffer"),
     ("Ipopt and CasADi's calls", "identification.least_squares", "minimise"),

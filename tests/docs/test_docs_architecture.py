@@ -67,6 +67,40 @@ def test_repeated_blocks_are_counted(toy: Path) -> None:
     assert architecture.repeated_lines(architecture.House(toy)) == 14
 
 
+CALLS = {
+    "low/a.py": """
+class Kept:
+    def __init__(self, robot): ...
+    def moved(self): return 1
+def turned(arm): return arm
+def checked(arm, kept: Kept): return kept.moved()
+""",
+    "high.py": """
+from toy.low.a import Kept, checked, turned
+def ask(robot, free):
+    turn = turned(robot.base)
+    kept = Kept(turn)
+    checked(turn, kept)
+    own(arm=robot)
+    return later(kept, free)
+def own(arm): return arm.values
+def later(kept, free): return turned(kept)
+def turned_again(): return turned(1), turned(2)
+""",
+}
+
+
+def test_a_parameter_is_followed_until_it_is_put_into_an_object(toy: Path) -> None:
+    for name, text in CALLS.items():
+        (toy / name).write_text(text)
+    house = architecture.House(toy)
+    way = architecture.Walk(house).follow("high", "ask", "robot")
+    assert way.entries == ["high", "low.a", "low.a", "high"]  # ask, turned, checked, own
+    assert (way.stations, way.climbs, way.names) == (3, 1, {"robot", "turn", "arm"})
+    assert architecture.callers(house, "turned") == ["high:10", "high:11", "high:11", "high:4"]
+    assert architecture.callers(house, "own") == []  # its own module's
+
+
 def test_imports_agree_with_import_linters_graph(house) -> None:
     """An independent reader: grimp, on which import-linter stands. It does not follow names in strings."""
     grimp = pytest.importorskip("grimp")
@@ -97,15 +131,17 @@ def test_every_room_has_a_paragraph(house) -> None:
 
 
 def stops() -> dict[str, list[str]]:
-    """The four ways of the page: the heading's first words, and FILE:FUNCTION of each stop."""
-    part = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").partition("\n## Four ways")[2]
+    """The ways of the page: the heading's first words, and FILE:FUNCTION of each stop."""
+    part = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").partition("\n## Six ways")[2]
     ways = (way.partition("\n") for way in part.partition("\n## ")[0].split("\n### ")[1:])
     return {title: re.findall(r"^\d+\. `(\S+?)`", text, re.MULTILINE) for title, _, text in ways}
 
 
 WALKS = {
     "A CSV": "calibrate",
-    "A campaign": "diagnose",
+    "A campaign to": "diagnose",
+    "A campaign through": "fleet",
+    "A table": "verify",
     "An effect": "effect",
     "A network": "network",
 }

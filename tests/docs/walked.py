@@ -5,6 +5,8 @@ first call: python walked.py WAY FOLDER. A process of its own, so that nothing i
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -36,6 +38,33 @@ def diagnose(folder: Path) -> None:
     campaign = CAMPAIGNS / "kr210-P05.csv"
     answer = folder / "answer.json"
     command("diagnose", PROBLEMS / "kr210", campaign, "--effects", "payload_error,backlash", "--json", answer, "-q")
+
+
+def fleet(folder: Path) -> None:
+    """The row of one robot, in this process: a worker of a cluster does no more."""
+    import pandas as pd
+
+    from casadical.fleet.one_robot import one_robot
+
+    arm = folder / "arm"
+    shutil.copytree(PROBLEMS / "planar", arm)
+    (table,) = (ROOT / "data" / "planar").glob("*.csv")
+    (arm / "problem.toml").write_text((arm / "problem.toml").read_text().replace("../../data/planar/", ""))
+    shutil.copy(table, arm)
+    (arm / "campaigns").mkdir()
+    pd.read_csv(table).iloc[:30].to_csv(arm / "campaigns" / "2026-05-01.csv", index=False)
+    row = one_robot(str(arm), True)
+    assert row["status"] == "ok", row["error"]
+
+
+def verify(folder: Path) -> None:
+    results, table = folder / "results", folder / "later.csv"
+    calibrated = ["calibrate", PROBLEMS / "planar", "--out", results, "--quiet"]
+    program = "from casadical.cli import main; main()"  # a process of its own: this way begins after it
+    subprocess.run([sys.executable, "-c", program, *calibrated], check=True, cwd=ROOT)
+    (first,) = (ROOT / "data" / "planar").glob("*.csv")
+    table.write_text("\n".join(first.read_text().splitlines()[:16]))
+    command("verify", results, table, "--quiet")
 
 
 def effect(folder: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from casadical import identify
-from casadical.identification import independence
+from casadical.identification import reduction
 
 ARM = arms.six_axis()
 
@@ -21,7 +21,7 @@ def measured():
 
 def test_many_parameters_end_where_few_do(measured, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = identify(ARM, measured, ["kinematic"], priors=True)
-    monkeypatch.setattr(independence, "WIDE", 5)
+    monkeypatch.setattr(reduction, "WIDE", 5)
     many = identify(ARM, measured, ["kinematic"], priors=True)
     assert many.is_optimal()
     assert many.names == whole.names
@@ -32,7 +32,7 @@ def test_bounds_hold_with_many(measured, monkeypatch: pytest.MonkeyPatch) -> Non
     narrow = {**ARM.widths, "geometry": replace(ARM.widths["geometry"], length_bound=2e-4)}
     robot = replace(ARM, widths=narrow)
     whole = identify(robot, measured, ["kinematic"], priors=True)
-    monkeypatch.setattr(independence, "WIDE", 5)
+    monkeypatch.setattr(reduction, "WIDE", 5)
     many = identify(robot, measured, ["kinematic"], priors=True)
     assert many.at_bounds == whole.at_bounds != ()
     np.testing.assert_allclose(many.estimate, whole.estimate, atol=1e-6)

@@ -24,9 +24,8 @@ from casadical.project.check.coverage import (
     margin_findings,
     repeats,
 )
-from casadical.project.check.findings import Finding, Level
+from casadical.project.check.findings import Finding, Level, table_faults, unknown_columns
 from casadical.project.check.information import Outlook, outlook
-from casadical.project.check.misnamed import Misnamed, misnamed
 from casadical.project.check.plausible import (
     UNEXPLAINED,
     convention_of,
@@ -37,8 +36,7 @@ from casadical.project.check.plausible import (
 )
 from casadical.project.check.repair import in_words, left_mm, other_lengths
 from casadical.project.check.slips import Slips, search_slips
-from casadical.project.check.table_faults import table_faults, unknown_columns
-from casadical.project.check.targets import Targets, middles, recognised, whole_table
+from casadical.project.check.targets import Misnamed, Targets, middles, misnamed, recognised, whole_table
 from casadical.project.problem import Problem, read_campaign_robot, read_problem
 from casadical.project.target_names import unfitted, unmeasured
 from casadical.robot.robot import Robot

@@ -12,8 +12,8 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.identification.identifiability import Unidentifiable, drop_poor
-from casadical.identification.independence import independent_parameters
 from casadical.identification.least_squares import SIGMA_ANGLE_GUESS, SIGMA_GUESS, LeastSquares
+from casadical.identification.reduction import independent_parameters
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection import Workspace, observability

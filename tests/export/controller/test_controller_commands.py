@@ -29,8 +29,7 @@ def exported(files, tmp_path_factory):
         pytest.skip("no C compiler (gcc, clang, cc) on this machine")
     out = tmp_path_factory.mktemp("out") / "c"
     with pytest.MonkeyPatch.context() as patch:
-        given = ("export", "c", files / "hh800.toml", "--nominal", nominal_path("hh800"), "--out", out)
-        code = run(patch, *given, vectors=100_000)
+        code = run(patch, "export", "c", files / "hh800.toml", "--nominal", nominal_path("hh800"), "--out", out)
     assert code == 0
     return out
 
