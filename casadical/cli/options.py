@@ -94,7 +94,7 @@ Effects = Annotated[
         metavar="NAMES",
         autocompletion=words.effects,
         help="standard (the default), extended, or only these, by commas: names (backlash), labels "
-        "(backlash@5), effect files (law.effect.toml, as discover writes it).",
+        "(backlash@5), effect files (law.effect.toml, as discover writes it, or one that defines effects).",
     ),
 ]
 Prior = Annotated[
@@ -147,14 +147,18 @@ def problems_of(paths: Sequence[Path]) -> dict[str, tuple[Path, list[Path]]]:
     return found
 
 
-def effects_of(text: str | None) -> "str | list[str | Effect]":
+def effects_of(text: str | None) -> "str | list[str | Effect | type[Effect]]":
     """What `--effects` names: a list's name, or names, labels and the effects of files. Raises InputError."""
     from casadical.robot.effect_file import read_effects
 
-    found: list[str | Effect] = []
+    named: list[str | Effect | type[Effect]] = []
     for word in text.split(",") if text else ():
-        found += read_effects(word.strip()).effects if word.strip().endswith(".toml") else [word]
-    return found or "standard"
+        if not word.strip().endswith(".toml"):
+            named.append(word)
+            continue
+        file = read_effects(word.strip())
+        named += file.effects or file.kinds
+    return named or "standard"
 
 
 def carried(prior: Path | None, parts: str | None, frozen: bool) -> "Carried":

@@ -8,7 +8,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.diagnosis.observations import by_turn, edges_of
 from casadical.diagnosis.stops import Stops
-from casadical.effects.camera_faults import columns
+from casadical.effects.formula_effect import image_columns
 from casadical.measurements.measurements import Measurements
 
 # A slope against the lens's axis beyond which nothing is in an image.
@@ -19,7 +19,7 @@ def with_images(m: Measurements, sets: Sequence[Measurements], stops: Stops) -> 
     """The table of all sets with the columns that effects of cameras need, where orientations were measured."""
     if not any(part.orientation is not None for part in sets):
         return m
-    names = [c for side in ("fixed", "carried") for what in ("depth", "radial") for c in columns(side, what)]
+    names = [c for side in ("fixed", "carried") for what in ("depth", "radial") for c in image_columns(side, what)]
     of_row = {name: np.zeros(len(stops.of)) for name in names}
     for part, at in zip(sets, edges_of(sets), strict=True):
         if part.orientation is not None and part.position is not None:
@@ -40,5 +40,5 @@ def _images(p: Array, R: Array) -> Mapping[str, Array]:
         slope = np.minimum(np.hypot(c[:, 0], c[:, 1]) / np.maximum(np.abs(c[:, 2]), 1e-9), STEEPEST)
         parts = {"depth": c * [0, 0, 1], "radial": c * [1, 1, 0] * (slope**2)[:, None]}
         for what, part in parts.items():
-            found |= dict(zip(columns(side, what), np.einsum("nij,nj->in", turn, part), strict=True))
+            found |= dict(zip(image_columns(side, what), np.einsum("nij,nj->in", turn, part), strict=True))
     return found

@@ -38,20 +38,22 @@ def extended_candidates(robot: Robot) -> list[Candidate]:
     return [*_of_list("standard", robot), *_of_list("extended", robot), *_smooth(robot)]
 
 
-def candidates_of(robot: Robot, effects: str | Sequence[str | Effect]) -> list[Candidate]:
-    """Candidates of a choice of effects: "standard", "extended", or a sequence of names, labels and own effects.
+def candidates_of(robot: Robot, effects: str | Sequence[str | Effect | type[Effect]]) -> list[Candidate]:
+    """Candidates of a choice of effects: "standard", "extended", or names, labels, own effects and their classes.
 
     Raises InputError for a name that is no effect, and where the robot has all of them already.
     """
     chosen = [effects] if isinstance(effects, str) else list(effects)
-    found = named(robot, [e for e in chosen if isinstance(e, str)], [e for e in chosen if isinstance(e, Effect)])
+    own_ones = [_single(e) for e in chosen if isinstance(e, Effect)]
+    own_ones += _of_kinds([e for e in chosen if isinstance(e, type)], robot)
+    found = named(robot, [e for e in chosen if isinstance(e, str)], own_ones)
     if not robot.effects:
         return found
     # What the robot has already is held at its value.
     own = set(robot.parameters.names)
     new = {c.label: tuple(v for v in c.variants if own.isdisjoint(_parameters(v))) for c in found}
     if not any(new[c.label] for c in found if c.listed):
-        words = ", ".join(e if isinstance(e, str) else e.label for e in chosen)
+        words = ", ".join(e if isinstance(e, str) else e.label if isinstance(e, Effect) else e.name for e in chosen)
         raise InputError(f"{words}: robot {robot.name!r} has it already, held at its value; name other effects")
     return [replace(c, variants=new[c.label]) for c in found if new[c.label]]
 
@@ -83,7 +85,7 @@ def choose(
     return tuple(possible), without
 
 
-def named(robot: Robot, names: Iterable[str], extra: Iterable[Effect] = ()) -> list[Candidate]:
+def named(robot: Robot, names: Iterable[str], extra: Iterable[Candidate] = ()) -> list[Candidate]:
     """Candidates chosen by list (standard, extended), name (backlash) or label (backlash@5), and a user's own effects.
 
     Raises InputError for a name that is no effect.
@@ -92,7 +94,7 @@ def named(robot: Robot, names: Iterable[str], extra: Iterable[Effect] = ()) -> l
     extended = [*standard, *_of_list("extended", robot)]
     every = [*extended, *_of_list("", robot)]
     lists = {"standard": standard, "extended": extended}
-    chosen = [_single(e) for e in extra]
+    chosen = list(extra)
     for name in names:
         hit = lists.get(name) or [c for c in every if name in (c.name, c.label)]
         if not hit:
@@ -111,7 +113,10 @@ def _single(effect: Effect) -> Candidate:
 
 def _of_list(which: str, robot: Robot) -> list[Candidate]:
     """Candidates of the effects on a list, in the order of the registry: those of neighbours there joint by joint."""
-    kinds = [kind for kind in known_effects().values() if kind.on_list == which]
+    return _of_kinds([kind for kind in known_effects().values() if kind.on_list == which], robot)
+
+
+def _of_kinds(kinds: Iterable[type[Effect]], robot: Robot) -> list[Candidate]:
     variants = [v for kind in kinds for v in kind.variants(robot)]
     runs = groupby(variants, key=lambda v: v[0].joint is None)
     by_label: dict[str, list[tuple[Effect, ...]]] = {}

@@ -7,7 +7,7 @@ import numpy as np
 
 from casadical.diagnosis.result import Cause, Diagnosis
 from casadical.effects import Effect
-from casadical.effects.distance_faults import FLAGS
+from casadical.effects.formula_effect import FLAGS
 from casadical.effects.plugins import signature_of
 
 # An instrument is named if one of its parameters is so many standard errors from zero.

@@ -45,7 +45,7 @@ Masses = Literal["candidate", "nuisance"]
 def diagnose(
     robot: Robot | Prepared | Identification,
     m: Measurements | Sequence[Measurements] | None = None,
-    effects: Sequence[str | Effect] | Literal["standard", "extended"] = "standard",
+    effects: Sequence[str | Effect | type[Effect]] | Literal["standard", "extended"] = "standard",
     *,
     seed: int = 0,
     bootstrap: int = 0,
@@ -66,7 +66,7 @@ def diagnose(
     m : Measurements | Sequence[Measurements], optional
         one set of any kind, or several that were measured of the same robot, each with noise of its own; an unknown
         tool turns freely where orientations were measured, and these are left aside where they contradict the model
-    effects : Sequence[str | Effect] | {"standard", "extended"}, default "standard"
+    effects : Sequence[str | Effect | type[Effect]] | {"standard", "extended"}, default "standard"
         "standard" or "extended", or names (backlash), labels (backlash@5) and own effects
     seed : int, default 0
         of everything random

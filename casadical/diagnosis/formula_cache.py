@@ -113,5 +113,5 @@ def kept_formulas(s: Seams) -> KeptFormulas:
 @lru_cache(maxsize=1)
 def _code() -> str:
     """Hash of the code that composes formulas."""
-    files = sorted(path for room in _ROOMS for path in (PACKAGE / room).rglob("*.py"))
+    files = sorted(path for room in _ROOMS for kind in ("*.py", "*.toml") for path in (PACKAGE / room).rglob(kind))
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()

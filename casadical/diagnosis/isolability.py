@@ -102,7 +102,7 @@ class Isolability:
 def isolability(
     robot: Robot | Diagnosis,
     m: Measurements | None = None,
-    effects: Sequence[str | Effect] | Literal["standard", "extended"] = "standard",
+    effects: Sequence[str | Effect | type[Effect]] | Literal["standard", "extended"] = "standard",
     *,
     noise: Noise = USUAL_NOISE,
     whole: bool = False,
@@ -115,7 +115,7 @@ def isolability(
         nominal; or a diagnosis, whose candidates are judged at its own poses, calibrated geometry and noise
     m : Measurements, optional
         poses, measured or planned; None of a diagnosis: its own
-    effects : Sequence[str | Effect] | {"standard", "extended"}, default "standard"
+    effects : Sequence[str | Effect | type[Effect]] | {"standard", "extended"}, default "standard"
         as of `diagnose`
     noise : Noise, default USUAL_NOISE
         that is expected

@@ -20,7 +20,7 @@ from casadical.core.casadi_buffers import call
 from casadical.diagnosis.linearisation import BLOCK, POINT, TURN, Linearisation, of_turn
 from casadical.diagnosis.seams import observed_at_seams, seams_of
 from casadical.diagnosis.stops import Stops, stops_of
-from casadical.effects.distance_faults import FAR, FLAGS, WIRES
+from casadical.effects.formula_effect import FAR, FLAGS, WIRES
 from casadical.identification.result import Identification
 from casadical.measurements.kinds.distance import Distance
 from casadical.measurements.kinds.registry import find_kind

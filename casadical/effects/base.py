@@ -7,7 +7,7 @@ needs; the defaults leave the model as it is. A file of an effect imports what i
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Self
 
@@ -82,7 +82,7 @@ class Effect:
     held: ClassVar[float] = CHOSEN  # one sigma of each parameter once the effect is in a model, in sizes
     on_list: ClassVar[str] = ""  # standard, extended, unknown (names no cause), or only where it is asked for by name
     answers_as: ClassVar[str] = ""  # the effect under whose name it is a candidate and an answer, as one more law
-    acts_at: ClassVar[str] = ""  # arm, joints, turning joints; if it is not said, joints where it adds an `angle`
+    acts_at: ClassVar[str] = ""  # arm, joints, turning or rigid joints; by default joints where it adds an `angle`
     covers: ClassVar[frozenset[str]] = frozenset()  # effects that it holds: beside it they are no causes of their own
     size: ClassVar[Mapping[str, tuple[float, str]]] = {}  # its parameters, where all settings have the same
     needs: ClassVar[tuple[str, ...]] = ()  # columns that must have been logged
@@ -108,8 +108,13 @@ class Effect:
             candidates of the diagnosis
         """
         place = cls.acts_at or ("arm" if cls.angle is Effect.angle else "joints")
-        joints = {"arm": (None,), "joints": arm.numbers, "turning joints": arm.revolute}[place]
-        return (cls(joint, **point) for joint in joints for point in grid_points(cls))
+        rigid = [j for j in arm.numbers if not arm.joints[j - 1].compliance]
+        every: Mapping[str, Sequence[int | None]] = {"arm": (None,), "joints": arm.numbers, "rigid joints": rigid}
+        return (
+            cls(joint, **point)
+            for joint in (arm.revolute if place == "turning joints" else every[place])
+            for point in grid_points(cls, arm.near(joint) if joint else ())
+        )
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterable[tuple[Effect, ...]]:

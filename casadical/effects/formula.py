@@ -9,7 +9,7 @@ from __future__ import annotations
 import ast
 import math
 import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -72,19 +72,25 @@ class Formula:
 
 
 @lru_cache(maxsize=8192)
-def parse(text: str) -> Formula:
-    """A formula from its text. Raises InputError that states what is wrong, in which column, and what is allowed."""
+def parse(text: str, own: frozenset[str] = frozenset()) -> Formula:
+    """A formula from its text; own : names that may be those of functions, too, where nothing is called.
+
+    Raises InputError that states what is wrong, in which column, and what is allowed.
+    """
     tree = _tree(text)
     _refuse_large(text, tree)
     names: dict[str, None] = {}
     components = _check(text, tree, names)
+    for node in _names_of(tree):
+        if node.id in FUNCTIONS and node.id not in own:
+            raise _wrong(text, node, f"{node.id} is a function; write {node.id}(...)")
     return Formula(text, tuple(names), components)
 
 
 def refuse_unknown(formula: Formula, known: Callable[[str], bool], allowed: str) -> None:
     """Raises InputError for a name that is not known; allowed : those that are, in words."""
-    for node in _walk(_tree(formula.text)):
-        if isinstance(node, ast.Name) and node.id not in FUNCTIONS and not known(node.id):
+    for node in _names_of(_tree(formula.text)):
+        if not known(node.id):
             raise _wrong(formula.text, node, f"unknown name {node.id!r}; allowed are {allowed}")
 
 
@@ -112,8 +118,10 @@ def _tree(text: str) -> ast.expr:
         raise _wrong(text, 1, "it cannot be read; write operators between numbers, names and brackets") from None
 
 
-def _walk(tree: ast.expr) -> Sequence[ast.expr]:
-    return [node for node in ast.walk(tree) if isinstance(node, ast.expr)]
+def _names_of(tree: ast.expr) -> list[ast.Name]:
+    """Every name that is not a called function's."""
+    called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
+    return [node for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in called]
 
 
 def _refuse_large(text: str, tree: ast.expr) -> None:
@@ -133,8 +141,6 @@ def _check(text: str, node: ast.expr, names: dict[str, None]) -> int:
         _refuse_number(text, node)
         return 1
     if isinstance(node, ast.Name):
-        if node.id in FUNCTIONS:
-            raise _wrong(text, node, f"{node.id} is a function; write {node.id}(...)")
         names[node.id] = None
         return 1
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):

@@ -13,6 +13,7 @@ from casadical.core.errors import InputError
 from casadical.core.plugins import members
 from casadical.effects import registry
 from casadical.effects.base import Effect
+from casadical.effects.definition import DefinedEffect, Definition, effect_classes
 
 GROUP = "casadical.effects"
 
@@ -55,6 +56,21 @@ def find_effect(name: str, own: Iterable[type[Effect]] = ()) -> type[Effect]:
             f"the entry point group {GROUP!r} of the package that holds it"
         )
     return known[name]
+
+
+def new_effects(definitions: Iterable[Definition]) -> tuple[type[Effect], ...]:
+    """Effects that a file defines. Raises InputError for a faulty one, and for a name that there is already."""
+    kinds = effect_classes(definitions)
+    for k, kind in enumerate(kinds, 1):
+        if kind.name in known_effects() or kind.name in [other.name for other in kinds[: k - 1]]:
+            raise InputError(f"definition[{k}].name: there is an effect {kind.name!r} already; give it another name")
+    return kinds
+
+
+def defined_in_files(effects: Iterable[Effect]) -> list[Definition]:
+    """Definitions, each once, of effects that are not installed: a file with such an effect holds them, too."""
+    kinds = dict.fromkeys(type(e) for e in effects if isinstance(e, DefinedEffect) and e.name not in known_effects())
+    return [kind.definition for kind in kinds]
 
 
 def signature_of(name: str) -> str:

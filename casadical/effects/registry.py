@@ -1,49 +1,65 @@
-"""Every effect of the package, a line each; their order is that of the candidates of a diagnosis."""
-# ruff: noqa: I001
+"""Every effect of the package, a line each; their order is that of the candidates of a diagnosis.
 
-from casadical.effects.gear_eccentricity import GearEccentricity as GearEccentricity
-from casadical.effects.transmission_ripple import TransmissionRipple as TransmissionRipple
-from casadical.effects.axis_wobble import AxisWobble as AxisWobble
-from casadical.effects.joint_scale import JointScale as JointScale
-from casadical.effects.joint_coupling import JointCoupling as JointCoupling
-from casadical.effects.joint_zero_step import JointZeroStep as JointZeroStep
-from casadical.effects.thermal_zero_drift import ThermalZeroDrift as ThermalZeroDrift
-from casadical.effects.backlash import Backlash as Backlash
-from casadical.effects.backlash_by_load import BacklashByLoad as BacklashByLoad
-from casadical.effects.friction_windup import FrictionWindup as FrictionWindup
-from casadical.effects.thermal_growth import ThermalGrowth as ThermalGrowth
-from casadical.effects.target_shift import TargetShift as TargetShift
-from casadical.effects.payload_error import PayloadError as PayloadError
-from casadical.effects.link_masses import LinkMasses as LinkMasses
-from casadical.effects.gravity_compensator import GravityCompensator as GravityCompensator
-from casadical.effects.base_compliance import BaseCompliance as BaseCompliance
-from casadical.effects.frame_drift import FrameDrift as FrameDrift
-from casadical.effects.frame_settling import FrameSettling as FrameSettling
+Those that are formulas are defined in `listed.effect.toml`, the others are classes with mechanics of their own.
+"""
+# ruff: noqa: E402, I001
+
+from casadical.effects.definition import LISTED as _LISTED
+from casadical.effects.definition import read_definitions as _read
+
+_defined = _read(_LISTED, __name__)
+
+GearEccentricity = _defined["gear_eccentricity"]
+TransmissionRipple = _defined["transmission_ripple"]
+from casadical.effects.bearings import AxisWobble as AxisWobble
+
+JointScale = _defined["joint_scale"]
+JointCoupling = _defined["joint_coupling"]
+JointZeroStep = _defined["joint_zero_step"]
+ThermalZeroDrift = _defined["thermal_zero_drift"]
+from casadical.effects.play import Backlash as Backlash
+from casadical.effects.play import BacklashByLoad as BacklashByLoad
+
+FrictionWindup = _defined["friction_windup"]
+ThermalGrowth = _defined["thermal_growth"]
+TargetShift = _defined["target_shift"]
+from casadical.effects.weights import PayloadError as PayloadError
+from casadical.effects.weights import LinkMasses as LinkMasses
+from casadical.effects.springs import GravityCompensator as GravityCompensator
+
+BaseCompliance = _defined["base_compliance"]
+from casadical.effects.instrument import FrameDrift as FrameDrift
+from casadical.effects.instrument import FrameSettling as FrameSettling
 from casadical.effects.joint_error_curve import JointErrorCurve as JointErrorCurve
-from casadical.effects.nonlinear_stiffness import NonlinearStiffness as NonlinearStiffness
-from casadical.effects.cubic_stiffness import CubicStiffness as CubicStiffness
+
+NonlinearStiffness = _defined["nonlinear_stiffness"]
+CubicStiffness = _defined["cubic_stiffness"]
 from casadical.effects.link_flexure import LinkFlexure as LinkFlexure
-from casadical.effects.load_hysteresis import LoadHysteresis as LoadHysteresis
-from casadical.effects.cross_coupling import CrossCoupling as CrossCoupling
-from casadical.effects.bearing_play import BearingPlay as BearingPlay
-from casadical.effects.gear_mesh import GearMesh as GearMesh
-from casadical.effects.missing_compliance import MissingCompliance as MissingCompliance
-from casadical.effects.hose_drag import HoseDrag as HoseDrag
-from casadical.effects.frame_step import FrameStep as FrameStep
-from casadical.effects.thermal_bend import ThermalBend as ThermalBend
-from casadical.effects.friction_memory import FrictionMemory as FrictionMemory
-from casadical.effects.settling_lag import SettlingLag as SettlingLag
-from casadical.effects.tracker_scale import TrackerScale as TrackerScale
-from casadical.effects.refraction import Refraction as Refraction
-from casadical.effects.smr_offset import SmrOffset as SmrOffset
-from casadical.effects.wire_offset import WireOffset as WireOffset
-from casadical.effects.wire_scale import WireScale as WireScale
-from casadical.effects.wire_drift import WireDrift as WireDrift
-from casadical.effects.station_step import StationStep as StationStep
-from casadical.effects.wire_step import WireStep as WireStep
-from casadical.effects.lens_scale import LensScale as LensScale
-from casadical.effects.hand_eye_step import HandEyeStep as HandEyeStep
-from casadical.effects.stand_step import StandStep as StandStep
+
+LoadHysteresis = _defined["load_hysteresis"]
+CrossCoupling = _defined["cross_coupling"]
+from casadical.effects.bearings import BearingPlay as BearingPlay
+
+GearMesh = _defined["gear_mesh"]
+MissingCompliance = _defined["missing_compliance"]
+from casadical.effects.springs import HoseDrag as HoseDrag
+from casadical.effects.instrument import FrameStep as FrameStep
+
+ThermalBend = _defined["thermal_bend"]
+FrictionMemory = _defined["friction_memory"]
+SettlingLag = _defined["settling_lag"]
+TrackerScale = _defined["tracker_scale"]
+Refraction = _defined["refraction"]
+from casadical.effects.instrument import SmrOffset as SmrOffset
+
+WireOffset = _defined["wire_offset"]
+WireScale = _defined["wire_scale"]
+WireDrift = _defined["wire_drift"]
+StationStep = _defined["station_step"]
+WireStep = _defined["wire_step"]
+LensScale = _defined["lens_scale"]
+HandEyeStep = _defined["hand_eye_step"]
+StandStep = _defined["stand_step"]
 from casadical.effects.smooth import SmoothInJoint as SmoothInJoint
 from casadical.effects.smooth import AnyOfOwnAngle as AnyOfOwnAngle
 from casadical.effects.smooth import AnyOfOtherAngle as AnyOfOtherAngle

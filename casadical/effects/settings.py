@@ -13,11 +13,13 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from casadical.core.errors import InputError
 
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
+# In place of a grid: the joints whose motors can move the effect's own one (see `Arm.near`).
+NEAR = "near"
 
 
 def setting(
     default: Any,
-    grid: Sequence[Any] = (),
+    grid: Sequence[Any] | str = (),
     *,
     steps: bool = False,
     signed: bool = False,
@@ -30,8 +32,9 @@ def setting(
     ----------
     default : Any
         value where none is given
-    grid : Sequence[Any], default ()
-        values of the candidates; between them the diagnosis refines a setting of type float, by factors
+    grid : Sequence[Any] | str, default ()
+        values of the candidates; between them the diagnosis refines a setting of type float, by factors; "near": the
+        joints right before and behind the effect's own one
     steps : bool, default False
         whether it is refined by steps, shares of the grid's first value, rather than by factors
     signed : bool, default False
@@ -56,13 +59,20 @@ def setting(
     >>> [effect.waves for effect in Ripple.candidates(robot)]
     [80.0, 100.0, 120.0, 80.0, 100.0, 120.0]
     """
-    how = {"grid": tuple(grid), "steps": steps, "signed": signed, "given": given, "joint": joint}
+    how = {
+        "grid": grid if grid == NEAR else tuple(grid),
+        "steps": steps,
+        "signed": signed,
+        "given": given,
+        "joint": joint,
+    }
     return field(default=default, metadata=how)
 
 
-def grid_points(kind: type) -> Iterator[dict[str, Any]]:
-    """All combinations of the settings that have a grid, by name."""
+def grid_points(kind: type, near: Sequence[int] = ()) -> Iterator[dict[str, Any]]:
+    """All combinations of the settings that have a grid, by name; near : joints that stand for the grid `NEAR`."""
     grids = {f.name: f.metadata["grid"] for f in fields(kind) if f.metadata.get("grid")}
+    grids = {name: near if grid == NEAR else grid for name, grid in grids.items()}
     return (dict(zip(grids, point, strict=True)) for point in product(*grids.values()))
 
 

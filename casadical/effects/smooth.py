@@ -14,7 +14,7 @@ import casadi as ca
 from casadical.core.arm import Arm
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect, setting
-from casadical.effects.thermal_growth import grown_link
+from casadical.effects.formula_effect import grown_link
 
 SIZE = 30e-6
 SIZE_LENGTH = 30e-6

@@ -11,7 +11,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.diagnosis.cross_validation import Fit
 from casadical.diagnosis.laws.answer import READABLE, blocks_of, lines_of
-from casadical.effects.law import SEAMS
+from casadical.effects.formula_effect import SEAMS
 from casadical.report.page import Drawing, Part, Section, report_html
 from casadical.report.provenance import campaign_files, provenance_of
 from casadical.report.style import BLUE, GREY, Figure, new_figure

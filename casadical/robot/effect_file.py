@@ -3,55 +3,65 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import tomlkit
 from pydantic import Field
 
 from casadical import __version__
 from casadical.core.errors import InputError
-from casadical.core.schema import TomlTable, check, load_toml
+from casadical.core.schema import check, load_toml
 from casadical.effects import Effect
+from casadical.effects.definition import DefinitionFile
+from casadical.effects.plugins import new_effects
 from casadical.robot.effect_tables import CovarianceTable, EffectTable, LearntTable, text_of
 from casadical.robot.robot import Robot
 
 VERSION = 2
 
 
-class _EffectFile(TomlTable):
-    casadical: Literal[2]
+class _EffectFile(DefinitionFile):
     written_by: str = ""
     robot: str = ""
-    effect: list[EffectTable] = Field(min_length=1)
+    effect: list[EffectTable] = Field(default=[])
     learnt: LearntTable = LearntTable()
     covariance: list[CovarianceTable] = Field(default=[])
 
 
 @dataclass(frozen=True)
 class Effects:
-    """Effects and the values of their parameters [SI]; robot : name of that on which they were found."""
+    """Effects and the values of their parameters [SI].
+
+    robot : name of that on which they were found; kinds : effects that the file defines
+    """
 
     effects: tuple[Effect, ...]
     values: Mapping[str, float]
     robot: str = ""
+    kinds: tuple[type[Effect], ...] = ()
 
 
 def read_effects(path: str | Path, effects: Sequence[type[Effect]] = ()) -> Effects:
-    """Effects from a file; formulas of laws in it are parsed and never executed.
+    """Effects from a file, and those that it defines; its formulas are parsed and never executed.
 
     effects : classes of your own, as of `read_robot`. Raises InputError that names file, key and what is allowed.
     """
     path = Path(path)
     file = check(_EffectFile, load_toml(path), path.name)
+    if not (file.effect or file.definition):
+        raise InputError(f"{path.name}: neither [[effect]] nor [[definition]]; one at least is needed")
     found, values = [], {}
+    try:
+        kinds = new_effects(file.definition)
+    except InputError as error:
+        raise InputError(f"{path.name}: {error}") from None
     for k, table in enumerate(file.effect, 1):
         try:
-            effect = table.effect(effects)
+            effect = table.effect((*effects, *kinds))
         except InputError as error:
             raise InputError(f"{path.name}: effect[{k}].{error}") from None
         found.append(effect)
         values.update({f"{effect.label}.{name}": given.value for name, given in table.values.items()})
-    return Effects(tuple(found), values, file.robot)
+    return Effects(tuple(found), values, file.robot, kinds)
 
 
 def effects_toml(robot: Robot, effects: Sequence[Effect], comment: str = "") -> str:

@@ -13,6 +13,7 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.schema import Pair, TomlTable
 from casadical.effects import Effect, find_effect
+from casadical.effects.plugins import defined_in_files
 from casadical.robot.knowledge import Covariance, ErrorBound, Knowledge
 
 # A standard error and the variance of its parameter may differ by so much, relative.
@@ -153,6 +154,9 @@ def text_of(
 ) -> Iterator[str]:
     """The tables as lines of TOML. values : of all effects' parameters [SI]"""
     known = knowledge or Knowledge()
+    for definition in defined_in_files(effects):
+        keys = definition.model_dump(exclude_defaults=True)
+        yield from ("", "[[definition]]", *(f"{key} = {_text(value)}" for key, value in keys.items()))
     for effect in effects:
         yield from _effect_lines(effect, values, known.std_errors)
     if knowledge:

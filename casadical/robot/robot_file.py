@@ -17,6 +17,7 @@ from casadical.core.files import write_whole
 from casadical.core.parts import Placement, Target
 from casadical.core.schema import check, load_toml
 from casadical.effects import Effect, Session, find_effect
+from casadical.effects.plugins import defined_in_files
 from casadical.robot.effect_tables import text_of
 from casadical.robot.robot import Robot
 from casadical.robot.robot_schema import RobotFile, ToolTable
@@ -132,8 +133,9 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
     """
     if any(isinstance(e, Session) for e in robot.effects):
         robot = robot.with_only(e for e in robot.effects if not isinstance(e, Session))
+    defined = {definition.name for definition in defined_in_files(robot.effects)}
     for effect in robot.effects:
-        if find_effect(effect.name, effects) is not type(effect):
+        if effect.name not in defined and find_effect(effect.name, effects) is not type(effect):
             raise InputError(f"{effect.label}: another effect of this name is installed; rename yours")
     more = bool(robot.effects or robot.knowledge or robot.bound)
     document = tomlkit.document()

@@ -20,6 +20,8 @@ from casadical.core.parts import WIDTHS, Body, BodyWidth, Coupling, FourBar, Joi
 from casadical.core.schema import ANGLE, LENGTH, READING, Angle, FaultError, Length, Pair, TomlTable, Triple
 from casadical.core.transforms import frame, from_rpy
 from casadical.effects import Effect
+from casadical.effects.definition import Definition
+from casadical.effects.plugins import new_effects
 from casadical.robot.effect_tables import BoundTable, CovarianceTable, EffectTable, LearntTable, knowledge_of
 from casadical.robot.error_bound import refuse_other
 from casadical.robot.robot import Robot
@@ -184,6 +186,7 @@ class RobotFile(TomlTable):
     joint: list[_Joint] = Field(min_length=1)
     four_bar: list[_FourBar] = Field(default=[])
     width: _Widths = _Widths()
+    definition: list[Definition] = Field(default=[])
     effect: list[EffectTable] = Field(default=[])
     learnt: LearntTable = LearntTable()
     covariance: list[CovarianceTable] = Field(default=[])
@@ -191,7 +194,7 @@ class RobotFile(TomlTable):
 
     @model_validator(mode="after")
     def _rows(self) -> RobotFile:
-        for key in ("effect", "learnt", "covariance", "bound"):
+        for key in ("definition", "effect", "learnt", "covariance", "bound"):
             if self.casadical == 1 and key in self.model_fields_set:
                 raise FaultError(key, "belongs to files of version 2; write casadical = 2")
         for i, row in enumerate(self.joint):
@@ -241,7 +244,7 @@ class RobotFile(TomlTable):
 
     def _effects(self, own: Sequence[type[Effect]]) -> tuple[tuple[Effect, ...], dict[str, float], dict[str, float]]:
         """Effects, values and standard errors of their parameters. Raises InputError by key."""
-        effects, values, errors = [], {}, {}
+        own, effects, values, errors = (*own, *new_effects(self.definition)), [], {}, {}
         for k, table in enumerate(self.effect, 1):
             try:
                 effect = table.effect(own)

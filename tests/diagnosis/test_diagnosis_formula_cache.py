@@ -10,10 +10,9 @@ from cases import practice, robot
 from casadical.core.arrays import Array
 from casadical.diagnosis import formula_cache, formulas
 from casadical.diagnosis.linearisation import signatures
-from casadical.effects import Effect
-from casadical.effects.backlash import Backlash
+from casadical.effects import Effect, TransmissionRipple
 from casadical.effects.joint_error_curve import JointErrorCurve
-from casadical.effects.transmission_ripple import TransmissionRipple
+from casadical.effects.play import Backlash
 
 EFFECTS: list[Effect] = [Backlash(2), TransmissionRipple(3), JointErrorCurve(None)]
 

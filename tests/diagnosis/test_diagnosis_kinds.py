@@ -18,8 +18,7 @@ from casadical.diagnosis.next_poses import next_poses
 from casadical.diagnosis.observations import stops_in
 from casadical.diagnosis.statements import assumptions, statements
 from casadical.diagnosis.text import page_of
-from casadical.effects import Backlash, ThermalGrowth
-from casadical.effects.wire_drift import WireDrift
+from casadical.effects import Backlash, ThermalGrowth, WireDrift
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
 from casadical.identification.residuals import make_block

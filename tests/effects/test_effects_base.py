@@ -1,6 +1,6 @@
 """Every effect: named, sized, sourced, and nothing at zero."""
 
-import inspect
+import re
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def test_effect_says_what_it_is(kind: type[Effect]) -> None:
     assert kind.confused_with
     assert kind.signature
     assert kind.on_list in ("standard", "extended")
-    assert inspect.getmodule(kind).__name__.endswith(kind.name)
+    assert re.sub(r"(?<!^)(?=[A-Z])", "_", kind.__name__).lower() == kind.name
     for p in effect.parameters():
         assert p.name.startswith(f"{effect.label}.")
         assert p.value == 0

@@ -13,7 +13,7 @@ from repository import ROOT
 @pytest.mark.parametrize(
     ("path", "wanted"),
     [
-        ("casadical/effects/backlash.py", ["tests/effects"]),
+        ("casadical/effects/play.py", ["tests/effects"]),
         ("casadical/export/c/write.py", ["tests/export/c"]),
         ("casadical/measurements/kinds/contact.py", ["tests/measurements"]),
         ("tests/cli/test_cli.py", ["tests/cli/test_cli.py"]),

@@ -12,7 +12,7 @@ from command_line import main
 
 from casadical import InputError, calibrate
 from casadical.core.blocks import plain_text
-from casadical.effects.wire_drift import WireDrift
+from casadical.effects import WireDrift
 from casadical.identification.accuracy import Accuracy, errors, predicted, summarise
 from casadical.measurements.measurements import unmeasured
 from casadical.project.calibration import Calibration

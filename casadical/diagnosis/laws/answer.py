@@ -13,7 +13,8 @@ from casadical.diagnosis.laws.discovery import Discovery
 from casadical.diagnosis.laws.problem import Scored
 from casadical.diagnosis.laws.rivals import CORRELATION
 from casadical.diagnosis.laws.round import ABOVE, ALIKE, CLAIMED, Round
-from casadical.effects.law import SEAMS, Law
+from casadical.effects.formula_effect import SEAMS
+from casadical.effects.law import Law
 from casadical.robot.effect_file import effects_toml
 from casadical.robot.robot_file import to_toml
 

@@ -135,7 +135,7 @@ class Discovery:
 def discover(
     robot: Robot | Identification,
     m: Measurements | None = None,
-    effects: str | Sequence[str | Effect] = "standard",
+    effects: str | Sequence[str | Effect | type[Effect]] = "standard",
     *,
     seed: int = 0,
     show: Show = lambda _text: None,
@@ -148,7 +148,7 @@ def discover(
         as of `diagnose`
     m : Measurements, optional
         as of `diagnose`
-    effects : str | Sequence[str | Effect], default "standard"
+    effects : str | Sequence[str | Effect | type[Effect]], default "standard"
         as of `diagnose`
     seed : int, default 0
         as of `diagnose`

@@ -11,7 +11,8 @@ from casadical.core.arm import Arm
 from casadical.core.arrays import Array
 from casadical.diagnosis.linearisation import Linearisation
 from casadical.effects.formula import NUMERIC, names_in, parse
-from casadical.effects.law import COLUMN, COLUMNS, Law
+from casadical.effects.formula_effect import COLUMN, COLUMNS
+from casadical.effects.law import Law
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 

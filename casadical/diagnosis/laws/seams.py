@@ -10,7 +10,8 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.diagnosis.laws.drivers import Driver
 from casadical.diagnosis.linearisation import Linearisation
-from casadical.effects.law import SEAMS, Law
+from casadical.effects.formula_effect import SEAMS
+from casadical.effects.law import Law
 from casadical.robot.robot import Robot
 
 # Realistic size of a law, one sigma: where a form varies by one.

@@ -1,4 +1,6 @@
-"""Play in a gear, taken up by the gravity torque, or by the approach where there is little torque."""
+"""Play in a gear."""
+
+from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -15,7 +17,9 @@ FRICTIONS = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
 
 @dataclass(frozen=True)
 class Backlash(Effect):
-    """The flank changes where gravity overcomes friction.
+    """Play in a gear, taken up by the gravity torque, or by the approach where there is little torque.
+
+    The flank changes where gravity overcomes friction.
 
     friction : torque below which the approach decides; width : of the change; shares of the joint's great torques
     """
@@ -52,3 +56,31 @@ class Backlash(Effect):
         held = self.friction * found.great(self.joint)
         found = found.with_drive(self.joint, play=v["half"], play_friction=held)
         return found.noted(f"{self.label}: joint{self.joint}_play with limits of +-{1e6 * v['half']:.1f} urad")
+
+
+@dataclass(frozen=True)
+class BacklashByLoad(Backlash):
+    """Play in a gear that the gravity torque alone takes up: what backlash is where the approach was not logged.
+
+    Without friction, so that it does not matter from where the pose was approached; see `Backlash`.
+    """
+
+    friction: float = 0.0
+
+    name = "backlash_by_load"
+    answers_as = "backlash"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(j, 0.0, width) for j in arm.numbers for width in (0.003, 0.01, 0.03, 0.1, 0.3))
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        return ()
+
+    @property
+    def only_without(self) -> tuple[str, ...]:
+        return (f"approach{self.joint}",)
+
+    def angle(self, context: Context, q: Symbolic) -> Symbolic:
+        return self.value(context, "half") * ca.tanh(context.load(self.joint) / self.width)

@@ -1,0 +1,270 @@
+"""Effects defined in a file: a table [[definition]] has their formulas, sizes, settings and phrases.
+
+The package's own list, `listed.effect.toml`, and users' effect and robot files are read by the same rules.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields, make_dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field, Strict
+
+from casadical.core.arm import Arm
+from casadical.core.errors import InputError
+from casadical.core.schema import TomlTable, check, load_toml
+from casadical.core.transforms import Symbolic
+from casadical.effects.base import Context, Effect
+from casadical.effects.counterparts import Counterparts
+from casadical.effects.formula import Formula, parse
+from casadical.effects.formula_effect import SEAMS, FormulaEffect, check_formula, columns_of, refuse_constant
+from casadical.effects.named_counterparts import COUNTERPARTS
+from casadical.effects.settings import NEAR, setting
+
+LISTED = Path(__file__).with_name("listed.effect.toml")
+_NAME = re.compile(r"[a-z][a-z0-9_]*")
+_PLACE = re.compile(r"\{(\w+)\}")
+_Number = bool | int | float | str
+
+
+class Grid(TomlTable):
+    """So many values at equal distances."""
+
+    first: float
+    last: float
+    count: int = Field(ge=2, le=1000)
+
+
+class Setting(TomlTable):
+    """A number, switch or word in which the effect is not linear (see `casadical.effects.setting`)."""
+
+    default: _Number
+    grid: list[_Number] | Grid | Literal["near"] = []
+    steps: bool = False
+    signed: bool = False
+    given: bool = False
+    joint: bool = False
+    about: str = ""
+
+    def field(self) -> Any:
+        """As a field of a dataclass."""
+        grid: Any = self.grid
+        if isinstance(grid, Grid):
+            grid = [float(v) for v in np.linspace(grid.first, grid.last, grid.count)]
+        how = {"steps": self.steps, "signed": self.signed, "given": self.given, "joint": self.joint}
+        return setting(self.default, NEAR if grid == "near" else tuple(grid), **how)
+
+
+class Definition(TomlTable):
+    """What an effect is; {joint} and {setting} in formulas, names of parameters and columns stand for their values."""
+
+    name: str = Field(pattern=rf"^{_NAME.pattern}$", max_length=60)
+    on_list: Literal["standard", "extended", ""] = ""
+    answers_as: str = ""
+    acts_at: Literal["arm", "joints", "turning joints", "rigid joints", ""] = ""
+    of_measurement: bool = False
+    from_kind: bool = False
+    simulated_first: bool = False
+    needs: list[str] = []
+    summary: str = ""
+    signature: str = Field(min_length=1)
+    physics: str = ""
+    confused_with: str = ""
+    settings: dict[str, Setting] = {}
+    sizes: dict[str, Annotated[tuple[float, str], Strict(False)]] = Field(min_length=1)
+    formulas: dict[str, str] = Field(min_length=1)
+    counterpart: str = ""
+
+
+class DefinitionFile(TomlTable):
+    """A file with definitions."""
+
+    casadical: Literal[2]
+    definition: list[Definition] = []
+
+
+@dataclass(frozen=True)
+class DefinedEffect(FormulaEffect):
+    """An effect that a table defines; its settings are the fields that the table names."""
+
+    definition: ClassVar[Definition]
+    places: ClassVar[tuple[str, ...]]  # joint and settings that stand in braces in its texts
+    texts_with: ClassVar[Callable[[tuple[str, ...]], _Texts]]  # the texts with the values of the places, in words
+    if TYPE_CHECKING:
+
+        def __init__(self, joint: int | None = None, *settings: Any, **named: Any) -> None: ...
+
+        def __getattr__(self, setting: str) -> Any: ...
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        settings = {f.name: getattr(self, f.name) for f in fields(self)}
+        return _again, (self.definition.model_dump_json(), type(self).__module__, type(self).__name__, settings)
+
+    @property
+    def _texts(self) -> _Texts:
+        return type(self).texts_with(tuple(_word(getattr(self, place)) for place in self.places))
+
+    @property
+    def needs(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Columns that must have been logged; a warmth follows from the temperature."""
+        return self._texts.needs
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        return self._texts.conditions
+
+    @property
+    def formulas(self) -> Mapping[str, Formula]:
+        return self._texts.formulas
+
+    @property
+    def drivers(self) -> tuple[str, ...]:
+        return self._texts.drivers
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        return self._texts.sizes
+
+    def refuse_joints(self, arm: Arm) -> None:
+        if self.acts_at != "arm" and self.joint is None:
+            raise InputError(f"{self.name}: joint is missing")
+        super().refuse_joints(arm)
+
+    def own_names(self, context: Context) -> dict[str, Symbolic]:
+        settings = {name: getattr(self, name) for name in self.definition.settings}
+        return settings | {name: self.value(context, name) for name in self.sizes()}
+
+    def counterpart(self, found: Counterparts, v: Mapping[str, float]) -> Counterparts:
+        known = COUNTERPARTS.get(self.definition.counterpart)
+        return known(self, found, v) if known else super().counterpart(found, v)
+
+
+class _Texts(NamedTuple):
+    """Of an effect, its joint and settings in their places."""
+
+    formulas: Mapping[str, Formula]
+    sizes: Mapping[str, tuple[float, str]]
+    needs: tuple[str, ...]
+    conditions: tuple[str, ...]
+    drivers: tuple[str, ...]
+
+
+def _word(value: Any) -> str:
+    """A value in a name: fractions are rounded to whole numbers."""
+    return f"{value:.0f}" if not isinstance(value, int | str | None) else str(value)
+
+
+def _texts_of(d: Definition, places: tuple[str, ...], words: tuple[str, ...]) -> _Texts:
+    of_place = dict(zip(places, words, strict=True))
+
+    def filled(text: str) -> str:
+        return _PLACE.sub(lambda place: of_place[place[1]], text)
+
+    sizes = {filled(name): size for name, size in d.sizes.items()}
+    needs = tuple(map(filled, d.needs))
+    own = {*sizes, *d.settings}
+    formulas = {seam: parse(filled(text), frozenset(own)) for seam, text in d.formulas.items()}
+    names = dict.fromkeys(n for f in formulas.values() for n in f.names if n not in own)
+    conditions = tuple(dict.fromkeys((*needs, *columns_of(names))))
+    warm = any(c.startswith("warmth") for c in conditions)
+    return _Texts(formulas, sizes, (*needs, *(["temperature_degC"] if warm else [])), conditions, tuple(names))
+
+
+@cache
+def _made(definition: str, module: str, name: str) -> type[DefinedEffect]:
+    d = Definition.model_validate_json(definition)
+    own = [(key, type(s.default), s.field()) for key, s in d.settings.items()]
+    numbered = any(SEAMS[seam].numbered for seam in d.formulas)
+    about = [f"{key} : {s.about}" for key, s in d.settings.items() if s.about]
+    places = tuple(dict.fromkeys(place for text in _templates(d) for place in _PLACE.findall(text)))
+    attributes = {
+        **{key: getattr(d, key) for key in ("name", "answers_as", "of_measurement", "from_kind", "simulated_first")},
+        **{key: getattr(d, key) for key in ("signature", "physics", "confused_with")},
+        "on_list": d.on_list,
+        "acts_at": d.acts_at or ("joints" if numbered else "arm"),
+        "definition": d,
+        "places": places,
+        "texts_with": staticmethod(cache(partial(_texts_of, d, places))),
+        "__doc__": "\n\n".join([d.summary or d.physics or d.signature, *(["\n".join(about)] if about else [])]),
+        "__module__": module,
+    }
+    return make_dataclass(name, own, bases=(DefinedEffect,), namespace=attributes, frozen=True)
+
+
+def _templates(d: Definition) -> tuple[str, ...]:
+    return (*d.formulas.values(), *d.sizes, *d.needs)
+
+
+def _again(definition: str, module: str, name: str, settings: Mapping[str, Any]) -> Effect:
+    """The effect that was pickled."""
+    return _made(definition, module, name)(**settings)
+
+
+def effect_class(d: Definition, module: str = "effect file") -> type[DefinedEffect]:
+    """The class of a definition, the same one for equal definitions. Raises InputError by key.
+
+    module : in whose names it is found
+    """
+    _refuse_names(d)
+    kind = _made(d.model_dump_json(), module, "".join(word.title() for word in d.name.split("_")))
+    settings = {key: s.default for key, s in d.settings.items()}
+    try:
+        whole = kind.texts_with(tuple(_word({"joint": 1, **settings}[place]) for place in kind.places))
+        for seam, formula in whole.formulas.items():
+            check_formula(formula.text, seam, (*whole.sizes, *settings, *whole.needs))
+            refuse_constant(formula, whole.sizes, settings)
+    except InputError as error:
+        raise InputError(f"formulas: {error}") from None
+    sizes, used = whole.sizes, {name for formula in whole.formulas.values() for name in formula.names}
+    if unused := [name for name in sizes if name not in used]:
+        raise InputError(f"sizes.{unused[0]}: is in no formula")
+    return kind
+
+
+def _refuse_names(d: Definition) -> None:
+    """Raises InputError for seams, counterparts and places in braces that do not exist, and for names that clash."""
+    for seam in d.formulas:
+        if seam not in SEAMS or seam == "joints":
+            raise InputError(f"formulas.{seam}: no seam; allowed: {', '.join(s for s in SEAMS if s != 'joints')}")
+        if seam == "beam" and "station" not in d.settings:
+            raise InputError("formulas.beam: it needs a setting `station`")
+    if d.counterpart and d.counterpart not in COUNTERPARTS:
+        raise InputError(f"counterpart = {d.counterpart!r}: allowed: {', '.join(COUNTERPARTS)}")
+    for name, (size, _) in d.sizes.items():
+        if not 0 < size <= 1e3:
+            raise InputError(f"sizes.{name}: one sigma of {size!r}; must be above 0, and 1000 at most")
+    for name in (*d.settings, *d.sizes):
+        if (
+            not _NAME.fullmatch(_PLACE.sub("1", name))
+            or name in ("t", "r", "joint")
+            or name in d.settings & d.sizes.keys()
+        ):
+            raise InputError(f"{name}: a name of small letters, digits and _ of its own is needed, not t, r or joint")
+    for text in _templates(d):
+        for place in _PLACE.findall(text):
+            if place != "joint" and place not in d.settings:
+                raise InputError(f"{text!r}: no setting {place!r}; allowed: {', '.join(('joint', *d.settings))}")
+
+
+def effect_classes(definitions: Iterable[Definition], module: str = "effect file") -> tuple[type[DefinedEffect], ...]:
+    """Their classes. Raises InputError that names the table and the key."""
+    kinds = []
+    for k, d in enumerate(definitions, 1):
+        try:
+            kinds.append(effect_class(d, module))
+        except InputError as error:
+            raise InputError(f"definition[{k}].{error}") from None
+    return tuple(kinds)
+
+
+def read_definitions(path: Path, module: str = "effect file") -> dict[str, type[DefinedEffect]]:
+    """Effects that a file defines, by name. Raises InputError."""
+    file = check(DefinitionFile, load_toml(path), path.name)
+    try:
+        return {kind.name: kind for kind in effect_classes(file.definition, module)}
+    except InputError as error:
+        raise InputError(f"{path.name}: {error}") from None

@@ -1,0 +1,237 @@
+"""Effects whose formulas are text: where a formula may act, what it may name, and what it then does to the model.
+
+Those of the list, those that a user defines in a file (see `definition`) and laws found in data (see `law`) alike.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from casadical.core.arm import Arm
+from casadical.core.errors import InputError
+from casadical.core.transforms import Symbolic, small_frame, translate
+from casadical.effects.base import Context, Effect
+from casadical.effects.formula import NUMERIC, Formula, parse, refuse_unknown
+
+
+class Seam(NamedTuple):
+    """components : of a formula there; numbered : whether it needs the number of a joint or link"""
+
+    components: int
+    unit: str
+    numbered: bool = False
+
+
+SEAMS = {
+    "joint": Seam(1, "rad", True),
+    "joints": Seam(1, "rad"),
+    "tilt": Seam(3, "rad", True),
+    "shift": Seam(3, "m", True),
+    "base tilt": Seam(3, "rad"),
+    "base shift": Seam(3, "m"),
+    "tool shift": Seam(3, "m"),
+    "beam": Seam(1, "m"),
+    "payload": Seam(1, "kg/kg"),
+    "tool tilt": Seam(3, "rad"),
+    "growth": Seam(1, "m/m"),
+    "point": Seam(3, "m"),
+    "distance": Seam(1, "m"),
+    "energy": Seam(1, "J"),
+}
+# Columns by their name in a formula, where it is another one.
+COLUMNS = {"t": "progress", "payload": "payload_kg", "warmth": "warmth_0s"}
+COLUMN = re.compile(r"t|payload|warmth|warmth_\d+s|approach\d+|move\d+|memory\d+_\d+mrad")
+_OF_POSE = re.compile(r"(q|tau)(\d+)|m(\d+)[xyz]|[gp][xyz]")
+OF_JOINT = re.compile(r"q|tau|approach|move")
+_NUMBERED = re.compile(r"(?:q|tau|m|approach|move|memory)(\d+)(?:[xyz]|_\d+mrad)?")
+# Of the measured point, at the seams behind it.
+_POINT = ("point_x", "point_y", "point_z")
+# Of instruments that read distances: where the far end is, and which one read a pose, numbered in the order of tables
+# (see `diagnosis.observations`).
+WIRES = 4
+FAR = ("far_x_m", "far_y_m", "far_z_m")
+FLAGS = tuple(f"wire{k}" for k in range(1, WIRES + 1))
+# Where a camera that measures poses is: fixed, or on the flange.
+SIDES = ("fixed", "carried")
+ALLOWED = (
+    "q1 (reading [rad or m]), tau1 (load, share of the joint's great torque), m1x (moment at a link, share), gx "
+    "(gravity in the flange frame, 1 at most), px (flange [m]), t (time, 0 to 1), warmth, warmth_600s [K], payload "
+    "[kg], approach1 (-1 or 1), move1 (from the pose before [rad or m]), memory1_300mrad (of motions "
+    "so far back, -1 to 1)"
+)
+
+
+@dataclass(frozen=True)
+class FormulaEffect(Effect):
+    """An effect that adds the values of formulas at some seams."""
+
+    @property
+    def formulas(self) -> Mapping[str, Formula]:
+        """Seam -> formula of what is added there."""
+        raise NotImplementedError
+
+    @property
+    def drivers(self) -> tuple[str, ...]:
+        """Names in its formulas that are neither parameters nor settings."""
+        raise NotImplementedError
+
+    def refuse_joints(self, arm: Arm) -> None:
+        super().refuse_joints(arm)
+        for name in (*self.drivers, *self.conditions):
+            numbered = _NUMBERED.fullmatch(name)
+            if numbered and int(numbered[1]) not in (*arm.numbers, *([0] if name[0] == "m" else [])):
+                text = next(iter(self.formulas.values())).text
+                raise InputError(f"formula {text!r}: {name}; robot {arm.name!r} has joints 1 to {arm.n}")
+        if "payload" in self.formulas and arm.payload is None:
+            raise InputError(f"{self.name}: seam = 'payload'; robot {arm.name!r} declares no payload")
+
+    def own_names(self, context: Context) -> dict[str, Symbolic]:
+        """Parameters and settings by their names in the formulas."""
+        raise NotImplementedError
+
+    def values_at(self, seam: str, context: Context, more: Mapping[str, Symbolic] | None = None) -> list[Symbolic]:
+        """Of the formula at a seam, one or three; none where it has none there. more : names that are known there"""
+        formula = self.formulas.get(seam)
+        if formula is None:
+            return []
+        known = self.own_names(context) | dict(more or {})
+        return formula.values({n: known[n] if n in known else variable(context, n) for n in formula.names})
+
+    def energy(self, context: Context) -> Symbolic:
+        payload, total = context.arm.payload, 0.0
+        for value in self.values_at("energy", context):
+            total += value
+        if "payload" in self.formulas and payload is not None:
+            T = context.frames[-1]
+            centre = T[:3, :3] @ ca.DM(payload.com) + T[:3, 3]
+            mass = self.values_at("payload", context)[0] * context.conditions["payload_kg"]
+            total += -mass * ca.dot(context.gravity, centre)
+        return total
+
+    def joint_angle(self, context: Context) -> Symbolic:
+        moved = ca.SX.zeros(context.arm.n)
+        for value in self.values_at("joint", context):
+            assert self.joint is not None
+            moved[self.joint - 1] = value
+        return moved
+
+    def link(self, number: int, context: Context) -> Symbolic:
+        if "growth" in self.formulas:
+            return grown_link(number, context, self.values_at("growth", context)[0])
+        return self._frame("", context) if number == self.joint else ca.SX.eye(4)
+
+    def base(self, context: Context) -> Symbolic:
+        return self._frame("base ", context)
+
+    def tool(self, context: Context) -> Symbolic:
+        return self._frame("tool ", context)
+
+    def _frame(self, where: str, context: Context) -> Symbolic:
+        """Transform (4, 4) of a shift, a tilt or both."""
+        shift, tilt = (self.values_at(f"{where}{what}", context) for what in ("shift", "tilt"))
+        if tilt:
+            return small_frame(*(shift or (0, 0, 0)), *tilt)
+        return translate(*shift) if shift else ca.SX.eye(4)
+
+    def measurement(self, point: Symbolic, context: Context) -> Symbolic:
+        moved, names = point, dict(zip(_POINT, ca.vertsplit(point), strict=True))
+        if "point" in self.formulas:
+            moved = moved + ca.vertcat(*self.values_at("point", context, names))
+        for seam in {"beam", "distance"} & self.formulas.keys():
+            far = self.station if seam == "beam" else [context.conditions[c] for c in FAR]  # type: ignore[attr-defined]
+            beam = point - ca.vertcat(*far)
+            r = ca.sqrt(ca.sumsqr(beam) + 1e-12)
+            moved = moved + beam / r * self.values_at(seam, context, {**names, "r": r})[0]
+        return moved
+
+
+def check_formula(text: str, seam: str, own: Collection[str]) -> Formula:
+    """A formula that fits its seam; own : names of its parameters and settings.
+
+    Raises InputError that names the column, what is wrong and what is allowed.
+    """
+    formula = parse(text, frozenset(own))
+    if formula.components != SEAMS[seam].components:
+        raise InputError(f"formula {text!r}: seam {seam!r} needs {SEAMS[seam].components} of its components")
+    there = {*own, *({"r"} if seam in ("beam", "distance") else ())}
+    there |= set(_POINT if seam in ("beam", "distance", "point") else ())
+    refuse_unknown(formula, lambda name: name in there or _known(name, seam), f"{', '.join(own)}, {ALLOWED}")
+    return formula
+
+
+def refuse_constant(formula: Formula, parameters: Collection[str], settings: Mapping[str, Any]) -> None:
+    """Raises InputError for a formula that is not zero without its parameters; settings : values that it has."""
+    rng = np.random.default_rng(0)
+    at = {n: np.zeros(200) if n in parameters else rng.uniform(-4, 4, 200) for n in formula.names}
+    with np.errstate(all="ignore"):
+        values = np.broadcast_arrays(*formula.values({**at, **settings}, NUMERIC))
+    if any(np.nan_to_num(v).any() for v in values):
+        raise InputError(f"formula {formula.text!r}: it must be zero where {', '.join(parameters)} are zero")
+
+
+def _known(name: str, seam: str) -> bool:
+    """Whether a formula at a seam may name this quantity of a pose or this column."""
+    if seam == "joints" and OF_JOINT.fullmatch(name):
+        return True
+    if seam == "payload" and not name.startswith("q") and not COLUMN.fullmatch(name):
+        return False
+    # Loads follow from the energy, not the other way round.
+    if seam == "energy" and name.startswith("tau"):
+        return False
+    return bool(COLUMN.fullmatch(name) or _OF_POSE.fullmatch(name))
+
+
+def image_columns(side: str, what: str) -> tuple[str, str, str]:
+    """Columns of a camera's vector in the measuring frame, made of measured poses (see `diagnosis.camera_columns`).
+
+    side : of SIDES; what : depth, the part of the way to the target along the lens's axis, or radial, the part across
+        it times its slope squared. A fixed camera's frame is the measuring frame with the third axis along the lens,
+        that of one on the flange the tool frame.
+    """
+    x, y, z = (f"{side}_{what}_{c}_m" for c in "xyz")
+    return x, y, z
+
+
+def columns_of(names: Collection[str]) -> list[str]:
+    """Columns that names in a formula stand for."""
+    return [COLUMNS.get(n, n) for n in names if COLUMN.fullmatch(n)]
+
+
+def variable(context: Context, name: str) -> Symbolic:
+    """The value of a name in a formula (see ALLOWED). Raises KeyError for a column that is not there."""
+    if not _OF_POSE.fullmatch(name):
+        return context.conditions[COLUMNS.get(name, name)]
+    axis = "xyz".find(name[-1])
+    if name[0] == "g":
+        g = ca.DM(context.arm.gravity)
+        return (context.frames[-1][:3, :3].T @ context.gravity)[axis] / float(ca.norm_2(g))
+    if name[0] == "p":
+        return context.frames[-1][axis, 3]
+    if name[0] == "m":
+        return _moment(context, int(name[1:-1]))[axis] / context.great_moment
+    number = int(name.removeprefix("tau").removeprefix("q"))
+    return context.load(number) if name.startswith("tau") else context.q[number - 1]
+
+
+def _moment(context: Context, link: int) -> Symbolic:
+    """About a link's origin, in its frame; of link 0, the foot, about the first joint's origin in the base frame."""
+    if link == 0:
+        return context.moment(1)
+    return context.frames[link - 1][:3, :3].T @ context.moment(link)
+
+
+def grown_link(number: int, context: Context, growth: Symbolic) -> Symbolic:
+    """Transform (4, 4) behind a link (1-based) that is longer by a share of its length."""
+    before = context.frames[number - 2] if number > 1 else ca.SX.eye(4)
+    here = context.frames[number - 1]
+    # The link's own length, seen in its frame: what lies between its origin and the one before.
+    along = here[:3, :3].T @ (here[:3, 3] - before[:3, 3])
+    moved = ca.SX.eye(4)
+    moved[:3, 3] = growth * along
+    return moved

@@ -1,0 +1,134 @@
+"""The measuring frame and the reflector move, at once or slowly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from casadical.core.arm import Arm
+from casadical.core.transforms import Symbolic, small_frame
+from casadical.effects.base import Context, Effect, setting
+
+
+@dataclass(frozen=True)
+class FrameDrift(Effect):
+    """The measuring frame creeps against the robot with time.
+
+    shape : power of time; 1 creeps steadily, less settles, more comes late.
+    """
+
+    shape: float = setting(1.0, (0.5, 1.0, 2.0), steps=True)
+
+    name = "frame_drift"
+    on_list = "standard"
+    of_measurement = True
+    signature = "a measuring frame that creeps with time"
+    needs = ("progress",)
+    physics = "Tripods settle and floors warm: the instrument's frame moves some tens of micrometres an hour."
+    confused_with = "thermal_growth and thermal_zero_drift while the temperature only rises; a step in time"
+    size = dict.fromkeys("xyz", (6e-05, "m")) | {f"r{c}": (25e-6, "rad") for c in "xyz"}
+
+    def course(self, context: Context) -> Symbolic:
+        """Share of the whole drift that has happened, 0 to 1."""
+        return (context.conditions["progress"] + 1e-6) ** self.shape
+
+    def measurement(self, point: Symbolic, context: Context) -> Symbolic:
+        when = self.course(context)
+        creep = ca.vertcat(*(self.value(context, c) for c in "xyz"))
+        turn = ca.vertcat(*(self.value(context, f"r{c}") for c in "xyz"))
+        return point + when * (creep + ca.cross(turn, point))
+
+
+@dataclass(frozen=True)
+class FrameSettling(FrameDrift):
+    """The measuring frame moves against the robot after the start, ever more slowly, until it rests.
+
+    settles : time constant as a share of the campaign
+    """
+
+    settles: float = 0.1
+
+    name = "frame_settling"
+    answers_as = "frame_drift"
+    signature = "a measuring frame that moves at the start and comes to rest"
+    physics = (
+        "An instrument, a tripod or an arm that warms up comes to its temperature exponentially (Newton's law of "
+        "cooling); it moves until then."
+    )
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(None, settles=s) for s in (0.02, 0.05, 0.12, 0.3))
+
+    def course(self, context: Context) -> Symbolic:
+        return 1 - ca.exp(-context.conditions["progress"] / self.settles)
+
+
+# For steps of several numbers each: they follow the data better between two times.
+FEW_TIMES = tuple(float(t) for t in np.linspace(0.06, 0.94, 12))
+
+
+@dataclass(frozen=True)
+class FrameStep(Effect):
+    """A frame of the robot, or the measuring frame, shifts and turns at once during the campaign.
+
+    at : when, as a share of the campaign; without a joint, the measuring frame moves against the robot's foot
+    """
+
+    at: float = setting(0.5, FEW_TIMES, steps=True)
+
+    name = "frame_step"
+    on_list = "extended"
+    signature = "a jump of the foot, the instrument or one link, in all six freedoms"
+    needs = ("progress",)
+    physics = "A foot that slips in its anchors, a knocked tripod or a bolted flange that slips moves as a body."
+    confused_with = "target_shift and joint_zero_step at the same time; frame_drift"
+    size = dict.fromkeys("xyz", (6e-5, "m")) | {f"r{c}": (4e-5, "rad") for c in "xyz"}
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        return (cls(frame, at) for frame in (None, *arm.numbers[:-1]) for at in FEW_TIMES)
+
+    def _six(self, context: Context) -> list[Symbolic]:
+        after = context.conditions["progress"] > self.at
+        return [self.value(context, name) * after for name in self.size]
+
+    def link(self, number: int, context: Context) -> Symbolic:
+        return small_frame(*self._six(context)) if number == self.joint else ca.SX.eye(4)
+
+    def measurement(self, point: Symbolic, context: Context) -> Symbolic:
+        if self.joint is not None:
+            return point
+        x, y, z, *turn = self._six(context)
+        return point + ca.vertcat(x, y, z) + ca.cross(ca.vertcat(*turn), point)
+
+
+@dataclass(frozen=True)
+class SmrOffset(Effect):
+    """The optical centre of the reflector lies beside the centre of its sphere.
+
+    station : where the instrument stands, in the measuring frame [m]; most have their own origin there
+    """
+
+    station: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    name = "smr_offset"
+    on_list = "extended"
+    of_measurement = True
+    signature = "an offset that stays fixed against the beam"
+    physics = (
+        "A reflector is turned in its nest to face the instrument: its offset, some micrometres, stays fixed against "
+        "the beam (ISO 10360-10), along it and, if it is always held the same way up, above it."
+    )
+    confused_with = "tracker_scale; refraction"
+    size = {"along": (10e-6, "m"), "across": (10e-6, "m"), "above": (10e-6, "m")}
+
+    def measurement(self, point: Symbolic, context: Context) -> Symbolic:
+        beam = point - ca.DM(self.station)
+        along = beam / ca.sqrt(ca.sumsqr(beam) + 1e-12)
+        across = ca.vertcat(-along[1], along[0], 0) / ca.sqrt(along[0] ** 2 + along[1] ** 2 + 1e-12)
+        turned = ca.horzcat(along, across, ca.cross(along, across))
+        return point + turned @ ca.vertcat(*(self.value(context, n) for n in self.sizes()))

@@ -1,0 +1,203 @@
+"""Effects that a file defines: what they do, judged and kept as the package's own; what is refused."""
+
+import pickle
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
+import pytest
+from bench import ROOT, campaign, robot, with_columns
+
+from casadical.core.errors import InputError
+from casadical.core.schema import load_toml
+from casadical.diagnosis.candidates import candidates_of
+from casadical.diagnosis.linearisation import signatures
+from casadical.effects import Effect, JointScale, ThermalGrowth, setting
+from casadical.effects.definition import LISTED
+from casadical.effects.plugins import known_effects
+from casadical.export.mjcf.drives import counterparts
+from casadical.identification.accuracy import predicted
+from casadical.robot.effect_file import read_effects
+from casadical.robot.robot_file import read_robot, write_robot
+
+NAME = "ur10e"
+SOFT_STOP = """
+casadical = 2
+
+[[definition]]
+name = "soft_stop"
+signature = "a joint that gives way near the end of its range"
+physics = "A rubber stop pushes the joint back."
+settings.start = {default = 1.5, grid = [1.0, 1.5, 2.0], about = "where the stop begins [rad]"}
+sizes = {give = [50e-6, "rad"]}
+formulas.joint = "-give * sign(q{joint}) * max(0, abs(q{joint}) - start)"
+"""
+
+
+@dataclass(frozen=True)
+class SoftStop(Effect):
+    """The same in Python."""
+
+    start: float = setting(1.5, (1.0, 1.5, 2.0))
+
+    name: ClassVar[str] = "soft_stop"
+    physics: ClassVar[str] = "A rubber stop pushes the joint back."
+
+    def sizes(self):
+        return {"give": (50e-6, "rad")}
+
+    def angle(self, context, q):
+        return -self.value(context, "give") * ca.sign(q) * ca.fmax(ca.fabs(q) - self.start, 0)
+
+
+def defined(folder: Path, text: str = SOFT_STOP) -> type[Effect]:
+    path = folder / "own.effect.toml"
+    path.write_text(text)
+    (kind,) = read_effects(path).kinds
+    return kind
+
+
+def test_a_definition_is_what_a_class_of_python_is(tmp_path: Path) -> None:
+    kind = defined(tmp_path)
+    poses = campaign(NAME)[:40]
+    theirs, ours = (candidates_of(robot(NAME), [k]) for k in (kind, SoftStop))
+    assert [c.label for c in theirs] == [c.label for c in ours]
+    assert [e.to_dict() for c in theirs for v in c.variants for e in v] == [
+        e.to_dict() for c in ours for v in c.variants for e in v
+    ]
+    for effect, same in ((kind(5, 1.2), SoftStop(5, 1.2)), (kind(2), SoftStop(2))):
+        E, S = (signatures(robot(NAME), [e], poses, robot(NAME).parameters.values)[0] for e in (effect, same))
+        assert np.abs(S).max() > 0
+        np.testing.assert_allclose(E, S, rtol=0, atol=1e-14 * np.abs(S).max())
+
+
+def test_a_robot_file_holds_the_definition(tmp_path: Path) -> None:
+    effect = defined(tmp_path)(5, 1.2)
+    whole = robot(NAME).with_effect(effect, JointScale(2)).with_values({"soft_stop@5.give": 3e-4})
+    write_robot(whole, tmp_path / "own.toml")
+    again = read_robot(tmp_path / "own.toml")
+    assert again.effects == whole.effects
+    assert [d["name"] for d in load_toml(tmp_path / "own.toml")["definition"]] == ["soft_stop"]
+    poses = campaign(NAME)[:20]
+    np.testing.assert_allclose(predicted(again, poses)[0], predicted(whole, poses)[0], rtol=0, atol=1e-12)
+    write_robot(robot(NAME).with_effect(JointScale(2)), tmp_path / "listed.toml")
+    assert "definition" not in load_toml(tmp_path / "listed.toml")
+
+
+def test_an_effect_goes_to_another_process(tmp_path: Path) -> None:
+    for effect in (defined(tmp_path)(5, 1.2), JointScale(3), ThermalGrowth(None, 300.0)):
+        again = pickle.loads(pickle.dumps(effect))
+        assert again == effect
+        assert type(again) is type(effect)
+
+
+def test_the_list_of_the_package_is_a_file_like_any_other(tmp_path: Path) -> None:
+    text = LISTED.read_text().replace('name = "', 'name = "my_')
+    (tmp_path / "all.effect.toml").write_text(text)
+    kinds = read_effects(tmp_path / "all.effect.toml").kinds
+    for kind in kinds:
+        listed = known_effects()[kind.name.removeprefix("my_")]
+        assert [e.to_dict().get("settings") for e in kind.candidates(robot(NAME))] == [
+            e.to_dict().get("settings") for e in listed.candidates(robot(NAME))
+        ]
+    assert len(kinds) > 25
+
+
+@pytest.mark.parametrize(
+    ("seam", "formula"),
+    [
+        ("energy", "0.5 * a * q2**2"),
+        ("tool tilt", "[a, 0, -a] * q4"),
+        ("growth", "a * q1"),
+        ("point", "[0, a, 0] * point_x**2"),
+        ("base tilt", "[a * m0x, 0, a * m2y]"),
+        ("distance", "a * r**2"),
+    ],
+)
+def test_the_column_at_a_seam_is_what_the_effect_does(seam: str, formula: str, tmp_path: Path) -> None:
+    text = f"""
+casadical = 2
+[[definition]]
+name = "own"
+signature = "an own effect"
+sizes = {{a = [{"10.0" if seam == "energy" else "1e-4"}, "-"]}}
+formulas."{seam}" = "{formula}"
+{'needs = ["far_x_m", "far_y_m", "far_z_m"]' if seam == "distance" else ""}
+"""
+    effect = defined(tmp_path, text)()
+    poses = with_columns(campaign(NAME)[:40], [effect])
+    value = 0.1 * effect.sizes()["a"][0]
+    E, _, _ = signatures(robot(NAME), [effect], poses, robot(NAME).parameters.values)
+    whole = robot(NAME).with_effect(effect)
+    both = [predicted(whole.with_values({"own.a": sign * value}), poses)[0] for sign in (1, -1)]
+    moved = (both[0] - both[1]) / 2
+    assert np.abs(moved).max() > 1e-8
+    np.testing.assert_allclose(E[:, :, 0] * value, moved, rtol=0, atol=2e-4 * np.abs(moved).max())
+
+
+def test_a_counterpart_is_named(tmp_path: Path) -> None:
+    text = SOFT_STOP.replace("give", "k").replace("formulas.", 'counterpart = "gear ratio"\nformulas.')
+    stiff = robot(NAME).with_effect(defined(tmp_path, text)(3)).with_values({"soft_stop@3.k": 1e-4})
+    assert counterparts(stiff).drive(3).ratio == pytest.approx(1.0001)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "max(0,",
+            "eval(0,",
+            r"definition[1].formulas: formula '-give * sign(q1) * eval(0, abs(q1) - start)', column 20: unknown",
+        ),
+        ("q{joint}", "q{arm}", "no setting 'arm'; allowed: joint, start"),
+        ("- start", "- begin", "unknown name 'begin'; allowed are give, start, q1"),
+        ("-give *", "give * 0 + 1 *", "it must be zero where give are zero"),
+        ("formulas.joint", "formulas.elbow", "formulas.elbow: no seam; allowed: joint, tilt"),
+        ("formulas.joint", "formulas.tilt", "seam 'tilt' needs 3 of its components"),
+        ("formulas.joint", "formulas.beam", "formulas.beam: it needs a setting `station`"),
+        ("{give = [50e-6", "{more = [1.0, 'm'], give = [50e-6", "sizes.more: is in no formula"),
+        ("50e-6", "0.0", "sizes.give: one sigma of 0.0; must be above 0"),
+        ("settings.start", "settings.give", "give: a name of small letters"),
+        ('name = "soft_stop"', 'name = "backlash"', "there is an effect 'backlash' already"),
+        ('name = "soft_stop"', 'name = "Soft stop"', "definition[1].name = 'Soft stop'"),
+        ("[1.0, 1.5, 2.0]", '"far"', "grid"),
+        ("about =", "abuot =", "not a known key (is about meant?)"),
+        ("physics", 'counterpart = "magnet"\nphysics', "counterpart = 'magnet': allowed: gear ratio, foot"),
+        ("signature", "# signature", "signature: is missing"),
+        ("[[definition]]", "[[effect]]", "not a known key"),
+    ],
+)
+def test_what_is_no_definition_is_refused(old: str, new: str, message: str, tmp_path: Path) -> None:
+    assert old in SOFT_STOP
+    with pytest.raises(InputError) as caught:
+        defined(tmp_path, SOFT_STOP.replace(old, new))
+    assert str(caught.value).startswith("own.effect.toml: ")
+    assert message in str(caught.value)
+
+
+def test_an_effect_of_a_joint_needs_its_number_and_one_that_there_is(tmp_path: Path) -> None:
+    kind = defined(tmp_path)
+    with pytest.raises(InputError, match="soft_stop: joint is missing"):
+        robot(NAME).with_effect(kind())
+    with pytest.raises(InputError, match="has joints 1 to 6"):
+        robot(NAME).with_effect(kind(7))
+
+
+def test_a_file_of_neither_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "empty.effect.toml").write_text("casadical = 2\n")
+    with pytest.raises(InputError, match=r"neither \[\[effect\]\] nor \[\[definition\]\]"):
+        read_effects(tmp_path / "empty.effect.toml")
+
+
+def test_the_page_has_this_definition() -> None:
+    page = (ROOT / "docs" / "add-an-effect.md").read_text()
+    assert SOFT_STOP.strip() in page
+
+
+def test_equal_definitions_make_one_class(tmp_path: Path) -> None:
+    """One class for equal definitions, whatever file they are in."""
+    (tmp_path / "other").mkdir()
+    assert defined(tmp_path) is defined(tmp_path / "other")
+    assert replace(defined(tmp_path)(2), start=1.0) == defined(tmp_path / "other")(2, 1.0)
