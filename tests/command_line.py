@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+import traceback
+import warnings
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -16,10 +18,16 @@ import pytest
 from casadical import cli
 
 ROOT = Path(__file__).parents[1]
+# Exported C is compared with its reference on so many poses instead of 100,000, which take most of the time.
+FEW = 1000
 
 
-def main(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+def main(monkeypatch: pytest.MonkeyPatch, *arguments: object, vectors: int = FEW) -> int:
     """Run `casadical` with these arguments; its exit code."""
+    if arguments[:2] == ("export", "c"):
+        from casadical.export import write_c
+
+        monkeypatch.setitem(write_c.__kwdefaults__, "vectors", vectors)
     monkeypatch.setattr(sys, "argv", ["casadical", *map(str, arguments)])
     # Else the help is that of `python -m pytest`.
     monkeypatch.setattr(sys.modules["__main__"], "__package__", None, raising=False)
@@ -30,20 +38,43 @@ def main(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
 
 def run(*arguments: object, folder: Path = ROOT, width: int = 80) -> subprocess.CompletedProcess[str]:
     """`casadical` as `subprocess.run` would do it: from a folder, at a dumb terminal; all that it wrote, in C too."""
+    code, *printed = _captured(lambda patch: main(patch, *arguments), folder, width)
+    return subprocess.CompletedProcess(["casadical", *map(str, arguments)], code, *printed)
+
+
+def python(code: str, folder: Path, width: int = 80) -> subprocess.CompletedProcess[str]:
+    """A program in the process of the test, from a folder; an exception is its end, as in a process of its own."""
+
+    def execute(_: object) -> int:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", ResourceWarning)  # of a file that a short example does not close
+                exec(compile(code, "<program>", "exec"), {"__name__": "__main__"})
+        except Exception:
+            traceback.print_exc()
+            return 1
+        return 0
+
+    ended, *printed = _captured(execute, folder, width)
+    return subprocess.CompletedProcess(["python", "-c", code], ended, *printed)
+
+
+def _captured(what: Callable[[pytest.MonkeyPatch], int], folder: Path, width: int) -> tuple[int, str, str]:
+    """What a function gives, and all that was written while it ran, in C too."""
     with ExitStack() as stack:
         patch = stack.enter_context(pytest.MonkeyPatch.context())
         patch.chdir(folder)
-        for name, value in (("COLUMNS", str(width)), ("TERM", "dumb"), ("NO_COLOR", "1")):
+        for name, value in (("COLUMNS", str(width)), ("TERM", "dumb"), ("NO_COLOR", "1"), ("MPLBACKEND", "Agg")):
             patch.setenv(name, value)
         out, err = (stack.enter_context(_into_file(patch, number)) for number in (1, 2))
-        code = main(patch, *arguments)
+        code = what(patch)
         for stream in (sys.stdout, sys.stderr):
             stream.flush()
         printed = []
         for file in (out, err):
             file.seek(0)
             printed.append(file.read())
-    return subprocess.CompletedProcess(["casadical", *map(str, arguments)], code, *printed)
+    return code, printed[0], printed[1]
 
 
 @contextmanager

@@ -28,7 +28,11 @@ def installed(folder: Path, group: str, point: str, text: str) -> Path:
 def run(site: Path, *arguments: object, program: str = "") -> subprocess.CompletedProcess[str]:
     """The command with arguments, or a Python program, in a fresh process that finds packages in `site`."""
     path = os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
-    command = [sys.executable, "-c", program or "from casadical.cli import main; main()", *map(str, arguments)]
+    program = program or "from casadical.cli import main; main()"
+    if arguments[:2] == ("export", "c"):
+        few = f"write_c.__kwdefaults__['vectors'] = {command_line.FEW}"
+        program = f"from casadical.export import write_c; {few}; {program}"
+    command = [sys.executable, "-c", program, *map(str, arguments)]
     environment = {**os.environ, "PYTHONPATH": path, "COLUMNS": "400"}
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, env=environment)
 

@@ -14,6 +14,8 @@ from casadical.measurements.noise import Noise
 
 # Steps are halved once none of them helps, so often at most; a gain of log evidence below the second is none.
 HALVINGS, GAIN, MOST_ROUNDS = 2, 0.3, 10
+# Log evidences that differ by less are equal: a step between two poses fits alike wherever it lies between them.
+TIE = 1e-6
 
 
 def neighbours(effect: Effect, fineness: float) -> list[Effect]:
@@ -54,13 +56,23 @@ def refined(
         case = case.with_variants(label, near)
         trial = [variant, *near]
         log = _log_evidence(case, [case.group(v) for v in trial], chosen)
-        best = int(np.argmax(log))
+        best = _best(case, trial, log, chosen)
         if log[best] - log[0] < GAIN:
             halved += 1
         variant = trial[best]
         if halved == HALVINGS:
             break
     return case, variant
+
+
+def _best(case: Case, trial: list[tuple[Effect, ...]], log: Array, chosen: Array) -> int:
+    """Number of the best settings. Of equal ones those that explain the poses left out, too; else the first."""
+    equal = np.flatnonzero(log >= log.max() - TIE)
+    if len(equal) > 1 and not case.kept.all():
+        every = case.with_kept(np.ones_like(case.kept))
+        of_all = _log_evidence(every, [case.group(trial[k]) for k in equal], chosen)
+        equal = equal[of_all >= of_all.max() - TIE]
+    return int(equal[0])
 
 
 def _log_evidence(case: Case, groups: list[Array], chosen: Array) -> Array:

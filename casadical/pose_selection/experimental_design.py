@@ -22,6 +22,12 @@ TRUSTED = 1e4
 SHORTLIST = 24
 # Least information in every direction, as a share of the whole pool's: keeps sets of few poses invertible.
 RIDGE = 1e-10
+# Least eigenvalue of the information, scaled to a unit diagonal, of a regular set of poses: singular ones have what
+# RIDGE gives, below 1e-11. The variances of a singular set are those of RIDGE, and no measure of a candidate.
+REGULAR = 1e-9
+# Gains that differ by less, as a share of the greatest, are equal to what the arithmetic can tell: the candidate with
+# the lowest number is taken, on every processor.
+TIE = 1e-6
 
 
 class Design(ABC):
@@ -74,13 +80,13 @@ class Design(ABC):
     def best_to_add(self) -> int | None:
         """The candidate that gains most; None where none is open."""
         gain = np.where(self.closed > 0, -np.inf, self._gains(np.flatnonzero(self.closed == 0), 1))
-        k = int(np.argmax(gain))
+        k = first_of_best(gain)
         return k if np.isfinite(gain[k]) else None
 
     def worst(self) -> int:
         """Position in `chosen` of the candidate whose removal costs least."""
         gain = self._gains(np.array(self.chosen), -1)
-        return int(np.argmax(gain[self.chosen]))
+        return first_of_best(gain[self.chosen])
 
     def snapshot(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in self._kept} | {"chosen": list(self.chosen)}
@@ -138,6 +144,13 @@ class _Inverse(Design):
     def _update_blocks(self, U: Array, S: Array, P: Array) -> None:
         """Called before C and D change."""
 
+    def _volumes(self, which: Array, sign: int) -> Array:
+        """Change of the logarithm of the determinant of M by each of these candidates, shape (N,); -inf for others."""
+        gains = np.full(self.N, -np.inf)
+        signs, logs = np.linalg.slogdet(np.eye(self.m) + sign * self.D[which])
+        gains[which] = np.where(signs > 0, logs, -np.inf)
+        return gains
+
 
 class Determinant(_Inverse):
     """D-optimality and O1: the mean logarithm of the singular values."""
@@ -147,14 +160,14 @@ class Determinant(_Inverse):
         return float(np.linalg.slogdet(self.M)[1] / (2 * self.p))
 
     def _gains(self, which: Array, sign: int) -> Array:
-        gains = np.full(self.N, -np.inf)
-        signs, logs = np.linalg.slogdet(np.eye(self.m) + sign * self.D[which])
-        gains[which] = np.where(signs > 0, logs, -np.inf)
-        return gains
+        return self._volumes(which, sign)
 
 
 class Linear(_Inverse):
-    """One over trace(W C): A-optimality (W = I), V-optimality (W = mean of J'J over the task), chosen parameters."""
+    """One over trace(W C): A-optimality (W = I), V-optimality (W = mean of J'J over the task), chosen parameters.
+
+    A set that does not determine all parameters grows by the determinant, until it does.
+    """
 
     _kept: ClassVar[tuple[str, ...]] = ("M", "closed", "C", "D", "L", "_age")
 
@@ -178,6 +191,8 @@ class Linear(_Inverse):
         self.L = self.L - Q - Q.transpose(0, 2, 1) + P @ S @ (U.T @ WU) @ S @ P.transpose(0, 2, 1)
 
     def _gains(self, which: Array, sign: int) -> Array:
+        if not self._regular():
+            return self._volumes(which, sign)
         gains = np.full(self.N, -np.inf)
         small = np.eye(self.m) + sign * self.D[which]
         # Without an indispensable candidate `small` is singular.
@@ -186,6 +201,12 @@ class Linear(_Inverse):
         change = sign * np.trace(np.linalg.solve(small, self.L[which]), axis1=1, axis2=2)
         gains[which] = np.where(regular, change, -np.inf)
         return gains
+
+    def _regular(self) -> bool:
+        """Whether the chosen poses, and what was measured, determine all parameters."""
+        told = np.diag(self.M) > 0
+        root = np.sqrt(np.diag(self.M)[told])
+        return bool(np.linalg.eigvalsh(self.M[np.ix_(told, told)] / np.outer(root, root))[0] > REGULAR)
 
 
 class Spectral(Design):
@@ -217,6 +238,12 @@ class Spectral(Design):
         w = np.linalg.eigvalsh(self.M + sign * A.transpose(0, 2, 1) @ A)
         gains[short] = self._log(np.maximum(w, 1e-300)) - self.value
         return gains
+
+
+def first_of_best(gains: Array) -> int:
+    """Number of the greatest gain, the first of those that differ from it by less than TIE of it."""
+    best = float(gains.max())
+    return int(np.argmax(gains >= best - TIE * abs(best))) if np.isfinite(best) else int(np.argmax(gains))
 
 
 def inverse(M: Array) -> Array:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+
+import command_line
 
 ROOT = Path(__file__).parents[2]
 BIN = Path(sys.executable).parent
@@ -52,17 +55,21 @@ def walk(page: Path, folder: Path) -> list[tuple[Block, subprocess.CompletedProc
 
 
 def run(block: Block, folder: Path) -> subprocess.CompletedProcess[str]:
-    """One block, with the commands of the environment that the tests run in."""
-    environment = {
-        **os.environ,
-        "PATH": f"{BIN}{os.pathsep}{os.environ['PATH']}",
-        "COLUMNS": "200",
-        "MPLBACKEND": "Agg",
-    }
-    if block.language == "python":  # as a file, for what starts processes imports it
-        script = folder / "page.py"
-        script.write_text(block.text, encoding="utf-8")
-        command = [sys.executable, script.name]
+    """One block: Python, and commands of casadical alone, in this process; else with the environment of the tests."""
+    if block.language == "python":
+        if "__main__" not in block.text:
+            return command_line.python(block.text, folder, width=200)
+        # As a file, for the processes that it starts import it.
+        (folder / "page.py").write_text(block.text, encoding="utf-8")
+        command = [sys.executable, "page.py"]
     else:
+        lines = block.text.splitlines()
+        if all(re.fullmatch(r"casadical [^|&;<>$]*", line) for line in lines):
+            for line in lines:
+                done = command_line.run(*shlex.split(line)[1:], folder=folder, width=200)
+                if done.returncode:
+                    break
+            return done
         command = ["bash", "-euo", "pipefail", "-c", block.text]
+    environment = {**os.environ, "PATH": f"{BIN}{os.pathsep}{os.environ['PATH']}", "COLUMNS": "200"}
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)

@@ -1,16 +1,13 @@
 """An effect from another package, found by its entry point alone: no line of casadical knows it."""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from bench import ROOT, robot
-from plugin_site import installed, run_here
+from bench import robot
+from plugin_site import installed, run, run_here
 
 from casadical.effects.plugins import known_effects
 
@@ -61,14 +58,6 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-def run(site: Path, *arguments: object, program: str = "casadical") -> subprocess.CompletedProcess[str]:
-    """The command in a fresh process that finds packages in `site`."""
-    path = os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
-    command = [Path(sys.executable).parent / program, *map(str, arguments)]
-    environment = {**os.environ, "PYTHONPATH": path}
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, env=environment)
-
-
 def test_a_plug_in_is_diagnosed_by_its_name(site: Path, campaign: Path, tmp_path: Path) -> None:
     kept = tmp_path / "answer.json"
     chosen = "toy_cable,backlash,gear_eccentricity"
@@ -99,7 +88,7 @@ assert again.knowledge.std_errors["toy_cable@5.pull"] > 0
 
 def test_a_plug_in_is_kept_in_a_robot_file_and_exported(site: Path, campaign: Path, tmp_path: Path) -> None:
     kept, model, folder = tmp_path / "kept.toml", tmp_path / "a.xml", tmp_path / "c"
-    done = run(site, "-c", KEEP, campaign, kept, program="python")
+    done = run(site, campaign, kept, program=KEEP)
     assert (done.returncode, done.stderr) == (0, "")
     assert 'name = "toy_cable"' in kept.read_text()
     refused = run(site, "export", "mjcf", kept, "--out", model)

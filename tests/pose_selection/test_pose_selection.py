@@ -2,6 +2,7 @@
 
 import importlib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from casadical.identification.prior import carry_over
 from casadical.identification.tables import how_sure
 from casadical.pose_selection import Circumstances, Noise, Workspace, forecast, select_poses
 from casadical.pose_selection.candidates import candidates_at, draw, expected
+from casadical.pose_selection.experimental_design import first_of_best
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian, whitened
 from casadical.pose_selection.pose_order import distances, travel
 from casadical.pose_selection.stopping_rule import Forecast
@@ -22,6 +24,9 @@ from casadical.robot.knowledge import Covariance, Knowledge
 
 SIGMA = 3e-5
 QUICK = {"pool": 200, "restarts": 1}
+
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -334,3 +339,20 @@ def test_what_an_instrument_will_read_is_the_error_with_the_noise_of_instrument_
     assert chosen.reading_error is not None
     assert np.sqrt(np.mean(squares)) == pytest.approx(chosen.reading_error, rel=0.06)
     assert chosen.reading_error > 1.3 * chosen.accuracy
+
+
+def test_rounding_chooses_no_other_poses() -> None:
+    """Parameters are moved by 1e-12 of themselves; sets too small to determine all of them once grew by rounding."""
+    robot = casadical.read_robot(ROOT / "problems" / "kr210" / "robot.toml")
+    lengths = {name: robot.parameters[name].value for name in ("a2", "a3", "d4")}
+    chosen = [
+        select_poses(robot.with_values({name: value * factor for name, value in lengths.items()}), None, 16, pool=200).q
+        for factor in (1.0, 1 + 1e-12, 1 - 2e-12)
+    ]
+    np.testing.assert_allclose(chosen[1:], chosen[:1] * 2, atol=1e-9)
+
+
+def test_the_first_of_equal_gains_is_taken() -> None:
+    assert first_of_best(np.array([0.0, 1.0 - 1e-9, 1.0, 1.0 - 1e-4])) == 1
+    assert first_of_best(np.array([-np.inf, -2.0, -1.0, -1.0 - 1e-9])) == 2
+    assert first_of_best(np.array([-np.inf, -np.inf])) == 0

@@ -29,7 +29,8 @@ def exported(files, tmp_path_factory):
         pytest.skip("no C compiler (gcc, clang, cc) on this machine")
     out = tmp_path_factory.mktemp("out") / "c"
     with pytest.MonkeyPatch.context() as patch:
-        code = run(patch, "export", "c", files / "hh800.toml", "--nominal", nominal_path("hh800"), "--out", out)
+        given = ("export", "c", files / "hh800.toml", "--nominal", nominal_path("hh800"), "--out", out)
+        code = run(patch, *given, vectors=100_000)
     assert code == 0
     return out
 
