@@ -11,13 +11,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, Evidence, Whitened, log_sum
+from casadical.core.linear_gaussian.grid import log_sum
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, Evidence
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, prior_weights
 
 BATCH = 500
 # Noise less probable than this, given the data, is not drawn and not summed over.
 LEAST = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """At one rho: columns of all candidates, white and orthogonal to the base model, shape (rows, columns).
+
+    log_norm : what does not depend on sigma or cause; rows : how many numbers were measured
+    """
+
+    E: Array
+    log_norm: float
+    rows: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,13 +67,14 @@ def noise_odds(case: Case, draws: int, rng: np.random.Generator) -> Iterator[Arr
     # A draw's own best sigma may lie one step aside.
     sigmas = np.arange(max(sigmas[0] - 1, 0), min(sigmas[-1] + 2, len(e.sigmas)))
     E = e.take(np.arange(e.width))
-    whitened = {k: e.white(float(RHOS[k]), E) for k in rhos}
-    groups = [_groups(case, whitened[k]) for k in rhos]
+    projections = [e.projection(float(RHOS[k])) for k in rhos]
+    problems = [_Problem(p.columns(E), p.log_norm, e.count) for p in projections]
+    groups = [_groups(case, problem.E) for problem in problems]
     for first in range(0, draws, BATCH):
         noise = _noise(e, share, min(BATCH, draws - first), rng)
         total = [
-            _log_likelihoods(whitened[k], e.white(float(RHOS[k]), noise).E, groups[i], e.sigmas[sigmas])
-            for i, k in enumerate(rhos)
+            _log_likelihoods(problem, projection.columns(noise), own, e.sigmas[sigmas])
+            for problem, projection, own in zip(problems, projections, groups, strict=True)
         ]
         nothing, something = (np.logaddexp.reduce([t[s] for t in total], axis=0) for s in (0, 1))
         yield something - nothing - np.log(PRIOR_FIRST["none"])
@@ -76,12 +90,12 @@ def _noise(e: Evidence, share: Array, count: int, rng: np.random.Generator) -> A
     return np.asarray(e.sigmas[sigma] * (white + e.Jq @ joints))
 
 
-def _groups(case: Case, w: Whitened) -> list[_Group]:
+def _groups(case: Case, white: Array) -> list[_Group]:
     """Every setting of every cause; the settings of a cause share its prior."""
     weights = prior_weights(case, PRIOR_FIRST, frozenset())
     found = []
     for (c, _), columns in zip(case.variants, case.groups, strict=True):
-        E = w.E[:, columns]
+        E = white[:, columns]
         value, vector = np.linalg.eigh(E.T @ E)
         candidate = case.candidates[c]
         log_weight = float(np.log(weights[candidate.label] / len(candidate.variants)))
@@ -89,7 +103,7 @@ def _groups(case: Case, w: Whitened) -> list[_Group]:
     return found
 
 
-def _log_likelihoods(w: Whitened, Y: Array, groups: list[_Group], sigma: Array) -> tuple[Array, Array]:
+def _log_likelihoods(w: _Problem, Y: Array, groups: list[_Group], sigma: Array) -> tuple[Array, Array]:
     """Of each column of Y, shape (rows, draws): without any cause, and with some cause, shapes (draws,)."""
     base = w.log_norm - w.rows * np.log(sigma)[:, None] - 0.5 * (Y**2).sum(axis=0) / sigma[:, None] ** 2
     b = w.E.T @ Y

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from casadical.diagnosis.evidence import log_sum
+from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking
 from casadical.diagnosis.thresholds import MOST_CAUSES
 from casadical.effects import Effect

@@ -9,8 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.cross_validation import Fit
-from casadical.diagnosis.evidence import log_sum
+from casadical.core.linear_gaussian.fit import Fit
+from casadical.core.linear_gaussian.grid import log_sum
+from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.result import Change
 from casadical.identification.prior import Prior
@@ -30,7 +31,7 @@ def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
     """
     parts = _parts(case, prior)
     noise = Noise(max(robust_std(case.evidence.r), 1e-9), 0.0)
-    fit = Fit(case.evidence, np.zeros(0, dtype=np.int64), noise)
+    fit = new_fit(case.evidence, np.zeros(0, dtype=np.int64), noise)
     factor: dict[tuple[str, int | None], float] = {}
     done: set[tuple[str, int | None]] = set()
     while True:
@@ -78,8 +79,8 @@ def _log_evidence(case: Case, fit: Fit, sigma: float, prior: Prior) -> float:
         scaled = C / np.outer(unit, unit)
         precision[np.ix_(at, at)] = np.linalg.inv(scaled) / np.outer(unit, unit)
         log_det -= float(np.linalg.slogdet(scaled)[1]) + 2 * float(np.log(unit).sum())
-    A = fit.H + precision
-    right = fit.g + precision @ mean
+    A = fit.sums.H + precision
+    right = fit.sums.g + precision @ mean
     scale = np.sqrt(np.diag(A))
     L = np.linalg.cholesky(A / np.outer(scale, scale))
     solved = np.linalg.solve(L, right / scale)

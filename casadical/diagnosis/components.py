@@ -59,12 +59,14 @@ def components(case: Case, noise: Noise, seed: int = 0, faults: Sequence[Effect]
     if faults:
         E[INSTRUMENT] = case.whole.take(np.sort(case.group(faults)), kept)
     widths = [part.shape[2] for part in E.values()]
-    white = e.at(kept).white(noise.repeatability / noise.sigma, np.concatenate([*E.values()], axis=2))
+    some = e.at(kept)
+    projection = some.projection(noise.repeatability / noise.sigma)
+    white = projection.columns(np.concatenate([*E.values()], axis=2))
     edges = np.cumsum([0, *widths])
-    groups = [white.E[:, a:b] for a, b in itertools.pairwise(edges)]
+    groups = [white[:, a:b] for a, b in itertools.pairwise(edges)]
     K = _products_of(groups)
-    size = _sizes(white.y, K, noise.sigma)
-    return Components(tuple(E), _draws(white.y, groups, K, size, noise.sigma, rng) / white.rows)
+    size = _sizes(projection.y, K, noise.sigma)
+    return Components(tuple(E), _draws(projection.y, groups, K, size, noise.sigma, rng) / some.count)
 
 
 def _products(lever: Array, functions: Array) -> Array:

@@ -196,7 +196,7 @@ def _judged(
     effects = table.groupby("label", sort=False).mean()
     effects["findable_from"] = np.sqrt(FOUND / evidence.count) / effects["visible_to_noise"]
     some = evidence if n <= MOST_ALIKE else evidence.at(np.linspace(0, n - 1, MOST_ALIKE).astype(int))
-    seen = some.white(rho, some.take(np.arange(some.width))).E
+    seen = some.projection(rho).columns(some.take(np.arange(some.width)))
     return Isolability(effects, _alike(seen, columns, owner), missing)
 
 
@@ -206,10 +206,11 @@ def _squares(evidence: Evidence, rho: float) -> Array:
     rho : joint repeatability over the instrument's sigma. Some columns at a time, for there may be many poses.
     """
     step = max(1, BYTES // (24 * len(evidence.r)))
+    projections = [evidence.projection(ratio) for ratio in (0.0, rho)]
     found = []
     for first in range(0, evidence.width, step):
         E = evidence.take(np.arange(first, min(first + step, evidence.width)))
-        plain, seen = (evidence.white(r, E).E for r in (0.0, rho))
+        plain, seen = (projection.columns(E) for projection in projections)
         found.append(np.stack([(E**2).sum(axis=(0, 1)), *((part**2).sum(axis=0) for part in (plain, seen))]))
     return np.concatenate(found, axis=1)
 

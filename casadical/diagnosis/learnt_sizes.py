@@ -9,8 +9,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.normal_matrices import root_of_inverse
-from casadical.diagnosis.cross_validation import Fit
+from casadical.core.linear_gaussian.normal_equations import root_of_inverse
+from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.evidence import Evidence
 from casadical.measurements.noise import Noise
 
@@ -29,18 +29,19 @@ def learnt_sizes(
     beside : columns of other causes in the model; noise : as far as known
     """
     columns = np.union1d(beside, group)
-    fit = Fit(e, columns, noise)
+    fit = new_fit(e, columns, noise)
+    sums = fit.sums
     first, own = len(fit.prior) - fit.combined.width, np.searchsorted(columns, group)
     places_of = {part: first + fit.combined.places(own[places]) for part, places in parts.items()}
     prior, mean = fit.prior.copy(), fit.mean
     factors, scale, rows = dict.fromkeys(parts, 1.0), 1.0, len(fit.y)
     square = float(fit.y @ fit.y)
     for _ in range(ROUNDS):
-        normal = fit.H / scale + np.diag(prior**-2)
+        normal = sums.H / scale + np.diag(prior**-2)
         root = root_of_inverse(normal)
-        x = root.T @ (root @ (fit.g / scale + mean / prior**2))
+        x = root.T @ (root @ (sums.g / scale + mean / prior**2))
         determined = 1 - (root**2).sum(axis=0) / prior**2
-        left = square - 2 * fit.g @ x + x @ fit.H @ x
+        left = square - 2 * sums.g @ x + x @ sums.H @ x
         before = (scale, *factors.values())
         # With more parameters than rows the noise would shrink to nothing.
         scale = max(float(left / (rows - determined.sum())), LEAST_FACTOR**2)

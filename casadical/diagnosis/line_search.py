@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.cross_validation import Fit
+from casadical.core.linear_gaussian.fit import Fit
 
 # Frequencies that are tried [cycles a turn]: from half a cycle over all readings on, so many to a cycle over them.
 LOWEST, PER_CYCLE, WIDEST_STEP = 0.5, 5, 0.5

@@ -14,8 +14,8 @@ from casadical.core.parameters import Parameter
 from casadical.diagnosis.camera_columns import with_images
 from casadical.diagnosis.candidates import Candidate, choose
 from casadical.diagnosis.cross_validation import fit_of
-from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, SIGMAS, Evidence, absorbed_by_base
-from casadical.diagnosis.linearisation import Columns, linearise
+from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, SIGMAS, Evidence
+from casadical.diagnosis.linearisation import EffectColumns, linearise
 from casadical.diagnosis.noise_floor import replicates
 from casadical.diagnosis.observations import Observations, Ratios, joined, observe, stops_in, with_far_ends
 from casadical.effects import Effect
@@ -41,6 +41,13 @@ MOST_FREEDOM = 60
 SAME_RATIO = 0.2
 # One sigma, in sizes, of parameters of effects that the robot has: as good as fixed.
 HELD = 1e-3
+
+
+@dataclass(eq=False)
+class Selected:
+    """The problem of the poses that are no outliers, once it was made."""
+
+    evidence: Evidence | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +78,7 @@ class Case:
     units: Array | None = None
     others: Observations | None = None
     assumed: tuple[str, ...] = ()
+    selected: Selected = field(init=False, repr=False, default_factory=Selected)
 
     @property
     def one_end(self) -> bool:
@@ -108,10 +116,12 @@ class Case:
         e = self.evidence
         return e.r if e.size is None else e.r * e.size
 
-    @cached_property
+    @property
     def evidence(self) -> Evidence:
         """Residuals and columns of the poses that are no outliers."""
-        return self.whole.at(np.flatnonzero(self.kept))
+        if self.selected.evidence is None:
+            self.selected.evidence = self.whole.at(np.flatnonzero(self.kept))
+        return self.selected.evidence
 
     def prior_parts(self, prior: Prior) -> tuple[Array, Array, list[tuple[Array, Array]]]:
         """Mean less present values and one sigma of the base model's parameters, shapes (P,) [SI], with a prior.
@@ -148,14 +158,14 @@ class Case:
         left, most = float(np.sqrt(np.sum(self.evidence.r**2) / self.evidence.count)), float(self.whole.sigmas[-1])
         whole = replace(self.whole, sigmas=ALL_SIGMAS)
         if left > most:
-            assert isinstance(whole.E, Columns)
+            assert isinstance(whole.E, EffectColumns)
             whole = replace(whole, reference=left, E=replace(whole.E, growth=left / most, first=None))
         return replace(self, whole=whole)
 
     @property
     def growth(self) -> float:
         """Of the usual sizes of effects."""
-        return self.whole.E.growth if isinstance(self.whole.E, Columns) else 1.0
+        return self.whole.E.growth if isinstance(self.whole.E, EffectColumns) else 1.0
 
     def with_kept(self, kept: Array) -> Case:
         """The case with other poses left out. Raises InputError where most of them are."""
@@ -191,7 +201,7 @@ class Case:
         """
         learnt = effect.with_sizes({part: self.growth * factor for part, factor in factors.items()})
         columns = self.columns[effect]
-        held = self.whole.width_in_model(np.arange(self.whole.width)).copy()
+        held = self.whole.model.held.copy()
         for part, places in effect.parts.items():
             held[columns[places]] *= factors[part]
         candidates = tuple(
@@ -207,7 +217,7 @@ class Case:
 
     def sizes(self, columns: Array) -> Array:
         """One unit of these columns' parameters [SI]."""
-        assert isinstance(self.whole.E, Columns)
+        assert isinstance(self.whole.E, EffectColumns)
         return self.whole.E.sizes[columns]
 
     def with_variants(self, label: str, variants: Sequence[tuple[Effect, ...]]) -> Case:
@@ -220,15 +230,15 @@ class Case:
             return replace(self, candidates=candidates)
         m, _ = derive(self.m, [c for e in effects for c in e.conditions])
         columns = {**self.columns, **column_numbers(effects, self.whole.width)}
-        assert isinstance(self.whole.E, Columns)
+        assert isinstance(self.whole.E, EffectColumns)
         E = self.whole.E.plus(effects, m.conditions)
         # Sizes that were learnt stay.
         held = E.held if self.whole.held is None else np.append(self.whole.held, E.held[self.whole.width :])
         more = replace(self, m=m, candidates=candidates, columns=columns, whole=replace(self.whole, E=E, held=held))
         known = self.evidence
-        assert isinstance(known.E, Columns)
+        assert isinstance(known.E, EffectColumns)
         own = known.E.plus(effects, {name: values[self.kept] for name, values in m.conditions.items()})
-        more.__dict__["evidence"] = replace(known, E=own, held=held).extending(known)
+        more.selected.evidence = replace(known, E=own, held=held).extending(known)
         return more
 
 
@@ -264,7 +274,7 @@ def make_case(
     r = m.position - p
     # Gross only: an effect that leaves the points in two clouds must not lose one of them as outliers.
     kept = np.linalg.norm(r, axis=1) / np.sqrt(3) <= GROSS * robust_std(r)
-    E = Columns(linear, effects).with_directions()
+    E = EffectColumns(linear, effects).with_directions()
     again = replicates(m, r, kept)
     repeats = (again.sigma, min(again.freedom, MOST_FREEDOM)) if again.enough else (0.0, 0)
     whole = Evidence(r, linear.J, linear.Jq, delta0, base_prior(robot, free), E, held=E.held, repeats=repeats)
@@ -287,7 +297,7 @@ def _of_kinds(
     r, numbers = seen.r, np.maximum(seen.measured.sum(axis=1), 1)
     left = robust_std(r)
     kept = seen.measured.any(axis=1) & (np.linalg.norm(r, axis=1) / np.sqrt(numbers) <= GROSS * left)
-    E = Columns(seen.linear, effects).with_directions()
+    E = EffectColumns(seen.linear, effects).with_directions()
     again = replicates(m, r, kept, seen.apart, seen.measured)
     whole = Evidence(
         r,
@@ -303,7 +313,7 @@ def _of_kinds(
         size=seen.size,
         alike=seen.alike,
     )
-    whole = replace(whole, absorbed=absorbed_by_base(whole))
+    whole = replace(whole, absorbed=whole.model.absorbed_by_base)
     columns = column_numbers(effects, 0)
     return Case(
         identification.robot, robot, values, m, tuple(possible), missing, whole, kept, columns, free, others=seen

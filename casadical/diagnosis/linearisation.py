@@ -9,14 +9,14 @@ composed once for all settings of an effect and evaluated for all poses and sett
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.casadi_buffers import call
-from casadical.diagnosis.combinations import Combined, Directions, directions_of
+from casadical.core.linear_gaussian.columns import EVERY, Combined, Directions, Factors, directions_of
 from casadical.diagnosis.formulas import Part, plan
 from casadical.diagnosis.seams import Seams, seams_of
 from casadical.effects import Effect
@@ -26,8 +26,8 @@ from casadical.robot.robot import Robot
 
 # Poses whose seams are evaluated in one call.
 BLOCK = 512
-# All poses.
-EVERY = slice(None)
+# A direction of a part is left out if one size of it moves all poses together by less than this [m].
+NOTHING = 3e-9
 # Variables of the measured point, the last of the seams.
 POINT = 3
 # Behind a condition's name, before the number of the reading at a pose.
@@ -37,76 +37,6 @@ TURN = "#"
 def of_turn(condition: str, turn: int) -> str:
     """The name of a condition of a further reading at a pose; of the first, 0, its own."""
     return f"{condition}{TURN}{turn}" if turn else condition
-
-
-@dataclass(frozen=True, eq=False)
-class Factors:
-    """Columns as sums over seams: the position's derivative by a seam's variable times a factor at each pose.
-
-    blocks : a seam, the columns that act there, at most once each, and their factors, shape (columns, n)
-    width : number of columns
-    """
-
-    blocks: tuple[tuple[int, Array, Array], ...]
-    width: int
-
-    def columns_at(self, S: Array) -> Array:
-        """The columns, shape (n, 3, columns); S : derivative by all seam variables, shape (n, 3, seams)."""
-        out = np.zeros((*S.shape[:2], self.width))
-        for seam, columns, values in self.blocks:
-            out[:, :, as_slice(columns)] += S[:, :, seam, None] * values.T[:, None]
-        return out
-
-    def scaled(self, sizes: Array) -> Factors:
-        """In units of sizes, shape (columns,)."""
-        return replace(self, blocks=tuple((s, c, values * sizes[c, None]) for s, c, values in self.blocks))
-
-    def at(self, poses: Array | slice) -> Factors:
-        """At some of the poses."""
-        return replace(self, blocks=tuple((s, c, values[:, poses]) for s, c, values in self.blocks))
-
-    def only(self, columns: Array) -> Factors:
-        """Of some of the columns, renumbered in this order."""
-        place = np.full(self.width, -1)
-        place[columns] = np.arange(len(columns))
-        found = []
-        for seam, own, values in self.blocks:
-            kept = np.flatnonzero(place[own] >= 0)
-            if len(kept):
-                found.append((seam, place[own[kept]], values[kept] if len(kept) < len(own) else values))
-        return Factors(tuple(found), len(columns))
-
-    def combined(self, every: Combined) -> Factors:
-        """Of combinations of the columns, of which those of a part act at the same seams."""
-        if every.plain:
-            return self
-        starts, found = np.array([a for a, _, _ in every.blocks]), []
-        for seam, own, values in self.blocks:
-            which = np.searchsorted(starts, own, side="right") - 1
-            parts = [(k, own[which == k], values[which == k]) for k in np.unique(which).tolist()]
-            more = [every.factors(k, columns, part) for k, columns, part in parts]
-            places, factors = (np.concatenate(a) for a in zip(*more, strict=True))
-            if len(places):  # a joint that moves no pose has no combinations
-                found.append((seam, places, factors))
-        return Factors(tuple(found), every.width)
-
-    def products(self, S: Array) -> Array:
-        """Products of the columns, added up over the poses, shape (columns, columns)."""
-        total = np.zeros((self.width, self.width))
-        for s, own, values in self.blocks:
-            for t, others, more in self.blocks:
-                total[np.ix_(own, others)] += (values * (S[:, :, s] * S[:, :, t]).sum(axis=1)) @ more.T
-        return total
-
-    def before(self, others: Factors) -> Factors:
-        """With the columns of others behind."""
-        shifted = tuple((s, self.width + c, values) for s, c, values in others.blocks)
-        return Factors((*self.blocks, *shifted), self.width + others.width)
-
-
-def as_slice(columns: Array) -> Array | slice:
-    """Columns one after the other as a slice, which is faster."""
-    return slice(columns[0], columns[-1] + 1) if (np.diff(columns) == 1).all() else columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,27 +168,40 @@ def signatures(robot: Robot, effects: Sequence[Effect], m: Measurements, values:
 KEPT = 100_000_000
 
 
+@dataclass(eq=False)
+class Made:
+    """What was made of columns: their factors at all poses, and the sizes of their parameters."""
+
+    factors: Factors | None = None
+    sizes: Array | None = None
+
+
 @dataclass(frozen=True, eq=False)
-class Columns:
+class EffectColumns:
     """Columns of effects at poses in units of their parameters' sizes, made when they are asked for.
 
     linear : the poses; effects : one after the other; sizes : of every parameter, shape (columns,)
     growth : of the sizes, for a robot that leaves more than others do
     first : the columns of the first of the effects, which were made before
-    directions : of the parts of effects that have parts (see `combinations`); none until they are asked for
+    directions : of the parts of effects that have parts (see `core.linear_gaussian.columns`); none until they are asked
+        for
     """
 
     linear: Linearisation
     effects: tuple[Effect, ...]
     growth: float = 1.0
-    first: Columns | None = None
+    first: EffectColumns | None = None
     directions: Directions = ()
+    made: Made = field(init=False, repr=False, default_factory=Made)
 
-    @cached_property
+    @property
     def sizes(self) -> Array:
         """Realistic size of every parameter, shape (columns,)."""
-        known = np.zeros(0) if self.first is None else self.first.sizes
-        return np.concatenate([known, [self.growth * size for e in self._own for size, _ in e.sizes().values()]])
+        if self.made.sizes is None:
+            known = np.zeros(0) if self.first is None else self.first.sizes
+            own = [self.growth * size for e in self._own for size, _ in e.sizes().values()]
+            self.made.sizes = np.concatenate([known, own])
+        return self.made.sizes
 
     @cached_property
     def held(self) -> Array:
@@ -284,27 +227,35 @@ class Columns:
     def _parts(self) -> tuple[Part, ...]:
         return plan(self.linear.model, self.effects)
 
-    @cached_property
+    @property
     def _all(self) -> Factors:
-        if self.first is None:
-            return self._made(self.linear)
-        return self.first._all.before(Columns(self.linear, self._own, self.growth)._all)
+        if self.made.factors is None:
+            if self.first is None:
+                self.made.factors = self._factors_at(self.linear)
+            else:
+                own = EffectColumns(self.linear, self._own, self.growth)
+                self.made.factors = self.first._all.before(own._all)
+        return self.made.factors
 
-    def _made(self, linear: Linearisation) -> Factors:
+    def _factors_at(self, linear: Linearisation) -> Factors:
         return linear.factors(self._parts).scaled(self.sizes)
 
     @property
     def _few(self) -> bool:
         return 8 * self.shape[0] * self.shape[2] <= KEPT
 
-    def factors(self, poses: Array | slice = EVERY) -> Factors:
+    def factors(self, blocks: Array | slice = EVERY) -> Factors:
         """All columns at some poses as factors of the seams (see `Linearisation.S`)."""
-        return self._all.at(poses) if self._few else self._made(self.linear.at(poses))
+        return self._all.at(blocks) if self._few else self._factors_at(self.linear.at(blocks))
 
-    def take(self, columns: Array, poses: Array | slice = EVERY, every: Combined | None = None) -> Array:
+    def levers(self, blocks: Array | slice = EVERY) -> Array:
+        """Derivative by the seams' variables at some poses, shape (poses, 3, seams)."""
+        return self.linear.S[blocks]
+
+    def take(self, columns: Array, blocks: Array | slice = EVERY, every: Combined | None = None) -> Array:
         """Some of the columns at some poses, shape (poses, 3, len(columns)) [m per unit of size], or combinations."""
-        factors = self._factors_of(columns, poses)
-        return (factors.combined(every) if every else factors).columns_at(self.linear.S[poses])
+        factors = self._factors_of(columns, blocks)
+        return (factors.combined(every) if every else factors).columns_at(self.linear.S[blocks])
 
     def _factors_of(self, columns: Array, poses: Array | slice) -> Factors:
         if self._few:
@@ -312,50 +263,47 @@ class Columns:
         some, places = self._owning(columns)
         return some.factors(poses).only(places)
 
-    def _owning(self, columns: Array) -> tuple[Columns, Array]:
+    def _owning(self, columns: Array) -> tuple[EffectColumns, Array]:
         """The columns of those effects that have some columns, and the places of these among them."""
         owners = np.searchsorted(self._edges, columns, side="right") - 1
         used = np.unique(owners)
-        some = Columns(self.linear, tuple(self.effects[k] for k in used), self.growth)
+        some = EffectColumns(self.linear, tuple(self.effects[k] for k in used), self.growth)
         starts = self._edges[used] - some._edges[:-1]
         return some, columns - starts[np.searchsorted(used, owners)]
 
-    def only(self, columns: Array) -> Columns:
+    def only(self, columns: Array) -> EffectColumns:
         """Some of the columns, in rising order, all those of an effect or none."""
         used = np.unique(np.searchsorted(self._edges, columns, side="right") - 1)
-        some = Columns(self.linear, tuple(self.effects[k] for k in used), self.growth)
-        some.__dict__["sizes"] = self.sizes[columns]
-        if self._few:
-            some.__dict__["_all"] = self._all.only(columns)
+        some = EffectColumns(self.linear, tuple(self.effects[k] for k in used), self.growth)
+        some.made.sizes = self.sizes[columns]
+        some.made.factors = self._all.only(columns) if self._few else None
         return some
 
-    def at(self, poses: Array) -> Columns:
+    def at(self, blocks: Array) -> EffectColumns:
         """The same columns at some of the poses."""
-        some = Columns(self.linear.at(poses), self.effects, self.growth, directions=self.directions)
-        if self._few:
-            some.__dict__["_all"] = self._all.at(poses)
+        some = EffectColumns(self.linear.at(blocks), self.effects, self.growth, directions=self.directions)
+        some.made.factors = self._all.at(blocks) if self._few else None
         return some
 
-    def with_directions(self) -> Columns:
+    def with_directions(self) -> EffectColumns:
         """The same with the directions of all parts; they serve for some of these poses, too."""
-        found = []
+        directions = []
         for effect, first in zip(self.effects, self._edges.tolist(), strict=False):
             for part in effect.parts.values():
                 normal = np.zeros((len(part), len(part)))
                 for start in range(0, self.shape[0], BLOCK):
                     poses = slice(start, start + BLOCK)
                     normal += self._factors_of(first + part, poses).products(self.linear.S[poses])
-                found.append((first + part, directions_of(normal)))
-        more = replace(self, directions=tuple(found))
-        if self._few:
-            more.__dict__["_all"] = self._all
+                directions.append((first + part, directions_of(normal, NOTHING)))
+        more = replace(self, directions=tuple(directions))
+        more.made.factors = self._all if self._few else None
         return more
 
-    def after(self, column: int) -> Columns:
+    def after(self, column: int) -> EffectColumns:
         """The columns from this one on, with which an effect's columns begin."""
-        return Columns(self.linear, self.effects[int(np.searchsorted(self._edges, column)) :], self.growth)
+        return EffectColumns(self.linear, self.effects[int(np.searchsorted(self._edges, column)) :], self.growth)
 
-    def plus(self, effects: tuple[Effect, ...], conditions: Mapping[str, Array]) -> Columns:
+    def plus(self, effects: tuple[Effect, ...], conditions: Mapping[str, Array]) -> EffectColumns:
         """With further effects behind the others; conditions : all logged and derived columns of these poses."""
         linear = replace(self.linear, conditions=dict(conditions))
-        return Columns(linear, (*self.effects, *effects), self.growth, self, self.directions)
+        return EffectColumns(linear, (*self.effects, *effects), self.growth, self, self.directions)

@@ -9,8 +9,9 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.errors import InputError
+from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.cross_validation import likely_noise
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import linearise
 from casadical.diagnosis.pose_separation import Predictive, noise_at, pick, predict_cause

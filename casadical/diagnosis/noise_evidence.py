@@ -14,9 +14,9 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.added import Added, added
-from casadical.diagnosis.evidence import RHOS, Evidence, log_over_sigmas, log_repeats
-from casadical.diagnosis.sums import taken
+from casadical.core.linear_gaussian.noise import Axes
+from casadical.core.linear_gaussian.normal_equations import Joined, joined
+from casadical.diagnosis.evidence import REPEATABILITY, RHOS, Evidence, joint_noise, log_repeats
 
 # Columns that are kept, in bytes; else they are made again, so many at a time.
 MOST_BYTES, PART_BYTES = 64_000_000, 32_000_000
@@ -65,7 +65,7 @@ class Problem:
 
     def __init__(self, e: Evidence, chosen: Array, order: Array) -> None:
         self.e, self.chosen, self._order, self._Jq = e, chosen, order, e.Jq[order]
-        self._combined, widths = e.combined(chosen), e.width_in_model(chosen)
+        self._combined, widths = e.model.combined(chosen), e.model.held[chosen]
         self._weights = e.reference / np.concatenate([e.prior, self._combined.one_of_each(widths)])
         self._lost = self._combined.left_out(np.log(e.reference / widths))
         self._mean = np.concatenate([e.delta0, np.zeros(self._combined.width)])
@@ -82,9 +82,9 @@ class Problem:
     def _judged(self, form: Form) -> Array:
         e, near = self.e, list(self.e.near)
         out = np.full((len(RHOS), len(e.sigmas)), -np.inf)
-        Jq = form.repeatability(self._Jq)
+        known = log_repeats(e, form.repeatability(self._Jq))
         for k, (fit, square) in zip(near, self._fits(form, near), strict=True):
-            out[k] = log_over_sigmas(e, square, fit.log_norm - self._lost) + log_repeats(e, Jq, k)
+            out[k] = e.model.log_over_sigmas(square, fit.log_norm - self._lost) + known[k]
         return out + form.log_weight
 
     def left(self, form: Form, k: int) -> Array:
@@ -93,74 +93,84 @@ class Problem:
         x = fit.root.T @ fit.z
         if self._by_rows:
             return np.asarray(x.reshape(self.e.r.shape))
-        turn, weights = self._axes(form, [k])
+        axes = self._axes(form, [k])
         rest = ((form.moved(X[:, :, -1] - X[:, :, :-1] @ x, at), at) for X, at in self._parts())
-        return np.concatenate([weights[0, at] * (turn[at] @ r[:, :, None])[:, :, 0] for r, at in rest])
+        return np.concatenate(
+            [np.sqrt(axes.precision[0, at]) * axes.turned(r[:, :, None], at)[:, :, 0] for r, at in rest]
+        )
 
-    def _fits(self, form: Form, near: Sequence[int]) -> list[tuple[Added, float]]:
+    def _fits(self, form: Form, near: Sequence[int]) -> list[tuple[Joined, float]]:
         """At each rho how the parameters fit, and the square of what they leave."""
         return self._by_covariance(form, near) if self._by_rows else self._by_sums(form, near)
 
-    def _by_sums(self, form: Form, near: Sequence[int]) -> list[tuple[Added, float]]:
+    def _by_sums(self, form: Form, near: Sequence[int]) -> list[tuple[Joined, float]]:
         p, total = len(self._weights), self._again(form, near) if form.stays else self._less(form, near)
         known = self._weights**2 * self._mean
         total[:, range(p), range(p)] += self._weights**2
         total[:, p, :p] += known
         total[:, p, p] += known @ self._mean
-        logs = np.log(self._axes(form, near)[1]).sum(axis=(1, 2)).tolist()
-        fits = [added(s[:p, :p], s[p, :p], float(s[p, p]), log) for s, log in zip(total, logs, strict=True)]
+        logs = (-0.5 * self._axes(form, near).log_det).tolist()
+        fits = [joined(s[:p, :p], s[p, :p], float(s[p, p]), log) for s, log in zip(total, logs, strict=True)]
         return [(fit, fit.square) for fit in fits]
 
     def _again(self, form: Form, near: Sequence[int]) -> Array:
         """Products of columns and what is left as the form moves them, shape (rhos, p + 1, p + 1)."""
-        width, (turn, weights) = len(self._weights) + 1, self._axes(form, near)
+        width, axes = len(self._weights) + 1, self._axes(form, near)
         total = np.zeros((len(near), width, width))
         for X, at in self._parts():
-            Y = turn[at] @ form.moved(X, at)
-            for sums, weight in zip(total, weights, strict=True):
-                white = (Y * weight[at, :, None]).reshape(-1, width)
+            Y = axes.turned(form.moved(X, at), at)
+            for sums, precision in zip(total, axes.precision, strict=True):
+                white = (Y * np.sqrt(precision[at, :, None])).reshape(-1, width)
                 sums += white.T @ white
         return total
 
     def _less(self, form: Form, near: Sequence[int]) -> Array:
         """The same, from those with plain noise and what has less weight than there."""
-        total = self.e.judge.sums.together(self.chosen, near)
+        total = self.e.marginals.sums.together(self.chosen, near)
         if form.joint is None and form.times is None:
             return total
-        turn, weights = self._axes(Form(), near)
+        axes = self._axes(Form(), near)
         for X, at in self._parts():
-            X, columns = X[min(at.start, 1) :], X.shape[2]
-            for sums, k, weight in zip(total, near, weights[:, at], strict=True):
-                if form.joint is not None:
-                    arm = (turn[at] @ self._Jq[at, :, form.joint, None])[:, :, 0] * weight**2
-                    own = (self._Jq[at, :, form.joint] * (arm[:, None] @ turn[at])[:, 0]).sum(axis=1)
-                    # What a further variance takes from the weight along the joint's motion (Sherman and Morrison).
-                    more = RHOS[k] ** 2 * (form.worse**2 - 1)
-                    along = (arm[:, None] @ turn[at]) * np.sqrt(more / (1 + more * own))[:, None, None]
-                    lacking = (along @ X).reshape(-1, columns)
+            X = X[min(at.start, 1) :]
+            for i, (sums, k) in enumerate(zip(total, near, strict=True)):
+                if form.times is None:
+                    lacking = self._along_joint(form, axes, i, at, float(RHOS[k])) @ X
                 else:
-                    assert form.times is not None
                     out = np.flatnonzero(form.times[at] > 1)
-                    share = np.sqrt(1 - form.times[at][out, None] ** -2) * weight[out]
-                    lacking = ((turn[at][out] @ X[out]) * share[:, :, None]).reshape(-1, columns)
+                    share = np.sqrt((1 - form.times[at][out, None] ** -2) * axes.precision[i, at][out])
+                    lacking = (axes.turn[at][out].transpose(0, 2, 1) @ X[out]) * share[:, :, None]
+                lacking = lacking.reshape(-1, X.shape[2])
                 sums -= lacking.T @ lacking
         return total
 
-    def _by_covariance(self, form: Form, near: Sequence[int]) -> list[tuple[Added, float]]:
-        rows, (turn, weights) = self.e.r.size, self._axes(form, near)
+    def _along_joint(self, form: Form, axes: Axes, i: int, at: slice, rho: float) -> Array:
+        """Along a joint's motion, the root of what a further variance of it takes from the weight, shape (n, 1, 3).
+
+        (Sherman and Morrison.)
+        """
+        precise = axes.turn[at] * axes.precision[i, at, None] @ axes.turn[at].transpose(0, 2, 1)
+        motion = self._Jq[at, :, form.joint]
+        arm = motion[:, None] @ precise
+        own = (arm[:, 0] * motion).sum(axis=1)
+        more = rho**2 * (form.worse**2 - 1)
+        return np.asarray(arm * np.sqrt(more / (1 + more * own))[:, None, None])
+
+    def _by_covariance(self, form: Form, near: Sequence[int]) -> list[tuple[Joined, float]]:
+        rows, axes = self.e.r.size, self._axes(form, near)
         X, every = next(self._parts())
 
         def moved(numbers: Array) -> Array:
-            return np.asarray((turn @ form.moved(numbers.reshape(*turn.shape[:2], -1), every)).reshape(rows, -1))
+            return axes.turned(form.moved(numbers.reshape(*self.e.r.shape, -1), every)).reshape(rows, -1)
 
         y = moved(X[:, :, -1] - X[:, :, :-1] @ self._mean)
         prior, log_width = moved(moved(self._prior_covariance).T), float(np.log(self._weights).sum())
-        found = []
-        for weight in weights.reshape(len(near), rows):
+        fits = []
+        for precision, log_det in zip(axes.precision.reshape(len(near), rows), axes.log_det, strict=True):
+            weight = np.sqrt(precision)
             normal = np.eye(rows) + weight[:, None] * prior * weight
-            fit = added(normal, weight * y[:, 0], 0.0, float(np.log(weight).sum()) - log_width)
-            found.append((fit, -fit.square))
-        return found
+            fit = joined(normal, weight * y[:, 0], 0.0, -0.5 * float(log_det) - log_width)
+            fits.append((fit, -fit.square))
+        return fits
 
     @cached_property
     def _prior_covariance(self) -> Array:
@@ -168,15 +178,10 @@ class Problem:
         wide = next(self._parts())[0][:, :, :-1].reshape(self.e.r.size, -1) / self._weights
         return np.asarray(wide @ wide.T)
 
-    def _axes(self, form: Form, near: Sequence[int]) -> tuple[Array, Array]:
-        """What turns a pose's numbers into axes of its repeatability, shape (n, 3, 3); weights that make them white.
-
-        Of each axis at each rho, shape (rhos, n, 3).
-        """
-        Jq = form.repeatability(self._Jq)
-        square, turn = np.linalg.eigh(Jq @ Jq.transpose(0, 2, 1))
-        rhos = RHOS[list(near), None, None]
-        return turn.transpose(0, 2, 1), 1 / np.sqrt(1 + rhos**2 * np.maximum(square, 0.0))
+    def _axes(self, form: Form, near: Sequence[int]) -> Axes:
+        """In which the joints' repeatability is independent, at some rhos."""
+        (axes,) = joint_noise(form.repeatability(self._Jq)).axes({REPEATABILITY: RHOS[list(near)]})
+        return axes
 
     def _parts(self) -> Iterator[tuple[Array, slice]]:
         """Columns, then what is left, at some poses and the one before them; and which these are."""
@@ -186,7 +191,7 @@ class Problem:
             X = self._kept.get(start)
             if X is None:
                 poses = self._order[max(start - 1, 0) : start + step]
-                columns = taken(self.e.E, self.chosen, poses, self._combined)
+                columns = self.e.model.columns.take(self.chosen, poses, self._combined)
                 X = np.concatenate([self.e.J[poses], columns, self.e.r[poses, :, None]], axis=2)
                 if 24 * n * width <= MOST_BYTES:
                     self._kept[start] = X

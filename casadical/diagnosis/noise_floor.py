@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.cross_validation import covariance, held_out_errors, partitions
+from casadical.diagnosis.cross_validation import held_out_errors, partitions
 from casadical.diagnosis.evidence import Evidence
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
@@ -92,4 +92,4 @@ def outlier_probability(distance: Array) -> float:
 
 def _scatter(e: Evidence, noise: Noise) -> float:
     """Of one measured coordinate about the truth, instrument and joint repeatability together [m]."""
-    return float(np.sqrt(np.trace(covariance(e, noise), axis1=1, axis2=2).mean() / e.r.shape[1]))
+    return float(np.sqrt(np.trace(e.covariance(noise), axis1=1, axis2=2).mean() / e.r.shape[1]))

@@ -14,8 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.linear_gaussian.grid import log_sum
+from casadical.core.linear_gaussian.marginals import REACH
 from casadical.diagnosis.cross_validation import likely_noise
-from casadical.diagnosis.evidence import REACH, RHOS, log_sum
+from casadical.diagnosis.evidence import RHOS
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_evidence import Form, Problem
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, Rival

@@ -8,13 +8,13 @@ Fedorov 1975). The truth with the smallest factor so far has the largest weight.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.cross_validation import covariance
-from casadical.diagnosis.evidence import Evidence
+from casadical.diagnosis.cross_validation import new_fit
+from casadical.diagnosis.evidence import REPEATABILITY, joint_noise
 from casadical.diagnosis.linear_problem import Case, widths
 from casadical.diagnosis.linearisation import Linearisation
 from casadical.effects import Effect
@@ -43,25 +43,14 @@ def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: 
     J = np.concatenate([poses.J, points], axis=2)
     J = J if case.units is None else J @ case.units
     columns = case.group(variant) if variant else np.zeros(0, dtype=np.int64)
-    A = np.concatenate([old.J, old.take(columns)], axis=2)
     new = np.concatenate([J, E * widths(variant)], axis=2)
-    prior = np.concatenate([old.prior, np.full(len(columns), WIDE)])
-    mean = np.concatenate([old.delta0, np.zeros(len(columns))])
-    # Scaled by the prior, the normal matrix is at least the identity.
-    A, new, mean = A * prior, new * prior, mean / prior
-    AW = np.einsum("nip,nij->npj", A, np.linalg.inv(covariance(old, noise)))
-    normal = (AW @ A).sum(axis=0) + np.eye(len(prior))
-    right = np.einsum("npj,nj->p", AW, old.r) + mean
-    L = np.linalg.cholesky(normal)
-    fitted = np.linalg.solve(L.T, np.linalg.solve(L, right))
-    spread = np.linalg.solve(L, new.reshape(-1, len(prior)).T).T.reshape(new.shape)
-    return Prediction(new @ fitted, spread)
+    fit = new_fit(replace(old, held=np.full(old.width, WIDE)), columns, noise, combined=False)
+    return Prediction(new @ fit.x, new @ fit.root.T)
 
 
 def noise_at(noise: Noise, poses: Linearisation) -> Array:
     """Covariance of the noise at new poses, shape (K, 3, 3) [m^2]."""
-    empty = np.zeros((*poses.J.shape[:2], 0))
-    return covariance(Evidence(empty[:, :, :0], poses.J, poses.Jq, np.zeros(0), np.ones(0), empty), noise)
+    return joint_noise(poses.Jq).covariance({REPEATABILITY: noise.repeatability}, noise.sigma)
 
 
 class Predictive:

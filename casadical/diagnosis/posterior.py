@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.cross_validation import likely_noise
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.linear_problem import Case
 from casadical.measurements.noise import Noise
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.cross_validation import covariance
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.observations import edges_of, separated
 from casadical.effects import Effect
@@ -57,7 +56,7 @@ def _priors_of_effects(case: Case, effects: Sequence[Effect]) -> dict[str, tuple
     found: dict[str, tuple[float, float]] = {}
     for effect in (e for e in effects if e in case.columns):
         columns = case.columns[effect]
-        sigma = case.sizes(columns) * case.whole.width_in_model(columns)
+        sigma = case.sizes(columns) * case.whole.model.held[columns]
         names = (p.name for p in effect.parameters())
         found |= {name: (0.0, float(s)) for name, s in zip(names, sigma, strict=True)}
     return found
@@ -79,7 +78,7 @@ def refit_measurements(case: Case, effects: Sequence[Effect], noise: Noise) -> t
     if case.others:
         stops = case.others.stops
         return chosen_of(_with_sigmas(case, separated(case.others.sets, m, stops), noise), case.kept[stops.of])
-    C = covariance(case.whole, noise)[case.kept]
+    C = case.whole.covariance(noise)[case.kept]
     m = replace(m.positions_alone()[case.kept], kind=PositionCovariance.name, extra={"whitening": whitening(C)})
     return (replace(m, sigma=typical_sigma(C)),)
 
@@ -107,7 +106,7 @@ def _left(found: Identification, k: int, m: Measurements, where: Mapping[str, Ar
 def _with_sigmas(case: Case, sets: Sequence[Measurements], noise: Noise) -> list[Measurements]:
     """The sets with the noise that was found."""
     assert case.others
-    square = np.diagonal(covariance(case.whole, noise), axis1=1, axis2=2) * case.others.measured
+    square = np.diagonal(case.whole.covariance(noise), axis1=1, axis2=2) * case.others.measured
     found = []
     for k, m in enumerate(sets):
         at = case.others.numbers_of(k)

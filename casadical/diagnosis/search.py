@@ -93,7 +93,7 @@ class State:
             *(j for s in beside for e in s.effects for j in e.parts),
         )
         # A search asks for the same ranking again when it looks at its causes once more.
-        known: dict[object, Ranking] = self.case.evidence.__dict__.setdefault("rankings", {})
+        known: dict[object, Ranking] = self.case.evidence.cache.rankings
         key = (chosen.tobytes(), skip, covered, self.rivals, not also, joints)
         if key not in known:
             ranking = rank(self.case, chosen, skip, covered, self.rivals)

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
+from casadical.core.linear_gaussian.grid import log_sum
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.learnt_sizes import learnt_sizes
 from casadical.diagnosis.linear_problem import Case
 from casadical.effects import Effect

@@ -9,7 +9,8 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.diagnosis.cross_validation import Fit
+from casadical.core.linear_gaussian.fit import Fit
+from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.line_search import Background, Line, Scan, Search, Whole
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.result import Cause, Diagnosis
@@ -136,7 +137,7 @@ def spectrum_of(
     columns : of all causes, in order, shape (k,), as whole numbers; highest : see `spectrum`
     """
     e, q = case.evidence, case.m.q[case.kept]
-    fit = Fit(e, columns, noise, combined=False)
+    fit = new_fit(e, columns, noise, combined=False)
     place = e.J.shape[2] + np.searchsorted(columns, case.columns[effect])
     own = {j: place[part] for j, part in effect.parts.items()}
     units = {j: case.sizes(case.columns[effect][part]) for j, part in effect.parts.items()}

@@ -9,7 +9,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.diagnosis.evidence import log_sum
+from casadical.core.linear_gaussian.grid import log_sum
 from casadical.fleet.candidates import (
     FREQUENCY,
     GRADUAL,

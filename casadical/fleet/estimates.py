@@ -15,6 +15,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.linear_gaussian.normal_equations import without_others
 from casadical.identification.error_bound import Doubts, doubts_of, evaluated
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.identification import identify
@@ -130,10 +131,9 @@ class Estimate:
         place = {name: k for k, name in enumerate(self.names)}
         kept = np.array([place[n] for n in names])
         rest = np.array([k for k in range(len(self.names)) if k not in set(kept.tolist())], dtype=int)
-        H, b = self.information, self.score
-        inverse = scaled_inverse(H[np.ix_(rest, rest)] + np.diag(self.spread[rest] ** -2.0)) @ H[np.ix_(rest, kept)]
-        own = H[np.ix_(kept, kept)] - H[np.ix_(kept, rest)] @ inverse
-        score = b[kept] - inverse.T @ b[rest]
+        H = self.information
+        inverse = scaled_inverse(H[np.ix_(rest, rest)] + np.diag(self.spread[rest] ** -2.0))
+        own, score = without_others(H, self.score, kept, inverse)
         return own, score + own @ ((self.values[kept] - values) / self.scale[kept])
 
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.evidence import log_sum
+from casadical.core.linear_gaussian.grid import gain, log_sum
 
 # Sizes of a change in units of its usual one.
 KAPPAS = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
@@ -117,9 +117,7 @@ def log_evidence(H: Array, b: Array, sizes: Array) -> Array:
     values, V = np.linalg.eigh(sizes[:, None] * H * sizes)
     values = np.maximum(values, 0.0)
     turned = (V.transpose(0, 2, 1) @ (sizes * b)[:, :, None])[:, :, 0] ** 2
-    k2 = KAPPAS[:, None] ** 2
-    grown = 1 + k2 * values[:, None, :]
-    return np.asarray(0.5 * (k2 * turned[:, None, :] / grown - np.log(grown)).sum(axis=2))
+    return gain(KAPPAS**-2.0, 1.0, values, turned)
 
 
 def averaged(logs: Array) -> Array:

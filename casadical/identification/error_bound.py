@@ -15,6 +15,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.linear_gaussian.normal_equations import NormalSums, normal_sums
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.residuals import make_block
 from casadical.identification.result import Identification
@@ -33,26 +34,6 @@ _DIRECTIONS, _END = 6, 0.3  # of the regions that are held out: how many, and th
 _LOST = 0.05  # share of the mean square that may be lost at a pose where the factor of the moment is cut
 _SAMPLES = 500  # random poses at which that holds
 _MM = 1e-3
-
-
-@dataclass(frozen=True, eq=False)
-class Sums:
-    """Of poses: J'J, J'r, r'r and how many numbers; J in mm a unit of solver scale, r in mm."""
-
-    H: Array
-    g: Array
-    square: float
-    count: int
-
-    def less(self, other: "Sums") -> "Sums":
-        return Sums(self.H - other.H, self.g - other.g, self.square - other.square, self.count - other.count)
-
-    def plus(self, other: "Sums") -> "Sums":
-        return Sums(self.H + other.H, self.g + other.g, self.square + other.square, self.count + other.count)
-
-    def moved(self, d: Array) -> "Sums":
-        """After departures d."""
-        return Sums(self.H, self.g + self.H @ d, self.square + 2 * d @ self.g + d @ self.H @ d, self.count)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +71,7 @@ def learn_bound(found: Identification) -> ErrorBound:
     doubts = doubts_of(robot, found.names)
     folds = _folds(sets)
     r, J = evaluated(robot, [m for fold in folds for m in fold], doubts.names)
-    whole = sums_of(r, J)
+    whole = normal_sums(r, J)
     left_out = _at_random(folds), _by_region(np.concatenate([m.q for fold in folds for m in fold]))
     scores = [np.concatenate([_scores(r, J, out, whole, doubts) for out in outs]) for outs in left_out]
     times = max(float(np.quantile(s, min(1.0, LEVEL * (1 + 1 / len(s))))) for s in scores)
@@ -100,9 +81,9 @@ def learn_bound(found: Identification) -> ErrorBound:
     return ErrorBound(doubts.names, scale[:, None] * factor, float(_MM * np.sqrt(3 * s2)), times, poses)
 
 
-def _scores(r: Array, J: Array, out: Array, whole: Sums, doubts: Doubts) -> Array:
+def _scores(r: Array, J: Array, out: Array, whole: NormalSums, doubts: Doubts) -> Array:
     """Distances at poses that were left out, in units of what the others predict; out : boolean, shape (n,)."""
-    others = whole.less(sums_of(r[out], J[out]))
+    others = whole.less(normal_sums(r[out], J[out]))
     d = _refitted(others, doubts)
     s2, M = _moment(others.moved(d), doubts)
     return np.asarray(np.linalg.norm(r[out] + J[out] @ d, axis=1) / np.sqrt(3 * s2 + _spread(J[out], M)))
@@ -162,12 +143,7 @@ def _anywhere(robot: Robot, names: tuple[str, ...]) -> Array:
     return np.asarray(J[np.isfinite(J).all(axis=(1, 2))])
 
 
-def sums_of(r: Array, J: Array) -> Sums:
-    rows, y = J.reshape(-1, J.shape[2]), r.ravel()
-    return Sums(rows.T @ rows, rows.T @ y, float(y @ y), len(y))
-
-
-def _refitted(sums: Sums, doubts: Doubts) -> Array:
+def _refitted(sums: NormalSums, doubts: Doubts) -> Array:
     """Departures at which the identified parameters fit these poses; zero for the others."""
     at = doubts.solved
     d = np.zeros(len(doubts.names))
@@ -176,13 +152,13 @@ def _refitted(sums: Sums, doubts: Doubts) -> Array:
     return d
 
 
-def _moment(sums: Sums, doubts: Doubts) -> tuple[float, Array]:
+def _moment(sums: NormalSums, doubts: Doubts) -> tuple[float, Array]:
     """Variance of a coordinate that nothing explains [mm^2], second moment of the departures, shape (k, k)."""
     s2, mean, S, _ = posterior_of(sums, doubts)
     return s2, np.outer(mean, mean) + S
 
 
-def posterior_of(sums: Sums, doubts: Doubts, rounds: int = ROUNDS) -> tuple[float, Array, Array, Array]:
+def posterior_of(sums: NormalSums, doubts: Doubts, rounds: int = ROUNDS) -> tuple[float, Array, Array, Array]:
     """Variance of a coordinate that nothing explains [mm^2]; mean, shape (k,), covariance, and prior variances.
 
     Few poses leave less than TELLING degrees of freedom: those that miss have the variance that the identified

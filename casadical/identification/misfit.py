@@ -15,7 +15,9 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.identification.error_bound import ROUNDS, Doubts, Sums, doubts_of, posterior_of, sums_of
+from casadical.core.linear_gaussian.noise import NoiseModel
+from casadical.core.linear_gaussian.normal_equations import NormalSums, normal_sums
+from casadical.identification.error_bound import ROUNDS, Doubts, doubts_of, posterior_of
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.residuals import make_block
 from casadical.identification.result import Identification
@@ -86,7 +88,7 @@ class NoiseFit:
     """
 
     log_likelihood: float
-    sums: Sums
+    sums: NormalSums
     s2: float
     variance: Array
 
@@ -225,24 +227,24 @@ def _at(rhos: tuple[float, ...], poses: _Poses, doubts: Doubts, rounds: int = RO
     return NoiseFit(log_likelihood, sums, s2, variance), mean
 
 
-def _sums(rhos: tuple[float, ...], poses: _Poses, part: Array | None = None) -> tuple[list[Sums], float]:
+def _sums(rhos: tuple[float, ...], poses: _Poses, part: Array | None = None) -> tuple[list[NormalSums], float]:
     """Sums over the poses, or over each part of them, with the noise I + Jq Jq' whitened; log of that one's root.
 
     Jq : how each joint moves what is measured, times its rho; part : number of each pose's part, shape (n,)
     """
-    found: dict[int, Sums] = {}
+    found: dict[int, NormalSums] = {}
     spread, done = 0.0, 0
     for rows in poses:
-        Jq = rows.Jq * rhos
-        L = np.linalg.cholesky(np.eye(rows.r.shape[1]) + Jq @ Jq.transpose(0, 2, 1))
-        inverse = np.linalg.inv(L)
-        white, Jw, U = (inverse @ some for some in (rows.r[:, :, None], rows.J, rows.U))
+        n, numbers = rows.r.shape
+        joints = NoiseModel((n, numbers), {"repeatability": rows.Jq})
+        whitening = joints.whitening({"repeatability": np.array(rhos)})
+        white, Jw, U = (whitening @ some for some in (rows.r[:, :, None], rows.J, rows.U))
         white, Jw, seen = _without_points(white[:, :, 0], Jw, U)
-        spread += float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum()) + seen
+        spread += 0.5 * whitening.log_det + seen
         own = np.zeros(len(white), dtype=int) if part is None else part[done : done + len(white)]
         done += len(white)
         for k in np.unique(own).tolist():
-            sums = sums_of(white[own == k], Jw[own == k])
+            sums = normal_sums(white[own == k], Jw[own == k])
             found[k] = found[k].plus(sums) if k in found else sums
     return list(found.values()), spread
 
@@ -264,13 +266,13 @@ def misfit_of(found: Identification) -> float:
     return float(max(1.0, len(at) / np.sum(own * here)))
 
 
-def _misfit(of_parts: Sequence[Sequence[Sums]], mean: Array, s2: float, variance: Array) -> float:
+def _misfit(of_parts: Sequence[Sequence[NormalSums]], mean: Array, s2: float, variance: Array) -> float:
     """How many times more than independent noise the residuals of similar poses push the parameters.
 
     The sums J'e over parts of the poses, which follow each other or have similar readings, with the residuals e of the
     fit, are compared with what independent noise of variance s2 would give; at least 1.
     """
-    whole = reduce(Sums.plus, of_parts[0])
+    whole = reduce(NormalSums.plus, of_parts[0])
     inverse = scaled_inverse(whole.H + s2 * np.diag(1 / variance))
     freedom = max(1.0, whole.count - float(np.sum(inverse * whole.H)))
     chance = CHANCE * np.sqrt(2 / freedom)

@@ -7,6 +7,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.identification.identifiability import Unidentifiable
 from casadical.identification.prior import Prior
 from casadical.measurements.derived_columns import derive
@@ -22,7 +23,6 @@ from casadical.pose_selection.information import (
     known_before,
     noise_covariance,
     scaled_jacobian,
-    whitened,
 )
 from casadical.pose_selection.instruments import Instrument, without_base
 from casadical.pose_selection.workspace import Workspace
@@ -94,7 +94,7 @@ def _rows(
         assert noise is not None
         return instrument.rows(robot, names, m, noise)
     J = scaled_jacobian(robot, names, m)
-    return J if noise is None else whitened(J, noise_covariance(robot, m, noise))
+    return J if noise is None else whitening_of(noise_covariance(robot, m, noise)) @ J
 
 
 def prepare(

@@ -12,6 +12,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.linear_gaussian.noise import NoiseModel
 from casadical.identification.identifiability import Unidentifiable, drop_poor
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.prior import Prior
@@ -53,16 +54,9 @@ def by_joints(robot: Robot, m: Measurements) -> Array:
 
 def noise_covariance(robot: Robot, m: Measurements, noise: Noise) -> Array:
     """Covariance of each measured point, shape (n, 3, 3) [mm^2], from the instrument and the joints' repeatability."""
-    measured = (noise.sigma / MM) ** 2 * np.eye(3)
-    if not noise.repeatability:
-        return np.tile(measured, (len(m), 1, 1))
-    J = by_joints(robot, m) * (noise.repeatability / MM)
-    return np.asarray(measured + J @ J.transpose(0, 2, 1))
-
-
-def whitened(J: Array, covariance: Array) -> Array:
-    """Rows in units of sigma; J : shape (n, 3, p); covariance : shape (n, 3, 3)."""
-    return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), J))
+    joints = {"repeatability": by_joints(robot, m)} if noise.repeatability else {}
+    ratios = dict.fromkeys(joints, noise.repeatability / MM)
+    return NoiseModel((len(m), 3), joints).covariance(ratios, noise.sigma / MM)
 
 
 def independent(

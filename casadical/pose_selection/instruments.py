@@ -18,12 +18,13 @@ import pandas as pd
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.identification.residuals import POINT_SCALE
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.pose_selection.candidates import SOCKET, draw, expected
 from casadical.pose_selection.experimental_design import inverse
-from casadical.pose_selection.information import noise_covariance, scaled_jacobian, whitened
+from casadical.pose_selection.information import noise_covariance, scaled_jacobian
 from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
 
@@ -143,7 +144,7 @@ class Instrument:
             covariance = beam @ covariance @ beam.transpose(0, 2, 1)
         whole = seen if self.known else np.concatenate([seen, places], axis=2)
         own = (noise.sigma / POINT_SCALE) ** 2 * np.eye(self.numbers)
-        return whitened(whole, covariance + own)
+        return whitening_of(covariance + own) @ whole
 
     def table(self, m: Measurements) -> pd.DataFrame:
         """Columns for who measures: which socket, or about how long each wire will be [mm].

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.cross_validation import Fit
+from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.laws.answer import READABLE, blocks_of, lines_of
 from casadical.effects.formula_effect import SEAMS
 from casadical.report.page import Drawing, Part, Section, report_html
@@ -44,7 +44,7 @@ def law_figures(found: Discovery) -> list[Figure]:
     if not found.laws:
         return []
     whole = np.unique(np.concatenate(columns))
-    fit = Fit(found.case.evidence, whole, found.noise)
+    fit = new_fit(found.case.evidence, whole, found.noise)
     left = fit.left(fit.x)
     return [_figure(found, s, line, left) for s, line in zip(found.laws, lines_of(found), strict=True)]
 

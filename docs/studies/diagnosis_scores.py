@@ -11,7 +11,7 @@ from scipy import stats
 
 from casadical.blind_check import metrics, outcomes
 from casadical.blind_check.confidence_intervals import Estimate, quantile, share
-from casadical.diagnosis.evidence import Evidence, Whitened
+from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case
 from casadical.measurements.noise import Noise
 
@@ -77,14 +77,14 @@ class Trial:
         )
 
 
-def whitened(e: Evidence, columns: np.ndarray, noise: Noise) -> Whitened:
+def whitened(e: Evidence, columns: np.ndarray, noise: Noise) -> np.ndarray:
     """The base model and some columns, shape (n, 3, columns), in the metric of the true noise."""
-    return e.white(noise.repeatability / noise.sigma, columns)
+    return e.projection(noise.repeatability / noise.sigma).columns(columns)
 
 
 def visible(e: Evidence, shift: np.ndarray, noise: Noise, beside: Sequence[np.ndarray] = ()) -> float:
     """Root mean square of a shift, shape (n, 3), in units of the noise, that base model and other shifts leave."""
-    W = whitened(e, np.stack([shift, *beside], axis=2), noise).E
+    W = whitened(e, np.stack([shift, *beside], axis=2), noise)
     left = W[:, 0]
     if beside:
         Q, _ = np.linalg.qr(W[:, 1:])
@@ -98,7 +98,7 @@ def near_rival(case: Case, shift: np.ndarray, noise: Noise, truth: str) -> float
     Causes of many numbers (curves of all joints, masses of all links) come near to everything and are left out.
     """
     e, k = case.evidence, case.kept
-    W = whitened(e, np.concatenate([shift[k][:, :, None], e.take(np.arange(e.width))], axis=2), noise).E
+    W = whitened(e, np.concatenate([shift[k][:, :, None], e.take(np.arange(e.width))], axis=2), noise)
     s, E = W[:, 0] / max(np.linalg.norm(W[:, 0]), 1e-30), W[:, 1:]
     best = 0.0
     for (c, _), group in zip(case.variants, case.groups, strict=True):

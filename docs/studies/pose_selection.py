@@ -18,11 +18,12 @@ from scipy.stats import chi2
 
 from casadical import identify, read_robot
 from casadical.blind_check.mujoco_physics import perturb
+from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.measurements.reading import from_table
 from casadical.pose_selection import Box, Noise, Tracker, Workspace, forecast, select_poses
 from casadical.pose_selection.candidates import draw, expected
 from casadical.pose_selection.experimental_design import inverse
-from casadical.pose_selection.information import noise_covariance, scaled_jacobian, whitened
+from casadical.pose_selection.information import noise_covariance, scaled_jacobian
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
 
@@ -90,7 +91,7 @@ def held_out(robot, plant, q, seed):
 def rows(robot, names, q):
     """Jacobians in units of sigma, shape (n, 3, p)."""
     m = expected(robot, q, {}, "pool")
-    return whitened(scaled_jacobian(robot, names, m), noise_covariance(robot, m, NOISE))
+    return whitening_of(noise_covariance(robot, m, NOISE)) @ scaled_jacobian(robot, names, m)
 
 
 def least_variance(robot, names, task):

@@ -15,9 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from casadical import identify, read_problem
+from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.candidates import extended_candidates
 from casadical.diagnosis.cross_validation import likely_noise, random_folds
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.refit import refit
 from casadical.effects import AxisWobble, Effect, FrictionWindup, GearEccentricity, JointScale

@@ -7,14 +7,14 @@ import pytest
 from cases import case, robot, simulated
 
 from casadical.core.arrays import Array
+from casadical.core.linear_gaussian.columns import Factors, combined, directions_of
 from casadical.core.parts import Placement
-from casadical.diagnosis.combinations import combined, directions_of
-from casadical.diagnosis.cross_validation import Fit, estimates, fold_errors, random_folds
+from casadical.diagnosis.cross_validation import estimates, fold_errors, new_fit, random_folds
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.learnt_sizes import learnt_sizes
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.linearisation import Columns, Factors
+from casadical.diagnosis.linearisation import EffectColumns
 from casadical.diagnosis.noise_evidence import Form, Problem
 from casadical.identification.accuracy import predicted
 from casadical.measurements.noise import Noise
@@ -41,15 +41,15 @@ def backlash(known: Case) -> list[Array]:
 def apart(known: Case) -> Evidence:
     """The same problem without combinations."""
     e = known.evidence
-    assert isinstance(e.E, Columns)
+    assert isinstance(e.E, EffectColumns)
     return replace(e, E=replace(e.E, directions=()))
 
 
 def test_a_curve_over_a_part_of_a_turn_has_few_directions(known: Case, curve: Array, apart: Evidence) -> None:
-    every = known.evidence.combined(curve)
+    every = known.evidence.model.combined(curve)
     assert len(curve) == 720
     assert every.width < 450
-    assert apart.combined(curve).width == 720
+    assert apart.model.combined(curve).width == 720
 
 
 def test_the_evidence_is_that_of_the_columns(known: Case, curve: Array, backlash: list[Array], apart: Evidence) -> None:
@@ -85,9 +85,9 @@ def test_other_forms_of_noise_are_judged_alike(
 def test_fits_predict_and_estimate_alike(known: Case, curve: Array, backlash: list[Array], apart: Evidence) -> None:
     chosen = np.union1d(curve, backlash[0])
     folds = random_folds(len(apart.r), 0)
-    few, all_ = (Fit(e, chosen, NOISE) for e in (known.evidence, apart))
+    few, all_ = (new_fit(e, chosen, NOISE) for e in (known.evidence, apart))
     assert len(few.x) < len(all_.x) == len(few.mean) - len(few.x) + len(all_.mean)
-    assert fold_errors(few, folds) == pytest.approx(fold_errors(all_, folds), abs=1e-10)
+    assert fold_errors(apart, few, folds) == pytest.approx(fold_errors(apart, all_, folds), abs=1e-10)
     for one, other in zip(estimates(known.evidence, chosen, NOISE), estimates(apart, chosen, NOISE), strict=True):
         assert one == pytest.approx(other, abs=1e-5)
 
@@ -116,7 +116,7 @@ def test_columns_stay_as_they_are_unless_a_whole_part_is_there() -> None:
 
 def test_directions_that_move_nothing_are_left_out() -> None:
     C = np.diag([1e-3, 1e-6, 1e-9, 0.0])
-    assert np.abs(directions_of(C @ C)).max(axis=1).tolist() == pytest.approx([1, 1, 0, 0])
+    assert np.abs(directions_of(C @ C, 3e-9)).max(axis=1).tolist() == pytest.approx([1, 1, 0, 0])
 
 
 def test_a_joint_that_moves_no_pose_has_no_combinations() -> None:

@@ -5,14 +5,13 @@ import pytest
 from cases import small_problem
 from scipy.optimize import lsq_linear
 
-from casadical.diagnosis import cross_validation
+from casadical.core.linear_gaussian import fit as fits
 from casadical.diagnosis.cross_validation import (
-    Fit,
-    covariance,
     estimates,
     fold_errors,
     held_out_errors,
     likely_noise,
+    new_fit,
     random_folds,
     remainders,
     shrink_interval,
@@ -63,7 +62,7 @@ def test_estimates_and_remainders_are_those_of_a_refit() -> None:
         A = np.hstack([e.J[k], e.E[k][:, columns]])
         assert length[k] == pytest.approx(np.linalg.norm(e.r[k] - A @ x))
         alone, cov = refit(e, columns, kept & (np.arange(14) != k))
-        left, spread = e.r[k] - A @ alone, covariance(e, NOISE)[k] + A @ cov @ A.T
+        left, spread = e.r[k] - A @ alone, e.covariance(NOISE)[k] + A @ cov @ A.T
         assert distance[k] == pytest.approx(left @ np.linalg.solve(spread, left))
 
 
@@ -72,12 +71,12 @@ def test_many_poses_and_few_are_left_out_alike(monkeypatch: pytest.MonkeyPatch) 
     e, columns = small_problem(n=40), np.array([0, 2])
     folds, alone = random_folds(40, 3), np.arange(40)
     expected = held_out_errors(e, columns, NOISE, folds), held_out_errors(e, columns, NOISE, alone)
-    monkeypatch.setattr(cross_validation, "MOST_ROWS", 0)
-    for most in (cross_validation.MOST_BYTES, 0):
-        monkeypatch.setattr(cross_validation, "MOST_BYTES", most)
-        fit = Fit(e, columns, NOISE)
-        np.testing.assert_allclose(fold_errors(fit, folds), expected[0], rtol=1e-7)
-        np.testing.assert_allclose(fold_errors(fit, alone), expected[1], rtol=1e-7)
+    monkeypatch.setattr(fits, "MOST_ROWS", 0)
+    for most in (fits.MOST_BYTES, 0):
+        monkeypatch.setattr(fits, "MOST_BYTES", most)
+        fit = new_fit(e, columns, NOISE)
+        np.testing.assert_allclose(fold_errors(e, fit, folds), expected[0], rtol=1e-7)
+        np.testing.assert_allclose(fold_errors(e, fit, alone), expected[1], rtol=1e-7)
 
 
 def test_folds_are_even_and_seeded() -> None:

@@ -7,8 +7,9 @@ import pytest
 from cases import small_problem
 from scipy.stats import multivariate_normal
 
-from casadical.diagnosis import gains
-from casadical.diagnosis.evidence import ALL_SIGMAS, KAPPAS, RHOS, SIGMAS, Evidence, log_sum
+from casadical.core.linear_gaussian import grid
+from casadical.core.linear_gaussian.grid import log_sum
+from casadical.diagnosis.evidence import ALL_SIGMAS, KAPPAS, RHOS, SIGMAS, Evidence
 from casadical.diagnosis.noise_floor import outlier_probability
 from casadical.effects.base import CHOSEN
 
@@ -35,7 +36,7 @@ def constant(e: Evidence, chosen: np.ndarray) -> float:
 
 @pytest.mark.parametrize("chosen", [[], [3]], ids=["first", "after one"])
 def test_log_evidence_is_the_normal_density(monkeypatch: pytest.MonkeyPatch, chosen: list[int]) -> None:
-    monkeypatch.setattr(gains, "NEGLIGIBLE", np.inf)
+    monkeypatch.setattr(grid, "NEGLIGIBLE", np.inf)
     e, also = small_problem(), np.array(chosen, dtype=np.int64)
     groups = [np.array([0]), np.array([1, 2]), np.array([2]), np.array([0, 1, 2])]
     grids = e.log_grids(groups, also=also)
@@ -53,7 +54,7 @@ def test_log_evidence_is_the_normal_density(monkeypatch: pytest.MonkeyPatch, cho
 
 
 def test_wider_noise_grid_holds_the_usual_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gains, "NEGLIGIBLE", np.inf)
+    monkeypatch.setattr(grid, "NEGLIGIBLE", np.inf)
     e = small_problem()
     wide, groups = replace(e, sigmas=ALL_SIGMAS), [np.array([0]), np.array([1, 2])]
     usual = slice(8, 8 + len(SIGMAS))
@@ -66,7 +67,7 @@ def test_sigmas_left_out_do_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
     """The evidence over the whole grid is that over the sigmas that are judged, which are fewer."""
     groups = [np.array([0]), np.array([1, 2]), np.array([0, 1, 2])]
     few = small_problem().log_grids(groups)
-    monkeypatch.setattr(gains, "NEGLIGIBLE", np.inf)
+    monkeypatch.setattr(grid, "NEGLIGIBLE", np.inf)
     whole = small_problem().log_grids(groups)
     assert np.isfinite(whole).all()
     assert np.isfinite(few).mean() < 0.8
@@ -75,7 +76,7 @@ def test_sigmas_left_out_do_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_column_inside_the_base_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """A cause that a freely known base parameter reproduces gains no evidence, however large its columns."""
-    monkeypatch.setattr(gains, "NEGLIGIBLE", np.inf)
+    monkeypatch.setattr(grid, "NEGLIGIBLE", np.inf)
     e = small_problem()
     E = np.concatenate([e.E, 1e-2 * e.J[:, :, [3]]], axis=2)
     known = Evidence(e.r, e.J, e.Jq, e.delta0, np.full(5, 1e3), E)

@@ -10,8 +10,9 @@ from scipy.stats import multivariate_normal
 
 from casadical import InputError
 from casadical.blind_check.mujoco_physics import perturb
+from casadical.core.linear_gaussian import grid as grids
+from casadical.core.linear_gaussian import marginals
 from casadical.core.sx_instructions import SxInstructions
-from casadical.diagnosis import evidence, gains
 from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.evidence import KAPPAS, RHOS, SIGMAS, Evidence
@@ -95,10 +96,10 @@ def wide_problem(n: int) -> Evidence:
 @pytest.mark.parametrize("n", [9, 30], ids=["judged on the rows", "judged on the columns"])
 @pytest.mark.parametrize("chosen", [[], [39]], ids=["first", "after one"])
 def test_a_wide_group_is_the_normal_density(monkeypatch: pytest.MonkeyPatch, n: int, chosen: list[int]) -> None:
-    monkeypatch.setattr(evidence, "WIDE", 20)
-    monkeypatch.setattr(evidence, "REACH", np.inf)
-    monkeypatch.setattr(evidence, "HOPELESS", np.inf)
-    monkeypatch.setattr(gains, "NEGLIGIBLE", np.inf)
+    monkeypatch.setattr(marginals, "WIDE", 20)
+    monkeypatch.setattr(marginals, "REACH", np.inf)
+    monkeypatch.setattr(marginals, "HOPELESS", np.inf)
+    monkeypatch.setattr(grids, "NEGLIGIBLE", np.inf)
     e, also, group = wide_problem(n), np.array(chosen, dtype=np.int64), np.arange(35)
     grid, base = e.log_grids([group], also)[0], e.log_base(also)
     J, E = e.J.reshape(3 * n, -1), e.E.reshape(3 * n, -1)

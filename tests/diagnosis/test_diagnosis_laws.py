@@ -17,9 +17,10 @@ from casadical import Discovery, diagnose, discover
 from casadical.blind_check.mujoco_physics import perturb
 from casadical.core.blocks import Words
 from casadical.core.errors import InputError
+from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.brief import brief
 from casadical.diagnosis.details import Details
-from casadical.diagnosis.evidence import RHOS, log_sum
+from casadical.diagnosis.evidence import RHOS
 from casadical.diagnosis.json_answer import as_json as diagnosis_json
 from casadical.diagnosis.laws import contest, drivers
 from casadical.diagnosis.laws.answer import as_json, files_of, line_of, page_of
@@ -112,9 +113,10 @@ def test_products_of_functions_of_each_column_are_those_of_the_columns() -> None
     G, b = screen.products(places, functions)
     for k in range(functions.shape[-1]):
         columns = np.concatenate([places * part[:, None, :, k] for part in functions], axis=2)
-        white = problem.evidence.white(float(RHOS[2]), columns)
-        np.testing.assert_allclose(G[k], white.E.T @ white.E, rtol=1e-6, atol=1e-6 * np.abs(G[k]).max())
-        np.testing.assert_allclose(b[k], white.E.T @ white.y, rtol=1e-6, atol=1e-6 * np.abs(b[k]).max())
+        projection = problem.evidence.projection(float(RHOS[2]))
+        white = projection.columns(columns)
+        np.testing.assert_allclose(G[k], white.T @ white, rtol=1e-6, atol=1e-6 * np.abs(G[k]).max())
+        np.testing.assert_allclose(b[k], white.T @ projection.y, rtol=1e-6, atol=1e-6 * np.abs(b[k]).max())
 
 
 def test_a_law_of_every_joint_is_found_with_a_factor_each() -> None:

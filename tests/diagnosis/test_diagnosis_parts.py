@@ -17,6 +17,7 @@ from scipy.stats import chi2, multivariate_normal
 
 from casadical import Joint, Measurements
 from casadical.core import private_folder
+from casadical.core.linear_gaussian.grid import NEGLIGIBLE, log_gain
 from casadical.core.transforms import frame, from_rpy
 from casadical.diagnosis import bootstrap, conclusion
 from casadical.diagnosis.brief import _things
@@ -26,7 +27,6 @@ from casadical.diagnosis.diagnose import _of
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, log_repeats
 from casadical.diagnosis.formula_cache import KeptFormulas
 from casadical.diagnosis.formulas import _twist
-from casadical.diagnosis.gains import NEGLIGIBLE, log_gain
 from casadical.diagnosis.laws.drivers import Driver
 from casadical.diagnosis.laws.forms import _with_widths
 from casadical.diagnosis.laws.problem import Problem
@@ -323,7 +323,7 @@ def test_repeated_poses_weigh_sigmas_as_their_scatter_does() -> None:
     for k in (0, 3):
         variance = SIGMAS**2 * (1 + RHOS[k] ** 2 * (e.Jq**2).sum(axis=2).mean())
         direct = chi2(12).logpdf(12 * 4e-5**2 / variance) - np.log(variance)
-        found = log_repeats(e, e.Jq, k)
+        found = log_repeats(e, e.Jq)[k]
         assert_allclose(found - found[0], direct - direct[0], rtol=1e-9, atol=1e-9)
 
 

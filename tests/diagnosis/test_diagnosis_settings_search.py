@@ -5,8 +5,9 @@ import pytest
 from cases import case, robot, simulated
 from numpy_physics import disturbances
 
+from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.candidates import candidates_of
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.settings_search import neighbours, refined

@@ -10,6 +10,7 @@ from pose_arms import elbow, planar, positions, readings
 
 import casadical
 from casadical import InputError, identify
+from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.effects import Backlash, FrameDrift, PayloadError, ThermalGrowth
 from casadical.identification.accuracy import errors
 from casadical.identification.prior import carry_over
@@ -17,7 +18,7 @@ from casadical.identification.tables import how_sure
 from casadical.pose_selection import Circumstances, Noise, Workspace, forecast, select_poses
 from casadical.pose_selection.candidates import candidates_at, draw, expected
 from casadical.pose_selection.experimental_design import first_of_best
-from casadical.pose_selection.information import noise_covariance, scaled_jacobian, whitened
+from casadical.pose_selection.information import noise_covariance, scaled_jacobian
 from casadical.pose_selection.pose_order import distances, travel
 from casadical.pose_selection.stopping_rule import Forecast
 from casadical.robot.knowledge import Covariance, Knowledge
@@ -74,7 +75,7 @@ def test_noise_of_joints_is_that_of_moved_readings(robot) -> None:
     np.testing.assert_allclose(found, spread, atol=0.06 * np.abs(spread).max())
     J = scaled_jacobian(robot, ("d4", "theta5"), m)
     W = np.linalg.inv(found)
-    A = whitened(J, found)
+    A = whitening_of(found) @ J
     np.testing.assert_allclose(A.transpose(0, 2, 1) @ A, J.transpose(0, 2, 1) @ W @ J, rtol=1e-9)
 
 

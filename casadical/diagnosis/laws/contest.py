@@ -8,8 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.linear_gaussian.grid import log_sum
 from casadical.diagnosis.candidates import Candidate
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, log_sum
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.laws.rivals import aliases
 from casadical.diagnosis.laws.round import ABOVE, Round
 from casadical.diagnosis.laws.search import search_laws

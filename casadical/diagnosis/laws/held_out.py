@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.cross_validation import Fit, random_folds
+from casadical.diagnosis.cross_validation import lengths, new_fit, random_folds
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.laws.problem import Problem, Scored, scaled
 from casadical.diagnosis.laws.refinement import refined_settings
@@ -28,8 +28,8 @@ def held_out(case: Case, columns: Array, laws: Sequence[Scored], noise: Noise, s
         test = folds == fold
         parts = _columns(base, laws, np.flatnonzero(~test))
         whole = replace(base, E=np.concatenate([np.zeros((*base.r.shape, 0)), *parts], axis=2), held=None)
-        fit = Fit(whole, np.arange(whole.width), noise)
-        errors[test] = fit.lengths(fit.without(np.flatnonzero(test)), test)
+        fit = new_fit(whole, np.arange(whole.width), noise)
+        errors[test] = lengths(base, fit.without(np.flatnonzero(test)), test)
     return errors
 
 

@@ -10,7 +10,8 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence, log_sum
+from casadical.core.linear_gaussian.grid import log_sum
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence
 from casadical.diagnosis.laws.drivers import (
     Driver,
 )

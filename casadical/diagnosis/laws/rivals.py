@@ -41,13 +41,14 @@ def aliases(case: Case, chosen: Array, law: Scored, variant: Mapping[str, int]) 
     rho = float(RHOS[int(np.argmin(np.abs(RHOS - law.noise.repeatability / law.noise.sigma)))])
     listed = [c for c in case.candidates if c.listed and c.label in variant and not c.variants[0][0].parts]
     groups = [case.group(c.variants[variant[c.label]]) for c in listed]
-    white = base.white(rho, np.concatenate([law.columns, case.evidence.take(np.concatenate(groups))], axis=2))
+    projection = base.projection(rho)
+    E = projection.columns(np.concatenate([law.columns, case.evidence.take(np.concatenate(groups))], axis=2))
     w = law.columns.shape[2]
-    own = white.E[:, :w]
-    fit = own @ np.linalg.lstsq(own, white.y, rcond=None)[0]
+    own = E[:, :w]
+    fit = own @ np.linalg.lstsq(own, projection.y, rcond=None)[0]
     found, at = [], w
     for candidate, group in zip(listed, groups, strict=True):
-        other = white.E[:, at : at + len(group)]
+        other = E[:, at : at + len(group)]
         at += len(group)
         same = other @ np.linalg.lstsq(other, fit, rcond=None)[0]
         if np.linalg.norm(same) > CORRELATION * np.linalg.norm(fit):

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, Evidence
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, REPEATABILITY, RHOS, SIGMAS, Evidence
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,19 +33,13 @@ class Screen:
     @classmethod
     def of(cls, e: Evidence, rho: int) -> Screen:
         """The problem at a rho of the grid, by its number."""
-        r = RHOS[rho]
-        W = np.linalg.inv(np.linalg.cholesky(np.eye(e.r.shape[1]) + r**2 * e.Jq @ e.Jq.transpose(0, 2, 1)))
-        weights = e.reference / e.prior
-        A = np.concatenate([(W @ e.J).reshape(e.r.size, -1), np.diag(weights)])
-        A = A / np.linalg.norm(A, axis=0)
-        U, s, _ = np.linalg.svd(A, full_matrices=False)
-        Q = U[:, s > 1e-12 * s[0]]
-        y = np.concatenate([(W @ e.r[:, :, None]).ravel(), weights * e.delta0])
-        y = y - Q @ (Q.T @ y)
+        r = float(RHOS[rho])
+        projection = e.projection(r)
+        y = projection.y
         rows, (scatter, freedom) = e.r.size, e.repeats
-        again = freedom * scatter**2 / float(1 + r**2 * (e.Jq**2).sum(axis=2).mean())
-        Q, left = Q[:rows].reshape(*e.r.shape, -1), y[:rows].reshape(e.r.shape)
-        return cls(W, Q, left, float(y @ y) + again, e.count + freedom)
+        again = freedom * scatter**2 / e.noise.mean_variance({REPEATABILITY: r}, rows)
+        Q, left = projection.Q[:rows].reshape(*e.r.shape, -1), y[:rows].reshape(e.r.shape)
+        return cls(projection.whitening.W, Q, left, float(y @ y) + again, e.count + freedom)
 
     def products(self, columns: Array, functions: Array) -> tuple[Array, Array]:
         """Products of every law's columns, shape (K, w, w), and with the residual, shape (K, w); w = parts times d.

@@ -30,7 +30,7 @@ from casadical.diagnosis.laws.screening import log_mean
 from casadical.diagnosis.laws.seams import Seam, seams_at, stations
 from casadical.diagnosis.laws.seams import with_columns as at_poses
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.linearisation import Columns, Linearisation
+from casadical.diagnosis.linearisation import EffectColumns, Linearisation
 from casadical.effects.formula import parse
 from casadical.effects.law import Law
 
@@ -162,7 +162,7 @@ def _along_the_beam(problem: Problem, beams: Sequence[Seam], point: Array) -> It
 
 def _linear(case: Case) -> tuple[Linearisation, list[Driver]]:
     """The robot at the kept poses with the columns of the drivers, and those drivers whose columns were logged."""
-    assert isinstance(case.whole.E, Columns)
+    assert isinstance(case.whole.E, EffectColumns)
     m, known = with_columns(case.m, drivers_of(case.given))
     linear = replace(case.whole.E.linear, conditions=dict(m.conditions))
     return linear.at(np.flatnonzero(case.kept)), known

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from casadical.core.normal_matrices import SMALL, inverse_of_triangle, reduced, root_of_inverse
+from casadical.core.linear_gaussian.normal_equations import SMALL, inverse_of_triangle, reduced, root_of_inverse
 
 
 @pytest.mark.parametrize("size", [1, 5, SMALL, SMALL + 1, 3 * SMALL + 7])

@@ -1,4 +1,9 @@
-"""What groups of columns gain in log likelihood, over grids of the noise's sigma and of their size kappa."""
+"""Values of the noise's sigma and ratios and of a cause's size, and log likelihoods over them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,6 +13,28 @@ from casadical.core.arrays import Array
 NEGLIGIBLE = 40.0
 # Factors of a determinant that are multiplied before a logarithm is taken.
 AT_ONCE = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Values at which a model is judged.
+
+    sigmas : of white noise, rising, in units of the residual; ratios : of each noise component over sigma, by name,
+        shape (points,) each; kappas : sizes of a cause in units of its usual one, rising
+    """
+
+    sigmas: Array
+    ratios: Mapping[str, Array]
+    kappas: Array
+
+    @property
+    def points(self) -> int:
+        """How many combinations of ratios there are."""
+        return len(next(iter(self.ratios.values()))) if self.ratios else 1
+
+    def at(self, point: int) -> dict[str, float]:
+        """The ratios of one point, by component."""
+        return {name: float(values[point]) for name, values in self.ratios.items()}
 
 
 def log_gain(sigmas: Array, kappas: Array, log_base: Array, value: Array, turned: Array) -> Array:
@@ -22,12 +49,12 @@ def log_gain(sigmas: Array, kappas: Array, log_base: Array, value: Array, turned
     bound = log_base + 0.5 * _explained((sigmas / kappas[-1]) ** 2, value, square) / sigmas**2
     best = bound.argmax(axis=1)
     unit = (sigmas[best, None] / kappas) ** 2
-    least = log_base[best] + _gain(unit, sigmas[best, None], value, square).max(axis=1)
+    least = log_base[best] + gain(unit, sigmas[best, None], value, square).max(axis=1)
     likely = np.flatnonzero((bound > least[:, None] - NEGLIGIBLE).any(axis=0))
     out = np.full((len(value), len(sigmas), len(kappas)), -np.inf)
     unit, own = ((sigmas[likely, None] / kappas) ** 2).ravel(), np.repeat(sigmas[likely], len(kappas))
-    gain = _gain(unit, own, value, square).reshape(len(value), len(likely), len(kappas))
-    out[:, likely] = log_base[likely, None] + gain
+    gained = gain(unit, own, value, square).reshape(len(value), len(likely), len(kappas))
+    out[:, likely] = log_base[likely, None] + gained
     return out
 
 
@@ -39,7 +66,7 @@ def _explained(unit: Array, value: Array, square: Array) -> Array:
     return total
 
 
-def _gain(unit: Array, sigma: Array, value: Array, square: Array) -> Array:
+def gain(unit: Array, sigma: Array | float, value: Array, square: Array) -> Array:
     """What groups gain in log likelihood, shape (groups, units); unit : squared sigma over kappa."""
     total = np.zeros(np.broadcast_shapes(unit.shape, (len(value), 1)))
     product, log = np.ones_like(total), np.zeros_like(total)
@@ -51,3 +78,10 @@ def _gain(unit: Array, sigma: Array, value: Array, square: Array) -> Array:
             log += np.log(product)
             product[:] = 1.0
     return np.asarray(0.5 * (total / sigma**2 - log + value.shape[1] * np.log(unit)))
+
+
+def log_sum(a: Array, axis: int | tuple[int, ...] | None = None) -> Array:
+    """log(sum(exp(a))) without overflow."""
+    top = np.max(a, axis=axis, keepdims=True)
+    total = np.log(np.exp(a - top).sum(axis=axis, keepdims=True)) + top
+    return np.asarray(np.squeeze(total, axis=axis) if axis is not None else total.item())

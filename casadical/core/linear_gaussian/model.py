@@ -1,0 +1,112 @@
+"""The linear-Gaussian model that a user gives: residual, base, columns, priors, noise and the grid."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.linear_gaussian.columns import EVERY, Columns, Combined, combined_of
+from casadical.core.linear_gaussian.grid import Grid
+from casadical.core.linear_gaussian.noise import NoiseModel, Ratio, Whitening
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """r = J delta + E theta + noise, delta ~ N(mean, (sigma / reference * prior)^2), theta ~ N(0, kappa^2).
+
+    residual : r, shape (n, m); base : J, shape (n, m, P); mean, prior : of delta, shapes (P,)
+    columns : E in units of the usual sizes of theta; held : one sigma of each theta once it is in the model, in sizes
+    noise : its components; grid : where it is judged
+    reference : sigma at which priors of what is in the model are as given; they grow with the noise
+    count : how many numbers were measured; absorbed : numbers that the base takes, which tell nothing of the noise
+        (REML: Harville 1977)
+    near : points of the grid that are looked at; log_noise : what else is known of the noise, as a logarithm, shape
+        (points, sigmas)
+    """
+
+    residual: Array
+    base: Array
+    mean: Array
+    prior: Array
+    columns: Columns
+    held: Array
+    noise: NoiseModel
+    grid: Grid
+    reference: float
+    count: int
+    absorbed: float = 0.0
+    near: tuple[int, ...] = (0,)
+    log_noise: Array | float = field(default=0.0)
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return self.columns.shape[2]
+
+    def combined(self, columns: Array) -> Combined:
+        """Some of the columns, in rising order, those of parts as combinations."""
+        return combined_of(self.columns, columns)
+
+    def take(self, columns: Array, blocks: Array | slice = EVERY) -> Array:
+        """Some of the columns at some blocks, shape (blocks, m, len(columns))."""
+        return self.columns.take(columns, blocks)
+
+    def with_base(self, columns: Array) -> LinearModel:
+        """The model with these columns moved into the base, as wide as they are held there."""
+        if not len(columns):
+            return self
+        return replace(
+            self,
+            base=np.concatenate([self.base, self.take(columns)], axis=2),
+            mean=np.concatenate([self.mean, np.zeros(len(columns))]),
+            prior=np.concatenate([self.prior, self.held[columns]]),
+        )
+
+    @cached_property
+    def absorbed_by_base(self) -> float:
+        """How many numbers the base takes: the trace of what projects on it, priors included."""
+        A = self.base.reshape(self.residual.size, -1) * (self.prior / self.reference)
+        square = np.linalg.svd(A, compute_uv=False) ** 2
+        return float((square / (1 + square)).sum())
+
+    def log_over_sigmas(self, square: float, log_norm: float) -> Array:
+        """Log likelihood, shape (sigmas,); square : of what is left; log_norm : what does not depend on sigma."""
+        sigmas = self.grid.sigmas
+        return np.asarray(log_norm - (self.count - self.absorbed) * np.log(sigmas) - 0.5 * square / sigmas**2)
+
+    def projection(self, ratios: Mapping[str, Ratio]) -> Projection:
+        """What makes rows white and orthogonal to the base at one noise."""
+        whitening = self.noise.whitening(ratios)
+        weights = self.reference / self.prior
+        A = np.concatenate([(whitening @ self.base).reshape(self.residual.size, -1), np.diag(weights)])
+        # A parameter whose column is long is scaled first, so that rank is judged fairly.
+        scale = np.linalg.norm(A, axis=0)
+        Q, R = np.linalg.qr(A / scale)
+        log_det = whitening.log_det + 2 * float(np.log(np.abs(np.diag(R)) * scale).sum())
+        y = np.concatenate([(whitening @ self.residual[:, :, None]).ravel(), weights * self.mean])
+        return Projection(whitening, Q, y - Q @ (Q.T @ y), -0.5 * log_det)
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """A model at one noise, white and orthogonal to its base; the rows of the priors stand behind those of the blocks.
+
+    y : what is left of the residual, shape (rows,); Q : axes of the base, shape (rows, P)
+    log_norm : of the log likelihood, what depends neither on sigma nor on further columns
+    """
+
+    whitening: Whitening
+    Q: Array
+    y: Array
+    log_norm: float
+
+    def columns(self, E: Array) -> Array:
+        """Columns, shape (n, m, k), as rows: shape (rows, k)."""
+        flat = (self.whitening @ E).reshape(-1, E.shape[2])
+        out = -self.Q @ (self.Q[: len(flat)].T @ flat)
+        out[: len(flat)] += flat
+        return np.asarray(out)

@@ -1,0 +1,278 @@
+"""Sums over the blocks of products of white columns, at every point of a grid of noise.
+
+In the axes of a block's noise its whitening is a weight for each of its rows (see `noise.Axes`), so that columns are
+turned once and weighted for each point. The products are added up some blocks at a time, so that memory does not grow
+with blocks times columns, and when they are asked for. Sums of a few blocks are taken off or added where these blocks
+turn out to be outliers, or none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.linear_gaussian.columns import Columns, Factors, as_slice, combined_of
+from casadical.core.linear_gaussian.noise import Axes, NoiseModel
+
+# Columns that are in memory at a time, in bytes; at least so many blocks.
+BYTES, LEAST_BLOCKS = 32_000_000, 64
+# Groups of so many columns are added up one by one, at the points that are asked for.
+WIDE = 64
+
+
+class GridSums:
+    """Of one problem's residual, base columns and columns.
+
+    base : products of the base columns and the residual, shape (points, P + 1, P + 1); zero at points that are not near
+    log_det : log determinant of the noise's covariance in units of sigma, shape (points,)
+    """
+
+    def __init__(
+        self,
+        residual: Array,
+        base: Array,
+        noise: NoiseModel,
+        columns: Columns,
+        ratios: dict[str, Array],
+        near: Sequence[int],
+    ) -> None:
+        self.E, self._shape = columns, residual.shape
+        self._axes = noise.axes(ratios)
+        self._points = sum(len(axes.points) for axes in self._axes)
+        self.log_det = np.concatenate([axes.log_det for axes in self._axes])
+        both = np.concatenate([base, residual[:, :, None]], axis=2)
+        self._base = [axes.turned(both) for axes in self._axes]
+        self.base = np.zeros((self._points, *[both.shape[2]] * 2))
+        for axes, turned in zip(self._axes, self._base, strict=True):
+            for k, precision in zip(axes.points, axes.precision, strict=True):
+                if k in near:
+                    white = (turned * np.sqrt(precision[:, :, None])).reshape(-1, both.shape[2])
+                    self.base[k] = white.T @ white
+        self._columns: Array | None = None
+        self._own: dict[bytes, Array] = {}
+        self._wide: dict[tuple[bytes, int], Array] = {}
+        self._cross: dict[tuple[int, int, int], KnownRows] = {}
+
+    @property
+    def rows(self) -> int:
+        """How many rows there are, measured or not."""
+        return int(np.prod(self._shape))
+
+    @property
+    def columns(self) -> Array:
+        """Products of all columns with the base columns and the residual, shape (columns, points, P + 1)."""
+        if self._columns is None:
+            self._columns = self._by_base(self.E)
+        return self._columns
+
+    def together(self, columns: Array, points: Sequence[int]) -> Array:
+        """Products of the base, some columns combined, and the residual, at some points, shape (points, p, p)."""
+        every = combined_of(self.E, columns)
+        P, p = self.base.shape[1] - 1, self.base.shape[1] + every.width
+        outer, inner = np.append(np.arange(P), p - 1), np.arange(P, p - 1)
+        total = np.zeros((len(points), p, p))
+        crossed = self.crossed(columns, points, columns) if len(columns) else {}
+        for sums, k in zip(total, points, strict=True):
+            sums[np.ix_(outer, outer)] = self.base[k]
+            if len(columns):
+                sums[np.ix_(inner, inner)] = every.of(crossed[k].T)
+                sums[np.ix_(outer, inner)] = across = every.of(self.columns[columns, k].T)
+                sums[np.ix_(inner, outer)] = across.T
+        return total
+
+    def extend(self, known: GridSums) -> None:
+        """Take over sums of the same blocks and the first of the columns."""
+        width = known.E.shape[2]
+        self._own, self._wide = dict(known._own), dict(known._wide)
+        self._cross = {key: cross.widened(self.E.shape[2]) for key, cross in known._cross.items()}
+        self._columns = known.columns
+        if self.E.shape[2] > width:
+            self._columns = np.concatenate([known.columns, self._by_base(self.E.after(width))])
+
+    def move(self, known: GridSums, lost: GridSums, gained: GridSums) -> None:
+        """Take over sums of other blocks: known ones without some that are lost, with some that are gained."""
+        parts = [(sign, part) for sign, part in ((-1.0, lost), (1.0, gained)) if part.rows]
+        self._columns = known.columns + sum(sign * part.columns for sign, part in parts)
+        groups = [np.frombuffer(key, dtype=np.int64) for key in known._own]
+        for _, part in parts:
+            part.add_own(groups)
+        self._own = {k: own + sum(sign * part._own[k] for sign, part in parts) for k, own in known._own.items()}
+        for (key, k), own in known._wide.items():
+            group = np.frombuffer(key, dtype=np.int64)
+            self._wide[key, k] = own + sum(sign * part.wide(group, k) for sign, part in parts)
+        for (first, last, k), cross in known._cross.items():
+            run, at = np.arange(first, last + 1), cross.known
+            self._cross[first, last, k] = more = KnownRows(len(cross.place), cross.numbers)
+            more.add(at, cross[at] + sum(sign * part.crossed(run, [k], at)[k] for sign, part in parts))
+
+    def add_own(self, groups: Iterable[Array]) -> None:
+        """Add up the products of each narrow group's columns among themselves, all in one go."""
+        new = {g.tobytes(): g for g in groups if len(g) <= WIDE and g.tobytes() not in self._own}
+        by_width: dict[int, list[Array]] = {}
+        for g in new.values():
+            by_width.setdefault(len(g), []).append(g)
+        if not new:
+            return
+        stacks = {w: np.stack(gs) for w, gs in by_width.items()}
+        totals = {w: np.zeros((self._points, len(s), w, w)) for w, s in stacks.items()}
+        used = np.unique(np.concatenate([which.ravel() for which in stacks.values()]))
+        E = self.E.only(used)
+        for blocks in self._parts(E):
+            F, levers = E.factors(blocks), E.levers(blocks)
+            for axes in self._axes:
+                by_column = np.ascontiguousarray(F.columns_at(axes.turned(levers, blocks)).reshape(-1, F.width).T)
+                weights = axes.precision[:, blocks].reshape(len(axes.points), -1)
+                for w, which in stacks.items():
+                    part = by_column[np.searchsorted(used, which)]
+                    for k, weight in zip(axes.points, weights, strict=True):
+                        scaled = part * np.sqrt(weight)
+                        totals[w][k] += scaled @ scaled.transpose(0, 2, 1)
+        for w, which in stacks.items():
+            for i, g in enumerate(which):
+                self._own[g.tobytes()] = totals[w][:, i]
+
+    def own(self, groups: Sequence[Array]) -> Array:
+        """These products of groups of one width, shape (groups, points, width, width)."""
+        return np.stack([self._own[g.tobytes()] for g in groups])
+
+    def wide(self, group: Array, k: int) -> Array:
+        """Products of a wide group's columns, combined, among themselves at one point, shape (width, width)."""
+        key = group.tobytes(), k
+        if key not in self._wide:
+            E, every = self.E.only(group), combined_of(self.E, group)
+            total = np.zeros((every.width, 1, every.width))
+            for blocks in self._parts(E):
+                F = E.factors(blocks).combined(every)
+                self._add_products(total, F, F, E.levers(blocks), blocks, [k])
+            self._wide[key] = total[:, 0]
+        return self._wide[key]
+
+    def widest(self, columns: Array) -> Array:
+        """The widest group among some columns whose own products are known; none where there is none."""
+        groups = [np.frombuffer(key, dtype=np.int64) for key, _ in self._wide]
+        return max((g for g in groups if np.isin(g, columns).all()), key=len, default=columns[:0])
+
+    def crossed(self, columns: Array, points: Sequence[int], wanted: Array) -> dict[int, Array]:
+        """Products of wanted columns with some others, combined, at some points, shape (wanted, width); kept by runs.
+
+        wanted : in rising order, all columns of a cause or none
+        """
+        firsts, lasts = ([key[k] for key in self._cross] for k in (0, 1))
+        apart = (np.diff(columns) != 1) | np.isin(columns[1:], firsts) | np.isin(columns[:-1], lasts)
+        runs = np.split(columns, np.flatnonzero(apart) + 1)
+        parts: dict[int, list[Array]] = {k: [] for k in points}
+        for run in runs:
+            keys = {k: (int(run[0]), int(run[-1]), k) for k in points}
+            for key in keys.values():
+                if key not in self._cross:
+                    every = combined_of(self.E, run)
+                    self._cross[key] = KnownRows(self.E.shape[2], every.width)
+                    if len(run) > WIDE:
+                        self._cross[key].add(run, every.values(self.wide(run, key[2])))
+            unknown = np.max([self._cross[key].place[wanted] < 0 for key in keys.values()], axis=0)
+            if unknown.any():
+                self._add_crossed(run, wanted[unknown], {k: self._cross[key] for k, key in keys.items()})
+            for k, key in keys.items():
+                parts[k].append(self._cross[key][wanted])
+        return {k: np.concatenate(own, axis=1) for k, own in parts.items()}
+
+    def _add_crossed(self, run: Array, new: Array, to: dict[int, KnownRows]) -> None:
+        """Add up products of new columns with a run, at some points, in one go."""
+        E, R, every = self.E.only(new), self.E.only(run), combined_of(self.E, run)
+        total = np.zeros((E.shape[2], len(to), every.width))
+        for blocks in self._parts(E):
+            G = R.factors(blocks).combined(every)
+            self._add_products(total, E.factors(blocks), G, E.levers(blocks), blocks, [*to])
+        for i, known in enumerate(to.values()):
+            known.add(new, total[:, i])
+
+    def _by_base(self, E: Columns) -> Array:
+        numbers = self.base.shape[1]
+        total = np.zeros((E.shape[2], self._points, numbers))
+        for blocks in self._parts(E):
+            F, levers = E.factors(blocks), E.levers(blocks)
+            for axes, turned in zip(self._axes, self._base, strict=True):
+                U, points = axes.turned(levers, blocks), slice(axes.points[0], axes.points[-1] + 1)
+                for s, columns, values in F.blocks:
+                    # What the variable in between does, times the base's columns, at each point.
+                    across = np.einsum(
+                        "kni,ni,nip->nkp", axes.precision[:, blocks], U[:, :, s], turned[blocks], optimize=True
+                    )
+                    product = values @ across.reshape(len(U), -1)
+                    total[as_slice(columns), points] += product.reshape(len(values), -1, numbers)
+        return total
+
+    def _add_products(
+        self, total: Array, F: Factors, G: Factors, levers: Array, blocks: slice, points: Sequence[int]
+    ) -> None:
+        """Add products of columns F with columns G at some blocks, at some points, to shape (F, points, G)."""
+        for axes, own, at in self._axes_of(points):
+            _add_weighted(total, F, G, axes.turned(levers, blocks), axes.precision[own, blocks], at)
+
+    def _axes_of(self, points: Sequence[int]) -> Iterator[tuple[Axes, list[int], slice]]:
+        """The axes of some points: which of theirs these are, and where they stand among those asked for."""
+        for axes in self._axes:
+            at = [i for i, k in enumerate(points) if k in axes.points]
+            if at:
+                yield axes, [axes.points.index(points[i]) for i in at], slice(at[0], at[-1] + 1)
+
+    def _parts(self, E: Columns) -> Iterator[slice]:
+        """The blocks in parts whose columns take little memory."""
+        n, step = self._shape[0], max(LEAST_BLOCKS, BYTES // (8 * max(E.shape[2], 1)))
+        return (slice(first, min(first + step, n)) for first in range(0, n, step))
+
+
+def _add_weighted(total: Array, F: Factors, G: Factors, U: Array, weight: Array, at: slice) -> None:
+    """Add products at the points of some axes; U : levers in these axes; weight : of the axes, shape (points, n, m)."""
+    for s, columns, values in F.blocks:
+        # What the variable in between does, times each column of G.
+        across = np.zeros((len(weight), G.width, len(U)))
+        shares = np.einsum("kni,ni,nit->tkn", weight, U[:, :, s], U[:, :, [t for t, _, _ in G.blocks]], optimize=True)
+        for share, (_, own, factors) in zip(shares, G.blocks, strict=True):
+            across[:, as_slice(own)] += share[:, None] * factors
+        product = values @ across.reshape(-1, len(U)).T
+        total[as_slice(columns), at] += product.reshape(len(values), len(weight), G.width)
+
+
+class KnownRows:
+    """Rows of numbers for some of the columns, as far as they are known.
+
+    place : of each column among the rows, or -1, shape (columns,); count : of known rows; numbers : in each
+    """
+
+    def __init__(self, columns: int, numbers: int) -> None:
+        self.place, self.count, self.numbers = np.full(columns, -1), 0, numbers
+        self._rows = np.empty((0, numbers))
+
+    @property
+    def known(self) -> Array:
+        """Numbers of the columns that are known."""
+        return np.flatnonzero(self.place >= 0)
+
+    def __getitem__(self, columns: Array) -> Array:
+        """Rows of columns, shape (*columns.shape, numbers)."""
+        return np.asarray(self._rows[self.place[columns]])
+
+    def add(self, columns: Array, rows: Array) -> None:
+        """Keep the rows of further columns."""
+        more = self.count + len(rows)
+        if not self.count:
+            self._rows = rows
+        elif more > len(self._rows):
+            # Room for twice as much: rows are added many times.
+            grown = np.empty((max(more, min(2 * len(self._rows), len(self.place))), rows.shape[1]))
+            grown[: self.count] = self._rows[: self.count]
+            self._rows = grown
+        if self.count:
+            self._rows[self.count : more] = rows
+        self.place[columns] = np.arange(self.count, more)
+        self.count = more
+
+    def widened(self, columns: int) -> KnownRows:
+        """The same of at least as many columns."""
+        more = KnownRows(columns, self.numbers)
+        more.place[: len(self.place)] = self.place
+        more._rows, more.count = self._rows[: self.count], self.count
+        return more

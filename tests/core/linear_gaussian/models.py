@@ -1,0 +1,78 @@
+"""Small linear-Gaussian models, and the normal distribution that each of them is, written out in full."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import multivariate_normal
+
+from casadical.core.linear_gaussian.columns import ArrayColumns
+from casadical.core.linear_gaussian.grid import Grid
+from casadical.core.linear_gaussian.model import LinearModel
+from casadical.core.linear_gaussian.noise import NoiseModel
+
+SIGMAS = np.geomspace(1e-2, 1.0, 5)
+KAPPAS = np.array([0.5, 1.0, 4.0])
+RATIOS = {"joints": np.array([0.0, 0.5, 2.0])}
+TWO = {"joints": np.array([0.0, 0.5, 2.0]), "drift": np.array([1.0, 0.3, 0.0])}
+NONE = np.zeros(0, dtype=np.int64)
+
+
+def small_model(ratios: dict[str, np.ndarray] = RATIOS, seed: int = 0, n: int = 7, m: int = 3) -> LinearModel:
+    """Some blocks, four base parameters, six columns."""
+    rng = np.random.default_rng(seed)
+    components = {name: rng.normal(size=(n, m, 2)) for name in ratios}
+    J, E = rng.normal(size=(n, m, 4)), 0.1 * rng.normal(size=(n, m, 6))
+    mean, prior = 0.1 * rng.normal(size=4), np.array([1.0, 0.03, 0.3, 10.0])
+    r = J @ (mean + 0.01 * rng.normal(size=4)) + E @ [1.0, 0, -0.5, 0, 0, 2] + 0.1 * rng.normal(size=(n, m))
+    return LinearModel(
+        residual=r,
+        base=J,
+        mean=mean,
+        prior=prior,
+        columns=ArrayColumns(E),
+        held=np.array([8.0, 8.0, 8.0, 2.0, 2.0, 8.0]),
+        noise=NoiseModel((n, m), components),
+        grid=Grid(SIGMAS, ratios, KAPPAS),
+        reference=0.1,
+        count=n * m,
+        near=tuple(range(len(next(iter(ratios.values()))))),
+    )
+
+
+def without_last_rows(model: LinearModel, blocks: np.ndarray) -> LinearModel:
+    """Some blocks have one row fewer than the others: zeros stand in its place."""
+    r, J, E = model.residual.copy(), model.base.copy(), model.columns.take(np.arange(model.width)).copy()
+    components = {name: A.copy() for name, A in model.noise.components.items()}
+    for rows in (r, J, E, *components.values()):
+        rows[blocks, -1] = 0.0
+    noise = NoiseModel(model.noise.shape, components)
+    count = model.count - len(blocks)
+    return replace(model, residual=r, base=J, columns=ArrayColumns(E), noise=noise, count=count)
+
+
+def noise_of(model: LinearModel, point: int, sigma: float) -> np.ndarray:
+    """Covariance of all rows' noise."""
+    n, m = model.residual.shape
+    C = np.zeros((n * m, n * m))
+    for b in range(n):
+        own = np.eye(m)
+        for name, values in model.grid.ratios.items():
+            A = values[point] * model.noise.components[name][b]
+            own += A @ A.T
+        C[m * b : m * b + m, m * b : m * b + m] = sigma**2 * own
+    return C
+
+
+def log_density(model: LinearModel, point: int, sigma: float, chosen: np.ndarray, group: np.ndarray, kappa: float):
+    """log p(r), less what the package leaves out, which is the same for every noise and group."""
+    rows, share = model.residual.size, sigma / model.reference
+    J = model.base.reshape(rows, -1)
+    E = model.columns.take(np.arange(model.width)).reshape(rows, -1)
+    C = noise_of(model, point, sigma) + (J * (share * model.prior) ** 2) @ J.T
+    C += (E[:, chosen] * (share * model.held[chosen]) ** 2) @ E[:, chosen].T
+    C += kappa**2 * E[:, group] @ E[:, group].T
+    measured = np.any(np.abs(J) > 0, axis=1)
+    density = multivariate_normal((J @ model.mean)[measured], C[np.ix_(measured, measured)])
+    priors = np.concatenate([model.prior, model.held[chosen]])
+    left_out = -0.5 * measured.sum() * np.log(2 * np.pi) + np.log(model.reference / priors).sum()
+    return float(density.logpdf(model.residual.ravel()[measured]) - left_out)

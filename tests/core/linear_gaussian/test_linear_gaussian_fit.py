@@ -1,0 +1,120 @@
+"""Noise, estimates and predictions of what was left out against dense solves."""
+
+import numpy as np
+import pytest
+from models import RATIOS, TWO, noise_of, small_model, without_last_rows
+
+from casadical.core.linear_gaussian import fit as fits
+from casadical.core.linear_gaussian.fit import Fit
+from casadical.core.linear_gaussian.model import LinearModel
+from casadical.core.linear_gaussian.noise import NoiseModel
+from casadical.core.linear_gaussian.normal_equations import normal_sums, without_others
+
+SIGMA, POINT, COLUMNS = 0.1, 1, np.array([0, 2, 5])
+
+
+def dense(model: LinearModel, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Estimate from some blocks and its covariance, by one solve of the normal equations."""
+    n, m = model.residual.shape
+    rows = (m * blocks[:, None] + np.arange(m)).ravel()
+    A = np.concatenate([model.base, model.columns.take(COLUMNS)], axis=2).reshape(n * m, -1)[rows]
+    W = np.linalg.inv(noise_of(model, POINT, SIGMA)[np.ix_(rows, rows)])
+    P = np.diag(np.concatenate([model.prior, model.held[COLUMNS]]) ** -2.0)
+    mean = np.concatenate([model.mean, np.zeros(len(COLUMNS))])
+    covariance = np.linalg.inv(A.T @ W @ A + P)
+    return covariance @ (A.T @ W @ model.residual.ravel()[rows] + P @ mean), covariance
+
+
+def fitted(model: LinearModel) -> Fit:
+    return Fit(model, COLUMNS, SIGMA, model.grid.at(POINT))
+
+
+MODELS = {
+    "one component": small_model(RATIOS, n=12),
+    "two components": small_model(TWO, n=12),
+    "blocks of different sizes": without_last_rows(small_model(TWO, n=12), np.array([3])),
+}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_estimates_are_those_of_a_dense_solve(name: str) -> None:
+    model = MODELS[name]
+    fit = fitted(model)
+    x, covariance = dense(model, np.arange(12))
+    np.testing.assert_allclose(fit.x, x, rtol=1e-9)
+    np.testing.assert_allclose(fit.covariance, covariance, rtol=1e-8, atol=1e-12)
+    value, error = fit.causes
+    np.testing.assert_allclose(value, x[4:], rtol=1e-9)
+    np.testing.assert_allclose(error, np.sqrt(np.diag(covariance))[4:], rtol=1e-9)
+
+
+@pytest.mark.parametrize("rows", [fits.MOST_ROWS, 0], ids=["among observations", "among parameters"])
+@pytest.mark.parametrize("bytes_", [fits.MOST_BYTES, 0], ids=["columns kept", "columns made again"])
+@pytest.mark.parametrize("name", MODELS)
+def test_blocks_left_out_are_predicted_by_the_others(
+    monkeypatch: pytest.MonkeyPatch, name: str, rows: int, bytes_: int
+) -> None:
+    monkeypatch.setattr(fits, "MOST_ROWS", rows)
+    monkeypatch.setattr(fits, "MOST_BYTES", bytes_)
+    model = MODELS[name]
+    fit = fitted(model)
+    A = np.concatenate([model.base, model.columns.take(COLUMNS)], axis=2)
+    for out in (np.array([3]), np.array([0, 5, 11]), np.arange(7)):
+        x, _ = dense(model, np.setdiff1d(np.arange(12), out))
+        np.testing.assert_allclose(fit.without(out), (model.residual - A @ x)[out], rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(fit.to(np.setdiff1d(np.arange(12), out)), x, rtol=1e-7)
+    alone = [model.residual[k] - A[k] @ dense(model, np.setdiff1d(np.arange(12), [k]))[0] for k in range(12)]
+    np.testing.assert_allclose(fit.alone(), alone, rtol=1e-7, atol=1e-9)
+
+
+def test_noise_is_made_white_by_its_covariance() -> None:
+    """Of several components, one of them with a ratio for each source; in axes as by a triangle."""
+    rng = np.random.default_rng(0)
+    noise = NoiseModel((5, 3), {"joints": rng.normal(size=(5, 3, 4)), "drift": rng.normal(size=(5, 3, 1))})
+    each = np.array([0.1, 0.0, 2.0, 0.5])
+    C = noise.covariance({"joints": each, "drift": 0.7}, 1.5)
+    for b in range(5):
+        A, d = noise.components["joints"][b] * each, noise.components["drift"][b]
+        np.testing.assert_allclose(C[b], 1.5**2 * np.eye(3) + A @ A.T + 0.49 * d @ d.T)
+    ratios = {"joints": np.array([0.3, 0.0]), "drift": np.array([0.0, 2.0])}
+    axes = noise.axes(ratios)
+    for k in range(2):
+        at = {name: float(values[k]) for name, values in ratios.items()}
+        whitening = noise.whitening(at)
+        C = noise.covariance(at)
+        np.testing.assert_allclose(
+            whitening.W @ C @ whitening.W.transpose(0, 2, 1), np.tile(np.eye(3), (5, 1, 1)), atol=1e-12
+        )
+        assert whitening.log_det == pytest.approx(np.linalg.slogdet(C)[1].sum())
+        assert axes[k].log_det[0] == pytest.approx(whitening.log_det)
+        by_axes = axes[k].turn * axes[k].precision[0][:, None] @ axes[k].turn.transpose(0, 2, 1)
+        np.testing.assert_allclose(by_axes, np.linalg.inv(C), atol=1e-12)
+        trace = np.trace(C, axis1=1, axis2=2).sum() / 15
+        assert noise.mean_variance(at, 15) == pytest.approx(trace)
+
+
+def test_sums_are_added_taken_off_and_moved() -> None:
+    rng = np.random.default_rng(0)
+    y, A, x = rng.normal(size=(6, 3)), rng.normal(size=(6, 3, 4)), rng.normal(size=4)
+    whole, part = normal_sums(y, A), normal_sums(y[:2], A[:2])
+    for found, expected in (
+        (whole.less(part), normal_sums(y[2:], A[2:])),
+        (whole.less(part).plus(part), whole),
+        (whole.moved(x), normal_sums(y + A @ x, A)),
+    ):
+        np.testing.assert_allclose(found.H, expected.H, atol=1e-12)
+        np.testing.assert_allclose(found.g, expected.g, atol=1e-12)
+        assert found.square == pytest.approx(expected.square)
+        assert found.count == expected.count
+
+
+def test_parameters_not_asked_for_are_integrated() -> None:
+    A = np.random.default_rng(0).normal(size=(20, 5))
+    H, g, kept, rest = A.T @ A, A.T @ np.arange(20.0), np.array([3, 0]), np.array([1, 2, 4])
+    P = np.diag([4.0, 1.0, 0.5])
+    own, score = without_others(H, g, kept, np.linalg.inv(H[np.ix_(rest, rest)] + P))
+    whole = H.copy()
+    whole[np.ix_(rest, rest)] += P
+    covariance = np.linalg.inv(whole)
+    np.testing.assert_allclose(np.linalg.inv(own), covariance[np.ix_(kept, kept)])
+    np.testing.assert_allclose(np.linalg.solve(own, score), (covariance @ g)[kept])

@@ -1,0 +1,116 @@
+"""Marginal likelihoods against the normal density that they are, for every kind of model."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from models import KAPPAS, NONE, RATIOS, SIGMAS, TWO, log_density, small_model, without_last_rows
+
+from casadical.core.linear_gaussian import grid, marginals, sums
+from casadical.core.linear_gaussian.columns import ArrayColumns
+from casadical.core.linear_gaussian.marginals import Marginals
+from casadical.core.linear_gaussian.model import LinearModel
+
+GROUPS = [np.array([0]), np.array([1, 2]), np.array([5]), np.array([0, 1, 2])]
+
+
+@pytest.fixture(autouse=True)
+def every_sigma(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grid, "NEGLIGIBLE", np.inf)
+
+
+def twin_columns() -> LinearModel:
+    """Two columns alike, and one that the base reproduces."""
+    model = small_model()
+    E = model.columns.take(np.arange(6)).copy()
+    E[:, :, 2] = E[:, :, 1]
+    E[:, :, 5] = 0.1 * model.base[:, :, 3]
+    return replace(model, columns=ArrayColumns(E))
+
+
+def far_prior() -> LinearModel:
+    """The data lie hundreds of the prior's sigmas from its mean."""
+    model = small_model()
+    return replace(model, mean=model.mean + np.array([0.0, 9.0, -50.0, 0.0]))
+
+
+MODELS = {
+    "one component": small_model(),
+    "two components": small_model(TWO),
+    "blocks of different sizes": without_last_rows(small_model(TWO), np.array([1, 4])),
+    "columns of deficient rank": twin_columns(),
+    "priors far away": far_prior(),
+    "blocks of one row": small_model(n=20, m=1),
+}
+
+
+@pytest.mark.parametrize("chosen", [NONE, np.array([3]), np.array([3, 4])], ids=["alone", "beside one", "beside two"])
+@pytest.mark.parametrize("name", MODELS)
+def test_marginal_likelihood_is_the_normal_density(name: str, chosen: np.ndarray) -> None:
+    model = MODELS[name]
+    judged = Marginals(model)
+    base, grids = judged.log_base(chosen), judged.log_grids(GROUPS, chosen)
+    assert grids.shape == (4, 3, len(SIGMAS), len(KAPPAS))
+    for point in range(3):
+        for s, sigma in enumerate(SIGMAS):
+            expected = log_density(model, point, sigma, chosen, NONE, 0.0)
+            assert base[point, s] == pytest.approx(expected, rel=1e-7, abs=1e-6)
+            for g, group in enumerate(GROUPS):
+                for k in (0, 2):
+                    expected = log_density(model, point, sigma, chosen, group, KAPPAS[k])
+                    assert grids[g, point, s, k] == pytest.approx(expected, rel=1e-7, abs=1e-6)
+
+
+def test_what_else_is_known_of_the_noise_is_added() -> None:
+    model = small_model()
+    known = np.random.default_rng(1).normal(size=(3, len(SIGMAS)))
+    found = Marginals(replace(model, log_noise=known)).log_base()
+    np.testing.assert_allclose(found, Marginals(model).log_base() + known, rtol=1e-12)
+
+
+@pytest.mark.parametrize("ratios", [RATIOS, TWO], ids=["one component", "two components"])
+def test_a_wide_group_is_judged_as_a_narrow_one(monkeypatch: pytest.MonkeyPatch, ratios: dict[str, np.ndarray]) -> None:
+    model, group = small_model(ratios), np.arange(5)
+    expected = Marginals(model).log_grids([group], np.array([5]))
+    for where in (marginals, sums):
+        monkeypatch.setattr(where, "WIDE", 2)
+    monkeypatch.setattr(marginals, "REACH", np.inf)
+    monkeypatch.setattr(marginals, "HOPELESS", np.inf)
+    np.testing.assert_allclose(Marginals(model).log_grids([group], np.array([5])), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("ratios", [RATIOS, TWO], ids=["one component", "two components"])
+def test_sums_in_parts_are_those_of_all_blocks(monkeypatch: pytest.MonkeyPatch, ratios: dict[str, np.ndarray]) -> None:
+    model, chosen = small_model(ratios, n=40), np.array([3, 4])
+    expected = Marginals(model).log_grids(GROUPS, chosen)
+    monkeypatch.setattr(sums, "BYTES", 1)
+    monkeypatch.setattr(sums, "LEAST_BLOCKS", 7)
+    np.testing.assert_allclose(Marginals(model).log_grids(GROUPS, chosen), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("ratios", [RATIOS, TWO], ids=["one component", "two components"])
+def test_known_sums_are_extended_and_moved(ratios: dict[str, np.ndarray]) -> None:
+    """More columns, then a block fewer and another one more, are as if they were added up anew."""
+    whole, chosen = small_model(ratios, n=41), np.array([3, 4])
+
+    def of(model: LinearModel, blocks: np.ndarray) -> LinearModel:
+        return replace(
+            model,
+            residual=model.residual[blocks],
+            base=model.base[blocks],
+            columns=model.columns.at(blocks),
+            noise=model.noise.at(blocks),
+            count=3 * len(blocks),
+        )
+
+    first, fewer = of(whole, np.arange(40)), ArrayColumns(whole.columns.take(np.arange(5)))
+    few = of(replace(whole, columns=fewer, held=whole.held[:5]), np.arange(40))
+    known = Marginals(few)
+    known.log_grids(GROUPS[:2], chosen)
+    extended = known.extended(first)
+    np.testing.assert_allclose(extended.log_grids(GROUPS, chosen), Marginals(first).log_grids(GROUPS, chosen))
+    second = of(whole, np.arange(1, 41))
+    moved = extended.moved(second, of(whole, np.array([0])), of(whole, np.array([40])))
+    assert moved is not None
+    np.testing.assert_allclose(moved.log_grids(GROUPS, chosen), Marginals(second).log_grids(GROUPS, chosen), rtol=1e-8)
+    assert extended.moved(second, first, second) is None
