@@ -15,7 +15,6 @@ from casadical.diagnosis.result import Diagnosis as Diagnosis
 from casadical.effects.base import Effect as Effect
 from casadical.identification.identification import identify as identify
 from casadical.identification.result import Identification as Identification
-from casadical.measurements.large_tables import read_large as read_large
 from casadical.measurements.measurements import Measurements as Measurements
 from casadical.measurements.reading import from_table as from_table
 from casadical.measurements.reading import read_measurements as read_measurements

@@ -12,7 +12,6 @@ import pandas as pd
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.plain_values import LARGEST
-from casadical.measurements.angle_unit import angle_fault
 from casadical.measurements.column_map import Source, made, named
 from casadical.measurements.raw_table import RawTable, refuse_repeated_names
 
@@ -323,20 +322,15 @@ class Columns:
         Raises
         ------
         InputError
-            one is missing or too many, or angles are in another unit than the column says
+            one is missing or too many
         """
         units = {"revolute": ("_deg", "_rad"), "prismatic": ("_mm", "_m")}
         columns = [self.si(f"q{i}", units[kind]) for i, kind in enumerate(kinds, 1)]
-        names = [str(name) for name in self.table]
-        for name in names:
+        for name in map(str, self.table):
             found = _READING.fullmatch(name)
             if found and not 1 <= int(found[1]) <= len(kinds):
                 raise InputError(f"{self.source}: column {name!r}: this robot has only {len(kinds)} joints")
-        q = np.stack(columns, axis=1)
-        row, fault = angle_fault(q, [i for i, kind in enumerate(kinds) if kind == "revolute"], names)
-        if fault:
-            raise InputError(f"{self.source if row is None else self.at(row)}{fault}")
-        return q
+        return np.stack(columns, axis=1)
 
     def vector(self, prefix: str, units: Sequence[str] = ("_mm", "_m")) -> Array:
         """Columns PREFIXx_mm, PREFIXy_mm and PREFIXz_mm, shape (n, 3) [m or rad].

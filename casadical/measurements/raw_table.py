@@ -36,18 +36,22 @@ class RawTable:
     cells : of each row, as text, numbers with decimal points; line : of the file at which each row begins
     form : how the file writes its table; comments : lines that are comments, as they stand
     rest : further rows of a large table and their lines, as `read_columns` of `table_parts` reads it
+    numbers : the rows of a file that holds no text, in place of `cells`
     """
 
     path: Path
     header: tuple[str, ...]
     cells: tuple[tuple[str, ...], ...]
-    line: tuple[int, ...]
+    line: Sequence[int]
     form: Form = field(default_factory=Form)
     comments: tuple[str, ...] = ()
     rest: tuple[tuple[pd.DataFrame, Array], ...] = ()
+    numbers: pd.DataFrame | None = None
 
     def frame(self) -> pd.DataFrame:
         """The rows of `cells` as a pandas table, named as in `header`: numbers where a column holds nothing else."""
+        if self.numbers is not None:
+            return self.numbers
         rows = io.StringIO(newline="")
         csv.writer(rows).writerows([self.header, *self.cells])
         rows.seek(0)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +11,15 @@ import pandas as pd
 from casadical.core.arm import GRAVITY
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.measurements.angle_unit import refuse_other_unit
 from casadical.measurements.column_map import Source
 from casadical.measurements.columns import Columns
 from casadical.measurements.headings import understand
 from casadical.measurements.kinds.registry import find_kind, kind_of, kinds
 from casadical.measurements.measurements import FIELDS, Measurements
 from casadical.measurements.raw_table import RawTable
-from casadical.measurements.table_parts import read_columns
+from casadical.measurements.stored import joined
+from casadical.measurements.table_parts import ROWS, read_columns, table_parts
 
 _POSITIONS = {f"{c}{u}" for c in "xyz" for u in ("_mm", "_m")}
 
@@ -31,12 +34,16 @@ def read_measurements(
     sigma_mm: float | None = None,
     sigma_deg: float | None = None,
 ) -> Measurements:
-    """Measurements from a table in a file (see `casadical.measurements.raw_table`).
+    """Measurements from a table of any size in a file (see `casadical.measurements.raw_table`).
+
+    A table of more than some megabytes is read some rows at a time, and its numbers stand in temporary files that the
+    system maps (see `casadical.measurements.stored`), unless what a row says depends on others: rows of points and
+    relative poses, tools, sessions, columns that are moved by some rows.
 
     Parameters
     ----------
     path : str | Path
-        table, as text in any usual form or .xlsx
+        table, as text in any usual form, .xlsx (needs openpyxl) or .parquet (needs pyarrow)
     joints : int | Sequence[str]
         number of joints, or the kind of each ("revolute", "prismatic")
     kind : str, optional
@@ -66,8 +73,32 @@ def read_measurements(
     >>> poses.kind, poses.position.shape
     ('position', (40, 3))
     """
-    table = named_columns(read_columns(path), joints, columns or {}, point_from)
-    return from_columns(table, joints, kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
+    parts = table_parts(path)
+    first = next(parts)
+    sources = _sources(first, joints, columns or {})
+    named = Columns.of_file(first).mapped(sources, point_from)
+    further = next(parts, None)
+    if further is None:
+        return from_columns(named, joints, kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
+
+    def measured(columns: Columns) -> Measurements:
+        return _measured(columns, joints, kind, sigma_mm, sigma_deg)
+
+    start = measured(named)
+    if _row_by_row(start, sources):
+        others = (measured(Columns.of_file(part).mapped(sources)) for part in chain([further], parts))
+        found = joined(chain([start], others))
+        if found is not None:
+            refuse_other_unit(found.q, _kinds(joints, named.source), [*map(str, named.table)], found.source, found.row)
+            return _without_copies(found)
+    named = Columns.of_file(read_columns(path)).mapped(sources, point_from)
+    return from_columns(named, joints, kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
+
+
+def _row_by_row(m: Measurements, sources: Mapping[str, Source]) -> bool:
+    """Whether every row of a table can be read without the others."""
+    named = m.label is not None or any(name.startswith(("tool_", "session_")) for name in m.conditions)
+    return find_kind(m.kind).by_row and not named and not any(source.rows for source in sources.values())
 
 
 def named_columns(
@@ -77,16 +108,22 @@ def named_columns(
 
     Raises InputError where the headings leave a question.
     """
+    return Columns.of_file(raw).mapped(_sources(raw, joints, columns), point_from)
+
+
+def _sources(raw: RawTable, joints: int | Sequence[str], columns: Mapping[str, str | Source]) -> dict[str, Source]:
+    """What each of our columns is made of; arguments and errors as of `named_columns`."""
     kinds = ["revolute"] * joints if isinstance(joints, int) else list(joints)
-    found = understand(raw, kinds, columns)
-    for question in found.questions:
+    meaning = understand(raw, kinds, columns)
+    for question in meaning.questions:
         first = next(iter(question.choices.values()))
         line = ", ".join(f'{ours} = "{source.name}"' for ours, source in first.items())
         raise InputError(
             f"{raw.path}: {question.text} Allowed: {'; '.join(question.choices)}. "
             f"Say it in problem.toml, for example columns = {{ {line} }}"
         )
-    return Columns.of_file(raw).mapped({**found.sources, **columns}, point_from)
+    given = {ours: Source(name) if isinstance(name, str) else name for ours, name in columns.items()}
+    return {**meaning.sources, **given}
 
 
 def from_table(
@@ -144,16 +181,37 @@ def from_columns(
     sigma_deg: float | None = None,
 ) -> Measurements:
     """Measurements from columns under our names; arguments and errors (Raises InputError) as of `read_measurements`."""
-    source, each = columns.source, ["revolute"] * joints if isinstance(joints, int) else list(joints)
-    if not each or set(each) - {"revolute", "prismatic"}:
+    found = _measured(columns, joints, kind, sigma_mm, sigma_deg, whole=True)
+    return _without_copies(found)
+
+
+def _kinds(joints: int | Sequence[str], source: str) -> list[str]:
+    """Of each joint. Raises InputError."""
+    kinds = ["revolute"] * joints if isinstance(joints, int) else list(joints)
+    if not kinds or set(kinds) - {"revolute", "prismatic"}:
         raise InputError(f"{source}: joints {joints!r}; allowed: their number, or 'revolute' or 'prismatic' for each")
+    return kinds
+
+
+def _measured(
+    columns: Columns,
+    joints: int | Sequence[str],
+    kind: str | None,
+    sigma_mm: float | None,
+    sigma_deg: float | None,
+    whole: bool = False,
+) -> Measurements:
+    """As `from_columns`, copies included; whole : these are all rows, which tell the unit of angles."""
+    source, each = columns.source, _kinds(joints, columns.source)
     observed = find_kind(kind, source) if kind else kind_of(columns)
     q = columns.joints(each)
+    if whole:
+        refuse_other_unit(q, each, [*map(str, columns.table)], source, columns.row)
     arrays = observed.read(columns, q)
     counted = arrays.pop("counted", np.ones(len(q)))
     patterns = [k.pattern for k in kinds().values()]
     conditions = with_gravity(columns.conditions(patterns), columns) | columns.tools() | columns.sessions()
-    found = Measurements(
+    return Measurements(
         q=q,
         kind=observed.name,
         conditions=conditions,
@@ -166,7 +224,6 @@ def from_columns(
         extra={name: values for name, values in arrays.items() if name not in FIELDS},
         **{name: values for name, values in arrays.items() if name in FIELDS},  # type: ignore[arg-type]
     )
-    return _without_copies(found)
 
 
 def with_gravity(conditions: dict[str, Array], columns: Columns) -> dict[str, Array]:
@@ -194,13 +251,32 @@ def readings_alone(columns: Columns, joints: int | Sequence[str]) -> Measurement
     return from_columns(replace(columns, table=table.assign(x_m=0.0, y_m=0.0, z_m=0.0)), joints, "position")
 
 
-def _without_copies(found: Measurements) -> Measurements:
+def _without_copies(m: Measurements) -> Measurements:
     """A row copied whole is no second measurement: it is counted once."""
-    seen = [found.q]
-    for name, values in found.arrays.items():
-        numbers = np.unique(values.astype(str), return_inverse=True)[1] if name == "label" else values
-        seen.append(numbers.reshape(len(found), -1).astype(float))
-    _, first = np.unique(np.concatenate(seen, axis=1), axis=0, return_index=True)
-    copied = np.ones(len(found), dtype=bool)
-    copied[first] = False
-    return replace(found[~copied], copies=tuple(found.row[copied].tolist())) if copied.any() else found
+    numbers = [m.q]
+    for name, values in m.arrays.items():
+        known = np.unique(values.astype(str), return_inverse=True)[1] if name == "label" else values
+        numbers.append(known.reshape(len(m), -1))
+    # Only rows with equal hashes can be copies: of a table greater than memory these few are compared.
+    hashes = np.concatenate([_hashes([v[k : k + ROWS] for v in numbers]) for k in range(0, len(m), ROWS)])
+    ordered = np.sort(hashes)
+    alike = np.flatnonzero(np.isin(hashes, ordered[1:][ordered[1:] == ordered[:-1]]))
+    if not len(alike):
+        return m
+    rows = np.concatenate([values[alike].astype(float) for values in numbers], axis=1)
+    copied = np.setdiff1d(alike, alike[np.unique(rows, axis=0, return_index=True)[1]])
+    if not len(copied):
+        return m
+    kept = np.setdiff1d(np.arange(len(m)), copied)
+    pieces = np.array_split(kept, 1 + len(kept) // ROWS)
+    found = m[kept] if m.label is not None or len(pieces) == 1 else joined(m[piece] for piece in pieces)
+    assert found is not None
+    return replace(found, copies=tuple(m.row[copied].tolist()))
+
+
+def _hashes(numbers: Sequence[Array]) -> Array:
+    """A number for each row of some arrays, the same for equal rows, shape (n,)."""
+    hashes = np.zeros(len(numbers[0]), dtype=np.uint64)
+    for column in (column for values in numbers for column in values.T):
+        hashes = hashes * np.uint64(1_000_003) ^ pd.util.hash_array(column + 0.0)  # + 0.0: -0.0 is 0.0
+    return hashes

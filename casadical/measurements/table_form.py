@@ -68,14 +68,21 @@ class Form:
         return ", ".join(parts)
 
 
-def decoded(data: bytes) -> tuple[str, str]:
-    """The text of a file and its encoding. Raises UnicodeDecodeError where none fits."""
+def marked_encoding(data: bytes) -> str:
+    """The encoding that the first bytes of a text show; utf-8 where they show none."""
     for mark, name in _MARKS.items():
         if data.startswith(mark):
-            return data.decode(name), name.removesuffix("-sig")
+            return name
     if b"\0" in data[:1000]:
-        name = "utf-16-le" if data[1:1000:2].count(0) > data[0:1000:2].count(0) else "utf-16-be"
-        return data.decode(name), name
+        return "utf-16-le" if data[1:1000:2].count(0) > data[0:1000:2].count(0) else "utf-16-be"
+    return "utf-8"
+
+
+def decoded(data: bytes) -> tuple[str, str]:
+    """The text of a file and its encoding. Raises UnicodeDecodeError where none fits."""
+    name = marked_encoding(data)
+    if name != "utf-8":
+        return data.decode(name), name.removesuffix("-sig")
     try:
         return data.decode("utf-8"), "utf-8"
     except UnicodeDecodeError as error:

@@ -1,4 +1,4 @@
-"""A large table of text, read some lines at a time: as text it takes twenty times the memory of its numbers."""
+"""A table of any size, some rows at a time: as text it takes twenty times the memory of its numbers."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -6,60 +6,99 @@ from pathlib import Path
 
 import numpy as np
 
-from casadical.core.errors import InputError
+from casadical.core.errors import InputError, optional
 from casadical.measurements.raw_table import RawTable, read_table, table_of
-from casadical.measurements.table_form import decoded, records_of, separator_of
+from casadical.measurements.table_form import Form, marked_encoding, records_of, separator_of
 
-# Characters that are read at a time; a text of fewer is read at once.
-SIZE = 4_000_000
+# Characters that are read at a time, and rows of Parquet; a text of fewer is read at once.
+SIZE, ROWS = 4_000_000, 65_536
 # Characters from which separator and decimal sign are told.
 SAMPLE = 100_000
+
+
+def table_parts(path: str | Path) -> Iterator[RawTable]:
+    """As `read_table`, some rows at a time, all under the headings of the first ones; Parquet, too (needs pyarrow).
+
+    A table with quoted cells, in an encoding of one country, or in a workbook is read at once.
+    Raises InputError as `read_table` does.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".parquet":
+        yield from _parquet(path)
+    elif not path.is_file() or path.stat().st_size <= SIZE or not (encoding := _encoding(path)):
+        yield read_table(path)
+    else:
+        yield from _text(path, encoding)
 
 
 def read_columns(path: str | Path) -> RawTable:
     """As `read_table`, for those who want the columns: of a large table only the first rows are kept as text.
 
-    The rows behind these stand in `rest`. A table with quoted cells or in a workbook is read at once.
-    Raises InputError as `read_table` does.
+    The rows behind these stand in `rest`. Raises InputError as `read_table` does.
     """
-    path = Path(path)
-    if not path.is_file() or path.stat().st_size <= SIZE:
-        return read_table(path)
-    data = path.read_bytes()
+    parts = table_parts(path)
+    first = next(parts)
+    return replace(first, rest=tuple((part.frame(), np.array(part.line)) for part in parts))
+
+
+def _encoding(path: Path) -> str:
+    """Of a text that can be read in parts; empty where it cannot."""
+    with path.open("rb") as file:
+        head = file.read(1000)
+    encoding = marked_encoding(head)
+    if head.startswith(b"PK\x03\x04"):
+        return ""
     try:
-        text, encoding = decoded(data)
+        with path.open(encoding=encoding, newline="\n") as text:
+            while some := text.read(SIZE):
+                if '"' in some or "\0" in some:
+                    return ""
     except UnicodeDecodeError:
-        return read_table(path)
-    del data
-    if '"' in text or "\0" in text[:SAMPLE] or text.startswith("PK\x03\x04"):
-        return read_table(path)
-    separator = separator_of(text[:SAMPLE])
-    parts = _parts(text)
-    _, start = next(parts)
-    first = table_of(path, records_of(start, separator), encoding, separator)
-    return replace(first, rest=tuple((t.frame(), np.array(t.line)) for t in _others(first, parts)))
+        return ""
+    return encoding
 
 
-def _others(first: RawTable, parts: Iterator[tuple[int, str]]) -> Iterator[RawTable]:
-    """The tables of further lines, under the headings of the first ones."""
+def _text(path: Path, encoding: str) -> Iterator[RawTable]:
+    with path.open(encoding=encoding, newline="\n") as file:
+        separator = separator_of(file.read(SAMPLE))
+        file.seek(0)
+        first: RawTable | None = None
+        lines = 0
+        while some := file.read(SIZE) + file.readline():
+            if first is None:
+                first = table_of(path, records_of(some, separator), encoding.removesuffix("-sig"), separator)
+                yield first
+            elif records := [(lines + line, cells) for line, cells in records_of(some, separator)]:
+                yield _under(first, records, lines + 1)
+            lines += some.count("\n")
+
+
+def _under(first: RawTable, records: list[tuple[int, list[str]]], line: int) -> RawTable:
+    """Further records under the headings of the first ones. Raises InputError where they have others."""
     form = first.form
     head = [(form.header_line, list(first.header))] if form.header_line else []
-    for before, text in parts:
-        records = [(before + line, cells) for line, cells in records_of(text, form.separator)]
-        if records:
-            found = table_of(first.path, [*head, *records], form.encoding, form.separator, form.decimal)
-            if found.header != first.header:
-                raise InputError(
-                    f"{first.path}: other columns from row {before + 1} on: {', '.join(found.header)}; "
-                    f"before: {', '.join(first.header)}; give one file to each"
-                )
-            yield found
+    part = table_of(first.path, [*head, *records], form.encoding, form.separator, form.decimal)
+    if part.header != first.header:
+        raise InputError(
+            f"{first.path}: other columns from row {line} on: {', '.join(part.header)}; "
+            f"before: {', '.join(first.header)}; give one file to each"
+        )
+    return part
 
 
-def _parts(text: str) -> Iterator[tuple[int, str]]:
-    """Some lines at a time, and how many are before them."""
-    start = lines = 0
-    while start < len(text):
-        end = text.find("\n", min(start + SIZE, len(text) - 1)) + 1 or len(text)
-        yield lines, text[start:end]
-        lines, start = lines + text.count("\n", start, end), end
+def _parquet(path: Path) -> Iterator[RawTable]:
+    """Its rows count as in a text, from 2 on."""
+    parquet = optional("pyarrow.parquet", f"{path}: reading Parquet needs pyarrow: pip install 'casadical[fleet]'")
+    line = 2
+    try:
+        with parquet.ParquetFile(path, memory_map=True, pre_buffer=False) as file:
+            header = tuple(str(name).strip() for name in file.schema_arrow.names)
+            for frame in (batch.to_pandas() for batch in file.iter_batches(ROWS)):
+                rows = range(line, line + len(frame))
+                line += len(frame)
+                if len(frame):
+                    yield RawTable(path, header, (), rows, Form("parquet"), numbers=frame)
+    except (OSError, ValueError) as error:  # Arrow's errors are such
+        raise InputError(f"{path}: not a readable table: {getattr(error, 'strerror', None) or error}") from None
+    if line == 2:
+        raise InputError(f"{path}: no rows; at least one is needed")

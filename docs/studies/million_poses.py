@@ -2,7 +2,7 @@
 
 The arm of benchmarks.py with its 27 parameters (synthetic, .02 mm noise), in tables of a growing number of rows. Each
 run is a process of its own with one thread: the table is read at once (`from_table`, Parquet by pandas) or some rows at
-a time (`read_large`), then identified, compiled if that pays. Memory is what the process holds for itself
+a time (`read_measurements`), then identified, compiled if that pays. Memory is what the process holds for itself
 (RssAnon, looked at every 5 ms) above what it held after the imports; mapped files, which the system drops where memory
 is needed, are not in it. `limited` runs again within an amount of private memory that the system enforces
 (RLIMIT_DATA). `calibrate` is what the command does with a folder of the same poses as CSV (micrometres and millionths
@@ -104,7 +104,7 @@ def run(path: Path, reader: str, limit_mb: float) -> None:
     elif reader == "at once":
         m = casadical.from_table(pd.read_parquet(path), 6, "position")
     else:
-        m = casadical.read_large(path, 6, "position")
+        m = casadical.read_measurements(path, 6, "position")
     read, read_mb = time.process_time(), peak.above()
     if reader == "calibrate":
         calibration = casadical.calibrate(m)

@@ -1,15 +1,18 @@
-"""Large tables, read some lines at a time, give what they give when read at once."""
+"""Tables of any size, read some rows at a time, are what they are when read at once, and identify the same robot."""
 
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from casadical import InputError, read_measurements
-from casadical.measurements import table_parts
+from casadical import InputError, Measurements, identify, read_measurements, read_robot
+from casadical.identification import least_squares, residuals
+from casadical.measurements import reading, table_parts
 
 ROOT = Path(__file__).parents[2]
-LINES = (ROOT / "data" / "planar" / "planar.csv").read_text(encoding="utf-8").splitlines()
+PLANAR = ROOT / "data" / "planar" / "planar.csv"
+LINES = PLANAR.read_text(encoding="utf-8").splitlines()
 HEAD, ROWS = LINES[0], LINES[1:]
 FORMS = {
     "plain": LINES,
@@ -25,10 +28,48 @@ FORMS = {
 }  # fmt: skip
 
 
-def written(folder: Path, lines: list[str]) -> Path:
+@pytest.fixture(scope="module")
+def frame() -> pd.DataFrame:
+    return pd.read_csv(PLANAR).assign(weight=np.linspace(0.5, 1.5, 40), temperature_degC=np.linspace(20, 25, 40))
+
+
+def written(folder: Path, lines: list[str], encoding: str = "utf-8") -> Path:
     path = folder / "poses.csv"
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    path.write_text("\n".join(lines) + "\n", encoding=encoding)
     return path
+
+
+def kept(folder: Path, frame: pd.DataFrame, form: str) -> Path:
+    path = folder / f"table.{form}"
+    if form == "parquet":
+        pytest.importorskip("pyarrow")
+        frame.to_parquet(path)
+    else:
+        frame.to_csv(path, index=False)
+    return path
+
+
+def in_parts(monkeypatch: pytest.MonkeyPatch, characters: int = 300, rows: int = 7) -> None:
+    monkeypatch.setattr(table_parts, "SIZE", characters)
+    monkeypatch.setattr(table_parts, "ROWS", rows)
+    monkeypatch.setattr(reading, "ROWS", rows)
+
+
+def is_mapped(values: np.ndarray) -> bool:
+    """Whether an array stands in a file."""
+    while values.base is not None and not isinstance(values, np.memmap):
+        values = values.base
+    return isinstance(values, np.memmap)
+
+
+def assert_same(found: Measurements, whole: Measurements) -> None:
+    for name in ("q", "position", "weight", "row"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(whole, name))
+    for name in ("kind", "sigma", "unused", "copies", "source"):
+        assert getattr(found, name) == getattr(whole, name)
+    assert found.conditions.keys() == whole.conditions.keys()
+    for name, values in whole.conditions.items():
+        np.testing.assert_array_equal(found.conditions[name], values)
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -37,27 +78,155 @@ def test_parts_are_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fo
     path = written(tmp_path, FORMS[form])
     whole = read_measurements(path, 2)
     assert len(whole) == 40
-    monkeypatch.setattr(table_parts, "SIZE", size)
+    in_parts(monkeypatch, size)
     found = read_measurements(path, 2)
     assert bool(table_parts.read_columns(path).rest) == (form != "quoted")
-    for name in ("q", "position", "row"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(whole, name))
-    assert (found.kind, found.unused, found.source) == (whole.kind, whole.unused, whole.source)
+    assert is_mapped(found.q) == is_mapped(found.position) == (form != "quoted")
+    assert_same(found, whole)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp932"])
+def test_parts_of_other_encodings_are_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, encoding: str) -> None:
+    path = written(tmp_path, ["# 温度", *LINES], encoding)
+    whole = read_measurements(path, 2)
+    in_parts(monkeypatch)
+    found = read_measurements(path, 2)
+    assert is_mapped(found.q) == (encoding != "cp932")
+    assert_same(found, whole)
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+@pytest.mark.parametrize("rows", [7, 40])
+def test_weights_and_columns_are_those_of_the_whole_table(
+    tmp_path: Path, frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch, form: str, rows: int
+) -> None:
+    whole = read_measurements(kept(tmp_path, frame, "csv"), 2, sigma_mm=0.03)
+    path = kept(tmp_path, frame, form)
+    in_parts(monkeypatch, 100 * rows, rows)
+    found = read_measurements(path, 2, sigma_mm=0.03)
+    assert is_mapped(found.conditions["temperature_degC"]) == (rows < 40)
+    assert found[3:5].source == path.name
+    np.testing.assert_array_equal(found.weight, whole.weight)
+    np.testing.assert_allclose(found.conditions["temperature_degC"], whole.conditions["temperature_degC"], rtol=1e-15)
+    np.testing.assert_allclose(found.position, whole.position, rtol=1e-15)
+    np.testing.assert_array_equal(found.row, whole.row)
+
+
+def test_a_robot_is_identified_without_keeping_data_jacobian_or_residuals(
+    tmp_path: Path, frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, path = read_robot(ROOT / "problems" / "planar" / "robot.toml"), kept(tmp_path, frame, "csv")
+    usual = identify(robot, read_measurements(path, 2), method="KM")
+    monkeypatch.setattr(residuals, "HELD", 10)
+    monkeypatch.setattr(residuals, "CHUNK", 16)
+    monkeypatch.setattr(least_squares, "KEPT", 0)
+    in_parts(monkeypatch, 700)
+    poses = read_measurements(path, 2)
+    assert is_mapped(poses.q)
+    found = identify(robot, poses, method="KM")
+    assert found.names == usual.names
+    assert found.problem._last_sums.answer.residuals is None
+    np.testing.assert_allclose(found.solution.v, usual.solution.v, atol=1e-6)
+    np.testing.assert_allclose(found.standard_errors, usual.standard_errors, rtol=1e-6)
+    assert found.variance == pytest.approx(usual.variance, rel=1e-9)
+    again = found.problem.residuals(found.solution.v)
+    np.testing.assert_allclose(again[0], usual.problem.residuals(usual.solution.v)[0], atol=1e-4)
 
 
 def test_a_word_in_a_later_part_is_named_with_its_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(table_parts, "SIZE", 300)
+    in_parts(monkeypatch)
     path = written(tmp_path, [HEAD, *ROWS[:30], "lost" + ROWS[30][ROWS[30].index(",") :], *ROWS[31:]])
     with pytest.raises(InputError, match=r"row 32, column 'q1_deg': .*lost.* is not a finite number"):
         read_measurements(path, 2)
 
 
+def test_a_wrong_number_of_parquet_is_named_with_its_row(
+    tmp_path: Path, frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frame = frame.copy()
+    frame.loc[33, "x_mm"] = np.inf
+    in_parts(monkeypatch, rows=10)
+    with pytest.raises(InputError, match=r"table\.parquet: row 35.*x_mm"):
+        read_measurements(kept(tmp_path, frame, "parquet"), 2)
+
+
 def test_a_copy_of_a_row_of_an_earlier_part_counts_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(table_parts, "SIZE", 300)
-    assert read_measurements(written(tmp_path, [*LINES, ROWS[0]]), 2).copies == (42,)
+    whole = read_measurements(written(tmp_path, [*LINES, ROWS[0], ROWS[7]]), 2)
+    in_parts(monkeypatch)
+    found = read_measurements(written(tmp_path, [*LINES, ROWS[0], ROWS[7]]), 2)
+    assert (len(found), found.copies) == (40, (42, 43))
+    assert is_mapped(found.q)
+    assert_same(found, whole)
 
 
 def test_a_row_with_more_cells_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(table_parts, "SIZE", 300)
+    in_parts(monkeypatch)
     with pytest.raises(InputError, match="row 37 has 6 cells, the header 5"):
         read_measurements(written(tmp_path, [*LINES[:36], LINES[36] + ",1", *LINES[37:]]), 2)
+
+
+WORDS = [f"{row},{'A' if k % 2 else 'B'}" for k, row in enumerate(ROWS)]
+
+
+@pytest.mark.parametrize(
+    ("name", "rows"),
+    [
+        ("tool", WORDS),
+        ("session", WORDS),
+        ("remark", [f"{row},{'' if k < 30 else 'warm'}" for k, row in enumerate(ROWS)]),
+    ],
+)
+def test_what_only_the_whole_table_tells_is_read_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, rows: list[str]
+) -> None:
+    path = written(tmp_path, [f"{HEAD},{name}", *rows])
+    whole = read_measurements(path, 2)
+    in_parts(monkeypatch)
+    assert_same(read_measurements(path, 2), whole)
+
+
+def test_a_column_that_is_empty_in_later_parts_is_refused_as_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = written(tmp_path, [f"{HEAD},load_n", *(f"{row},{k if k < 30 else ''}" for k, row in enumerate(ROWS))])
+    refused = r"row 32, column 'load_n': an empty cell is not a finite number \(10 such"
+    with pytest.raises(InputError, match=refused):
+        read_measurements(path, 2)
+    in_parts(monkeypatch, 150)
+    with pytest.raises(InputError, match="row 3[2-9], column 'load_n'|" + refused):
+        read_measurements(path, 2)
+
+
+def test_points_touched_in_several_parts_are_the_same_points(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = [",".join(row.split(",")[:2]) + f",{'ABCDEFGHIJ'[k % 10]}" for k, row in enumerate(ROWS)]
+    path = written(tmp_path, ["q1_deg,q2_deg,point", *rows])
+    whole = read_measurements(path, 2)
+    in_parts(monkeypatch)
+    found = read_measurements(path, 2)
+    assert found.label.tolist() == whole.label.tolist()
+
+
+@pytest.mark.parametrize("slow", [0, 20])
+def test_angles_in_another_unit_are_told_by_all_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, slow: int
+) -> None:
+    """A part in which the robot hardly moves is no fault."""
+    cells = [row.split(",") for row in ROWS]
+    still = [",".join([f"{10 + 0.01 * k:.4f}", f"{20 - 0.01 * k:.4f}", *c[2:]]) for k, c in enumerate(cells)]
+    in_parts(monkeypatch, 600)
+    path = written(tmp_path, [HEAD, *still[:20], *(ROWS[20:] if slow else still[20:])])
+    if slow:
+        assert len(read_measurements(path, 2)) == 40
+    else:
+        with pytest.raises(InputError, match=r"no joint moves by more than 0\.39 deg over 40 poses"):
+            read_measurements(path, 2)
+
+
+def test_no_file_and_no_parquet(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    with pytest.raises(InputError, match="No such file"):
+        read_measurements(tmp_path / "none.parquet", 2)
+    broken = tmp_path / "broken.parquet"
+    broken.write_text("q1_deg")
+    with pytest.raises(InputError, match=r"broken\.parquet: not a readable table: Parquet"):
+        read_measurements(broken, 2)

@@ -139,4 +139,4 @@ def read_program(path: str | Path, joints: int, units: Sequence[str] = ()) -> Pr
     q = np.stack([columns.si(name, fit) for name, fit in zip(names, allowed, strict=True)], axis=1)
     used = tuple(next(u for u in fit if f"{name}{u}" in header) for name, fit in zip(names, allowed, strict=True))
     places = tuple(header.index(f"{name}{u}") for name, u in zip(names, used, strict=True))
-    return Program(str(path), q, header, rows, line, places, used)
+    return Program(str(path), q, header, rows, tuple(line), places, used)

@@ -146,6 +146,8 @@ class MeasurementKind(ABC):
         numbers that are observed at a pose [m] and [rad], at least one and at most six together
     places
         whether its unknown points are places, between which distances may be known
+    by_row
+        whether `read` takes each row on its own, so that a table greater than memory can be read in parts
     has_scale
         whether it determines the scale: not where robots of one shape and any size fit alike
 
@@ -183,6 +185,7 @@ class MeasurementKind(ABC):
     angles: ClassVar[int] = 0
     places: ClassVar[bool] = True
     has_scale: ClassVar[bool] = True
+    by_row: ClassVar[bool] = False
 
     @property
     def numbers(self) -> int:

@@ -34,6 +34,7 @@ class Distance(MeasurementKind):
     pattern = "distance_mm?|to_[xyz]_mm?|anchor"
     arrays: ClassVar[tuple[str, ...]] = ("distance",)
     lengths = 1
+    by_row: ClassVar[bool] = True
 
     def matches(self, names: Set[str]) -> bool:
         return bool(names & {"distance_mm", "distance_m"})

@@ -20,6 +20,7 @@ class Position(MeasurementKind):
     pattern = "[xyz]_mm?"
     arrays: ClassVar[tuple[str, ...]] = ("position",)
     lengths = 3
+    by_row: ClassVar[bool] = True
 
     def matches(self, names: Set[str]) -> bool:
         return bool(names & {"x_mm", "x_m"})

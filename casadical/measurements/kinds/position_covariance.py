@@ -27,6 +27,7 @@ class PositionCovariance(Position):
     fill = ("x_mm", "y_mm", "z_mm")
     pattern = "[xyz]_mm?|cov_(xx|xy|xz|yy|yz|zz)_mm2"
     arrays: ClassVar[tuple[str, ...]] = ("position", "whitening")
+    by_row = False  # the typical sigma is that of all rows
 
     def matches(self, names: Set[str]) -> bool:
         return super().matches(names) and "cov_xx_mm2" in names

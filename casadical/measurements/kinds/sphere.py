@@ -33,6 +33,7 @@ class Sphere(Distance):
     fill: ClassVar[tuple[str, ...]] = ("sphere", "radius_mm")
     pattern = "sphere|radius_mm?"
     arrays: ClassVar[tuple[str, ...]] = ("distance", "label")
+    by_row = False
 
     def matches(self, names: Set[str]) -> bool:
         return "sphere" in names
