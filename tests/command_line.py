@@ -42,14 +42,16 @@ def run(*arguments: object, folder: Path = ROOT, width: int = 80) -> subprocess.
     return subprocess.CompletedProcess(["casadical", *map(str, arguments)], code, *printed)
 
 
-def python(code: str, folder: Path, width: int = 80) -> subprocess.CompletedProcess[str]:
+def python(code: str, folder: Path, width: int = 80, file: Path | None = None) -> subprocess.CompletedProcess[str]:
     """A program in the process of the test, from a folder; an exception is its end, as in a process of its own."""
+    space = {"__name__": "__main__"} | ({"__file__": str(file)} if file else {})
 
-    def execute(_: object) -> int:
+    def execute(patch: pytest.MonkeyPatch) -> int:
+        patch.setattr(sys, "argv", [str(file or "-c")])
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", ResourceWarning)  # of a file that a short example does not close
-                exec(compile(code, "<program>", "exec"), {"__name__": "__main__"})
+                exec(compile(code, str(file or "<program>"), "exec"), space)
         except Exception:
             traceback.print_exc()
             return 1

@@ -219,8 +219,3 @@ def test_ipopt_and_casadi_say_nothing_of_their_own(kept: Path) -> None:
     assert "****" not in text
     assert "EXIT" not in text
     assert "Warning" not in text
-
-
-def test_figures_do_not_hang_on_the_machine_they_are_printed_at() -> None:
-    """Two runs give the same bytes."""
-    assert alone("calibrate", "problems/planar").stdout == alone("calibrate", "problems/planar").stdout

@@ -19,18 +19,24 @@ PLANAR = ROOT / "problems" / "planar"
 COMMAND = [sys.executable, "-c", "from casadical.cli import main; main()"]
 UNSET = ("HOME", "XDG_CACHE_HOME", "CASADICAL_CACHE", "TERM", "LANG", "USER", "LOGNAME", "TMPDIR", "COLUMNS")
 
-# Each world: what is changed in the environment, None for what is removed.
+# Each world: what is changed in the environment, None for what is removed; two faults that do not touch each other.
 WORLDS: dict[str, dict[str, str | None]] = {
-    "no compiler": {"PATH": "/nowhere", "CC": "/nowhere/cc"},
-    "no cache": {"CASADICAL_CACHE": "/dev/null/cache"},
-    "no home": dict.fromkeys(UNSET),
-    "a home that is not there": {"HOME": "/nowhere", "XDG_CACHE_HOME": None, "CASADICAL_CACHE": None},
-    "a locale without letters": {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
-    "an output in ASCII": {"PYTHONIOENCODING": "ascii:strict"},
-    "a locale that is not there": {"LC_ALL": "tr_TR.ISO-8859-9"},
-    "a terminal of one column": {"COLUMNS": "1", "LINES": "1"},
-    "one that has colours by force": {"FORCE_COLOR": "1"},
-    "a proxy that is not there": {"HTTPS_PROXY": "http://127.0.0.1:9", "HTTP_PROXY": "http://127.0.0.1:9"},
+    "no compiler, a terminal of one column": {"PATH": "/nowhere", "CC": "/nowhere/cc", "COLUMNS": "1", "LINES": "1"},
+    "no cache, a locale that is not there": {"CASADICAL_CACHE": "/dev/null/cache", "LC_ALL": "tr_TR.ISO-8859-9"},
+    "no home, an output in ASCII": {**dict.fromkeys(UNSET), "PYTHONIOENCODING": "ascii:strict"},
+    "a home that is not there, colours by force": {
+        "HOME": "/nowhere",
+        "XDG_CACHE_HOME": None,
+        "CASADICAL_CACHE": None,
+        "FORCE_COLOR": "1",
+    },
+    "a locale without letters, a proxy that is not there": {
+        "LC_ALL": "C",
+        "PYTHONUTF8": "0",
+        "PYTHONCOERCECLOCALE": "0",
+        "HTTPS_PROXY": "http://127.0.0.1:9",
+        "HTTP_PROXY": "http://127.0.0.1:9",
+    },
 }
 
 

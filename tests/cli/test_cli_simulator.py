@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import main
+from command_line import main, run
 
 from casadical.project.calibration import calibrate
 
@@ -21,11 +20,8 @@ HH800 = ROOT / "problems" / "hh800"
 
 
 def test_a_problem_is_calibrated_and_written(tmp_path: Path) -> None:
-    command = [Path(sys.executable).parent / "casadical", "export", "mjcf", "problems/planar"]
     file, kept = tmp_path / "arm.xml", tmp_path / "arm.json"
-    done = subprocess.run(
-        [*command, "--out", file, "--json", kept], cwd=ROOT, capture_output=True, text=True, check=False
-    )
+    done = run("export", "mjcf", "problems/planar", "--out", file, "--json", kept)
     assert (done.returncode, done.stderr) == (0, "")
     assert "Planar arm of two links, 2 joints" in done.stdout
     root = ET.parse(file).getroot()

@@ -1,9 +1,9 @@
 """The page on the diagnosis: its tables are those of the code, and its code runs."""
 
-import subprocess
 import sys
 from pathlib import Path
 
+import command_line
 import pytest
 from cases import ROOT
 
@@ -30,8 +30,7 @@ def test_tables_are_those_of_the_code() -> None:
 def test_code_runs_as_it_stands(number: int, tmp_path: Path) -> None:
     for name in ("problems", "data"):
         (tmp_path / name).symlink_to(ROOT / name)
-    code = blocks()[number]
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = command_line.python(blocks()[number], tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("explained [")
     if number == 0:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 from urllib.parse import unquote
 
+import command_line
 from site_of_docs import ROOT, TUTORIALS
 
 
@@ -74,9 +72,6 @@ def test_every_tutorial_is_a_notebook_that_runs_where_the_repository_is(site) ->
     assert set(books) == {name.removesuffix(".py") for name in TUTORIALS}
     cells = json.loads(books["tutorial_1_planar_arm"].read_text(encoding="utf-8"))["cells"]
     program = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
-    done = subprocess.run(
-        [sys.executable, "-"], input=program, cwd=ROOT, env={**os.environ, "MPLBACKEND": "Agg"}, text=True,
-        capture_output=True, check=False,
-    )  # fmt: skip
+    done = command_line.python(program, ROOT)
     assert done.returncode == 0, done.stderr
     assert "mm after" in done.stdout

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import ast
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
+import command_line
 import pytest
 from site_of_docs import ROOT, TUTORIALS
 
@@ -38,9 +36,6 @@ def test_it_asserts_numbers_of_its_own(name: str) -> None:
 
 def test_it_is_a_plain_file_that_runs_anywhere(tmp_path) -> None:
     path = ROOT / "docs" / "tutorials" / TUTORIALS[0]
-    environment = {**os.environ, "MPLBACKEND": "Agg"}
-    done = subprocess.run(
-        [sys.executable, path], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
-    )
+    done = command_line.python(path.read_text(encoding="utf-8"), tmp_path, file=path)
     assert (done.returncode, done.stderr) == (0, "")
     assert "0.0249 mm" in done.stdout

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 import subprocess
-import sys
 from pathlib import Path
 
+import command_line
 import pytest
 from repository import ROOT, fenced, tracked
 
@@ -21,15 +21,10 @@ def test_the_two_commands_are_whole() -> None:
 
 
 def test_the_calibrate_command_runs() -> None:
-    """Its last part, with the environment that the tests run in; .ci/run makes a fresh one by the second command."""
+    """Its last part, in this process; .ci/run makes a fresh environment by the second command."""
     name, *arguments = fenced(README, "sh")[0].strip().split(" && ")[-1].split()
-    done = subprocess.run(
-        [Path(sys.executable).parent / Path(name).name, *arguments],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    assert Path(name).name == "casadical"
+    done = command_line.run(*arguments)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.count("report (held out)") == 2
     assert done.stdout.count("are not identifiable.") == 2
@@ -50,7 +45,7 @@ def test_the_example_runs(tmp_path: Path) -> None:
     assert len([line for line in code.splitlines() if line.strip()]) <= 15
     for name in ("problems", "data"):
         (tmp_path / name).symlink_to(ROOT / name)
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = command_line.python(code, tmp_path)
     assert done.returncode == 0, done.stderr
     before, after = map(float, re.search(r"mean: ([\d.]+) mm .*, ([\d.]+) mm", done.stdout).groups())
     assert after < 0.6 < before

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import run
 
 from casadical.core.errors import InputError
 from casadical.identification.identification import identify
@@ -24,7 +24,6 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "cli"))
 import first_hour
 
 ROOT = Path(__file__).parents[3]
-COMMAND = str(Path(sys.executable).parent / "casadical")
 
 # The maker's published table of the UR10 (standard convention).
 UR10 = """joint,d_mm,a_mm,alpha_deg,theta_deg,lower_deg,upper_deg,compliant,mass_kg,com_x_mm,com_y_mm,com_z_mm
@@ -47,13 +46,13 @@ URDF = """<robot name="two">
 
 
 def test_the_bare_example_runs_by_the_commands_it_names(tmp_path: Path) -> None:
-    done = subprocess.run([COMMAND, "new", "arm"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = run("new", "arm", folder=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     readme = (tmp_path / "arm" / "README.md").read_text()
     commands = [line.split() for line in readme.splitlines() if line.startswith("    casadical")]
     assert [c[1] for c in commands] == ["check", "calibrate"]
     for _, *arguments in commands:
-        done = subprocess.run([COMMAND, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False)
+        done = run(*arguments, folder=tmp_path)
         assert (done.returncode, done.stderr) == (0, "")
     figures = json.loads((tmp_path / "results" / "result.json").read_text())
     assert figures["data"] == "synthetic"
