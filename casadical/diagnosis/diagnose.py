@@ -114,7 +114,7 @@ class _Question:
     """A diagnosis while it is made: what it is of, and the arguments of `diagnose`."""
 
     prepared: Prepared
-    effects: Sequence[str | Effect] | Literal["standard", "extended"]
+    effects: Sequence[str | Effect | type[Effect]] | Literal["standard", "extended"]
     seed: int
     bootstrap: int
     rivals: Rivals

@@ -97,7 +97,7 @@ def compare_files(
         raise InputError(f"{len(found)} of {len(paths)} campaigns can be used; two are needed. {where}")
     ordered, said = in_order(found, begun=begun is not None)
     show("what changed")
-    notes = (*faults, *said, *elsewhere(ordered))
+    notes = (*faults, *said, *other_regions(ordered))
     compared = compare(ordered, same_tool=same_tool, same_frame=same_frame, notes=notes)
     return replace(compared, name=name_of([Path(p) for p in paths], robot))
 
@@ -132,7 +132,7 @@ def campaign_estimate(path: Path, robot: str | Path | None = None) -> Estimate:
     return estimate((arm, read_campaign(robot, path, arm, later=True)), label, day)
 
 
-def elsewhere(campaigns: Sequence[Estimate]) -> list[str]:
+def other_regions(campaigns: Sequence[Estimate]) -> list[str]:
     """Says which campaigns cover other regions of the joints than the first one: their models' errors differ."""
     said, first = [], campaigns[0]
     for other in campaigns[1:]:
@@ -172,7 +172,7 @@ def in_order(given: Sequence[Estimate], *, begun: bool = False) -> tuple[list[Es
 
     begun : whether the first one is known to be the earliest, so that it needs no day
     """
-    campaigns, said = _once(given)
+    campaigns, said = _without_repeated(given)
     if begun and len(campaigns) > 1 and campaigns[0].day is None:
         later, more = in_order(campaigns[1:])
         return [campaigns[0], *later], [*said, *more]
@@ -215,7 +215,7 @@ def in_order(given: Sequence[Estimate], *, begun: bool = False) -> tuple[list[Es
     return ordered, said
 
 
-def _once(campaigns: Sequence[Estimate]) -> tuple[list[Estimate], list[str]]:
+def _without_repeated(campaigns: Sequence[Estimate]) -> tuple[list[Estimate], list[str]]:
     """Without those that are the same measurements as an earlier one, to the last digit; and which these are."""
     kept: list[Estimate] = []
     said = []

@@ -26,7 +26,7 @@ from casadical.fleet.estimates import Estimate
 from casadical.fleet.evidence import (
     Known,
     Model,
-    Told,
+    SharedInformation,
     amplitude,
     averaged,
     drifts,
@@ -107,9 +107,9 @@ def compare(
     for other in campaigns[1:]:
         refuse_another(first.robot, other.robot, "campaign")
     campaigns = with_common_noise(campaigns)
-    names, told, candidates = told_by(campaigns, same_tool=same_tool, same_frame=same_frame)
+    names, told, candidates = shared_information(campaigns, same_tool=same_tool, same_frame=same_frame)
     times = times_of(campaigns)
-    accepted, left, instead = found_in(told, candidates, times, dated=first.day is not None)
+    accepted, left, instead = changes_in(told, candidates, times, dated=first.day is not None)
     model = _beside(told, accepted)
     changes = tuple(_change(told, accepted, k, first, instead) for k in range(len(accepted)))
     return Comparison(
@@ -123,9 +123,9 @@ def compare(
     )
 
 
-def told_by(
+def shared_information(
     campaigns: Sequence[Estimate], *, same_tool: bool, same_frame: bool
-) -> tuple[tuple[str, ...], Told, tuple[Candidate, ...]]:
+) -> tuple[tuple[str, ...], SharedInformation, tuple[Candidate, ...]]:
     """Shared parameters, what the campaigns tell of them about the values of the first one, and what may change."""
     first = campaigns[0]
     common = set.intersection(*(set(c.names) for c in campaigns))
@@ -140,7 +140,7 @@ def told_by(
     spread = np.sqrt(np.mean([c.spread[[c.names.index(n) for n in names]] ** 2 for c in campaigns], axis=0))
     spread[[n.startswith("joint_error_curve") for n in names]] *= WIDER
     candidates = candidates_of(first.robot, names)
-    told = Told(np.array([H for H, _ in both]), np.array([b for _, b in both]), spread**-2.0)
+    told = SharedInformation(np.array([H for H, _ in both]), np.array([b for _, b in both]), spread**-2.0)
     return names, told.with_jitter(*daily(candidates)), candidates
 
 
@@ -159,80 +159,97 @@ def times_of(campaigns: Sequence[Estimate]) -> Array:
     return np.asarray((np.array(days, dtype=float) - np.array(days[0], dtype=float)) / YEAR)
 
 
-_Accepted = tuple[Candidate, Array, float, _Hypotheses, float, list[_Hypotheses]]
+@dataclass(frozen=True, eq=False)
+class _Accepted:
+    """A change that is taken for one.
+
+    courses : over the campaigns, shape (n, k); kappa : its size; odds : of any change there, as a logarithm
+    own : all changes of its candidate with its course; every : those of all rivals, too
+    """
+
+    candidate: Candidate
+    courses: Array
+    kappa: float
+    own: _Hypotheses
+    odds: float
+    every: Sequence[_Hypotheses]
+
+    @property
+    def in_last_alone(self) -> bool:
+        """Whether only the last campaign shows it."""
+        return not self.courses[:-1].any()
 
 
-def found_in(
-    told: Told, candidates: Sequence[Candidate], times: Array, *, dated: bool
+def changes_in(
+    told: SharedInformation, candidates: Sequence[Candidate], times: Array, *, dated: bool
 ) -> tuple[list[_Accepted], float, tuple[str, float]]:
     """Changes one by one, the log odds of one more, and what explains them instead, with its probability.
 
-    Each with its course over the campaigns, shape (n, k), kappa, hypotheses, log odds, and those of all rivals. Several
-    changes are weighed against another robot, with what else changed then. Whether there is any change is judged
-    without it: it has so many parameters that a change which only it would explain is none that was seen.
+    Several changes are weighed against another robot, with what else changed then. Whether there is any change is
+    judged without it: it has so many parameters that a change which only it would explain is none that was seen.
     """
     accepted, left, score = _chain(told, [c for c in candidates if c.kind != ROBOT], times, dated)
     if len(accepted) < 2:
         return accepted, left, ("", 0.0)
     swapped, more, other = _chain(told, candidates, times, dated)
-    labels = [a[0].label for a in swapped]
+    labels = [a.candidate.label for a in swapped]
     if ROBOT not in labels:
         return accepted, left, ("", 0.0)
     chance = float(1 / (1 + np.exp(np.clip(score - other, -500, 500))))
     if chance < 0.5:
         return accepted, left, (ROBOT, chance)
-    instead = [a[0].label for a in accepted if a[0].label not in labels]
+    instead = [a.candidate.label for a in accepted if a.candidate.label not in labels]
     return swapped, more, (" with ".join(instead), 1 - chance)
 
 
 def _chain(
-    told: Told, candidates: Sequence[Candidate], times: Array, dated: bool
+    told: SharedInformation, candidates: Sequence[Candidate], times: Array, dated: bool
 ) -> tuple[list[_Accepted], float, float]:
-    """As `found_in`; the last number is the evidence of all changes together, weighted, as a logarithm."""
+    """As `changes_in`; the last number is the evidence of all changes together, weighted, as a logarithm."""
     accepted: list[_Accepted] = []
     score = 0.0
     while True:
-        best = _best(told, _beyond(accepted, candidates), times, dated, [a[:3] for a in accepted])
-        if best[4] < np.log(SURE) or len(accepted) == MOST:
+        best = _best(told, _beyond(accepted, candidates), times, dated, accepted)
+        if best.odds < np.log(SURE) or len(accepted) == MOST:
             break
         accepted.append(best)
-        score += float(best[3].logs.max())
+        score += float(best.own.logs.max())
     if len(accepted) > 1:  # each again, beside the others
         for k in range(len(accepted)):
             others = [a for i, a in enumerate(accepted) if i != k]
-            accepted[k] = _best(told, _beyond(others, candidates), times, dated, [a[:3] for a in others])
-        accepted = [a for a in accepted if a[4] >= np.log(SURE)]
-        accepted = list({a[0].label: a for a in accepted}.values())
-    return accepted, best[4], score
+            accepted[k] = _best(told, _beyond(others, candidates), times, dated, others)
+        accepted = [a for a in accepted if a.odds >= np.log(SURE)]
+        accepted = list({a.candidate.label: a for a in accepted}.values())
+    return accepted, best.odds, score
 
 
 def _beyond(accepted: Sequence[_Accepted], candidates: Sequence[Candidate]) -> list[Candidate]:
     """What else may have changed: another robot comes once."""
-    swapped = any(a[0].kind == ROBOT for a in accepted)
+    swapped = any(a.candidate.kind == ROBOT for a in accepted)
     return [c for c in candidates if not (swapped and c.kind == ROBOT)]
 
 
-def _known(changes: Sequence[tuple[Candidate, Array, float]], p: int, n: int) -> Known:
-    columns = [np.einsum("nk,pm->npkm", s, c.columns).reshape(n, p, -1) for c, s, _ in changes]
-    sizes = [np.tile(kappa * c.sizes, s.shape[1]) for c, s, kappa in changes]
+def _known(changes: Sequence[_Accepted], p: int, n: int) -> Known:
+    columns = [np.einsum("nk,pm->npkm", a.courses, a.candidate.columns).reshape(n, p, -1) for a in changes]
+    sizes = [np.tile(a.kappa * a.candidate.sizes, a.courses.shape[1]) for a in changes]
     return Known(np.concatenate([np.zeros((n, p, 0)), *columns], axis=2), np.concatenate([np.zeros(0), *sizes]))
 
 
-def _beside(told: Told, accepted: Sequence[_Accepted]) -> Model:
-    return solve(told, _known([a[:3] for a in accepted], *told.score.shape[::-1]))
+def _beside(told: SharedInformation, accepted: Sequence[_Accepted]) -> Model:
+    return solve(told, _known(accepted, *told.score.shape[::-1]))
 
 
 def _same_jump(found: _Accepted, candidate: Candidate) -> bool:
     """Whether it is a jump of the same parameter before the last campaign: a second one is no other change."""
-    return bool(set(found[0].names) & set(candidate.names)) and not found[1][:-1].any()
+    return bool(set(found.candidate.names) & set(candidate.names)) and found.in_last_alone
 
 
 def _best(
-    told: Told,
+    told: SharedInformation,
     candidates: Sequence[Candidate],
     times: Array,
     dated: bool,
-    known: Sequence[tuple[Candidate, Array, float]],
+    known: Sequence[_Accepted],
 ) -> _Accepted:
     """The most probable further change."""
     n, p = told.score.shape
@@ -258,7 +275,7 @@ def _best(
     top = max((h for h in found if h.candidate.label == label), key=lambda h: float(log_sum(averaged(h.logs))))
     k = int(np.argmax(averaged(top.logs)))
     _, _, kappa = amplitude(top.H[k], top.b[k], np.tile(top.candidate.sizes, top.courses.shape[2]), top.logs[k])
-    return top.candidate, top.courses[k], kappa, top, odds, found
+    return _Accepted(top.candidate, top.courses[k], kappa, top, odds, found)
 
 
 def _courses(kind: str, times: Array, dated: bool) -> Iterable[tuple[Course, Array, Array, Array]]:
@@ -290,12 +307,16 @@ def _onsets(n: int) -> Array:
 
 
 def _change(
-    told: Told, accepted: Sequence[_Accepted], k: int, first: Estimate, instead: tuple[str, float] = ("", 0.0)
+    told: SharedInformation,
+    accepted: Sequence[_Accepted],
+    k: int,
+    first: Estimate,
+    instead: tuple[str, float] = ("", 0.0),
 ) -> Change:
-    candidate, _, _, top, odds, found = accepted[k]
-    every = np.concatenate([averaged(h.logs) for h in found])
-    total = float(log_sum(every))
-    share = [(h, np.exp(averaged(h.logs) - total)) for h in found]
+    change = accepted[k]
+    candidate, top = change.candidate, change.own
+    total = float(log_sum(np.concatenate([averaged(h.logs) for h in change.every])))
+    share = [(h, np.exp(averaged(h.logs) - total)) for h in change.every]
     own = [(h, s) for h, s in share if h.candidate.label == candidate.label]
     probability = float(sum(s.sum() for _, s in own))
     at = int(np.argmax(averaged(top.logs)))
@@ -324,7 +345,7 @@ def _change(
         (int(likely.min()), int(likely.max())),
         (1 - chance) * probability,
         float(sum(s.sum() for h, s in own if h.course == top.course)) / probability,
-        odds,
+        change.odds,
         tuple(sorted(rivals.values(), key=lambda r: -r.probability)),
         tuple(_amounts(candidate, first, a, C, m)),
         _course_of(_beside(told, others), candidate, a[: len(candidate.sizes)]),

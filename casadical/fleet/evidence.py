@@ -26,7 +26,7 @@ UNSEEN = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class SharedInformation:
     """Campaigns about common values, in units of the scale: what they tell of p parameters that they share.
 
     information : shape (n, p, p); score : shape (n, p); precision : of theta before the data, shape (p,)
@@ -36,17 +36,17 @@ class Told:
     score: Array
     precision: Array
 
-    def with_jitter(self, columns: Array, sizes: Array) -> Told:
+    def with_jitter(self, columns: Array, sizes: Array) -> SharedInformation:
         """With what comes and goes in each campaign alone; columns : shape (p, m); sizes : one sigma of each."""
         HD = self.information @ columns
         inner = np.linalg.inv(columns.T @ HD + np.diag(sizes**-2.0))
         lost = HD @ inner
         b = self.score - (lost @ (self.score @ columns)[:, :, None])[:, :, 0]
-        return Told(self.information - lost @ HD.transpose(0, 2, 1), b, self.precision)
+        return SharedInformation(self.information - lost @ HD.transpose(0, 2, 1), b, self.precision)
 
-    def first(self, n: int) -> Told:
+    def first(self, n: int) -> SharedInformation:
         """Of the first campaigns alone."""
-        return Told(self.information[:n], self.score[:n], self.precision)
+        return SharedInformation(self.information[:n], self.score[:n], self.precision)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class Model:
     inverse : covariance of u = (theta, known amplitudes); mean : of u
     """
 
-    told: Told
+    told: SharedInformation
     known: Known
     inverse: Array = field(repr=False)
     mean: Array = field(repr=False)
@@ -75,7 +75,7 @@ class Model:
         return int(self.told.score.shape[1])
 
 
-def solve(told: Told, known: Known | None = None) -> Model:
+def solve(told: SharedInformation, known: Known | None = None) -> Model:
     """Theta and the known changes, given all campaigns."""
     n, p = told.score.shape
     known = known or Known(np.zeros((n, p, 0)), np.zeros(0))

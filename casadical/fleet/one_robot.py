@@ -15,7 +15,7 @@ import numpy as np
 from casadical import __version__
 from casadical.core.errors import CasadicalError, InputError
 from casadical.core.files import json_text
-from casadical.fleet.campaigns import CAMPAIGNS, day_of, day_of_problem, elsewhere, in_order
+from casadical.fleet.campaigns import CAMPAIGNS, day_of, day_of_problem, in_order, other_regions
 from casadical.fleet.changes import in_words
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate, estimate
@@ -104,7 +104,7 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
             causes = ", ".join(c.label for c in diagnosed.diagnosis.causes)
             row |= {"verdict": diagnosed.diagnosis.verdict, "causes": causes}
     ordered, said = in_order(estimates, begun=True)
-    estimates, notes = ordered, [*notes, *said, *elsewhere(ordered)]
+    estimates, notes = ordered, [*notes, *said, *other_regions(ordered)]
     if len(ordered) > 1:
         compared = compare(ordered, notes=notes)
         changes = "; ".join(in_words(compared, c) for c in compared.changes)
@@ -113,7 +113,7 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
     left = [float("nan") if e.sigma is None else 1e3 * e.sigma for e in estimates]
     free = [float("nan") if e.freedom is None else e.freedom for e in estimates]
     own = {"campaigns": len(estimates), "notes": "; ".join(notes), "days": days, "left_mm": left, "left_free": free}
-    return row | own | told_of(estimates[-1], campaign.robot)
+    return row | own | shared_columns(estimates[-1], campaign.robot)
 
 
 def first_diagnosis(place: Path) -> CampaignDiagnosis | None:
@@ -145,7 +145,7 @@ def type_of(problem: Problem) -> str:
     return hashlib.sha256(repr(own).encode()).hexdigest()[:12]
 
 
-def told_of(e: Estimate, drawn: Robot) -> dict[str, Any]:
+def shared_columns(e: Estimate, drawn: Robot) -> dict[str, Any]:
     """What the last campaign tells of the parameters that robots of one type share, about the nominal values."""
     nominal = {p.name: p for p in drawn.parameters}
     names = tuple(n for n in e.names if n not in nominal or nominal[n].group not in ("base", "tool"))

@@ -26,8 +26,8 @@ FAR = 4.0
 # Of a campaign that could not be used, in a robot's notes.
 LEFT_OUT = "is left out:"
 # Of a stored row, what robots of one type share is learnt from; and what is kept in memory of every robot.
-TOLD = ("robot", "type", "type_name", "names", "score", "information", "spread", "scale", "identified")
-KEPT = tuple(n for n in NOTHING if n not in (*TOLD[3:], "departure", "details"))
+SHARED = ("robot", "type", "type_name", "names", "score", "information", "spread", "scale", "identified")
+KEPT = tuple(n for n in NOTHING if n not in (*SHARED[3:], "departure", "details"))
 # Of fewer robots the 95 % quantile is no more than the worst of them.
 MANY = 20
 # What a campaign leaves may differ so many times from day to day; more is named, by chance in so many fleets at most.
@@ -271,7 +271,7 @@ def fleet_of(
     told: Callable[[Sequence[str]], Iterable[Mapping[str, Any]]] | None = None,
     computed: int | None = None,
 ) -> Fleet:
-    """The result of the rows of a store; told : gives rows of some robots with the columns TOLD that `robots` lacks."""
+    """The result of the rows of a store; told : gives the columns SHARED of some robots, which `robots` lacks."""
     names = {kind: name_of_type(list(some)) for kind, some in robots.groupby("type")["type_name"]}
     robots = robots.assign(type_name=robots["type"].map(names))
     good = robots[robots["status"] == "ok"]

@@ -13,7 +13,7 @@ import pandas as pd
 from casadical.core.errors import InputError, shown
 from casadical.fleet.cluster import SchedulerLostError, client_of, results
 from casadical.fleet.one_robot import NOTHING, fingerprint, name_of, one_robot
-from casadical.fleet.result import KEPT, TOLD, Fleet, fleet_of
+from casadical.fleet.result import KEPT, SHARED, Fleet, fleet_of
 from casadical.fleet.store import add, each, opened, rows
 
 # Rows are written when there are so many, or after so many seconds.
@@ -68,8 +68,8 @@ def run_fleet(
     with opened(place):
         damaged: list[str] = []
         known = rows(place, _LOOKED_AT, damaged).set_index("robot")
-        robots, prints, notes = _once(robots, known)
-        left, renamed = _left(robots, prints, known, with_diagnosis, place)
+        robots, prints, notes = _without_copies(robots, known)
+        left, renamed = _to_compute(robots, prints, known, with_diagnosis, place)
         notes += renamed
         show(f"robot {len(robots) - len(left)} of {len(robots)}")
         if left:
@@ -82,7 +82,7 @@ def run_fleet(
         notes.append(
             f"rows of {gone} robots are gone: {shown(place)} was changed meanwhile; run the same command again"
         )
-    return fleet_of(whole, (*damaged, *notes), lambda some: each(place, some, TOLD), len(left))
+    return fleet_of(whole, (*damaged, *notes), lambda some: each(place, some, SHARED), len(left))
 
 
 def robots_in(folders: Iterable[str | Path]) -> dict[str, Path]:
@@ -102,7 +102,7 @@ def robots_in(folders: Iterable[str | Path]) -> dict[str, Path]:
     return found
 
 
-def _once(robots: dict[str, Path], known: pd.DataFrame) -> tuple[dict[str, Path], dict[str, str], list[str]]:
+def _without_copies(robots: dict[str, Path], known: pd.DataFrame) -> tuple[dict[str, Path], dict[str, str], list[str]]:
     """Robots without copies of others, the fingerprints of all, and which are copies: of two, one the store has not."""
     prints: dict[str, str] = {}
     for name, folder in robots.items():
@@ -122,7 +122,7 @@ def _once(robots: dict[str, Path], known: pd.DataFrame) -> tuple[dict[str, Path]
     return {name: folder for name, folder in robots.items() if of[name] == name}, prints, said
 
 
-def _left(
+def _to_compute(
     robots: dict[str, Path], prints: dict[str, str], known: pd.DataFrame, with_diagnosis: bool, place: Path
 ) -> tuple[list[str], list[str]]:
     """Robots that are to be computed; a row whose folder was renamed is taken over under the new name."""

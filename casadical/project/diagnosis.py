@@ -86,7 +86,7 @@ def read_campaigns(
 class Options:
     """How a campaign is diagnosed; each as in `casadical.diagnose`."""
 
-    effects: Sequence[str | Effect] | Literal["standard", "extended"] = "standard"
+    effects: Sequence[str | Effect | type[Effect]] | Literal["standard", "extended"] = "standard"
     seed: int = 0
     bootstrap: int = 0
     masses: Masses = "candidate"

@@ -5,7 +5,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -68,6 +68,11 @@ class Places:
     def of(self, robot: Robot) -> Array:
         """Candidates for a robot, shape (K, 3) [m]."""
         return usual_places(robot, self.kind) if self.candidates is None else self.candidates
+
+    def select(self, robot: Robot, **how: Any) -> Selection:
+        """Poses and places together, as of `select_with_places`."""
+        places = self.of(robot)
+        return select_with_places(robot, kind=self.kind, places=places, count=self.count, known=self.known, **how)
 
 
 def read_places(path: Path) -> Array:
@@ -180,45 +185,34 @@ def plan(
     if effects:
         robot = robot.with_effect(*(e for e in effects if e.label not in known))
     # Other effects that the robot has are held at their values.
-    free = ("kinematic", "compliance", *dict.fromkeys(e.label for e in effects))
-    if prior is not None:
-        free = (*free, *prior.free)
+    free = ("kinematic", "compliance", *dict.fromkeys(e.label for e in effects), *(prior.free if prior else ()))
     if measured is not None:
         show("calibrating with the poses measured so far")
         robot, measured, noise = continued(robot, measured, noise, free, prior)
         free = (*free, *(e.label for e in robot.effects if isinstance(e, Session)))
     robot, measured = _of_first_target(robot, measured)
     circumstances = _mounted(circumstances, effects, measured)
-    total = 0 if measured is None else len(measured)
-    found = None
+    chosen = None
     if n is not None:
         show("choosing poses")
-        choose: Callable[..., Selection] = partial(select_poses, among=None)
-        if places is not None:
-            choose = partial(
-                select_with_places,
-                kind=places.kind,
-                places=places.of(robot),
-                count=places.count,
-                known=places.known,
-            )
-        found = choose(
+        choose: Callable[..., Selection] = partial(select_poses, among=None) if places is None else places.select
+        chosen = choose(
             robot, n=n, criterion=criterion, workspace=workspace, circumstances=circumstances, measured=measured,
             interest=tuple(e.label for e in effects), noise=noise, free=free, min_distance=min_distance, seed=seed,
             prior=prior,
         )  # fmt: skip
-        total += len(found)
-    most = total + (100 if n is None else max(20, total // 2))
-    instrument = found.instrument if found else None
+    instrument = chosen.instrument if chosen else None
     if places is not None and instrument is None:
         instrument = place_instrument(
             robot, places.kind, places.of(robot), places.count, known=places.known, workspace=workspace, free=free,
             noise=noise, seed=seed,
         )  # fmt: skip
     show("accuracy of further poses")
+    total = (0 if measured is None else len(measured)) + (0 if chosen is None else len(chosen))
     ahead = forecast(
-        robot, most, workspace=workspace, circumstances=circumstances, measured=measured, noise=noise,
-        free=free, seed=seed, instrument=instrument, prior=prior,
+        robot, total + (100 if n is None else max(20, total // 2)), workspace=workspace, circumstances=circumstances,
+        measured=measured, noise=noise, free=free, seed=seed, instrument=instrument, prior=prior,
     )  # fmt: skip
-    chosen = found.ordered() if found and order else found
+    if chosen and order:
+        chosen = chosen.ordered()
     return MeasurementPlan(ahead, chosen, target, workspace is not None, instrument, noise or Noise())

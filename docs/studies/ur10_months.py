@@ -21,7 +21,7 @@ import numpy as np
 from casadical import Measurements, Robot, read_problem
 from casadical.core.blocks import plain_text
 from casadical.fleet import Comparison, Estimate, compare, estimate
-from casadical.fleet.campaigns import elsewhere
+from casadical.fleet.campaigns import other_regions
 from casadical.project.problem import read_campaign
 
 ROOT = Path(__file__).parents[2]
@@ -70,7 +70,7 @@ def main() -> None:
     for words, mixed in (("every third row", True), ("by the order of the rows", False)):
         campaigns = told(robot, weeks(series, mixed=mixed))
         print(line(words, compare(campaigns)))
-        print("".join(f"  note: {text}\n" for text in elsewhere(campaigns)), end="")
+        print("".join(f"  note: {text}\n" for text in other_regions(campaigns)), end="")
     c = series["C"]
     assert c.position is not None
     print("\nplanted in C")

@@ -15,10 +15,10 @@ from scipy.stats import multivariate_normal
 from casadical import InputError, Robot, calibrate, identify, read_robot, write_robot
 from casadical.core.blocks import plain_text
 from casadical.fleet import Estimate, compare, estimate, estimate_of_file
-from casadical.fleet.campaigns import compare_files, day_of, elsewhere, in_order
+from casadical.fleet.campaigns import compare_files, day_of, in_order, other_regions
 from casadical.fleet.candidates import candidates_of, shared_names
-from casadical.fleet.comparison import found_in, told_by
-from casadical.fleet.evidence import KAPPAS, Told, drifts, jumps, log_evidence, solve, visible
+from casadical.fleet.comparison import changes_in, shared_information
+from casadical.fleet.evidence import KAPPAS, SharedInformation, drifts, jumps, log_evidence, solve, visible
 from casadical.fleet.noise import repeatability, with_common_noise
 from casadical.identification.misfit import misfit_of, wide_fit
 from casadical.robot.error_bound import doubted
@@ -46,7 +46,7 @@ def test_the_evidence_is_that_of_the_difference_of_two_estimates() -> None:
     x1, x2 = rng.normal(size=(2, 4))
     E, sizes = rng.normal(size=(4, 2)), np.array([0.5, 2.0])
     H = np.linalg.inv([C1, C2])
-    told = Told(H, np.array([H[0] @ x1, H[1] @ x2]), np.full(4, 1e-9))
+    told = SharedInformation(H, np.array([H[0] @ x1, H[1] @ x2]), np.full(4, 1e-9))
     logs = log_evidence(*visible(solve(told), E, jumps(2)), sizes)
     for kappa, found in zip(KAPPAS, logs[0], strict=True):
         wide = C1 + C2 + E @ np.diag((kappa * sizes) ** 2) @ E.T
@@ -79,10 +79,10 @@ def test_harmonics_that_every_campaign_shows_are_no_change_after_the_first(arm: 
         y = J @ np.array([0.0, 0.0, 4.0, 0.0]) + rng.normal(size=12)
         told.append(Estimate(robot, names, np.zeros(4), J.T @ J, J.T @ y, spread, str(k)))
     assert not compare(told).changed
-    shared, sums, curves = told_by(told, same_tool=False, same_frame=False)
+    shared, sums, curves = shared_information(told, same_tool=False, same_frame=False)
     narrow = replace(sums, precision=spread**-2.0)
     assert shared == names
-    assert found_in(narrow, curves, np.arange(20) / 12, dated=False)[0]
+    assert changes_in(narrow, curves, np.arange(20) / 12, dated=False)[0]
 
 
 def test_campaigns_by_one_instrument_have_one_noise(arm: tuple[Robot, Robot], before: Estimate) -> None:
@@ -323,9 +323,9 @@ def test_campaigns_in_other_regions_of_the_joints_are_named(before: Estimate) ->
     low, high = np.tile([-1.0, 1.0], (6, 1)), np.tile([-1.0, 1.0], (6, 1))
     high[1] = [0.5, 2.5]
     first, other = (replace(before, label=str(k), readings=r) for k, r in enumerate((low, high)))
-    (text,) = elsewhere([first, other])
+    (text,) = other_regions([first, other])
     assert text.startswith("other regions of the joints than in 0 were measured in 1 (joint 2): errors that the model")
-    assert elsewhere([first, first]) == []
+    assert other_regions([first, first]) == []
     assert before.readings is not None
     assert before.readings.shape == (6, 2)
 

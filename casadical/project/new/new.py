@@ -58,24 +58,10 @@ def new_problem(
     name = folder.resolve().name
     texts, robot = _robot_files(name, urdf, base_link, tip_link, dh, convention)
     given = read_table(data) if data else None
-    understood = understand(given, [j.kind for j in robot.joints]) if given else Understanding()
-    if given and show and understood.columns:
-        show(table_of(given, understood))
-    columns = understood.sources
-    tools, rare = tools_in(given, columns) if given else ((), {})
-    if len(tools) > 1:
-        if "robot.toml" in texts:
-            texts["robot.toml"] = with_tools(str(texts["robot.toml"]), tools)
-        if show:
-            place = "problem.toml" if urdf else "robot.toml"
-            show(Words(f"Column 'tool' names {len(tools)} measured points, {', '.join(tools)}: {place} has each."))
-    for question in understood.questions:
-        columns = _answered(columns, question, ask)
-    lost = Columns.of_file(given).mapped(columns).lost_rows if given else ()
-    left_out = {**rare, **dict.fromkeys(lost, "a cell is no number")}
-    if left_out and show:
-        rows = "; ".join(f"{row}, {why}" for row, why in left_out.items())
-        show(Words(f"Rows that are left out (leave_out in problem.toml): {rows}."))
+    place = "problem.toml" if urdf else "robot.toml"
+    columns, left_out, tools = _understood(given, robot, place, ask, show) if given else ({}, {}, ())
+    if len(tools) > 1 and "robot.toml" in texts:
+        texts["robot.toml"] = with_tools(str(texts["robot.toml"]), tools)
     compliant = any(j.compliance is not None for j in robot.joints)
     links = (base_link, tip_link) if urdf else None
     sets = given is not None and "set" in given.header
@@ -88,7 +74,7 @@ def new_problem(
     }
     _refuse_taken(folder, texts)
     with tempfile.TemporaryDirectory() as scratch:
-        trial = Path(scratch) / folder.resolve().name
+        trial = Path(scratch) / name
         write_together({trial / name: text for name, text in texts.items()})
         problem = _read_on_trial(trial, data, file)
     files = {folder / name: text for name, text in texts.items()}
@@ -99,6 +85,34 @@ def new_problem(
     if show and (words := unnamed_targets(made)):
         show(Words(words, "warning"))
     return made
+
+
+def _understood(
+    given: RawTable,
+    robot: Robot,
+    place: str,
+    ask: Callable[[Question], str] | None,
+    show: Callable[[Words | Table], None] | None,
+) -> tuple[dict[str, Source], dict[int, str], tuple[str, ...]]:
+    """The table's columns, rows to be left out with the reason of each, and the names of the measured points.
+
+    place : the file that has these points
+    """
+    understood = understand(given, [j.kind for j in robot.joints])
+    if show and understood.columns:
+        show(table_of(given, understood))
+    columns = understood.sources
+    tools, rare = tools_in(given, columns)
+    if len(tools) > 1 and show:
+        show(Words(f"Column 'tool' names {len(tools)} measured points, {', '.join(tools)}: {place} has each."))
+    for question in understood.questions:
+        columns = _answered(columns, question, ask)
+    lost = Columns.of_file(given).mapped(columns).lost_rows
+    left_out = {**rare, **dict.fromkeys(lost, "a cell is no number")}
+    if left_out and show:
+        rows = "; ".join(f"{row}, {why}" for row, why in left_out.items())
+        show(Words(f"Rows that are left out (leave_out in problem.toml): {rows}."))
+    return columns, left_out, tools
 
 
 def _answered(
