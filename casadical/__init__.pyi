@@ -8,7 +8,7 @@ from casadical.core.parts import Joint as Joint
 from casadical.core.parts import Placement as Placement
 from casadical.diagnosis.diagnose import diagnose as diagnose
 from casadical.diagnosis.isolability import isolability as isolability
-from casadical.diagnosis.laws.discovery import Discovery as Discovery
+from casadical.diagnosis.laws.answer import Discovery as Discovery
 from casadical.diagnosis.laws.discovery import discover as discover
 from casadical.diagnosis.next_poses import next_poses as next_poses
 from casadical.diagnosis.result import Diagnosis as Diagnosis

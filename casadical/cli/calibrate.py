@@ -20,7 +20,7 @@ from casadical.cli.options import (
 )
 from casadical.cli.progress import working
 from casadical.cli.terminal import WORSE, as_text, as_typed, keep, wrapped
-from casadical.core.blocks import terminal
+from casadical.core.telling.terminal import terminal
 
 
 def calibrate(
@@ -80,7 +80,7 @@ def calibrate(
     from casadical.project import calibration as work
 
     if report_file:
-        from casadical.report.optional_imports import require
+        from casadical.core.telling.page import require
 
         require()
     console = wrapped(quiet)
@@ -107,10 +107,10 @@ def calibrate(
     if json_file:
         texts[json_file] = as_text(found if len(found) > 1 else next(iter(found.values())))
     if report_file:
-        from casadical.report import calibration_report
+        from casadical.core.telling.page import html_of
 
         with working(quiet, "writing the report"):
-            texts[report_file] = calibration_report(done, as_typed())
+            texts[report_file] = html_of([c.page() for c in done], as_typed())
     keep(texts, console)
     if not details:
         console.print("all parameters and figures: --details, --out DIR or --report FILE.html", style="dim")

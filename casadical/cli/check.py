@@ -43,8 +43,9 @@ def check(
 
     Exit codes: 0 ready, 2 something is wrong, 70 a bug in casadical.
     """
+    from casadical.core.telling.terminal import terminal
     from casadical.project.check import precheck
-    from casadical.project.check.report import as_json, brief, report
+    from casadical.project.check.report import as_json, blocks, brief
     from casadical.project.check.target_repair import repaired
 
     console = wrapped(quiet)
@@ -62,7 +63,7 @@ def check(
             console.print(text, markup=False, highlight=False, soft_wrap=True)
             with working(quiet, "reading again", name, CHECK) as show:
                 found[-1] = precheck(folder, noise, show=show)
-        console.print(report(found[-1]) if details else brief(found[-1]))
+        console.print(terminal((blocks if details else brief)(found[-1])))
         console.print()
     keep_json(json_file, [as_json(f) for f in found], console)
     if quiet:

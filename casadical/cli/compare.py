@@ -8,7 +8,7 @@ import typer
 from casadical.cli.options import Json, Quiet, Report
 from casadical.cli.progress import working
 from casadical.cli.terminal import NOT_VALID, as_typed, keep, with_json, wrapped
-from casadical.core.blocks import terminal
+from casadical.core.telling.terminal import terminal
 
 
 def compare(
@@ -49,7 +49,7 @@ def compare(
     from casadical.fleet.campaigns import compare_files
 
     if report_file:
-        from casadical.report.optional_imports import require
+        from casadical.core.telling.page import require
 
         require()
     console = wrapped(quiet)
@@ -58,9 +58,9 @@ def compare(
     console.print(terminal(found.blocks()))
     texts: dict[Path, str] = {}
     if report_file:
-        from casadical.report import comparison_report
+        from casadical.core.telling.page import html_of
 
-        texts[report_file] = comparison_report(found, campaigns, as_typed())
+        texts[report_file] = html_of([found.page(campaigns)], as_typed())
     keep(with_json(texts, json_file, found.to_json()), console)
     if found.changed:
         raise typer.Exit(NOT_VALID)

@@ -123,15 +123,15 @@ def diagnose(
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
-    from casadical.core.blocks import terminal
     from casadical.core.errors import InputError, shown
+    from casadical.core.telling.terminal import terminal
     from casadical.diagnosis.posterior import Rivals, no_rivals
     from casadical.diagnosis.text import titled
     from casadical.pose_selection.workspace_file import read_workspace
     from casadical.project.diagnosis import Options, diagnose_campaign, read_campaigns
 
     if report_file:
-        from casadical.report.optional_imports import require
+        from casadical.core.telling.page import require
 
         require()
     if room and measure_next is None:
@@ -178,7 +178,7 @@ def diagnose(
                 texts |= found.files(out if len(given) == 1 else out / campaign.name, unlisted=unlisted)
         answers.append(found)
         if details:
-            console.print(titled(campaign.title, found.page()), soft_wrap=True)
+            console.print(titled(campaign.title, found.text()), soft_wrap=True)
         else:
             console.print(terminal(found.brief()))
         console.print()
@@ -190,11 +190,12 @@ def diagnose(
     if json_file:
         texts[json_file] = as_text([found.to_json() for found in answers])
     if report_file:
-        from casadical.report import diagnosis_report
+        from casadical.core.telling.page import html_of
+        from casadical.export.mjcf.replay_blocks import replay_blocks
 
-        answered = [(found.campaign.tables[0], found.diagnosis, found.details) for found in answers]
         with working(quiet, "writing the report"):
-            texts[report_file] = diagnosis_report(problem, answered, as_typed())
+            pages = [found.page([*replay_blocks(found.diagnosis)]) for found in answers]
+            texts[report_file] = html_of(pages, as_typed())
     keep(texts, console)
     if not (details or isolability):
         console.print("where it lies, how sure, what is left: --details, --out DIR or --report FILE.html", style="dim")

@@ -37,13 +37,12 @@ def discover(
 
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
-    from casadical.core.blocks import terminal
-    from casadical.diagnosis.laws.answer import as_json, blocks_of, files_of
+    from casadical.core.telling.terminal import terminal
     from casadical.diagnosis.laws.discovery import laws_beside
     from casadical.project.diagnosis import Options, diagnose_campaign, read_campaigns
 
     if report_file:
-        from casadical.report.optional_imports import require
+        from casadical.core.telling.page import require
 
         require()
     console = wrapped(quiet)
@@ -54,13 +53,14 @@ def discover(
         found = laws_beside(diagnosed.diagnosis, show)
         if out:
             show("the robot with its law")
-            texts |= dict(files_of(found, out, campaign.stem))
-    console.print(terminal(blocks_of(found)))
+            texts |= found.files(out, campaign.stem)
+    console.print(terminal(found.blocks()))
     if json_file:
-        texts[json_file] = as_text([as_json(found, campaign.stem)])
+        texts[json_file] = as_text([found.to_json(campaign.stem)])
     if report_file:
-        from casadical.report.laws import discovery_report
+        from casadical.core.telling.page import html_of
+        from casadical.project.sources import campaign_files
 
         with working(quiet, "writing the report"):
-            texts[report_file] = discovery_report(problem, campaign, found, as_typed())
+            texts[report_file] = html_of([found.page(campaign.stem, campaign_files(problem, [campaign]))], as_typed())
     keep(texts, console)

@@ -8,7 +8,7 @@ import typer
 from casadical.cli.options import Json, Quiet
 from casadical.cli.progress import working
 from casadical.cli.terminal import NOT_VALID, keep_json, wrapped
-from casadical.core.blocks import terminal
+from casadical.core.telling.terminal import terminal
 
 
 def verify(

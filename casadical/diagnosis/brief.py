@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
-from casadical.core.blocks import Table, Words, mm
+from casadical.core.telling.blocks import Table, Words, mm
 from casadical.diagnosis.cause_table import cause_rows
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.result import Diagnosis

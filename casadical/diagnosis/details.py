@@ -7,7 +7,8 @@ import pandas as pd
 
 from casadical.diagnosis.held_out_gap import Check, NetworkGap, check_refit, network_gaps
 from casadical.diagnosis.isolability import Isolability, isolability
-from casadical.diagnosis.laws.discovery import Discovery, laws_beside
+from casadical.diagnosis.laws.answer import Discovery
+from casadical.diagnosis.laws.discovery import laws_beside
 from casadical.diagnosis.limits import ruled_out
 from casadical.diagnosis.localisation import Localisation, localise
 from casadical.diagnosis.next_poses import next_poses

@@ -9,7 +9,6 @@ from casadical.core.files import json_text
 from casadical.diagnosis.cause_table import settings
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import NetworkGap
-from casadical.diagnosis.laws.answer import laws_as_json
 from casadical.diagnosis.layers import as_json as layers_as_json
 from casadical.diagnosis.limits import cannot_tell
 from casadical.diagnosis.next_poses import discrimination_probability
@@ -58,7 +57,7 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
         **({} if d.cause_set is None else {"set": _set(d.cause_set)}),
         "unknown_rest": round(d.unknown_rest, 4),
         **({} if unlisted is None else {"unlisted": _unlisted(unlisted)}),
-        **({"laws": laws_as_json(more.laws)} if more.laws else {}),
+        **({"laws": more.laws.laws_json()} if more.laws else {}),
         "course": _records(d.course),
         **({"layers": layers_as_json(d)} if d.effects() else {}),
         **({"where": {name: _records(table) for name, table in more.where.tables()}} if more.where else {}),

@@ -1,23 +1,26 @@
-"""What a diagnosis found: verdict, causes, the gap before and after. Results only: nothing here is computed."""
+"""What a diagnosis found: verdict, causes, the gap before and after."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pandas as pd
 
 from casadical.core.arrays import Array
-from casadical.core.blocks import Table, mm
-from casadical.core.notebook import html
+from casadical.core.telling.blocks import Table, mm
+from casadical.core.telling.notebook import html
+from casadical.diagnosis.cross_validation import fitted_without, partitioned_errors
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_floor import Replicates
 from casadical.diagnosis.posterior import Ranking
 from casadical.effects import Effect
+from casadical.identification.pose_errors import ModelErrors, PoseErrors
 from casadical.identification.prior import Prior
-from casadical.identification.result import Identification
+from casadical.identification.result import Identification, LeftOut
 from casadical.measurements.noise import Noise
 from casadical.robot.robot import Robot
 
@@ -360,3 +363,39 @@ class Diagnosis:
         """Columns of all causes in the case's evidence, shape (k,), as whole numbers without unit; see `case`."""
         effects = self.effects()
         return np.unique(self.case.group(effects)) if effects else np.zeros(0, dtype=np.int64)
+
+    @cached_property
+    def held_out(self) -> PoseErrors:
+        """Held-out error of every pose that is no outlier: base model, and with the causes in it."""
+        e, none = self.case.evidence, np.zeros(0, dtype=np.int64)
+        lengths = [partitioned_errors(e, none, self.rankings[0].noise[""], self.seed)]
+        if self.columns.size:
+            lengths.append(partitioned_errors(e, self.columns, self.noise, self.seed))
+        models = map(ModelErrors, ("base model", "with causes"), lengths)
+        return self._pose_errors("Held-out poses", tuple(models))
+
+    @cached_property
+    def left(self) -> Array:
+        """What a fit of base model and causes to all poses leaves at each, shape (kept, numbers)."""
+        kept = self.case.kept
+        return (
+            fitted_without(self.case.whole, self.columns, self.noise, ~kept)[kept]
+            if self.columns.size
+            else self.case.evidence.r
+        )
+
+    @cached_property
+    def fitted(self) -> PoseErrors:
+        """What a fit to all poses leaves at each, as vectors: base model, and with the causes in it."""
+        base, vectors, size = self.case.lengths, self.case.vectors, self.case.evidence.size
+        models = [ModelErrors("base model", np.linalg.norm(base, axis=1), vectors)]
+        if self.columns.size:
+            length = np.linalg.norm(self.left if size is None else self.left * size, axis=1)
+            models.append(ModelErrors("with causes", length, None if vectors is None else self.left[:, :3]))
+        return self._pose_errors("All poses fitted", tuple(models))
+
+    def _pose_errors(self, name: str, models: tuple[ModelErrors, ...]) -> PoseErrors:
+        m, k = self.case.m, self.case.kept
+        out = tuple(LeftOut(m.source, o.row, o.distance) for o in self.outliers)
+        position = self.case.positions[k]
+        return PoseErrors(name, name.startswith("Held"), m.row[k], m.q[k], position, models, m.source, out)

@@ -10,7 +10,6 @@ from casadical.diagnosis.cause_table import mm, wires_at_fault
 from casadical.diagnosis.changes import NEW
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import Check, NetworkGap, of_time
-from casadical.diagnosis.laws.answer import law_in_words
 from casadical.diagnosis.limits import cannot_tell, indistinguishable, invisible
 from casadical.diagnosis.next_poses import discrimination_probability, kinds_of_poses
 from casadical.diagnosis.result import Diagnosis
@@ -326,7 +325,7 @@ def _unknown(d: Diagnosis, more: Details) -> Iterator[Statement]:
 def _law(more: Details) -> Iterator[Statement]:
     """The missing law, where something unknown is there."""
     if more.laws:
-        yield Statement("LAW" if more.laws.laws else "UNKNOWN", law_in_words(more.laws))
+        yield Statement("LAW" if more.laws.laws else "UNKNOWN", more.laws.in_words)
 
 
 def _resembles(d: Diagnosis, more: Details) -> str:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.blocks import Table, Words, mm
+from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, mm, shown
+from casadical.core.telling.figure import Axis, Figure, Series, Span
 from casadical.diagnosis.changes import USUAL_CHANGE
 from casadical.fleet.candidates import ROBOT, Candidate, Course
 from casadical.fleet.estimates import Estimate
@@ -26,6 +28,14 @@ HOW: dict[Course, str] = {
     "jump": "a jump since", "drift": "a drift that shows since", "season": "comes again every year since",
     "once": "only in",
 }  # fmt: skip
+AXES = {
+    "joint_zero": "zero of joint {joint}", "joint_stiffness": "compliance of joint {joint}", "lengths": "all lengths",
+}  # fmt: skip
+_COURSE = (
+    "Change since the first campaign, as each campaign alone shows it, with its 95 % interval. Of several parameters "
+    "the one that moved most surely is drawn; the others move with it. Shaded: where it began, with 95 % probability."
+)
+_LEFT = "What nothing explains, of one coordinate. A campaign that stands out was measured or prepared differently."
 # So many rivals and parameters are shown of a change.
 RIVALS, AMOUNTS = 4, 8
 # Rivals below this probability are not shown.
@@ -181,7 +191,7 @@ class Comparison:
     --------
     >>> comparison
     <Comparison of 2 campaigns of 'Planar arm of two links': lengths>
-    >>> print(casadical.core.blocks.plain_text(comparison.blocks()))  # doctest: +ELLIPSIS
+    >>> print(casadical.core.telling.terminal.plain_text(comparison.blocks()))  # doctest: +ELLIPSIS
     CHANGED: lengths...
     >>> comparison.to_json()["changes"][0]["since"]
     'March'
@@ -222,9 +232,29 @@ class Comparison:
         Returns
         -------
         list[Words | Table]
-            words and tables, see `casadical.core.blocks`
+            words and tables, see `casadical.core.telling.blocks`
         """
         return _blocks(self)
+
+    def figures(self) -> dict[str, Figure]:
+        """By name: change/CAUSE for each change, and left, the scatter of each campaign."""
+        figures = [_course(self, change) for change in self.changes]
+        figures += [_left(self)] if any(c.sigma is not None for c in self.campaigns) else []
+        return {figure.name: figure for figure in figures}
+
+    def page(self, files: Sequence[Path] = ()) -> Page:
+        """Words, tables and figures as `casadical compare --report` writes them; files : what was read."""
+        figures, blocks = self.figures(), self.blocks()
+        end = next(k for k, b in enumerate(blocks) if isinstance(b, Table) and b.title == "Campaigns")
+        sections = [
+            Section("What changed", blocks[:end]),
+            Section("Over the life of the robot", shown(figures, "change")),
+            Section("Campaigns", [*shown(figures, "left"), *blocks[end:]]),
+        ]
+        kind = self.campaigns[0].robot.name
+        name, read = self.name or kind, [path for path in files if path.is_file()]
+        tiles = [*_tiles(self)]
+        return Page(f"{name}: what changed", name, f"{kind}: {self.span}", sections, tiles, files=read)
 
     def to_json(self) -> dict[str, Any]:
         """The same as plain data.
@@ -342,6 +372,67 @@ def _campaigns(found: Comparison) -> Table:
 def _seen_from(found: Comparison) -> Table:
     rows = [(cause, f"{size:.2g} {unit}" if np.isfinite(size) else NOT_SEEN) for cause, size, unit in found.seen_from]
     return Table("A jump before the last campaign would be seen from", ("cause", "size"), rows, folded=True)
+
+
+def _tiles(found: Comparison) -> Iterator[Tile]:
+    yield Tile("Changes", str(len(found.changes)), "", ", ".join(c.cause.label for c in found.changes) or "none")
+    last = found.campaigns[-1]
+    if last.sigma is not None:
+        yield Tile("Left, last campaign", mm(last.sigma), "mm", "of one coordinate")
+
+
+def _places(found: Comparison) -> list[Any]:
+    """Where each campaign stands on the axis: its day, or its number, from 1, where not all have a day."""
+    return [c.date if found.dated else k for k, c in enumerate(found.campaigns, 1)]
+
+
+def _step(found: Comparison) -> int | None:
+    """Between the ticks of an axis on which campaigns are counted."""
+    return None if found.dated else 1 + len(found.campaigns) // 12
+
+
+def _course(found: Comparison, change: Change) -> Figure:
+    """The size of a change as each campaign alone shows it."""
+    x, main = _places(found), change.amounts[change.main]
+    size, error = main.value * change.course_of[:, 0], abs(main.value) * change.course_of[:, 1]
+    what = AXES.get(change.cause.kind, main.name).format(joint=change.cause.joint)
+    sizes = Series(
+        "linked", x, size, width=1, shape="hvh" if change.course == "jump" else "linear", size=8, more=1.96 * error,
+        facts=[c.label for c in found.campaigns], tip="<b>%{customdata}</b><br>%{y:.3g} " + main.unit,
+    )  # fmt: skip
+    first, last = change.between
+    spans = [] if change.course == "season" else [Span(x[max(first - 1, 0)], x[last])]
+    return Figure(
+        f"change/{change.cause.label}",
+        f"{change.cause.label}: {HOW[change.course]} {found.campaigns[change.since].label}", [sizes],
+        Axis("campaign", step=_step(found)), Axis(f"{what} [{main.unit}]"), caption=_COURSE,
+        marks=spans,
+    )  # fmt: skip
+
+
+def _left(found: Comparison) -> Figure:
+    left = [None if c.sigma is None else 1e3 * c.sigma for c in found.campaigns]
+    life = (found.campaigns[0].robot.name, _places(found), left, False)
+    return left_figure("left", [life], _step(found), height=260, caption=_LEFT)
+
+
+def left_figure(
+    name: str, lives: Iterable[tuple[str, Sequence[Any], Sequence[float | None], bool]], step: int | None = None,
+    **figure: Any,
+) -> Figure:  # fmt: skip
+    """What nothing explains in each campaign of robots.
+
+    lives : (name, places on the axis, scatter [mm], changed) of each; step : of an axis on which campaigns are counted
+    """
+    series = [
+        Series(
+            "linked", x, list(left), colour="red" if changed else "grey", width=2 if changed else 1,
+            facts=[robot] * len(left), tip="<b>%{customdata}</b>, %{x}<br>%{y:.4f} mm",
+        )
+        for robot, x, left, changed in lives
+    ]  # fmt: skip
+    x, y = Axis("campaign", step=step), Axis("one sigma [mm]", begins=True)
+    return Figure(name, "Left in each campaign", series, x, y, **figure)
 
 
 def _json(found: Comparison) -> dict[str, Any]:

@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from casadical.core.blocks import Table, Words
 from casadical.core.statistics import exceeded_by_chance
+from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Words, shown
+from casadical.core.telling.figure import Figure
 from casadical.fleet.drawings import Drawing, drawings_of, near, nearly_one
+from casadical.fleet.figures import accuracy_map, common_departures, common_table, trends
 from casadical.fleet.hierarchy import LEAST, MOST, Common, common_of
 from casadical.fleet.one_robot import NOTHING
 from casadical.fleet.store import records
@@ -34,6 +36,8 @@ MANY = 20
 USUAL, ALARMS = 1.2, 0.01
 # Rows that the terminal shows, and letters of an error that a table shows.
 SHOWN, LETTERS = 12, 240
+# The same of a page.
+LISTED, FEWER_LETTERS = 2000, 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +105,7 @@ class Fleet:
         Returns
         -------
         list[Words | Table]
-            words and tables, see `casadical.core.blocks`
+            words and tables, see `casadical.core.telling.blocks`
         """
         good = self.good
         text = f"{len(good)} of {len(self.robots)} robots calibrated"
@@ -118,6 +122,46 @@ class Fleet:
             *self._to_look_at(),
             *self._failed(),
         ]
+
+    def figures(self) -> dict[str, Figure]:
+        """By name: map of accuracies, trends, and common/TYPE."""
+        figures = [accuracy_map(self.good, self.outliers)] if len(self.good) else []
+        figures += [trends(self.good, self.grown)] if (self.good["campaigns"] > 1).any() else []
+        return {figure.name: figure for figure in (*figures, *map(common_departures, self.commons))}
+
+    def page(self) -> Page:
+        """Words, tables and figures as `casadical fleet --report` writes them."""
+        figures = self.figures()
+        few = Words("Five robots of one type are needed to learn what they have in common.", "note")
+        alike: list[Block] = [b for c in self.commons for b in (figures[f"common/{c.type}"], common_table(c))]
+        sections = [
+            Section("What to check first", self.blocks()),
+            Section("Map of accuracies", shown(figures, "map")),
+            Section("Trends", shown(figures, "trends")),
+            Section("What robots of one type have in common", alike or [few]),
+            Section("All robots", [self._all()]),
+        ]
+        return Page("Fleet", "Fleet", f"{len(self.robots)} robots", sections, [*self._tiles()])
+
+    def _tiles(self) -> Iterator[Tile]:
+        good = self.good
+        yield Tile("Calibrated", str(len(good)), "", f"of {len(self.robots)} robots")
+        if len(good):
+            before, after = good["before_mm"].median(), good["after_mm"].median()
+            yield Tile("After, median", f"{after:.3f}", "mm", f"{before:.3f} before")
+        yield Tile("Changed", str(int((self.robots["changes"] != "").sum())), "", "robots")
+        yield Tile("Stand out", str(len(self.outliers)), "", "robots")
+
+    def _all(self) -> Table:
+        rows = []
+        for r in records(self.robots.head(LISTED)):
+            errors = (f"{v:.4f}" if np.isfinite(v) else "" for v in (r["before_mm"], r["after_mm"]))
+            figures = (short(r["error"], FEWER_LETTERS), *errors, str(r["poses"]), str(r["campaigns"]))
+            verdict = " ".join(filter(None, (r["verdict"], r["causes"])))
+            rows.append((r["robot"], r["type_name"], r["status"], *figures, verdict, r["changes"]))
+        head = ("robot", "type", "status", "error", "before", "after", "poses", "campaigns", "diagnosis", "changed")
+        title = f"Mean errors of held-out poses [mm]{f'; the first {LISTED}' if len(self.robots) > LISTED else ''}"
+        return Table(title, head, rows, frozenset({4, 5, 6, 7}), folded=len(rows) > 50)
 
     def prior_files(self, folder: str | Path) -> dict[Path, str]:
         """Robot files with what is learnt of each type, the prior of a robot that is still to be measured.

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.blocks import mm
 from casadical.core.errors import InputError
+from casadical.core.telling.blocks import mm
 from casadical.measurements.kinds.base import PositionsAt
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements

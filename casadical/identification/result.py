@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.arrays import Array
-from casadical.core.blocks import Table, Words, mm
 from casadical.core.errors import InputError
-from casadical.core.notebook import html
 from casadical.core.statistics import student_t
+from casadical.core.telling.blocks import Table, Words, mm
+from casadical.core.telling.notebook import html
 from casadical.identification.accuracy import Accuracy, errors, predicted, summarise
 from casadical.identification.identifiability import Identifiability
 from casadical.identification.least_squares import LeastSquares, first_sigmas

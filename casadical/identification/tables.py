@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from casadical.core.blocks import Table, Words
+from casadical.core.telling.blocks import Table, Words
 from casadical.identification.gravity import in_words
 from casadical.identification.identifiability import CONFOUNDED
 from casadical.identification.result import Identification

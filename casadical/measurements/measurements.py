@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.blocks import Table
 from casadical.core.errors import InputError
-from casadical.core.notebook import html
+from casadical.core.telling.blocks import Table
+from casadical.core.telling.notebook import html
 from casadical.measurements.kinds.registry import find_kind
 
 SETS = ("identify", "train", "choose", "report")

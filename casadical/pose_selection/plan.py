@@ -9,8 +9,9 @@ import pandas as pd
 from rich.console import RenderableType
 
 from casadical.core.arrays import Array
-from casadical.core.blocks import Table, Words, terminal
 from casadical.core.files import json_text
+from casadical.core.telling.blocks import Table, Words
+from casadical.core.telling.terminal import terminal
 from casadical.measurements.noise import Noise
 from casadical.pose_selection.instruments import Instrument
 from casadical.pose_selection.pose_order import travel

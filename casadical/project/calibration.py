@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from casadical.compensator import compensator_text
-from casadical.core.blocks import Table, Words, mm, plain_text, terminal
 from casadical.core.errors import InputError
 from casadical.core.files import claimed, json_text, write_together
-from casadical.core.notebook import html
+from casadical.core.telling.blocks import Page, Table, Words, mm
+from casadical.core.telling.figure import Figure
+from casadical.core.telling.notebook import html
+from casadical.core.telling.terminal import plain_text, terminal
 from casadical.identification.accuracy import Accuracy
 from casadical.identification.error_bound import learn_bound
 from casadical.identification.identification import calibrated
@@ -23,6 +25,7 @@ from casadical.identification.residuals import ALL_LOSSES, AnyLoss
 from casadical.identification.result import Identification, without_poses
 from casadical.identification.tables import correlated, held_table, how_sure, parameter_tables
 from casadical.measurements.measurements import Measurements
+from casadical.project.calibration_page import calibration_page
 from casadical.project.check.targets import unnamed_targets
 from casadical.project.json_figures import method_figures, network_figures, paper_figures
 from casadical.project.networks import Networks, train_networks
@@ -38,6 +41,7 @@ from casadical.project.outcome import (
 )
 from casadical.project.problem import Carried, Problem, nothing_carried, read_problem, together
 from casadical.project.problem_file import BASE_METHODS, BaseMethod, all_methods, base_methods
+from casadical.project.remaining_errors import calibration_figures, used_poses
 from casadical.project.tables import Accuracies, error_tables, judged_on, network_tables, paper_tables, verdict
 from casadical.project.target_names import unfitted
 from casadical.robot.robot import Robot
@@ -113,7 +117,7 @@ class Calibration:
         Returns
         -------
         Sequence[Words | Table]
-            words and tables, see `casadical.core.blocks`
+            words and tables, see `casadical.core.telling.blocks`
         """
         problem = self.problem
         return [
@@ -131,7 +135,7 @@ class Calibration:
         Returns
         -------
         Sequence[Words | Table]
-            words and tables, see `casadical.core.blocks`
+            words and tables, see `casadical.core.telling.blocks`
         """
         problem, last = self.problem, self.identification
         return [
@@ -177,6 +181,15 @@ class Calibration:
 
     def __str__(self) -> str:
         return plain_text(self.blocks())
+
+    def figures(self) -> dict[str, Figure]:
+        """Every figure, by name: of errors, workspace, where the gap lies, parameters, fit and training."""
+        every = calibration_figures(self.problem, self.identifications, self.networks)
+        return {figure.name: figure for figure in every}
+
+    def page(self) -> Page:
+        """Words, tables and figures as `casadical calibrate --report` writes them."""
+        return calibration_page(self.problem, self.identifications, self.accuracies, self.networks, self.figures())
 
     def to_json(self) -> dict[str, Any]:
         """The same as plain data: per method and set the error figures, per parameter value, error, unit, status.
@@ -397,9 +410,3 @@ def _without_prior(plain: Problem, results: Mapping[str, Identification]) -> Acc
     except InputError:
         return None
     return alone.accuracy(*(parts[name] for name in next(iter(together(parts).values()))))["calibrated"]
-
-
-def used_poses(problem: Problem, results: Mapping[str, Identification]) -> dict[str, Measurements]:
-    """Every set by name, without the poses that any method left out: all methods are judged on the same poses."""
-    kept = iter(without_poses(problem.sets["identify"], {p for r in results.values() for p in r.outliers}))
-    return {name: next(kept) if name.split("/")[0] == "identify" else m for name, m in problem.parts()}

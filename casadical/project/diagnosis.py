@@ -7,11 +7,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from casadical.core.blocks import Table, Words
+from casadical.core.telling.blocks import Block, Page, Table, Words
+from casadical.core.telling.figure import Figure
 from casadical.diagnosis.brief import brief
 from casadical.diagnosis.details import NEXT, Details, analyse
 from casadical.diagnosis.diagnose import Masses, diagnose
+from casadical.diagnosis.figures import diagnosis_figures
 from casadical.diagnosis.json_answer import as_json, diagnosis_files
+from casadical.diagnosis.page import diagnosis_page
 from casadical.diagnosis.posterior import Rivals, no_rivals
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.text import page_of
@@ -21,6 +24,7 @@ from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.workspace import Workspace
 from casadical.project.problem import Carried, nothing_carried, read_campaign, read_campaign_robot
 from casadical.project.problem_file import own_tables
+from casadical.project.sources import campaign_files
 from casadical.robot.robot import Robot
 
 Show = Callable[[str], None]
@@ -129,9 +133,18 @@ class CampaignDiagnosis:
         """What counts, in a few lines: verdict, errors before and after, what must be known of them."""
         return brief(self.campaign.title, self.diagnosis, self.details)
 
-    def page(self) -> str:
-        """All that was found, as a page of plain text."""
+    def text(self) -> str:
+        """All that was found, as plain text."""
         return page_of(self.diagnosis, self.details)
+
+    def figures(self) -> dict[str, Figure]:
+        """Every figure, by name (see `diagnosis_figures`)."""
+        return {figure.name: figure for figure in diagnosis_figures(self.diagnosis, self.details)}
+
+    def page(self, replayed: Sequence[Block] = ()) -> Page:
+        """As `casadical diagnose --report` writes it; replayed : what a simulator says of the poses."""
+        page = diagnosis_page(self.diagnosis, self.campaign.name, self.details, replayed)
+        return replace(page, files=campaign_files(self.campaign.folder, self.campaign.tables))
 
     def to_json(self) -> dict[str, Any]:
         """The answer as plain data, lengths in mm."""

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.blocks import Table, Words, mm
 from casadical.core.errors import shown
+from casadical.core.telling.blocks import Table, Words, mm
 from casadical.identification.accuracy import Accuracy, errors, summarise
 from casadical.identification.left_open import left_open
 from casadical.identification.result import AS_BEFORE, Identification, LeftOut, rows_in_words

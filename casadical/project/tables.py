@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 
-from casadical.core.blocks import Table, Words, mm
+from casadical.core.telling.blocks import Table, Words, mm
 from casadical.identification.accuracy import Accuracy
 from casadical.measurements.kinds.registry import find_kind
 from casadical.project.networks import Networks

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.blocks import Table, Words, mm
 from casadical.core.errors import InputError
+from casadical.core.telling.blocks import Table, Words, mm
 from casadical.identification.accuracy import errors
 from casadical.identification.identification import calibrated
 from casadical.identification.prepared import Prepared, prepare

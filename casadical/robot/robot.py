@@ -16,10 +16,10 @@ import numpy as np
 
 from casadical.core.arm import GRAVITY, Arm
 from casadical.core.arrays import Array
-from casadical.core.blocks import Table, Words
-from casadical.core.notebook import html
 from casadical.core.parameters import Parameters
 from casadical.core.parts import FourBar, Joint
+from casadical.core.telling.blocks import Table, Words
+from casadical.core.telling.notebook import html
 from casadical.core.transforms import frame, from_xyz, to_rpy, to_xyz
 from casadical.effects import Effect
 from casadical.robot.knowledge import ErrorBound, Knowledge

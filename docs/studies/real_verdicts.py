@@ -17,7 +17,7 @@ from kept import Row, add_options, rows_of
 from real_data import ROOT
 
 from casadical import diagnose
-from casadical.core.blocks import plain_text
+from casadical.core.telling.terminal import plain_text
 from casadical.diagnosis import analyse, describe_unlisted
 from casadical.diagnosis.brief import brief
 from casadical.identification.accuracy import errors

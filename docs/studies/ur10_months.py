@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from casadical import Measurements, Robot, read_problem
-from casadical.core.blocks import plain_text
+from casadical.core.telling.terminal import plain_text
 from casadical.fleet import Comparison, Estimate, compare, estimate
 from casadical.fleet.campaigns import other_regions
 from casadical.project.problem import read_campaign

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from cases import practice, robot
 
-from casadical.core.blocks import plain_text
+from casadical.core.telling.terminal import plain_text
 from casadical.diagnosis.brief import brief
 from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Diagnosis, diagnose

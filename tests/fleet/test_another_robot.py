@@ -10,7 +10,7 @@ import pytest
 from lives import as_built, changed, measured, write_table
 
 from casadical import InputError, Robot
-from casadical.core.blocks import plain_text
+from casadical.core.telling.terminal import plain_text
 from casadical.fleet import Comparison, Estimate, compare, compare_files, estimate
 
 

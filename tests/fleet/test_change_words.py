@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from lives import as_built, changed, measured
 
-from casadical.core.blocks import Table
+from casadical.core.telling.blocks import Table
 from casadical.fleet import Candidate, Change, compare, estimate
 from casadical.fleet.campaigns import in_order, name_of
 from casadical.fleet.candidates import FREQUENCY

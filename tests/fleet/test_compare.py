@@ -13,7 +13,7 @@ from lives import NOISE, as_built, changed, measured, write_table
 from scipy.stats import multivariate_normal
 
 from casadical import InputError, Robot, calibrate, identify, read_robot, write_robot
-from casadical.core.blocks import plain_text
+from casadical.core.telling.terminal import plain_text
 from casadical.fleet import Estimate, compare, estimate, estimate_of_file
 from casadical.fleet.campaigns import compare_files, day_of, in_order, other_regions
 from casadical.fleet.candidates import candidates_of, shared_names

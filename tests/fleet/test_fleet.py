@@ -20,7 +20,7 @@ from command_line import run
 from fleet_plants import A1, planar
 
 from casadical import InputError, read_robot
-from casadical.core.blocks import Table, Words
+from casadical.core.telling.blocks import Table, Words
 from casadical.fleet import run_fleet
 from casadical.fleet.cluster import client_of, results
 from casadical.fleet.hierarchy import Common, common_of, learnt

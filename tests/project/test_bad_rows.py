@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "cli"))
 import first_hour
 
 from casadical import calibrate, read_problem
-from casadical.core.blocks import Table
+from casadical.core.telling.blocks import Table
 from casadical.identification.accuracy import Accuracy
 from casadical.project.check import precheck
 from casadical.project.new import new_problem

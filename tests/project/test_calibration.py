@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from casadical import InputError, calibrate, read_problem, read_robot
-from casadical.core.blocks import Table, Words, plain_text
+from casadical.core.telling.blocks import Table, Words
+from casadical.core.telling.terminal import plain_text
 from casadical.identification import errors, residual_mm
 from casadical.report.calibration import calibration_part
 

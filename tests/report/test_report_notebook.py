@@ -8,9 +8,9 @@ from html.parser import HTMLParser
 import pytest
 
 from casadical import plot
-from casadical.core.blocks import Table, Words
+from casadical.core.telling.blocks import Table, Words
 from casadical.core.errors import InputError
-from casadical.core.notebook import html
+from casadical.core.telling.notebook import html
 from casadical.report import calibration_figures
 
 

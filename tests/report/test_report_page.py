@@ -13,7 +13,7 @@ from pathlib import Path
 
 from command_line import run
 
-from casadical.core.blocks import Words
+from casadical.core.telling.blocks import Words
 from casadical.project.problem import read_problem
 from casadical.report import calibration_report
 from casadical.report.diagnosis import diagnosis_part

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from casadical.core.blocks import mm
+from casadical.core.telling.blocks import mm
 from casadical.report.calibration import _tiles
 from casadical.report.cause_figures import gap_course
 from casadical.report.curve_figures import COLUMNS, _grid

@@ -1,21 +1,34 @@
-"""A discovery as words for a terminal or a page, as JSON, and as files."""
+"""What a discovery found: laws, their rivals, what each leaves; as words, tables, figures, JSON and files."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from casadical.core.blocks import Table, Words, mm, plain_text
+import numpy as np
+
+from casadical.core.arrays import Array
 from casadical.core.files import json_text
-from casadical.diagnosis.laws.discovery import Discovery
+from casadical.core.telling.blocks import Page, Section, Table, Words, mm
+from casadical.core.telling.figure import Axis, Figure, Series
+from casadical.core.telling.terminal import plain_text
+from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.laws.problem import Scored
 from casadical.diagnosis.laws.rivals import CORRELATION
 from casadical.diagnosis.laws.round import ABOVE, ALIKE, CLAIMED, Round
+from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.refit import refit
+from casadical.diagnosis.result import Diagnosis, Unlisted
+from casadical.effects import Effect
 from casadical.effects.formula_effect import SEAMS
 from casadical.effects.law import Law
+from casadical.identification.result import Identification
+from casadical.measurements.noise import Noise
 from casadical.robot.effect_file import effects_toml
+from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
 
 # Unit of a factor -> (in words, its size).
@@ -24,7 +37,214 @@ NATS = (
     "Nats measure evidence: the natural logarithm of how many times more probable the data are with the law, less the "
     "price of the search; 3 nats are 20 times."
 )
+_DRAWN = (
+    "Line: the law. Points: for each pose the value that its own residual asks for at this place, beside all else in "
+    "the model, fitted to all poses; the further a pose can see the place, the less its point scatters."
+)
 _MODELS = {"base": "base model", "causes": "with listed causes", "law": "with the law", "smooth": "with smooth forms"}
+
+
+Kept = Literal["law", "smooth", "causes", "base"]
+
+
+@dataclass(frozen=True, eq=False)
+class Discovery:
+    """The answer to: which law is missing?
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        of the same data
+    rounds : tuple[Round, ...]
+        each beside what was in the model before
+    case : Case
+        with the laws among its candidates
+    laws : tuple[Scored, ...]
+        that were claimed
+    causes : tuple[Effect, ...]
+        listed effects beside them
+    noise : Noise
+        that they leave
+    values : dict[str, tuple[float, float, str]]
+        of the laws' factors: (value, standard error, unit) [SI] by parameter
+    gap : dict[Kept, float]
+        mean held-out error [m] of the base model, with the diagnosis's causes, with the laws (and causes beside
+        them), with causes and smooth forms; only those that there are
+    shrink : tuple[float, tuple[float, float]] | None
+        share by which it falls with the laws, and a 95 % interval; settings were chosen again in each fold
+    smooth : Unlisted | None
+        the smooth description, None without one
+
+    Examples
+    --------
+    >>> discovery = casadical.discover(found, effects=["backlash"])
+    >>> discovery.kept, discovery.laws, discovery.effects
+    ('base', (), ())
+    >>> discovery.refit().is_optimal(), discovery.apply().effects_in_words
+    (True, '')
+    """
+
+    diagnosis: Diagnosis
+    rounds: tuple[Round, ...]
+    case: Case
+    laws: tuple[Scored, ...]
+    causes: tuple[Effect, ...]
+    noise: Noise
+    values: dict[str, tuple[float, float, str]]
+    gap: dict[Kept, float]
+    shrink: tuple[float, tuple[float, float]] | None
+    smooth: Unlisted | None
+
+    @property
+    def kept(self) -> Kept:
+        """Which model predicts best where it was not fitted; a law only if it was claimed."""
+        return min(self.gap, key=lambda name: self.gap[name])
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Effects of the model that is kept."""
+        laws = tuple(s.law for s in self.laws)
+        found = {
+            "law": (*self.causes, *laws),
+            "smooth": self.diagnosis.effects(unlisted=self.smooth),
+            "causes": self.diagnosis.effects(),
+        }
+        return found.get(self.kept, ())
+
+    def refit(self) -> Identification:
+        """Base model and the effects that are kept identified together.
+
+        Returns
+        -------
+        Identification
+            values of the laws' factors among the parameters
+
+        Raises
+        ------
+        ConvergenceError
+            Ipopt finds no optimum
+        """
+        noise = self.noise if self.kept == "law" else self.diagnosis.noise
+        return refit(self.case.with_kept(self.diagnosis.case.kept), self.effects, noise)
+
+    @property
+    def thinned(self) -> tuple[int, int] | None:
+        """On how many poses laws were searched, and of how many; None where these are all."""
+        some, whole = (int(c.kept.sum()) for c in (self.case, self.diagnosis.case))
+        return None if some == whole else (some, whole)
+
+    def apply(self) -> Robot:
+        """The calibrated robot with laws or smooth forms in its model, whichever predict better.
+
+        Returns
+        -------
+        Robot
+            a robot that predicts, and can be written and exported
+        """
+        return self.refit().robot
+
+    @property
+    def lines(self) -> list[str]:
+        """Each claimed law as a line."""
+        return [line_of(s.law, _own(self, s)) for s in self.laws]
+
+    @property
+    def in_words(self) -> str:
+        """The laws that were claimed and what they leave, in a sentence; why there is none, else."""
+        if not self.laws:
+            why = _why_not(self.rounds[0])
+            return f"no law is claimed: {why[0].lower()}{why[1:]}"
+        left = f"{mm(self.gap['base'])} -> {mm(self.gap['law'])} mm on poses held out"
+        return f"{'; '.join(self.lines)}; {left} (casadical discover --out DIR has it in a robot file)"
+
+    def blocks(self) -> list[Words | Table]:
+        """What is claimed, what competes, and what each model leaves."""
+        told: list[Words | Table] = []
+        for s, line in zip(self.laws, self.lines, strict=True):
+            told.append(Words(f"LAW  {line}", "verdict"))
+            told.append(Words(f"{_factors(self, s)}{_settings(s)}"))
+        if not self.laws:
+            told.append(Words(f"No law is claimed. {_why_not(self.rounds[0])}", "verdict"))
+        causes = ", ".join(e.label for e in (self.causes if self.laws else self.diagnosis.effects()))
+        if causes:
+            told.append(Words(f"Listed effects in the model: {causes}."))
+        for number, r in enumerate(self.rounds, 1):
+            told.append(
+                _table(r, "Laws that compete" if len(self.rounds) == 1 else f"Laws that compete, round {number}")
+            )
+        if self.thinned:
+            told.append(Words("Laws were searched on {} of {} poses.".format(*self.thinned), "note"))
+        told.append(Words(NATS, "note"))
+        told.append(_gaps(self))
+        if self.shrink:
+            low, high = self.shrink[1]
+            shares = f"{_share(self.shrink[0])} ({_share(low)} to {_share(high)})"
+            told.append(Words(f"Held out, settings chosen again in each fold, the error is {shares} smaller."))
+        told.append(
+            Words(f"In the model that is kept: {_MODELS[self.kept]}, which predicts held-out poses best.", "note")
+        )
+        return told
+
+    def figures(self) -> list[Figure]:
+        """A figure of each claimed law."""
+        if not self.laws:
+            return []
+        columns = [self.case.columns[e] for e in self.causes] + [self.case.columns[s.law] for s in self.laws]
+        fit = new_fit(self.case.evidence, np.unique(np.concatenate(columns)), self.noise)
+        left = fit.left(fit.x)
+        return [
+            _figure(self, s, line, left, f"law{k}")
+            for k, (s, line) in enumerate(zip(self.laws, self.lines, strict=True))
+        ]
+
+    def section(self) -> Section:
+        """Of a page: laws with all that competes, and each over its driver."""
+        return Section("The missing law", [*self.figures(), *self.blocks()])
+
+    def page(self, name: str, files: Sequence[Path] = ()) -> Page:
+        """The page; name : of the campaign; files : from which it was made."""
+        robot = self.diagnosis.identification.given.name
+        return Page("Discovery", f"Laws of {name}", robot, [self.section()], files=files)
+
+    def to_json(self, name: str) -> dict[str, Any]:
+        """All figures; name : of the campaign. Angles in rad, lengths in m, gaps in mm, scores in nats."""
+        first = self.rounds[0]
+        verdict = "law" if self.laws else "alias" if first.alias and first.best.score >= CLAIMED else "none"
+        return {
+            "campaign": name,
+            "verdict": verdict,
+            **self.laws_json(),
+            "causes": [e.label for e in (self.causes if self.laws else self.diagnosis.effects())],
+            "diagnosis": self.diagnosis.verdict,
+            "rounds": [_round(r) for r in self.rounds],
+        }
+
+    def laws_json(self) -> dict[str, Any]:
+        """The laws that were claimed, what each model leaves [mm], and the model that is kept."""
+        shrink = self.shrink and {"share": round(self.shrink[0], 4), "interval": [round(x, 4) for x in self.shrink[1]]}
+        return {
+            "laws": [_law(self, s, line) for s, line in zip(self.laws, self.lines, strict=True)],
+            "gap_mm": {model: round(1e3 * value, 5) for model, value in self.gap.items()},
+            "shrink": shrink,
+            "kept": self.kept,
+            **({"poses": {"searched": self.thinned[0], "all": self.thinned[1]}} if self.thinned else {}),
+        }
+
+    def files(self, folder: Path, name: str) -> dict[Path, str]:
+        """What `casadical discover --out` writes: the robot with what is kept, the laws alone, figures and text.
+
+        name : of the campaign. Raises ConvergenceError.
+        """
+        refit = self.refit()
+        comment = "\n".join([f"Discovered by casadical from {name}.", *self.lines, refit.verdict])
+        kinds = [type(e) for e in refit.robot.effects]
+        texts = {folder / "discovered.robot.toml": to_toml(refit.robot, comment, kinds)}
+        if self.kept == "law":
+            laws = tuple(s.law for s in self.laws)
+            texts[folder / "law.effect.toml"] = effects_toml(refit.robot, laws, comment)
+        texts[folder / "discovery.json"] = json_text(self.to_json(name))
+        texts[folder / "discovery.txt"] = plain_text(self.blocks(), 100)
+        return texts
 
 
 def line_of(law: Law, values: Mapping[str, float] | None = None) -> str:
@@ -54,50 +274,6 @@ def line_of(law: Law, values: Mapping[str, float] | None = None) -> str:
 
 def _own(d: Discovery, s: Scored) -> dict[str, float]:
     return {name: d.values[f"{s.law.label}.{name}"][0] for name in s.law.sizes()}
-
-
-def lines_of(d: Discovery) -> list[str]:
-    """Each claimed law as a line."""
-    return [line_of(s.law, _own(d, s)) for s in d.laws]
-
-
-def blocks_of(d: Discovery) -> list[Words | Table]:
-    """What the terminal and a page show."""
-    found: list[Words | Table] = []
-    for s, line in zip(d.laws, lines_of(d), strict=True):
-        found.append(Words(f"LAW  {line}", "verdict"))
-        found.append(Words(f"{_factors(d, s)}{_settings(s)}"))
-    if not d.laws:
-        found.append(Words(f"No law is claimed. {_why_not(d.rounds[0])}", "verdict"))
-    causes = ", ".join(e.label for e in (d.causes if d.laws else d.diagnosis.effects()))
-    if causes:
-        found.append(Words(f"Listed effects in the model: {causes}."))
-    for number, r in enumerate(d.rounds, 1):
-        found.append(_table(r, "Laws that compete" if len(d.rounds) == 1 else f"Laws that compete, round {number}"))
-    if d.thinned:
-        found.append(Words("Laws were searched on {} of {} poses.".format(*d.thinned), "note"))
-    found.append(Words(NATS, "note"))
-    found.append(_gaps(d))
-    if d.shrink:
-        low, high = d.shrink[1]
-        shares = f"{_share(d.shrink[0])} ({_share(low)} to {_share(high)})"
-        found.append(Words(f"Held out, settings chosen again in each fold, the error is {shares} smaller."))
-    found.append(Words(f"In the model that is kept: {_MODELS[d.kept]}, which predicts held-out poses best.", "note"))
-    return found
-
-
-def page_of(d: Discovery, width: int = 100) -> str:
-    """The same as text."""
-    return plain_text(blocks_of(d), width)
-
-
-def law_in_words(d: Discovery) -> str:
-    """The laws that were claimed and what they leave, in a sentence; why there is none, else."""
-    if not d.laws:
-        why = _why_not(d.rounds[0])
-        return f"no law is claimed: {why[0].lower()}{why[1:]}"
-    left = f"{mm(d.gap['base'])} -> {mm(d.gap['law'])} mm on poses held out"
-    return f"{'; '.join(lines_of(d))}; {left} (casadical discover --out DIR has it in a robot file)"
 
 
 def _share(value: float) -> str:
@@ -147,32 +323,6 @@ def _gaps(d: Discovery) -> Table:
     return Table("Held-out error [mm]", ("model", "mean"), rows, frozenset({1}))
 
 
-def as_json(d: Discovery, name: str) -> dict[str, Any]:
-    """All figures; name : of the campaign. Angles in rad, lengths in m, gaps in mm, scores in nats."""
-    first = d.rounds[0]
-    verdict = "law" if d.laws else "alias" if first.alias and first.best.score >= CLAIMED else "none"
-    return {
-        "campaign": name,
-        "verdict": verdict,
-        **laws_as_json(d),
-        "causes": [e.label for e in (d.causes if d.laws else d.diagnosis.effects())],
-        "diagnosis": d.diagnosis.verdict,
-        "rounds": [_round(r) for r in d.rounds],
-    }
-
-
-def laws_as_json(d: Discovery) -> dict[str, Any]:
-    """The laws that were claimed, what each model leaves [mm], and the model that is kept."""
-    shrink = d.shrink and {"share": round(d.shrink[0], 4), "interval": [round(x, 4) for x in d.shrink[1]]}
-    return {
-        "laws": [_law(d, s, line) for s, line in zip(d.laws, lines_of(d), strict=True)],
-        "gap_mm": {model: round(1e3 * value, 5) for model, value in d.gap.items()},
-        "shrink": shrink,
-        "kept": d.kept,
-        **({"poses": {"searched": d.thinned[0], "all": d.thinned[1]}} if d.thinned else {}),
-    }
-
-
 def _law(d: Discovery, s: Scored, line: str) -> dict[str, Any]:
     names = zip(s.tried.form.settings, s.settings, s.errors, strict=True)
     return {
@@ -204,16 +354,21 @@ def _round(r: Round) -> dict[str, Any]:
     }
 
 
-def files_of(d: Discovery, folder: Path, name: str) -> Iterator[tuple[Path, str]]:
-    """What `casadical discover --out` writes: the robot with what is kept, the laws alone, figures and page.
-
-    name : of the campaign. Raises ConvergenceError.
-    """
-    refit = d.refit()
-    comment = "\n".join([f"Discovered by casadical from {name}.", *lines_of(d), refit.verdict])
-    yield folder / "discovered.robot.toml", to_toml(refit.robot, comment, [type(e) for e in refit.robot.effects])
-    if d.kept == "law":
-        laws = tuple(s.law for s in d.laws)
-        yield folder / "law.effect.toml", effects_toml(refit.robot, laws, comment)
-    yield folder / "discovery.json", json_text(as_json(d, name))
-    yield folder / "discovery.txt", page_of(d)
+def _figure(d: Discovery, s: Scored, line: str, left: Array, name: str) -> Figure:
+    """Along the direction in which the law acts most; left : what a fit to all poses leaves."""
+    unit, factor = READABLE[SEAMS[s.law.seam][1]]
+    seam, x = s.tried.seams[s.seam], s.tried.x[s.seam]
+    amplitude = np.array([*_own(d, s).values()]).reshape(len(s.tried.form.parts), -1)
+    _, _, direction = np.linalg.svd(amplitude)
+    towards = direction[0]
+    grid = np.linspace(x.min(), x.max(), 400)
+    at_poses, along = (
+        (amplitude @ towards) @ s.tried.form.values(places, s.settings[None])[:, :, 0] for places in (x, grid)
+    )
+    column = seam.columns @ towards
+    seen = at_poses + (column * left).sum(axis=1) / (column**2).sum(axis=1)
+    weight = np.linalg.norm(column, axis=1)
+    size, tip = (3 + 5 * weight / weight.max()).round(1), f"%{{y:.3g}} {unit} at %{{x:.4g}}"
+    poses = Series("points", x.round(5), (factor * seen).round(2), name="poses", colour="grey", size=size, tip=tip)
+    law = Series("line", grid.round(5), (factor * along).round(2), name="law", tip=tip)
+    return Figure(name, line, [poses, law], Axis(s.tried.driver.text), Axis(unit), caption=_DRAWN)

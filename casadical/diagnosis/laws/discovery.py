@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,14 +11,14 @@ from casadical.core.arrays import Array
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import estimates, shrink_interval
 from casadical.diagnosis.diagnose import diagnose
+from casadical.diagnosis.laws.answer import Discovery, Kept
 from casadical.diagnosis.laws.contest import beside_nothing, instead, round_of, thinned
 from casadical.diagnosis.laws.held_out import held_out
 from casadical.diagnosis.laws.problem import Scored
 from casadical.diagnosis.laws.round import Round
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import rank
-from casadical.diagnosis.refit import refit
-from casadical.diagnosis.result import Diagnosis, Unlisted
+from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.search import Show
 from casadical.diagnosis.settings_search import refined
 from casadical.diagnosis.smooth_description import describe_unlisted
@@ -32,104 +31,6 @@ from casadical.measurements.noise import Noise
 from casadical.robot.robot import Robot
 
 MOST_LAWS, MOST_ROUNDS = 2, 4
-Kept = Literal["law", "smooth", "causes", "base"]
-
-
-@dataclass(frozen=True, eq=False)
-class Discovery:
-    """The answer to: which law is missing?
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        of the same data
-    rounds : tuple[Round, ...]
-        each beside what was in the model before
-    case : Case
-        with the laws among its candidates
-    laws : tuple[Scored, ...]
-        that were claimed
-    causes : tuple[Effect, ...]
-        listed effects beside them
-    noise : Noise
-        that they leave
-    values : dict[str, tuple[float, float, str]]
-        of the laws' factors: (value, standard error, unit) [SI] by parameter
-    gap : dict[Kept, float]
-        mean held-out error [m] of the base model, with the diagnosis's causes, with the laws (and causes beside
-        them), with causes and smooth forms; only those that there are
-    shrink : tuple[float, tuple[float, float]] | None
-        share by which it falls with the laws, and a 95 % interval; settings were chosen again in each fold
-    smooth : Unlisted | None
-        the smooth description, None without one
-
-    Examples
-    --------
-    >>> discovery = casadical.discover(found, effects=["backlash"])
-    >>> discovery.kept, discovery.laws, discovery.effects
-    ('base', (), ())
-    >>> discovery.refit().is_optimal(), discovery.apply().effects_in_words
-    (True, '')
-    """
-
-    diagnosis: Diagnosis
-    rounds: tuple[Round, ...]
-    case: Case
-    laws: tuple[Scored, ...]
-    causes: tuple[Effect, ...]
-    noise: Noise
-    values: dict[str, tuple[float, float, str]]
-    gap: dict[Kept, float]
-    shrink: tuple[float, tuple[float, float]] | None
-    smooth: Unlisted | None
-
-    @property
-    def kept(self) -> Kept:
-        """Which model predicts best where it was not fitted; a law only if it was claimed."""
-        return min(self.gap, key=lambda name: self.gap[name])
-
-    @property
-    def effects(self) -> tuple[Effect, ...]:
-        """Effects of the model that is kept."""
-        laws = tuple(s.law for s in self.laws)
-        found = {
-            "law": (*self.causes, *laws),
-            "smooth": self.diagnosis.effects(unlisted=self.smooth),
-            "causes": self.diagnosis.effects(),
-        }
-        return found.get(self.kept, ())
-
-    def refit(self) -> Identification:
-        """Base model and the effects that are kept identified together.
-
-        Returns
-        -------
-        Identification
-            values of the laws' factors among the parameters
-
-        Raises
-        ------
-        ConvergenceError
-            Ipopt finds no optimum
-        """
-        noise = self.noise if self.kept == "law" else self.diagnosis.noise
-        return refit(self.case.with_kept(self.diagnosis.case.kept), self.effects, noise)
-
-    @property
-    def thinned(self) -> tuple[int, int] | None:
-        """On how many poses laws were searched, and of how many; None where these are all."""
-        some, whole = (int(c.kept.sum()) for c in (self.case, self.diagnosis.case))
-        return None if some == whole else (some, whole)
-
-    def apply(self) -> Robot:
-        """The calibrated robot with laws or smooth forms in its model, whichever predict better.
-
-        Returns
-        -------
-        Robot
-            a robot that predicts, and can be written and exported
-        """
-        return self.refit().robot
 
 
 def discover(

@@ -1,60 +1,56 @@
-"""A precheck as text to read and as plain data to keep."""
+"""A precheck as words and tables, and as plain data to keep."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from typing import Any
 
-from rich.console import Group, RenderableType
-from rich.text import Text
-
-from casadical.core.blocks import Table
+from casadical.core.telling.blocks import Table, Words
 from casadical.project.check.check import Precheck
+from casadical.project.check.findings import Finding, Level
 from casadical.project.check.information import Outlook
 
 # So many findings fit the screen.
 FINDINGS = 6
-_MARK = {"error": ("ERROR", "bold red"), "warning": ("WARNING", "yellow"), "note": ("note", "dim")}
+LEVELS: tuple[Level, ...] = ("error", "warning", "note")
+_MARKS = {"error": "ERROR", "warning": "WARNING", "note": "note"}
 
 
-def report(found: Precheck) -> RenderableType:
-    """What `casadical check` prints of one problem: verdict, findings, ranges, expected accuracy."""
-    head = Text(f"{found.folder.name}: {_verdict(found)}", style="bold")
-    parts: list[RenderableType] = [head]
-    if found.title:
-        sets = ", ".join(f"{name} {n}" for name, n in found.poses)
-        parts.append(Text(f"{found.title}; {found.robot}; poses: {sets}"))
-    parts.append(Text())
-    for level in ("error", "warning", "note"):
-        for f in found.of(level):
-            mark, style = _MARK[level]
-            parts.append(Text.assemble((mark, style), f" {f.topic}: {f.text}"))
-    if found.joints:
-        parts += [Text(), _ranges(found)]
-    for view in found.outlooks:
-        parts += [Text(), *_outlook(view, found)]
-    return Group(*parts)
+def blocks(checked: Precheck) -> list[Words | Table]:
+    """What `casadical check --details` prints of one problem: verdict, findings, ranges, expected accuracy."""
+    told: list[Words | Table] = [*_head(checked), Words("")]
+    told += _findings(f for level in LEVELS for f in checked.of(level))
+    if checked.joints:
+        told.append(_ranges(checked))
+    for view in checked.outlooks:
+        told += [*([] if isinstance(told[-1], Table) else [Words("")]), *_outlook(view, checked)]
+    return told
 
 
-def brief(found: Precheck) -> RenderableType:
+def brief(checked: Precheck) -> list[Words | Table]:
     """The same in few lines: verdict, errors and warnings, accuracy to expect."""
-    parts: list[RenderableType] = [Text(f"{found.folder.name}: {_verdict(found)}", style="bold")]
-    if found.title:
-        sets = ", ".join(f"{name} {n}" for name, n in found.poses)
-        parts.append(Text(f"{found.title}; {found.robot}; poses: {sets}"))
-    told = [f for level in ("error", "warning") for f in found.of(level)]
-    told += [f for f in found.of("note") if f.topic == "units"]
-    for f in told[:FINDINGS]:
-        mark, style = _MARK[f.level]
-        parts.append(Text.assemble((mark, style), f" {f.topic}: {f.text}"))
-    if len(told) > FINDINGS:
-        parts.append(Text(f"and {len(told) - FINDINGS} more"))
-    for view in found.outlooks:
-        parts.append(Text(f"{view.method}: {len(view.names)} parameters identifiable, {len(view.held)} not."))
+    findings = [f for level in LEVELS[:2] for f in checked.of(level)]
+    findings += [f for f in checked.of("note") if f.topic == "units"]
+    told: list[Words | Table] = [*_head(checked), *_findings(findings[:FINDINGS])]
+    if len(findings) > FINDINGS:
+        told.append(Words(f"and {len(findings) - FINDINGS} more"))
+    for view in checked.outlooks:
+        told.append(Words(f"{view.method}: {len(view.names)} parameters identifiable, {len(view.held)} not."))
         if view.held_out is not None:
-            parts.append(Text(f"Expected mean error on other poses like these: {1e3 * view.held_out:.3g} mm."))
-    if found.slips and found.slips.explains:
-        parts.append(Text("casadical check --repair writes the best repair and shows what it changes", style="bold"))
-    parts.append(Text("ranges of the joints, what is held and why: --details", style="dim"))
-    return Group(*parts)
+            told.append(Words(f"Expected mean error on other poses like these: {1e3 * view.held_out:.3g} mm."))
+    if checked.slips and checked.slips.explains:
+        told.append(Words("casadical check --repair writes the best repair and shows what it changes", "verdict"))
+    return [*told, Words("ranges of the joints, what is held and why: --details", "note")]
+
+
+def _head(checked: Precheck) -> Iterator[Words]:
+    yield Words(f"{checked.folder.name}: {_verdict(checked)}", "verdict")
+    if checked.title:
+        sets = ", ".join(f"{name} {n}" for name, n in checked.poses)
+        yield Words(f"{checked.title}; {checked.robot}; poses: {sets}")
+
+
+def _findings(findings: Iterable[Finding]) -> list[Words]:
+    return [Words(f"{f.topic}: {f.text}", f.level, mark=_MARKS[f.level]) for f in findings]
 
 
 def _verdict(found: Precheck) -> str:
@@ -79,7 +75,7 @@ def _ranges(found: Precheck) -> Table:
     return Table("Readings of the poses that are fitted", columns, rows, frozenset(range(5)))
 
 
-def _outlook(view: Outlook, found: Precheck) -> list[RenderableType]:
+def _outlook(view: Outlook, found: Precheck) -> list[Words | Table]:
     lines = [
         f"{view.method}: {len(view.names)} parameters identifiable from {view.numbers} numbers, {len(view.held)} not; "
         f"condition number {view.condition:.0f}, observability O1 {view.O1:.3g}."
@@ -93,7 +89,7 @@ def _outlook(view: Outlook, found: Precheck) -> list[RenderableType]:
         )
         if view.held_out is not None:
             lines.append(f"Expected mean error on other poses like these: {1e3 * view.held_out:.3g} mm.")
-    parts: list[RenderableType] = [Text(line) for line in lines]
+    parts: list[Words | Table] = [Words(line) for line in lines]
     if view.held:
         parts.append(Table("", ("held", "why"), [(u.name, u.reason) for u in view.held]))
     return parts

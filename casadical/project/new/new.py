@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from casadical.core.blocks import Table, Words
 from casadical.core.errors import InputError
 from casadical.core.estimated_masses import with_estimated_masses, without_masses
 from casadical.core.files import claimed, write_together
+from casadical.core.telling.blocks import Table, Words
 from casadical.measurements.column_map import Source
 from casadical.measurements.columns import Columns
 from casadical.measurements.headings import Question, Understanding, understand

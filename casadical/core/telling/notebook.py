@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from html import escape
 
-from casadical.core.blocks import Table, Words, mm
+from casadical.core.telling.blocks import Table, Words, mm
 
 _CELL = "padding:2px 12px 2px 0;text-align:{};white-space:nowrap"
 _BAR, _ROW, _LABEL = 260, 20, 190

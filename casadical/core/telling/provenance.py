@@ -10,8 +10,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from casadical.core.errors import InputError
-from casadical.core.schema import load_toml
-from casadical.project.problem import Problem
 
 PACKAGES = ("casadical", "casadi", "numpy", "pandas", "plotly")
 
@@ -46,29 +44,6 @@ def sha256(path: Path) -> str:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-
-
-def problem_files(problem: Problem) -> list[Path]:
-    """What a problem was read from: problem.toml, robot and measurements."""
-    path = problem.folder / "problem.toml"
-    names = [problem.robot_file, *(problem.folder / table["file"] for table in problem.tables)]
-    return [*([path] if path.is_file() else []), *(Path(_short(name)) for name in names)]
-
-
-def campaign_files(source: Path, campaigns: Sequence[Path]) -> list[Path]:
-    """What a diagnosis was read from: problem.toml, the campaign's robot, or a robot file; and the campaigns."""
-    if source.is_file():
-        return [source, *campaigns]
-    path = source / "problem.toml"
-    file = load_toml(path)
-    robot = file.get("campaign_robot", file.get("robot", "robot.toml"))
-    return [path, Path(_short(source / robot)), *campaigns]
-
-
-def _short(path: Path) -> str:
-    """Resolved, without ".."; relative to the working directory if it is below it."""
-    whole = path.resolve()
-    return str(whole.relative_to(Path.cwd()) if whole.is_relative_to(Path.cwd()) else whole)
 
 
 def _version(name: str) -> str:

@@ -1,0 +1,246 @@
+"""Figures drawn by plotly: one palette for colour-blind readers, light and dark, and common settings.
+
+A figure is drawn in light colours; the dark ones stand for them one by one (`dark`, and the page's script).
+"""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from math import log10
+from typing import TYPE_CHECKING, Any
+
+from casadical.core.errors import optional
+from casadical.core.telling.figure import Axis, Figure, Note, Panel, Rule, Series, Span, ticks_of_decades
+
+# plotly is imported when a figure is drawn.
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure as Picture
+else:
+    Picture = Any
+
+NEEDED = "a report needs plotly and jinja2, and one of them is not installed: pip install 'casadical[report]'"
+# Role: light, dark. The colours of methods are those of Okabe and Ito (2008), shifted to be read on either ground.
+COLOURS: dict[str, tuple[str, str]] = {
+    "paper": ("#ffffff", "#171c23"),
+    "ink": ("#1c2530", "#e4e9ef"),
+    "muted": ("#5d6875", "#9aa6b3"),
+    "line": ("#c9d0d8", "#46505c"),
+    "grid": ("#e6eaef", "#2a323c"),
+    "blue": ("#0072b2", "#56b4e9"),
+    "orange": ("#d98200", "#f0a830"),
+    "green": ("#008f6b", "#2cc79d"),
+    "red": ("#c84e00", "#f0763a"),
+    "pink": ("#b8608f", "#dd8fbd"),
+    "sky": ("#3d95c9", "#8cc9ee"),
+    "grey": ("#868f9a", "#78838f"),
+}
+DARK = dict(COLOURS.values())
+INK, MUTED, LINE, GRID = (COLOURS[role][0] for role in ("ink", "muted", "line", "grid"))
+PAPER, GREY = COLOURS["paper"][0], COLOURS["grey"][0]
+FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
+MODES = {"points": "markers", "line": "lines", "linked": "lines+markers", "area": "lines"}
+AXIS = {"gridcolor": GRID, "zeroline": False, "linecolor": LINE, "automargin": True}
+# Of the first view into a space, in lengths of the drawn box.
+EYE = (1.15, 1.3, 0.55)
+# Heights of title and legend of a figure with panels that have titles [px].
+ABOVE, BELOW = 76, 100
+
+
+def plain(text: object) -> str:
+    """A user's text inside of a figure, which would take some HTML as such."""
+    return html.escape(str(text), quote=False).replace("\n", "<br>")
+
+
+def draw(figure: Figure) -> Picture:
+    """The picture of a figure. Raises InputError where plotly is not installed."""
+    picture = optional("plotly.graph_objects", NEEDED).Figure()
+    picture.update_layout(
+        template=None, height=figure.height, dragmode="zoom", font={"family": FONT, "size": 12.5, "color": MUTED},
+        title={"text": plain(figure.title), "x": 0, "xref": "container", "y": 1, "yref": "container",
+               "yanchor": "top", "pad": {"t": 14}, "font": {"size": 15, "color": INK, "weight": 600}},
+        paper_bgcolor=PAPER, plot_bgcolor=PAPER, margin={"l": 8, "r": figure.right, "t": 48, "b": 8},
+        hoverlabel={"font": {"family": FONT, "size": 12.5, "color": INK}, "align": "left", "namelength": -1,
+                    "bgcolor": PAPER, "bordercolor": LINE},
+        legend={"orientation": "h", "x": 0, "xref": "container", "y": 0, "yref": "container", "yanchor": "bottom"},
+    )  # fmt: skip
+    if any(s.z is not None for s in figure.series):
+        _space(picture)
+    elif figure.panels:
+        _panels(picture, figure)
+    else:
+        picture.update_xaxes(**_axis(figure.x), showline=True)
+        picture.update_yaxes(**(_rows(figure.rows) if figure.rows else _axis(figure.y)))
+    if figure.over:
+        picture.update_layout(hovermode="y unified").update_yaxes(unifiedhovertitle_text=figure.over)
+    for series in figure.series:
+        _add(picture, figure, series)
+    for mark in figure.marks:
+        _mark(picture, figure, mark)
+    return picture
+
+
+def dark(picture: Picture) -> Picture:
+    """The same picture in the dark colours, for a dark notebook or page."""
+    text = picture.to_json()
+    for light, its_dark in DARK.items():
+        text = text.replace(light, its_dark)
+    return optional("plotly.io", NEEDED).from_json(text)
+
+
+def _colour(role: str | Sequence[str]) -> str | list[str]:
+    return COLOURS[role][0] if isinstance(role, str) else [COLOURS[r][0] for r in role]
+
+
+def _escaped(facts: Any) -> Any:
+    """Facts for tooltips; of lists the texts are escaped."""
+    if isinstance(facts, str):
+        return plain(facts)
+    return [_escaped(fact) for fact in facts] if isinstance(facts, list | tuple) else facts
+
+
+def _values(values: Any) -> Any:
+    return list(values) if isinstance(values, range | tuple) else values
+
+
+def _add(picture: Picture, figure: Figure, s: Series) -> None:
+    """One series as a trace."""
+    colour = _colour(s.colour)
+    trace: dict[str, Any] = {"x": _values(s.x), "y": _values(s.y), "opacity": s.opacity}
+    trace |= {"showlegend": bool(s.name) and s.listed, "visible": True if s.shown else "legendonly"}
+    trace |= {"name": plain(s.name)} if s.name else {}
+    trace |= {"legendgroup": s.group} if s.group else {}
+    trace |= {"customdata": _escaped(s.facts)} if s.facts is not None else {}
+    end = "" if figure.over else "<extra></extra>"
+    trace |= {"hovertemplate": s.tip + end} if s.tip else {"hoverinfo": "skip"}
+    if len(s.text):
+        beside = {"textposition": "outside"} if s.kind == "bars" else {"textposition": "top center"}
+        trace |= {"text": [plain(t) for t in s.text], **beside, "cliponaxis": False}
+        trace |= {"textfont": {"color": INK, "size": 12}}
+    if s.more is not None:
+        bars = {"color": INK, "thickness": 1.4, "width": 4} if s.kind == "bars" else {"color": GREY, "thickness": 2}
+        ends = {"array": s.more, "arrayminus": s.less if s.less is not None else s.more, "symmetric": False}
+        trace["error_x" if figure.rows else "error_y"] = {"type": "data", "width": 0, **bars, **ends}
+    place = {}
+    if figure.panels:
+        place = {"row": figure.panels[s.panel].row, "col": figure.panels[s.panel].column}
+    if s.kind == "bars":
+        trace |= {"marker": {"color": colour, "line": {"width": 0}}, "orientation": "h", "width": s.width}
+        picture.add_bar(**trace, **place)
+        return
+    marker = {"color": colour, "symbol": s.symbol, "size": s.size}
+    line = {"color": colour, "width": s.width, "dash": s.dash}
+    trace["mode"] = MODES[s.kind] + ("+text" if len(s.text) else "")
+    if s.kind == "area":
+        trace |= {"fill": "toself", "fillcolor": _colour(s.fill or s.colour)}
+        trace["line"] = {"color": colour, "width": s.width if s.fill else 0}
+    if s.z is not None:
+        line.pop("dash")
+        marker = {"color": colour, "size": s.size, "line": {"width": 0}}
+        trace = {k: v for k, v in trace.items() if k != "opacity"}
+        picture.add_scatter3d(**trace, z=s.z, marker=marker, line=line)
+        return
+    trace |= {"marker": marker} if s.kind in ("points", "linked") else {}
+    trace |= {"line": {**line, "shape": s.shape}} if s.kind in ("line", "linked") else {}
+    picture.add_scatter(**trace, **place)
+
+
+def _axis(axis: Axis) -> dict[str, Any]:
+    """The settings of an axis, as plotly names them."""
+    found: dict[str, Any] = {**AXIS, "showgrid": axis.grid}
+    found["title"] = {"text": plain(axis.title), "standoff": 10, "font": {"size": 13}}
+    found |= {"zeroline": True, "zerolinewidth": 1.5, "zerolinecolor": MUTED} if axis.zero else {}
+    found |= {"rangemode": "tozero"} if axis.begins else {}
+    found |= {"tickformat": "d"} if axis.whole else {}
+    found |= {"tick0": 1, "dtick": axis.step} if axis.step else {}
+    found |= {"nticks": axis.count} if axis.count else {}
+    ticks = axis.ticks
+    if axis.log:
+        found["type"] = "log"
+        ticks = ticks_of_decades() if ticks is None and axis.count is None else ticks
+    if axis.ends:
+        found["range"] = [log10(v) for v in axis.ends] if axis.log else list(axis.ends)
+    if ticks is not None:
+        labels = [f"{v:g}" for v in ticks] if axis.labels is None else [plain(v) for v in axis.labels]
+        found |= {"tickvals": list(ticks), "ticktext": labels}
+    return found
+
+
+def _rows(rows: Sequence[str]) -> dict[str, Any]:
+    """An axis y of words, the first on top."""
+    ends = [len(rows) - 0.4, -0.6]
+    words = [plain(row) for row in rows]
+    return {**AXIS, "tickvals": list(range(len(rows))), "ticktext": words, "range": ends, "showgrid": False}
+
+
+def _panels(picture: Picture, figure: Figure) -> None:
+    """Plots in rows and columns; with titles they leave room for these and for a common legend."""
+    panels = figure.panels
+    rows, columns = max(p.row for p in panels), max(p.column for p in panels)
+    titled = any(p.title for p in panels)
+    room = {"horizontal_spacing": 0.04, "vertical_spacing": 0.04}
+    if titled:
+        room = {"horizontal_spacing": 0.1, "vertical_spacing": 30 / (figure.height - ABOVE - BELOW)}
+    both = {f"shared_{axis}axes": "all" for axis in "xy" if axis in figure.shared}
+    titles = {f"{axis}_title": getattr(figure, axis).title for axis in "xy" if getattr(figure, axis).title}
+    picture.set_subplots(rows, columns, subplot_titles=[p.title for p in panels], **room, **both, **titles)
+    picture.update_annotations(font={"size": 12, "color": MUTED})
+    if titled:
+        picture.update_layout(margin={"l": 56, "r": figure.right, "t": ABOVE, "b": BELOW})
+    for panel in panels:
+        _panel(picture, panel)
+
+
+def _panel(picture: Picture, panel: Panel) -> None:
+    place = {"row": panel.row, "col": panel.column}
+    picture.update_xaxes(**_axis(panel.x), showline=True, **place)
+    picture.update_yaxes(**_axis(panel.y), **place)
+
+
+def _mark(picture: Picture, figure: Figure, mark: Rule | Span | Note) -> None:
+    if isinstance(mark, Span):
+        role = _colour(mark.colour)
+        picture.add_vrect(x0=mark.first, x1=mark.last, fillcolor=role, opacity=0.2, line_width=0)
+    elif isinstance(mark, Rule):
+        line = {"color": _colour(mark.colour), "width": mark.width, "dash": mark.dash}
+        (picture.add_vline if mark.axis == "x" else picture.add_hline)(**{mark.axis: mark.at}, line=line)
+        if mark.text:
+            at = log10(mark.at) if figure.x.log else mark.at
+            words = {"text": plain(mark.text), "font": {"size": 11, "color": _colour(mark.colour)}}
+            picture.add_annotation(**words, x=at, y=1, yref="y domain", yanchor="bottom", showarrow=False)
+    else:
+        _note(picture, figure, mark)
+
+
+# Anchors, and direction of the gap, of words on each side of a place.
+_SIDES: dict[str, tuple[dict[str, str], int]] = {
+    "right": ({"xanchor": "left"}, 1),
+    "left": ({"xanchor": "right"}, -1),
+    "above": ({"xanchor": "left", "yanchor": "bottom"}, 0),
+    "below right": ({"xanchor": "left", "yanchor": "top"}, 0),
+    "below left": ({"xanchor": "right", "yanchor": "top"}, 0),
+}
+
+
+def _note(picture: Picture, figure: Figure, note: Note) -> None:
+    anchors, way = _SIDES[note.side]
+    number = "" if note.panel == 0 else str(note.panel + 1)
+    refs = {"xref": f"x{number}", "yref": f"y{number}"}
+    refs |= {axis + "ref": f"{axis}{number} domain" for axis in "xy" if axis in note.frame}
+    x, y = (
+        log10(value) if getattr(figure, axis).log and axis not in note.frame else value
+        for axis, value in (("x", note.x), ("y", note.y))
+    )
+    picture.add_annotation(
+        text=plain(note.text), x=x, y=y, **refs, **anchors, xshift=way * note.gap, showarrow=False,
+        font={"size": note.size, "color": _colour(note.colour)},
+    )  # fmt: skip
+
+
+def _space(picture: Picture) -> None:
+    """A scene that is turned with the mouse."""
+    axis = {"gridcolor": GRID, "zerolinecolor": LINE, "showbackground": False, "linecolor": LINE, "color": MUTED}
+    axes = {f"{c}axis": {**axis, "title": {"text": f"{c} [m]"}, "nticks": 6, "showspikes": False} for c in "xyz"}
+    camera = {"eye": dict(zip("xyz", EYE, strict=True)), "center": {"x": 0, "y": 0, "z": -0.22}}
+    scene = {**axes, "aspectmode": "data", "camera": camera, "dragmode": "turntable"}
+    picture.update_layout(scene=scene, margin={"l": 0, "r": 0, "t": 44, "b": 0})

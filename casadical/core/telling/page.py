@@ -1,0 +1,83 @@
+"""Pages as one HTML file that needs nothing else: words, tables and figures in sections, plotly.js inlined once."""
+
+import json
+import math
+from collections.abc import Sequence
+from datetime import datetime
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from casadical.core.errors import optional
+from casadical.core.telling.blocks import Page, Table, Words
+from casadical.core.telling.drawing import COLOURS, DARK, NEEDED, draw
+from casadical.core.telling.figure import Figure
+from casadical.core.telling.provenance import provenance_of
+
+TEMPLATES = Path(__file__).parent / "templates"
+
+
+def require() -> None:
+    """Refuse at once what would fail in the end. Raises InputError where a library of the extra is not installed."""
+    optional("plotly.graph_objects", NEEDED)
+    optional("jinja2", NEEDED)
+
+
+def html_of(pages: Sequence[Page], command: Sequence[str] = (), now: datetime | None = None) -> str:
+    """The whole file as text; command : as it was typed
+
+    Raises InputError where plotly or jinja2 is not installed, or a file of a page is gone.
+    """
+    jinja = optional("jinja2", NEEDED)
+    environment = jinja.Environment(
+        loader=jinja.FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja.StrictUndefined,
+    )
+    kinds = {"words": Words, "table": Table}
+    environment.tests |= {name: lambda block, kind=kind: isinstance(block, kind) for name, kind in kinds.items()}
+    environment.filters["figure"] = figure_json
+    text: str = environment.get_template("page.html").render(
+        title=pages[0].kind,
+        parts=pages,
+        provenance=provenance_of([path for page in pages for path in page.files], command, now),
+        colours=COLOURS,
+        dark=safe_json(DARK),
+        style=_text("page.css"),
+        script=_text("page.js"),
+        plotly=_plotly(),
+    )
+    return text.encode(errors="backslashreplace").decode()  # names of files may not be UTF-8
+
+
+def figure_json(figure: Figure) -> str:
+    """A figure's picture as JSON that may stand inside of a script element."""
+    return safe_json(json.loads(draw(figure).to_json()))
+
+
+def safe_json(value: Any) -> str:
+    """JSON in which no tag can open or close; numbers that are not finite become null."""
+    text = json.dumps(_finite(value), separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+    return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_finite(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+@cache
+def _text(name: str) -> str:
+    return (TEMPLATES / name).read_text(encoding="utf-8")
+
+
+@cache
+def _plotly() -> str:
+    # Nothing in the library may end the element that it stands in.
+    whole: str = optional("plotly.offline", NEEDED).get_plotlyjs()
+    return whole.replace("</script", "<\\/script")

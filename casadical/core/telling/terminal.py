@@ -1,0 +1,66 @@
+"""Blocks on a terminal: words and tables, by rich; figures are left out."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from itertools import pairwise
+from textwrap import indent
+from typing import TYPE_CHECKING
+
+from casadical.core.telling.blocks import Block, Table, Words
+from casadical.core.telling.figure import Figure
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+# How a terminal shows each kind of words.
+_STYLES = {
+    "title": "bold underline", "text": "", "note": "dim", "warning": "yellow", "error": "bold red", "verdict": "bold",
+}  # fmt: skip
+
+
+def terminal(blocks: Sequence[Block]) -> RenderableType:
+    """Blocks one below the other, for a console of rich, with a blank line before and after every table."""
+    from rich.console import Group
+
+    told = [block for block in blocks if not isinstance(block, Figure)]
+    lines: list[RenderableType] = [_rendered(block) for block in told[:1]]
+    for above, block in pairwise(told):
+        blank = isinstance(above, Table) or isinstance(block, Table)
+        lines += [*([""] if blank else []), _rendered(block)]
+    return Group(*lines)
+
+
+def _rendered(block: Words | Table) -> RenderableType:
+    from rich.text import Text  # takes brackets as they are
+
+    if isinstance(block, Table):
+        return _table(block)
+    if block.mark:
+        return Text.assemble((block.mark, _STYLES[block.kind]), f" {block.text}")
+    return Text(f"{block.text}\n{indent(block.code, '    ')}" if block.code else block.text, style=_STYLES[block.kind])
+
+
+def _table(block: Table) -> RenderableType:
+    """First column and numbers stay on one line; other columns are broken where the terminal is narrow."""
+    from rich import table as rich
+    from rich.text import Text
+
+    title = Text(block.title, style="bold") if block.title else None
+    shown = rich.Table(title=title, title_justify="left", box=None, padding=(0, 2, 0, 0), pad_edge=False)
+    for k, name in enumerate(block.columns):
+        number = k in block.numbers
+        shown.add_column(Text(name), justify="right" if number else "left", no_wrap=number or k == 0)
+    for k, row in enumerate(block.rows):
+        shown.add_row(*map(Text, row), style="bold" if k in block.strong else "dim" if k in block.faint else "")
+    return shown
+
+
+def plain_text(blocks: Sequence[Block], width: int = 80) -> str:
+    """Blocks as a terminal of so many columns shows them, without colours."""
+    from rich.console import Console
+
+    console = Console(width=width, file=io.StringIO(), record=True)
+    console.print(terminal(blocks))
+    return console.export_text()

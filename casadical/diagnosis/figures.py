@@ -1,0 +1,304 @@
+"""Figures of a diagnosis: the gap and its causes, where the gap lies, joint error curves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import pandas as pd
+
+from casadical.core.telling.drawing import ABOVE, BELOW
+from casadical.core.telling.figure import Axis, Figure, Note, Panel, Rule, Series
+from casadical.diagnosis.details import Details
+from casadical.diagnosis.held_out_gap import NetworkGap
+from casadical.diagnosis.localisation import Localisation
+from casadical.diagnosis.result import Diagnosis
+from casadical.diagnosis.spectrum import JointCurve, Spectrum
+from casadical.diagnosis.spectrum_report import MOST_SHOWN as LINES_NAMED
+from casadical.diagnosis.spectrum_report import covered_parts, seen
+from casadical.diagnosis.thresholds import PARTITIONS
+from casadical.effects.plugins import signature_of
+from casadical.identification.figures import fit_figures, intervals, parameter_figures
+from casadical.identification.pose_errors import errors_by_pose, workspace
+
+# Candidates of which the probability is drawn.
+MOST_SHOWN = 8
+# Joint curves stand in so many columns; height of a row of them [px].
+COLUMNS, ROW = 2, 150
+_GAP = (
+    "The gap, here and everywhere in this report: mean distance of measured from computed positions over poses that "
+    f"the fit did not see (in fifths, {PARTITIONS} partitions), outliers left out, with a 95 % interval over poses. "
+    "Noise alone: what a perfect model would leave, simulated through the same fit."
+)
+_EACH = "Every pose is judged by a fit to others; outliers are left out. Click a name in the legend to show or hide it."
+_CURVES = (
+    "With the base model, all other causes and the curves of the other joints in the model. Shaded: angles near which "
+    "there are readings; elsewhere the curve is not measured, and the band is that of its prior. Shares are of the log "
+    "evidence that is lost when a joint's curve is left out."
+)
+_LINES = (
+    "What one sine of a joint's reading explains by itself, at each frequency, with a 95 % band. A line (dot, with a "
+    "95 % interval) stands out of the noise and of the rest of the curve; a broad spectrum without dots is a curve "
+    "that is no sum of a few sines. Dotted: what a line needs beside the curve as it is; side lobes of a larger sine "
+    "may cross it."
+)
+_SPACE = (
+    "Turn it with the mouse; point at the dot that ends a vector for its error. Each line runs from the measured point "
+    "in the direction of the error (measured less computed), after a fit to all poses, longer than it by the factor in "
+    "the legend."
+)
+# Table of where the gap lies -> title of its figure, and how to read it.
+_WHERE = {
+    "joints": (
+        "Gap by joint", "Share of the gap that smooth errors of each joint would account for; all sum to 100 %.",
+    ),
+    "links": ("Gap by link and frame", "The same for links, loop, base and tool frame."),
+    "directions": (
+        "Gap by direction",
+        "Each frame's three directions sum to 100 %, noise included; evenly spread would be 33 % each.",
+    ),
+    "regions": (
+        "Error by region", "Poses in thirds of each joint's readings, of the distance from joint 1 and of the height.",
+    ),
+}  # fmt: skip
+
+
+def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> Iterator[Figure]:
+    """Every figure of a diagnosis.
+
+    gap; errors (held out, pose by pose); workspace; of `analyse` where/TABLE as `Localisation` names them,
+    curves/angles and /lines; causes/STEP; shrink (where a cause was found); parameters/lengths, /angles, /compliance;
+    fit/residuals, /coverage, /pairs. more : what `analyse` computed; of it also the networks beside the gap
+    """
+    more = more or Details()
+    yield gap_course(d, more.networks or ())
+    yield errors_by_pose(d.held_out, caption=_EACH, floor=d.gap.floor)
+    yield workspace(d.fitted, d.identification.robot, _SPACE)
+    if more.where:
+        yield from where_figures(more.where)
+    if more.curves:
+        yield from curve_figures(more.curves)
+    yield from (posteriors(d, k) for k in range(len(d.rankings)))
+    if d.effects():
+        yield shrinks(d)
+    yield from parameter_figures(d.identification)
+    measured = d.case.evidence.measured
+    left = d.left if measured is None else d.left[measured]
+    poses = {"poses of the campaign": (d.case.m[d.case.kept],)}
+    yield from fit_figures(d.identification, poses, left / float(np.sqrt((left**2).mean())))
+
+
+def where_figures(where: Localisation) -> Iterator[Figure]:
+    """Where the gap lies: a figure for each table of a localisation."""
+    for name, table in where.tables():
+        title, caption = _WHERE.get(name, (f"Error by {name}", ""))
+        yield (_by_data if "poses" in table else _by_parts)(f"where/{name}", title, table, caption)
+
+
+def _by_parts(name: str, title: str, table: pd.DataFrame, caption: str) -> Figure:
+    """Shares of the squared gap; of directions, with the name of each frame."""
+    by = table["frame"] if "frame" in table else pd.Series("", index=table.index)
+    words = {"base": "base frame", "axis": "about joint 1", "tool": "tool frame"}
+    labels = [f"{words.get(f, f)}: {p}" if f else str(p) for f, p in zip(by, table["part"], strict=True)]
+    ends = (0.0, max(50.0, min(104.0, 108 * float(table["high"].max()))))
+    share, low, high = (100 * table[column] for column in ("share", "low", "high"))
+    return intervals(
+        name, title, Axis("share of squared gap [%]", ends), labels, share, low, high,
+        [f"{v:.3f} mm rms" for v in table["rms_mm"]], "%{x:.0f} %",
+        ["grey" if label.endswith("elsewhere") else "blue" for label in labels], caption=caption,
+    )  # fmt: skip
+
+
+def _by_data(name: str, title: str, table: pd.DataFrame, caption: str) -> Figure:
+    """Root mean square error of the poses in each part; the line is that of all poses."""
+    notes = [
+        f"{n} poses, {100 * s:.0f} % of the squared error" for n, s in zip(table["poses"], table["share"], strict=True)
+    ]
+    first = table[table["by"] == table["by"].iloc[0]]
+    every = float(((first["rms_mm"] ** 2 * first["poses"]).sum() / first["poses"].sum()) ** 0.5)
+    x = Axis("rms error [mm]", (0.0, 1.05 * float(table["rms_high_mm"].max())))
+    return intervals(
+        name, title, x, _part_labels(table), table["rms_mm"], table["rms_low_mm"], table["rms_high_mm"], notes,
+        "%{x:.3f} mm", caption=caption, marks=[Rule("x", every, text="all poses", dash="dot")],
+    )  # fmt: skip
+
+
+def _part_labels(table: pd.DataFrame) -> list[str]:
+    """How a reader calls the parts of the data; what they are divided by only where that differs."""
+    parts = [str(p).replace("..", "to").replace("degC", "°C") for p in table["part"]]
+    by = [str(b).replace("approach of joint", "joint") for b in table["by"]]
+    return parts if len(set(by)) == 1 else [f"{b}: {p}" for b, p in zip(by, parts, strict=True)]
+
+
+def posteriors(d: Diagnosis, step: int = 0) -> Figure:
+    """Probability of each candidate for the next cause, at one step of the search (0: the first).
+
+    Those of the unknown are summed up as one; "nothing" stands beside them.
+    """
+    ranking = d.rankings[step]
+    listed = {c.label for c in d.case.candidates if c.listed}
+    rows = [(label, ranking.probability[label], "blue") for label in ranking.order if label in listed][:MOST_SHOWN]
+    unknown = sum(p for label, p in ranking.probability.items() if label not in listed)
+    rows += [("something on no list", unknown, "orange"), ("nothing", ranking.none, "grey")]
+    labels, chances, colours = zip(*rows, strict=True)
+    bars = Series(
+        "bars", chances, range(len(rows)), colour=colours, width=0.62, text=[_probability(p) for p in chances],
+        facts=[[label, signature_of(label.split("@")[0])] for label in labels],
+        tip="<b>%{customdata[0]}</b>: %{x:.3g}<br>%{customdata[1]}",
+    )  # fmt: skip
+    title, caption = f"Probability of a further cause, step {step + 1}", "Once the causes so far are in the model."
+    if step == 0:
+        title = "Probability of each cause"
+        caption = "All candidates compete with nothing at all and with smooth errors of no listed cause."
+    x = Axis("probability", (0, 1), ticks=[0, 0.25, 0.5, 0.75, 1])
+    height = 110 + 30 * len(rows)
+    return Figure(f"causes/{step + 1}", title, [bars], x, height=height, caption=caption, rows=labels, right=64)
+
+
+def _probability(p: float) -> str:
+    return f"{p:.3f}" if 0.001 <= p <= 0.999 else ("< 0.001" if p < 0.001 else "> 0.999")
+
+
+def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] = ()) -> Figure:
+    """Mean position error on held-out poses [mm] as causes are added, beside what noise alone leaves.
+
+    The intervals are of 95 %, over poses; outliers are left out. networks : instead of the causes, and after them.
+    """
+    rows = [
+        ("base model" if r.model == "base" else str(r.model), r.gap_mm, r.low_mm, r.high_mm, "blue" if k else "grey")
+        for k, r in enumerate(d.course.itertuples())
+    ]
+    words = ("network instead", "network on the rest") if d.effects() else ("network",)
+    for name, net in zip(words, networks, strict=False):
+        note = ", refused" if net.refused else ""
+        # Tried on one partition: drawn by its ratio there, beside the gap of all partitions.
+        alone = 1e3 * (d.gap.after if name.endswith("rest") else d.gap.kept) * net.used / net.before
+        rows.append((name + note, alone, alone, alone, "orange"))
+    floor = 1e3 * d.gap.floor
+    rows.append(("noise alone", floor, floor, floor, "green"))
+    names, values, low, high, colours = zip(*rows, strict=True)
+    bars = Series(
+        "bars", values, range(len(rows)), colour=colours, width=0.6, less=np.subtract(values, low),
+        more=np.subtract(high, values), facts=[list(row) for row in zip(names, low, high, strict=True)],
+        tip="<b>%{customdata[0]}</b><br>%{x:.4f} mm, 95 %: %{customdata[1]:.4f} to %{customdata[2]:.4f}",
+    )  # fmt: skip
+    notes = [Note(f"{value:.3f} mm", high[k], k, gap=8) for k, value in enumerate(values)]
+    return Figure(
+        "gap", "Gap on held-out poses", [bars], Axis("mean position error [mm]", (0, max(high))), rows=names,
+        height=112 + 36 * len(rows), caption=_GAP, marks=notes, right=76,
+    )  # fmt: skip
+
+
+def shrinks(d: Diagnosis) -> Figure:
+    """By how much the held-out gap shrinks with each cause alone [%], with 95 % intervals."""
+    causes = [c for c in d.causes if c.effects]
+    low, high = ([100 * c.shrink_interval[k] for c in causes] for k in (0, 1))
+    return intervals(
+        "shrink", "Gap shrinks by, each cause alone", Axis("share of the held-out gap [%]", (min(0.0, *low), 100)),
+        [c.label for c in causes], [100 * c.shrink for c in causes], low, high,
+        [f"probability {c.confidence:.3f}" for c in causes], "%{x:.0f} %",
+        caption="On held-out poses, each cause alone in the model; they may overlap.",
+    )  # fmt: skip
+
+
+def curve_figures(s: Spectrum) -> Iterator[Figure]:
+    """The curve of each joint with its 95 % band over a turn, and what single sines explain of it."""
+    most = 1e6 * max((_reach(c) for c in s.joints if seen(c)), default=1e-4)
+    turn = Axis(ends=(-180, 180), ticks=[-180, -90, 0, 90, 180], labels=["", "-90", "0", "90", ""])
+    series = [series for k, c in enumerate(s.joints) for series in _curve(c, k, most)]
+    axes = [(turn, Axis(ends=(-most, most), count=5)) for _ in s.joints]
+    yield _grid(
+        s, series, axes, name="curves/angles", title="Error of each joint over its own angle",
+        x=Axis("reading [deg]"), y=Axis("error [urad]"), caption=_CURVES, shared="xy",
+    )  # fmt: skip
+    highest = max((_highest(c) for c in s.joints if seen(c)), default=1e-6)
+    tops = [1.3e6 * (_highest(c) if seen(c) else highest) for c in s.joints]
+    first = next((k for k, c in enumerate(s.joints) if c.lines), -1)
+    last = max((float(c.scan.frequency[-1]) for c in s.joints if len(c.scan.frequency)), default=1.0)
+    series = [series for k, c in enumerate(s.joints) for series in _spectrum(c, k, tops[k], k == first)]
+    yield _grid(
+        s, series, [(Axis(ends=(0, last), count=6), Axis(ends=(0, top), count=4)) for top in tops], name="curves/lines",
+        title="Lines of each joint's error", x=Axis("cycles a turn"), y=Axis("amplitude [urad]"), caption=_LINES,
+        shared="x",
+    )  # fmt: skip
+
+
+def _grid(s: Spectrum, series: Sequence[Series], axes: Sequence[tuple[Axis, Axis]], **figure: object) -> Figure:
+    """A figure with a panel for each joint, its name and share above it."""
+    panels = [
+        Panel(
+            k // COLUMNS + 1, k % COLUMNS + 1,
+            f"joint {c.joint}: {f'{100 * c.share:.0f} %' if seen(c) else 'not seen'}", *axes[k],
+        )
+        for k, c in enumerate(s.joints)
+    ]  # fmt: skip
+    height = ROW * -(-len(panels) // COLUMNS) + ABOVE + BELOW
+    return Figure(series=series, height=height, panels=panels, **figure)  # type: ignore[arg-type]
+
+
+def _reach(c: JointCurve) -> float:
+    """How far a curve and its band go where there are readings [rad]."""
+    return float((np.abs(c.value) + 1.96 * c.error)[c.covered].max(initial=0.0))
+
+
+def _curve(c: JointCurve, panel: int, most: float) -> Iterator[Series]:
+    """Angles with readings, band and curve of one joint [deg, urad]; most : of the axis."""
+    angle, value, band = np.rad2deg(c.angle), 1e6 * c.value, 1.96e6 * c.error
+    x: list[float | None] = []
+    y: list[float | None] = []
+    for low, high in covered_parts(c):
+        x += [*np.rad2deg([low, low, high, high]).round(1), None]
+        y += [-most, most, most, -most, None]
+    first = panel == 0
+    yield Series(
+        "area", x, y, name="angles with readings", colour="line", opacity=0.3, group="readings", listed=first,
+        panel=panel,
+    )  # fmt: skip
+    yield Series(
+        "area", np.concatenate([angle, angle[::-1]]).round(1),
+        np.clip(np.concatenate([value + band, (value - band)[::-1]]), -most, most).round(1), name="95 % band",
+        opacity=0.3, group="band", listed=first, panel=panel,
+    )  # fmt: skip
+    yield Series(
+        "line", angle.round(1), value.round(1), name="curve", width=1.6, facts=band.round(0), group="curve",
+        listed=first, panel=panel, tip=f"<b>joint {c.joint}</b>, %{{x:.0f}} deg: %{{y:.0f}} ± %{{customdata:.0f}} urad",
+    )  # fmt: skip
+
+
+def _highest(c: JointCurve) -> float:
+    """The greatest amplitude of a joint at which there is a whole cycle over its readings [rad]."""
+    whole = c.scan.frequency >= 2 * c.scan.frequency[:1]
+    return float(max(*c.scan.amplitude[whole], *(line.amplitude for line in c.lines), 1e-6))
+
+
+def _spectrum(c: JointCurve, panel: int, most: float, first_lines: bool) -> Iterator[Series]:
+    """What one sine explains, with its band; what a line needs; dots for the lines that are named.
+
+    most : of the axis [urad]; first_lines : whether no joint before has a line, so that the legend names them here
+    """
+    frequency, amplitude, some = c.scan.frequency, 1e6 * c.scan.amplitude, c.scan.amplitude > 0
+    needed = np.where(np.isfinite(c.scan.needed), 1e6 * c.scan.needed, np.nan)
+    x, value, band = frequency[some], amplitude[some], 1.96e6 * c.scan.error[some]
+    first = panel == 0
+    yield Series(
+        "area", np.concatenate([x, x[::-1]]).round(2),
+        np.clip(np.concatenate([value + band, (value - band)[::-1]]), 0, most).round(1), name="95 % band",
+        opacity=0.25, group="band", listed=first, panel=panel,
+    )  # fmt: skip
+    yield Series(
+        "line", frequency.round(2), np.where(some, amplitude, np.nan).round(1), name="one sine alone", width=1.3,
+        group="scan", listed=first, panel=panel, tip="%{x:.1f} cycles a turn: %{y:.0f} urad",
+    )  # fmt: skip
+    yield Series(
+        "line", frequency.round(2), np.where(needed < 3 * most, needed, np.nan).round(1), name="needed to be named",
+        colour="grey", width=1.2, dash="dot", group="needed", listed=first, panel=panel,
+    )  # fmt: skip
+    yield Series(
+        "points", np.round([line.frequency for line in c.lines], 3), [1e6 * line.amplitude for line in c.lines],
+        name="line", colour="orange", size=8, group="line", listed=first_lines, panel=panel,
+        more=[1.96e6 * line.amplitude_error for line in c.lines],
+        text=[f"{line.frequency:.1f}" if k < LINES_NAMED else "" for k, line in enumerate(c.lines)],
+        facts=[[1e6 * line.amplitude_error, line.frequency_error, line.p] for line in c.lines],
+        tip="<b>%{x:.2f} ± %{customdata[1]:.2f} cycles a turn</b><br>%{y:.0f} ± %{customdata[0]:.0f} urad, "
+        "p = %{customdata[2]:.1g}",
+    )  # fmt: skip

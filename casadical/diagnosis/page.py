@@ -1,0 +1,174 @@
+"""A diagnosis as a page: its words, tables and figures in the order in which a reader asks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+import pandas as pd
+
+from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Words, mm, shown
+from casadical.core.telling.figure import Figure
+from casadical.diagnosis.cause_table import CauseRow, cause_rows
+from casadical.diagnosis.details import Details
+from casadical.diagnosis.figures import diagnosis_figures
+from casadical.diagnosis.layers import layer_rows
+from casadical.diagnosis.localisation import Localisation
+from casadical.diagnosis.result import Diagnosis
+from casadical.diagnosis.spectrum import Spectrum
+from casadical.diagnosis.spectrum_report import COLUMNS as CURVE_COLUMNS
+from casadical.diagnosis.spectrum_report import curve_rows
+from casadical.diagnosis.statements import Statement, has_rest, left_over, statements
+from casadical.identification.accuracy import summarise
+from casadical.identification.tables import correlated, held_table, parameter_tables
+
+# Where a long name may be broken.
+BREAK = "\u200b"
+
+
+def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replayed: Sequence[Block] = ()) -> Page:
+    """One campaign's page; name : of the campaign; replayed : what a simulator says of its poses."""
+    more = more or Details()
+    figures = {figure.name: figure for figure in diagnosis_figures(d, more)}
+    said = statements(d, more)
+    rows = cause_rows(d)
+    sections = [
+        Section("Verdict", [*_said(said, "VERDICT", "PRIOR", "GAP", "ASSUMED", "GRAVITY", "UNKNOWN", "LAW", "OUT")]),
+        Section("Errors before and after", [figures["gap"], *_layers(d), _errors(d), *_said(said, "AFTER")]),
+        Section("Error of each pose", [figures["errors"]]),
+        Section("In the workspace", [figures["workspace"]]),
+        Section(
+            "Where the gap lies",
+            [*_said(said, "WHERE"), *(_where(more.where, shown(figures, "where")) if more.where else [])],
+        ),
+        Section(
+            "Which causes, and how sure",
+            [
+                *_said(said, "WHICH"), *_causes(rows), *_said(said, "SET"), *shown(figures, "shrink"),
+                *shown(figures, "causes"),
+            ],
+        ),
+        *([_curves(more.curves, shown(figures, "curves"))] if more.curves else []),
+        *([more.laws.section()] if more.laws else []),
+        Section("What these poses cannot tell", [*_said(said, "CANNOT", "MISSING")]),
+        Section("Replayed in a simulator", replayed),
+        Section("Parameters of the base model", [*_parameters(d, shown(figures, "parameters"))]),
+        Section("Can the fit be trusted", shown(figures, "fit")),
+        Section("What to measure next", [*_next(said, more.poses)]),
+    ]  # fmt: skip
+    return Page("Diagnosis", f"Diagnosis of {name}", d.identification.given.name, sections, [*_tiles(d)])
+
+
+def _said(said: Sequence[Statement], *about: str) -> Iterator[Words]:
+    """The statements about something, as sentences."""
+    for topic in about:
+        for s in (s for s in said if s.about == topic):
+            text = f"cannot {s.text}" if topic == "CANNOT" else s.text
+            if text.split()[0].strip(":,").isalpha():  # no name of a column
+                text = text[0].upper() + text[1:]
+            text = text.replace("->", "→").replace("   ", ", ")
+            yield Words(f"{text}.", "verdict" if topic == "VERDICT" else "warning" if s.doubtful else "text")
+
+
+def _tiles(d: Diagnosis) -> Iterator[Tile]:
+    yield Tile("Gap, held out", mm(d.gap.kept), "mm", f"mean of {int(d.case.kept.sum())} poses")
+    if d.effects():
+        yield Tile("With the causes", mm(d.gap.after), "mm", f"{100 * (1 - d.gap.after / d.gap.kept):.0f} % less")
+    yield Tile("Noise alone", mm(d.gap.floor), "mm", f"instrument {mm(d.noise.sigma)} mm a coordinate")
+    if d.effects():
+        first = next(c for c in d.causes if c.effects)
+        yield Tile("Leading cause", first.label.replace("_", f"_{BREAK}"), "", f"probability {first.confidence:.3f}")
+    if has_rest(d):
+        before, after, share = left_over(d)
+        yield Tile(
+            "Without a named cause", mm(1e-3 * after), "mm rms", f"{100 * share:.0f} % of {before:.3f}, noise off"
+        )
+
+
+def _layers(d: Diagnosis) -> Iterator[Table]:
+    """The errors layer by layer, from the calibrated robot to the noise, where there is a layer to take off."""
+    if rows := layer_rows(d):
+        columns = ("layer, beside those above", "mean", "95 %", "fifths of the time left out", "rms without the noise")
+        yield Table("Layer by layer: errors on held-out poses, mm", columns, rows, frozenset(range(1, 5)))
+
+
+def _errors(d: Diagnosis) -> Table:
+    rows = []
+    for left in d.held_out.models:
+        a = summarise(left.length)
+        rows.append((left.model, str(a.n), *(mm(v) for v in (a.mean, a.max, a.std, a.rms, a.p95))))
+    columns = ("held-out poses, outliers left out", "n", "mean", "max", "std", "rms", "95 %")
+    return Table("Errors in mm", columns, rows, frozenset(range(1, 7)), frozenset({len(rows) - 1}))
+
+
+def _where(where: Localisation, figures: Iterable[Figure]) -> Iterator[Block]:
+    yield Words("Of what the base model leaves at the poses it was fitted to. Bars are 95 % intervals.", "note")
+    rows = [
+        (
+            f"{r['by']}: {r['part']}", str(r["poses"]), f"{r['rms_mm']:.3f}", f"{100 * r['share']:.0f} %",
+            f"{r['excess']:.1f}",
+        )
+        for r in where.worst.head(8).to_dict("records")
+    ]  # fmt: skip
+    if rows:
+        columns = ("poses", "n", "rms mm", "squared error", "times its share")
+        yield Table("Surely worse than the rest", columns, rows, frozenset({1, 2, 3, 4}))
+    yield from figures
+
+
+def _causes(rows: Sequence[CauseRow]) -> Iterator[Table]:
+    if not rows:
+        return
+    cells = [(r.named, r.shown, f"{r.cause.confidence:.3f}", r.gap.replace("->", "→"), r.shrinks) for r in rows]
+    columns = ("cause", "signature", "posterior", "gap if added, mm", "shrinks by, 95 %")
+    yield Table("Causes", columns, cells, frozenset({2, 3, 4}))
+    sizes = [
+        (r.cause.label, name, value, error or "chosen", unit)
+        for r in rows
+        if r.cause.effects
+        for name, value, error, unit in r.parameters
+    ]
+    if sizes:
+        head = ("cause", "parameter", "value", "std error", "unit")
+        yield Table("Size of the causes", head, sizes, frozenset({2, 3}))
+
+
+def _curves(s: Spectrum, figures: Iterable[Figure]) -> Section:
+    """Joint error curves."""
+    rows = [tuple(cell.replace("+-", "±") for cell in row) for row in curve_rows(s)]
+    table = Table("Curves and their lines", CURVE_COLUMNS, rows, frozenset({1, 2}))
+    suggestions = (Words(f"{text[0].upper()}{text[1:]}.", "note") for text in s.suggestions)
+    return Section("Joint error curves", [*figures, table, *suggestions])
+
+
+def _parameters(d: Diagnosis, figures: Iterable[Figure]) -> Iterator[Block]:
+    yield Words(
+        "With priors from the robot file, outliers held back, and without the causes. Bars are 95 % intervals. Base "
+        "and tool frames are in the table only.",
+        "note",
+    )
+    yield from figures
+    yield from parameter_tables(d.identification, whole=True)
+    yield held_table(d.identification)
+    yield from correlated(d.identification)
+
+
+def _next(said: Sequence[Statement], poses: pd.DataFrame | None) -> Iterator[Block]:
+    if poses is None:
+        return
+    yield from _said(said, "NEXT")
+    if not len(poses):
+        yield Words("Nothing is in question: no further poses are needed to distinguish causes.")
+        return
+    yield Words(
+        "P(correct) is the probability that the more probable of the two causes is the true one, now and with these "
+        "poses measured. Separation is the expected log Bayes factor in favour of the truth, of a pose and those "
+        "before it. The option --next FILE.csv writes the poses.",
+        "note",
+    )
+    listed = poses.dropna(axis="columns", how="all")
+    columns = [str(c) for c in listed]
+    rows = [
+        tuple(f"{v:.1f}" if isinstance(v, float) else str(v) for v in row) for row in listed.itertuples(index=False)
+    ]
+    numbers = frozenset(k for k, c in enumerate(columns) if c not in ("state", "repeats"))
+    yield Table("Next poses", columns, rows, numbers)

@@ -1,0 +1,176 @@
+"""Figures of an identification: departures from nominal, and whether the fit can be trusted."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.telling.figure import Axis, Figure, Note, Panel, Series, Values
+from casadical.identification.result import Identification
+from casadical.measurements.measurements import Measurements
+from casadical.robot.robot import Robot
+
+# Unit of parameters -> name and title of their figure.
+KINDS = {"mm": ("lengths", "Lengths"), "deg": ("angles", "Angles"), "urad/(N m)": ("compliance", "Joint compliance")}
+# More residuals than this are drawn by so many of their quantiles; of readings, so many are drawn.
+MOST_DRAWN = 600
+# Parameters of the pair plot, and the least correlation that is worth one.
+MOST_PAIRED, WORTH = 4, 0.5
+_RESIDUALS = (
+    "Every coordinate of every pose that was used. Noise alone lies on the diagonal, within the band: ends that bend "
+    "away are errors that the model does not describe, or bad rows."
+)
+_COVERAGE = "Where ticks are missing, the model was not tried. Without limits in the robot file, full turns."
+_PAIRS = (
+    "Joint 95 % regions of the most correlated parameters, in standard errors. A thin ellipse (red: above 0.95) means "
+    "that the poses determine a combination of both, and neither alone."
+)
+
+
+def identification_figures(result: Identification) -> list[Figure]:
+    """Departures from nominal, and whether the fit can be trusted."""
+    return [*parameter_figures(result), *fit_figures(result, {"poses that identified": result.used})]
+
+
+def intervals(
+    name: str, title: str, x: Axis, rows: Sequence[str], value: Values, low: Values, high: Values,
+    notes: Sequence[str], tip: str, colours: Sequence[str] = (), **more: Any,
+) -> Figure:  # fmt: skip
+    """A row for each label: a dot with the interval low .. high; tip : how the tooltip shows the value, as %{x:.2f}."""
+    dots = Series(
+        "points", np.round(value, 5), range(len(rows)), size=9, colour=colours or "blue",
+        less=np.maximum(np.subtract(value, low), 0).round(5), more=np.maximum(np.subtract(high, value), 0).round(5),
+        facts=[list(row) for row in zip(rows, low, high, notes, strict=True)],
+        tip=f"<b>%{{customdata[0]}}</b><br>{tip}, 95 %: %{{customdata[1]:.3g}} to %{{customdata[2]:.3g}}<br>"
+        "%{customdata[3]}",
+    )  # fmt: skip
+    return Figure(name, title, [dots], x, rows=rows, height=118 + 26 * len(rows), **more)
+
+
+def parameter_figures(result: Identification) -> Iterator[Figure]:
+    """Identified value less nominal with its 95 % interval, a figure for each unit; base and tool frames are left out.
+
+    Their departures tell how the robot was set up, and are so much greater that they would hide the others.
+    """
+    table = result.shown
+    table = table[table.status.isin(["identified", "at bound"]) & ~table.group.isin(["base", "tool"])]
+    order = list(KINDS)
+    for unit in sorted(set(table["unit"]), key=lambda unit: (order.index(unit) if unit in KINDS else len(KINDS), unit)):
+        rows = table[table["unit"] == unit]
+        name, words = KINDS.get(unit, (unit, f"Parameters in {unit}"))
+        value, low, high = (np.nan_to_num((rows[c] - rows["nominal"]).to_numpy()) for c in ("value", "low", "high"))
+        sure = rows["std_error"].notna().to_numpy()
+        notes = [
+            f"{r.nominal:.5g} -> {r.value:.6g} {unit}" + ("" if r.status == "identified" else ", AT BOUND")
+            for r in rows.itertuples()
+        ]
+        yield intervals(
+            f"parameters/{name}", f"{words}: departure from nominal", Axis(f"value less nominal [{unit}]", zero=True),
+            list(rows["name"]), value.tolist(), np.where(sure, low, value).tolist(),
+            np.where(sure, high, value).tolist(), notes, f"%{{x:+.4g}} {unit}",
+            ["red" if s == "at bound" else "blue" for s in rows.status],
+        )  # fmt: skip
+
+
+def fit_figures(
+    result: Identification, sets: Mapping[str, Sequence[Measurements]], residuals: Array | None = None
+) -> Iterator[Figure]:
+    """Residuals, coverage and, where parameters are correlated, pairs.
+
+    sets : poses by what a legend calls them, each in parts of one kind; residuals : in place of the fit's own, [sigma]
+    """
+    if residuals is None:
+        own = np.concatenate([r.ravel() for r in result.problem.residuals(result.solution.v)])
+        residuals = own / float(np.sqrt(result.variance))
+    yield residual_quantiles(residuals)
+    yield joint_coverage(result.robot, sets)
+    if names := most_correlated(result):
+        yield correlated_pairs(result, names)
+
+
+def residual_quantiles(residuals: Array) -> Figure:
+    """Sorted residuals in units of their scatter over the quantiles of a normal distribution, with a 95 % band.
+
+    residuals : of every coordinate of every used pose, any shape [sigma]
+    """
+    residuals = np.sort(residuals, axis=None)
+    n = len(residuals)
+    k = np.unique(np.linspace(0, n - 1, min(n, MOST_DRAWN)).round().astype(int))
+    normal, share = NormalDist(), (k + 0.5) / n
+    expected = np.array([normal.inv_cdf(p) for p in share])
+    # Standard error of an order statistic, from the density there.
+    width = 1.96 * np.sqrt(share * (1 - share) / n) / np.array([normal.pdf(x) for x in expected])
+    band = Series(
+        "area", np.concatenate([expected, expected[::-1]]).round(4),
+        np.concatenate([expected + width, (expected - width)[::-1]]).round(4), name="noise, 95 %", colour="grey",
+        opacity=0.25,
+    )  # fmt: skip
+    tip = "%{y:.2f} sigma, of noise %{x:.2f}"
+    dots = Series("points", expected.round(4), residuals[k].round(4), name="residuals", size=4.5, tip=tip)
+    x, y = Axis("expected of noise [sigma]", count=8), Axis("residual [sigma]")
+    return Figure("fit/residuals", "Residuals: are they noise?", [band, dots], x, y, 380, _RESIDUALS)
+
+
+def joint_coverage(robot: Robot, sets: Mapping[str, Sequence[Measurements]]) -> Figure:
+    """Readings of each joint within its limits, in % of its range; a set is a line of ticks."""
+    lower, upper = (np.array([getattr(j, end) for j in robot.joints]) for end in ("lower", "upper"))
+    units = [(key.split("_")[1], factor) for key, factor in robot.reading_units.items()]
+    series = [Series("bars", [100] * robot.n, list(range(robot.n)), width=0.7, colour="line", opacity=0.4)]
+    for k, ((words, parts), colour) in enumerate(zip(sets.items(), ("blue", "orange", "muted", "ink"), strict=False)):
+        q = np.concatenate([m.q for m in parts])
+        q = q[np.unique(np.linspace(0, len(q) - 1, min(len(q), MOST_DRAWN)).round().astype(int))]
+        places = np.arange(robot.n) + 0.36 * ((k + 0.5) * 2 / len(sets) - 1)
+        readings = [f"{v / f:.4g} {unit}" for row in q for v, (unit, f) in zip(row, units, strict=True)]
+        series.append(
+            Series(
+                "points", (100 * (q - lower) / (upper - lower)).ravel().round(2),
+                np.tile(places, len(q)).round(3), name=words, colour=colour, symbol="line-ns-open",
+                size=22 / len(sets), width=1, facts=readings, tip=f"%{{customdata}}, {words}",
+            )
+        )  # fmt: skip
+    rows = [f"q{i} [{unit}]" for i, (unit, _) in enumerate(units, 1)]
+    x = Axis("from the lower to the upper limit [%]", (-1, 101), ticks=[0, 25, 50, 75, 100])
+    title, height = "Readings of each joint within its limits", 120 + 40 * robot.n
+    return Figure("fit/coverage", title, series, x, rows=rows, height=height, caption=_COVERAGE)
+
+
+def most_correlated(result: Identification) -> tuple[str, ...]:
+    """Parameters of the strongest correlations, the strongest first; () where none is worth a figure."""
+    pairs = result.correlations(WORTH)
+    pairs = pairs[pairs[["parameter", "with"]].isin(result.start.shown).all(axis=1)]
+    names = dict.fromkeys(name for row in pairs[["parameter", "with"]].itertuples(index=False) for name in row)
+    return tuple(names)[:MOST_PAIRED]
+
+
+def correlated_pairs(result: Identification, names: Sequence[str]) -> Figure:
+    """The joint 95 % region of every two of some parameters, in standard errors from their values.
+
+    An ellipse that reaches 2.45 standard errors along each axis, so that its shape is the correlation.
+    """
+    n = len(names) - 1
+    place = [result.names.index(name) for name in names]
+    error = result.standard_errors[place]
+    C = result.covariance[np.ix_(place, place)] / np.outer(error, error)
+    angle, radius = np.linspace(0, 2 * np.pi, 73), float(np.sqrt(-2 * np.log(0.05)))
+    panels, series, notes = [], [], []
+    for i in range(n):
+        for j in range(n):
+            titles = names[j] if i == n - 1 else "", names[i + 1] if j == 0 else ""
+            panels.append(Panel(i + 1, j + 1, "", *(Axis(t, (-3.3, 3.3), ticks=[-2, 0, 2]) for t in titles)))
+            if j > i:
+                continue
+            r, k = float(np.clip(C[i + 1, j], -1, 1)), i * n + j
+            x, y = radius * np.cos(angle), radius * (r * np.cos(angle) + np.sqrt(1 - r * r) * np.sin(angle))
+            tip = f"{names[j]}, {names[i + 1]}: correlation {r:+.3f}"
+            colour = "red" if abs(r) > 0.95 else "blue"
+            series.append(
+                Series("area", x.round(3), y.round(3), colour=colour, fill="grid", width=1.5, tip=tip, panel=k)
+            )
+            at: tuple[float, Any] = (0.03, "below right") if r > 0 else (0.97, "below left")
+            notes.append(Note(f"{r:+.2f}", at[0], 1, "xy", at[1], size=11, panel=k))
+    return Figure(
+        "fit/pairs", "Correlated parameters", series, height=110 + 130 * n, caption=_PAIRS, marks=notes, panels=panels,
+        shared="xy",
+    )  # fmt: skip
