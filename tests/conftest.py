@@ -26,13 +26,18 @@ TOGETHER = {
     "diagnosed": tuple(
         f"diagnosis/test_diagnosis_{name}.py" for name in ("campaigns", "localisation", "refit", "spectrum")
     ),
-    "report": tuple(f"report/test_report_{name}.py" for name in ("browser", "figures", "notebook", "page")),
+    "report": tuple(f"core/telling/test_report_{name}.py" for name in ("browser", "figures", "notebook", "page")),
     "calibrated": tuple(f"project/test_{name}.py" for name in ("calibration", "networks", "problems")),
     "exported": tuple(f"export/c/test_export_{name}.py" for name in ("c", "targets", "text", "write")),
 }
 # Files of more than 10 s, the longest first: one that begins last would leave the other processes without work.
 LONGEST = (
-    *("docs/test_docs_build.py", "docs/test_docs_newcomer.py", "report/test_report_browser.py", "fuzz/test_fuzz.py"),
+    *(
+        "docs/test_docs_build.py",
+        "docs/test_docs_newcomer.py",
+        "core/telling/test_report_browser.py",
+        "fuzz/test_fuzz.py",
+    ),
     *("project/test_problems.py", "diagnosis/test_diagnosis_campaigns.py", "export/c/test_export_c.py"),
     *("house/test_house_names.py", "diagnosis/test_diagnosis_refit.py", "fleet/test_fleet.py", "cli/test_cli_docs.py"),
     *("project/new/test_project_new.py", "diagnosis/test_diagnosis_kinds.py", "project/check/test_slips.py"),

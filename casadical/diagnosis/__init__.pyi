@@ -9,6 +9,7 @@ from casadical.diagnosis.json_answer import as_json as as_json
 from casadical.diagnosis.json_answer import diagnosis_files as diagnosis_files
 from casadical.diagnosis.localisation import Localisation as Localisation
 from casadical.diagnosis.localisation import localise as localise
+from casadical.diagnosis.page import diagnosis_page as diagnosis_page
 from casadical.diagnosis.result import Cause as Cause
 from casadical.diagnosis.result import Gap as Gap
 from casadical.diagnosis.result import Unlisted as Unlisted

@@ -30,7 +30,6 @@ from casadical.blind_check.mujoco_physics.plant import Plant
 from casadical.blind_check.signal_size import base_jacobian, unabsorbed_rms
 from casadical.core.errors import CasadicalError
 from casadical.diagnosis.diagnose import diagnose
-from casadical.diagnosis.laws.answer import lines_of
 from casadical.diagnosis.laws.discovery import Discovery, laws_beside
 from casadical.diagnosis.laws.held_out import held_out
 from casadical.measurements.reading import from_table
@@ -178,7 +177,7 @@ def _said(found: Discovery) -> dict[str, Any]:
     s = found.laws[0] if found.laws else first.best
     return {
         "claimed": len(found.laws),
-        "lines": lines_of(found),
+        "lines": found.lines,
         "best": s.law.formula,
         "place": s.law.place,
         "driver": s.tried.driver.text,

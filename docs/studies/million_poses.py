@@ -88,7 +88,6 @@ def run(path: Path, reader: str, limit_mb: float) -> None:
     import casadical
     from casadical.identification.accuracy import predicted
     from casadical.measurements.measurements import unmeasured
-    from casadical.report import calibration_report
 
     robot = the_robot()
     casadical.identify(robot, unmeasured_for_import(), ["placement"])
@@ -109,7 +108,7 @@ def run(path: Path, reader: str, limit_mb: float) -> None:
     if reader == "calibrate":
         calibration = casadical.calibrate(m)
         calibration.files(path.parent / "results")
-        calibration_report([calibration])
+        casadical.report([calibration])
         found = calibration.identification
     else:
         found = casadical.identify(robot, m, ["kinematic"])

@@ -15,15 +15,16 @@ from numpy_physics.disturbances_rare import CableStop
 
 from casadical import Discovery, diagnose, discover
 from casadical.blind_check.mujoco_physics import perturb
-from casadical.core.telling.blocks import Words
 from casadical.core.errors import InputError
 from casadical.core.linear_gaussian.grid import log_sum
+from casadical.core.telling.blocks import Words
+from casadical.core.telling.terminal import plain_text
 from casadical.diagnosis.brief import brief
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.evidence import RHOS
 from casadical.diagnosis.json_answer import as_json as diagnosis_json
 from casadical.diagnosis.laws import contest, drivers
-from casadical.diagnosis.laws.answer import as_json, files_of, line_of, page_of
+from casadical.diagnosis.laws.answer import line_of
 from casadical.diagnosis.laws.discovery import laws_beside, with_law
 from casadical.diagnosis.laws.drivers import drivers_of, values_of, variables, with_columns
 from casadical.diagnosis.laws.forms import FINE_WAVE, FORMS, LINEAR, WAVE, wave_by
@@ -231,8 +232,8 @@ def test_laws_of_a_large_campaign_are_searched_on_some_of_its_poses(monkeypatch:
     assert found.thinned == (60, 80)
     assert found.case.kept.sum() == 60
     assert [s.law.place for s in found.laws] == ["joint 3"]
-    assert "Laws were searched on 60 of 80 poses." in page_of(found)
-    assert as_json(found, "stop")["poses"] == {"searched": 60, "all": 80}
+    assert "Laws were searched on 60 of 80 poses." in plain_text(found.blocks(), 100)
+    assert found.to_json("stop")["poses"] == {"searched": 60, "all": 80}
     assert len(found.refit().measurements[0]) == 80
 
 
@@ -275,8 +276,8 @@ def test_a_driver_beyond_all_measure_is_none(monkeypatch: pytest.MonkeyPatch) ->
 def test_nothing_is_claimed_where_there_is_nothing() -> None:
     found = discovered(6)
     assert found.laws == ()
-    assert "No law is claimed" in page_of(found)
-    assert as_json(found, "clean")["verdict"] == "none"
+    assert "No law is claimed" in plain_text(found.blocks(), 100)
+    assert found.to_json("clean")["verdict"] == "none"
 
 
 def test_a_listed_effect_stays_one() -> None:
@@ -296,7 +297,7 @@ def test_a_line_a_person_can_read() -> None:
 
 def test_the_files_are_read_again(tmp_path: Path) -> None:
     found = discovered(5, STOP)
-    for path, text in files_of(found, tmp_path, "stop"):
+    for path, text in found.files(tmp_path, "stop").items():
         path.write_text(text)
     whole, alone = read_robot(tmp_path / "discovered.robot.toml"), read_effects(tmp_path / "law.effect.toml")
     m = found.case.m

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from lives import as_built, changed, measured
 
+from casadical import plot
 from casadical.core.telling.blocks import Table
 from casadical.fleet import Candidate, Change, compare, estimate
 from casadical.fleet.campaigns import in_order, name_of
@@ -36,11 +37,10 @@ def test_each_kind_of_change_has_words_for_the_courses_that_it_may_have() -> Non
 
 def test_a_change_is_drawn_in_the_unit_of_its_parameter() -> None:
     pytest.importorskip("plotly")
-    from casadical.report import comparison_figures
 
     robot, built = as_built(np.random.default_rng(1))
     truths = (built, built, changed(built, theta5=5e-4))
-    figures = comparison_figures(compare([estimate((robot, measured(t, k)), str(k)) for k, t in enumerate(truths)]))
+    figures = plot(compare([estimate((robot, measured(t, k)), str(k)) for k, t in enumerate(truths)]))
     figure = figures["change/joint_zero@5"]
     assert figure.layout.yaxis.title.text == "zero of joint 5 [deg]"
     (drawn,) = figure.data
@@ -51,7 +51,6 @@ def test_a_change_is_drawn_in_the_unit_of_its_parameter() -> None:
 
 def test_campaigns_of_which_one_has_no_date_are_all_drawn_by_their_numbers() -> None:
     pytest.importorskip("plotly")
-    from casadical.report import comparison_figures
 
     robot, built = as_built(np.random.default_rng(1))
     truths = (built, built, changed(built, theta5=5e-4))
@@ -59,7 +58,7 @@ def test_campaigns_of_which_one_has_no_date_are_all_drawn_by_their_numbers() -> 
     days = (None, 1000.0, 1028.0)
     told = [estimate((robot, measured(t, k)), labels[k], days[k]) for k, t in enumerate(truths)]
     found = compare(in_order(told)[0])
-    figures = comparison_figures(found)
+    figures = plot(found)
     for figure in figures.values():
         assert tuple(figure.data[0].x) == (1, 2, 3)
         assert figure.layout.xaxis.dtick == 1

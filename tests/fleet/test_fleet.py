@@ -19,17 +19,16 @@ import pytest
 from command_line import run
 from fleet_plants import A1, planar
 
-from casadical import InputError, read_robot
+from casadical import InputError, plot, read_robot
 from casadical.core.telling.blocks import Table, Words
+from casadical.core.telling.drawing import COLOURS
 from casadical.fleet import run_fleet
 from casadical.fleet.cluster import client_of, results
+from casadical.fleet.figures import APART, LABELS
 from casadical.fleet.hierarchy import Common, common_of, learnt
 from casadical.fleet.one_robot import NOTHING, fingerprint, one_robot
 from casadical.fleet.result import Fleet, fleet_of, name_of_type
 from casadical.fleet.store import KEY, add, each, parts, records, rows
-from casadical.report import fleet_figures
-from casadical.report.fleet import APART, LABELS
-from casadical.report.style import RED
 
 distributed = pytest.importorskip("distributed", reason="distributed (Dask) is not installed")
 parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
@@ -370,11 +369,11 @@ def test_a_course_without_days_is_not_drawn_among_days_and_what_grew_is_named(
     good.loc[good["robot"].isin(list(lives)), "campaigns"] = 3
     good["left_free"] = [np.full(len(left), 40.0) for left in good["left_mm"]]
     found = fleet_of(good)
-    drawn = {t.text[0]: list(t.x) for t in fleet_figures(found)["trends"].data if t.text}
+    drawn = {s.facts[0]: list(s.x) for s in found.figures()["trends"].series if s.facts}
     assert drawn["arm0"] == ["2024-11-03", "2024-12-03"]
     assert drawn["arm2"][0] == "2024-10-04"
     assert "arm1" not in drawn
-    names = fleet_figures(found)["trends"].layout.annotations
+    names = found.figures()["trends"].marks
     assert names[0].text == "arm0"  # from the top down, in the order of the lines' ends
     assert {a.text for a in names} >= {"arm0", "arm2", "arm5"}
     heights = [a.y for a in names]
@@ -386,7 +385,7 @@ def test_a_course_without_days_is_not_drawn_among_days_and_what_grew_is_named(
         assert fleet_of(good.assign(left_free=[np.full(len(left), few) for left in good["left_mm"]])).grown == {}
     assert fleet_of(good.drop(columns="left_free")).grown == {}
     undated = fleet_of(good[good["robot"] == "arm1"])
-    assert [list(t.x) for t in fleet_figures(undated)["trends"].data] == [[1, 2, 3]]
+    assert [list(s.x) for s in undated.figures()["trends"].series] == [[1, 2, 3]]
 
 
 def test_of_many_robots_those_that_stand_out_are_named_and_the_axes_have_numbers_and_units() -> None:
@@ -398,7 +397,7 @@ def test_of_many_robots_those_that_stand_out_are_named_and_the_axes_have_numbers
          "left_free": [40.0] * 3, "changes": "lengths" if k == 199 else ""}
         for k in range(count)
     ])  # fmt: skip
-    figures = fleet_figures(Fleet(good, (), ("arm7",)))
+    figures = plot(Fleet(good, (), ("arm7",)))
     assert [a.text for a in figures["map"].layout.annotations] == ["arm7"]
     assert figures["map"].layout.annotations[0].y == pytest.approx(np.log10(0.5))  # as plotly wants it
     axis = figures["map"].layout.yaxis
@@ -406,7 +405,7 @@ def test_of_many_robots_those_that_stand_out_are_named_and_the_axes_have_numbers
     assert dict(zip(axis.ticktext, axis.tickvals, strict=True))["0.2"] == 0.2
     named = {a.text: a.font.color for a in figures["trends"].layout.annotations}
     assert len(named) == LABELS
-    assert named.pop("arm199") == RED
+    assert named.pop("arm199") == COLOURS["red"][0]
     assert {int(name[3:]) % 10 for name in named} == {4}
 
 
@@ -417,10 +416,10 @@ def test_departures_of_lengths_angles_and_curves_are_in_mm_and_mrad() -> None:
         "t", "arm", 9, names, np.array([0.3, 0.4, 2.0, 1.5]), np.full(4, 0.01), np.full(4, 0.1), scale, np.eye(4)
     )
     good = pd.DataFrame([{**NOTHING, "robot": "arm", "type": "t"}])
-    figure = fleet_figures(Fleet(good, (common,), ()))["common/t"]
+    figure = plot(Fleet(good, (common,), ()), "common/t")
     assert list(figure.data[0].x) == pytest.approx([0.3, 0.4, 0.12, 1.5])
     assert figure.layout.xaxis.title.text == "common departure [mm or mrad]"
-    assert figure.data[0].customdata[3] == "<b>c2</b><br>+1.5 urad/(N m) +/- 0.01 from the drawing"
+    assert list(figure.data[0].customdata[3]) == ["c2", "+1.5 urad/(N m) +/- 0.01"]
 
 
 def test_joints_that_yield_are_one_sentence_and_lengths_another() -> None:

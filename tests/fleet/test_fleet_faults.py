@@ -14,13 +14,12 @@ import pandas as pd
 import pytest
 from fleet_plants import planar
 
-from casadical import InputError
+from casadical import InputError, report
 from casadical.fleet import compare_files, run_fleet
 from casadical.fleet.cluster import SchedulerLostError, client_of, results
 from casadical.fleet.one_robot import NOTHING, one_robot
 from casadical.fleet.run import robots_in
 from casadical.fleet.store import add, parts, rows
-from casadical.report import comparison_report
 
 distributed = pytest.importorskip("distributed", reason="distributed (Dask) is not installed")
 pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
@@ -239,7 +238,7 @@ def test_a_table_whose_name_is_not_utf_8_has_a_page_and_one_that_is_not_there_is
     with pytest.raises(InputError, match="no such file or folder"):
         compare_files(tables, first)
     shutil.copy(first / "campaigns" / "2026-02-01.csv", tables[1])
-    assert "M\\udce4rz" in comparison_report(compare_files(tables, first), tables).encode().decode()
+    assert "M\\udce4rz" in report([compare_files(tables, first).page(tables)]).encode().decode()
 
 
 def test_units_that_change_within_a_table_are_said_with_their_rows(first: Path, tmp_path: Path) -> None:

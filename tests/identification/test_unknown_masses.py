@@ -9,8 +9,8 @@ import pytest
 from arms import TRACKER, planted, positions, readings, six_axis
 
 from casadical import Body, InputError, Joint, Robot, identify, read_robot, write_robot
-from casadical.core.telling.terminal import terminal
 from casadical.core.estimated_masses import with_estimated_masses
+from casadical.core.telling.terminal import terminal
 from casadical.identification.accuracy import errors
 from casadical.identification.gravity import as_json, gravity_deflections, in_words
 from casadical.identification.prepared import with_unknown_masses

@@ -20,7 +20,6 @@ from casadical.project.check import precheck
 from casadical.project.new import new_problem
 from casadical.project.outcome import methods_worse
 from casadical.project.problem import read_campaign
-from casadical.report.calibration import calibration_part
 
 # Rows of the file (headings in line 4), as they are in the set that is fitted with seed 0.
 SPOILED = {6: 40.0, 9: 120.0, 20: 15.0, 33: 300.0}
@@ -66,7 +65,7 @@ def test_every_row_left_out_is_named(tmp_path: Path) -> None:
     assert {entry["row"] for entry in listed["left_out"]} == expected
     assert listed["sets"]["identify"]["n"] == len(fitted) - len(expected)
     assert listed["sets"]["identify"]["max_mm"] < 0.3
-    page = [b for s in calibration_part(found).sections for b in s.blocks if isinstance(b, Table)]
+    page = [b for s in found.page().sections for b in s.blocks if isinstance(b, Table)]
     for tables in (found.blocks(), page):
         (rows,) = [b.rows for b in tables if isinstance(b, Table) and b.title.startswith("Rows left out")]
         assert {int(row[1]) for row in rows} == expected

@@ -14,7 +14,6 @@ from casadical import InputError, calibrate, read_problem, read_robot
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.terminal import plain_text
 from casadical.identification import errors, residual_mm
-from casadical.report.calibration import calibration_part
 
 ROOT = Path(__file__).parents[2]
 PLANAR = ROOT / "problems" / "planar"
@@ -45,13 +44,13 @@ def test_as_text_it_is_what_the_command_prints(calibrated) -> None:
 def test_every_table_that_is_printed_stands_on_the_page(calibrated) -> None:
     """Cell by cell; of the parameters the page shows those that were held, too."""
     c = calibrated("hh800")
-    page = [b for s in calibration_part(c).sections for b in s.blocks if isinstance(b, Table)]
+    page = [b for s in c.page().sections for b in s.blocks if isinstance(b, Table)]
     tables = [b for b in c.blocks() if isinstance(b, Table)]
     assert len(tables) == 4 + 1 + 2 + 1 + 1  # sets, networks, paper, parameters, held
     for table in tables:
         same = next(t for t in page if t.columns == table.columns and set(table.rows) <= set(t.rows))
         assert (same == table) or "All parameters" in same.title
-    sentences = {b.text for s in calibration_part(c).sections for b in s.blocks if isinstance(b, Words)}
+    sentences = {b.text for s in c.page().sections for b in s.blocks if isinstance(b, Words)}
     assert {b.text for b in c.blocks() if isinstance(b, Words) and b.kind == "verdict"} <= sentences
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import pytest
 
+from casadical import report
 from casadical.diagnosis.localisation import Localisation
 from casadical.measurements.column_map import Source
 from casadical.measurements.headings import Question
@@ -26,7 +27,6 @@ from casadical.project.outcome import _no_better, made_readings
 from casadical.project.planning import plan
 from casadical.project.problem import read_problem
 from casadical.project.remaining_errors import where_left
-from casadical.report import calibration_report
 
 if TYPE_CHECKING:
     from casadical.project.check.information import Outlook
@@ -120,7 +120,7 @@ def test_of_many_poses_some_tell_where_the_error_lies(calibrated: Any, monkeypat
     for name in ("regions", "time", "approach"):
         assert set(found[name].groupby("by").poses.sum()) <= {19, 20}  # the first pose was approached from nowhere
     assert {row.part for row in found["approach"].itertuples()} == ways
-    assert "20 of the poses it was identified from" in calibration_report([calibrated("planar")])
+    assert "20 of the poses it was identified from" in report([calibrated("planar")])
 
 
 def test_an_error_is_localised_in_positions_of_one_set_only(calibrated: Any) -> None:

@@ -8,14 +8,16 @@ from __future__ import annotations
 import html
 from collections.abc import Sequence
 from math import log10
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from casadical.core.errors import optional
 from casadical.core.telling.figure import Axis, Figure, Note, Panel, Rule, Series, Span, ticks_of_decades
 
 # plotly is imported when a figure is drawn.
 if TYPE_CHECKING:
-    from plotly.graph_objects import Figure as Picture
+    from plotly.graph_objects import Figure as PlotlyFigure
+
+    Picture: TypeAlias = PlotlyFigure
 else:
     Picture = Any
 

@@ -8,15 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from casadical import report
 from casadical.diagnosis.details import analyse
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.line_search import Line, Scan
+from casadical.diagnosis.page import diagnosis_page
 from casadical.diagnosis.spectrum import JointCurve, Spectrum
+from casadical.export.mjcf.replay_blocks import replay_blocks
 from casadical.measurements.reading import read_measurements
 from casadical.project.problem import read_campaign_robot
-from casadical.report import calibration_report, diagnosis_report
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 CAMPAIGN = ROOT / "data/campaigns/practice/hh800-P01.csv"
 
 
@@ -69,13 +71,14 @@ def details(diagnosis, curves):
 @pytest.fixture(scope="session")
 def calibration_file(hh800, tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("report") / "calibration.html"
-    path.write_text(calibration_report([hh800], ["casadical", "calibrate", "problems/hh800"]), encoding="utf-8")
+    path.write_text(report([hh800], ["casadical", "calibrate", "problems/hh800"]), encoding="utf-8")
     return path
 
 
 @pytest.fixture(scope="session")
 def diagnosis_file(diagnosis, details, tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("report") / "diagnosis.html"
-    text = diagnosis_report(ROOT / "problems/hh800", [(CAMPAIGN, diagnosis, details)])
+    page = diagnosis_page(diagnosis, CAMPAIGN.stem, details, [*replay_blocks(diagnosis)])
+    text = report([page])
     path.write_text(text, encoding="utf-8")
     return path

@@ -13,13 +13,14 @@ from pathlib import Path
 
 from command_line import run
 
+from casadical import report
 from casadical.core.telling.blocks import Words
+from casadical.core.telling.provenance import provenance_of
+from casadical.diagnosis.page import diagnosis_page
 from casadical.project.problem import read_problem
-from casadical.report import calibration_report
-from casadical.report.diagnosis import diagnosis_part
-from casadical.report.provenance import campaign_files, problem_files, provenance_of
+from casadical.project.sources import campaign_files, problem_files
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 class Reader(HTMLParser):
@@ -81,7 +82,7 @@ def test_the_tables_say_what_the_command_prints(hh800, calibration_file) -> None
 def test_the_diagnosis_tells_what_it_cannot_see_and_what_chance_does(diagnosis, details) -> None:
     def words(**changes: object) -> list[str]:
         blocks = [
-            b for s in diagnosis_part(replace(diagnosis, **changes), "made up", details).sections for b in s.blocks
+            b for s in diagnosis_page(replace(diagnosis, **changes), "made up", details).sections for b in s.blocks
         ]
         return [b.text for b in blocks if isinstance(b, Words)]
 
@@ -114,13 +115,13 @@ def test_a_users_text_stays_text(calibrated) -> None:
     problem = calibration.problem
     evil = "<script>alert(1)</script> & <img src=x onerror=alert(1)>"
     named = replace(problem, title=evil, robot=replace(problem.robot, name=evil, notes=(evil,)))
-    text = calibration_report([replace(calibration, problem=named)])
+    text = report([replace(calibration, problem=named)])
     assert evil not in text
     assert text.count("&lt;script&gt;alert(1)&lt;/script&gt;") >= 3
 
 
 def test_distances_and_contacts_have_a_report_too(calibrated) -> None:
-    text = calibration_report([calibrated("panda_1")])
+    text = report([calibrated("panda_1")])
     assert "there is no map" in text
     assert 'data-name="errors/report"' in text
 
@@ -155,10 +156,9 @@ def test_the_help_tells_of_it() -> None:
         assert "--report" in done.stdout
 
 
-def test_the_package_finds_its_names_lazily() -> None:
-    names = ["calibration_figures", "calibration_report", "diagnosis_figures", "diagnosis_report"]
+def test_plotly_is_loaded_when_a_figure_is_drawn() -> None:
     program = (
-        "import sys, casadical.report as r; assert 'plotly' not in sys.modules\n"
-        f"for name in {names}: assert callable(getattr(r, name)); assert 'plotly' not in sys.modules"
+        "import sys, casadical\n"
+        "for name in ('plot', 'report'): assert callable(getattr(casadical, name)); assert 'plotly' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", program], check=True)

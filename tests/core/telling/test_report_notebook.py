@@ -8,10 +8,9 @@ from html.parser import HTMLParser
 import pytest
 
 from casadical import plot
-from casadical.core.telling.blocks import Table, Words
 from casadical.core.errors import InputError
+from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.notebook import html
-from casadical.report import calibration_figures
 
 
 class Cells(HTMLParser):
@@ -76,7 +75,7 @@ def test_bars_are_as_long_as_their_values_and_text_stays_text() -> None:
 
 def test_plot_has_every_figure_of_the_report(shown) -> None:
     c = shown["calibration"]
-    assert list(plot(c)) == list(calibration_figures(c))
+    assert list(plot(c)) == list(c.figures())
     assert plot(c, "fit/residuals").layout.title.text == "Residuals: are they noise?"
     assert {"parameters/lengths", "fit/coverage"} <= set(plot(shown["identification"]))
     with pytest.raises(InputError, match=r"'gap' is no figure of this result; there are errors/report"):

@@ -7,21 +7,28 @@ import json
 import numpy as np
 import pytest
 
+from casadical import plot
 from casadical.core.errors import InputError
+from casadical.core.telling.drawing import COLOURS, draw
+from casadical.core.telling.page import require, safe_json
+from casadical.identification.figures import most_correlated, residual_quantiles
+from casadical.identification.pose_errors import (
+    STYLES,
+    ModelErrors,
+    PoseErrors,
+    error_distribution,
+    errors_by_pose,
+    round_factor,
+    skeleton,
+    workspace,
+)
 from casadical.identification.result import LeftOut
-from casadical.project.remaining_errors import ModelErrors, PoseErrors
-from casadical.report import calibration_figures, dark, diagnosis_figures
-from casadical.report import optional_imports as libraries
-from casadical.report.error_figures import error_distribution, errors_by_pose
-from casadical.report.fit_figures import most_correlated, residual_quantiles
-from casadical.report.page import safe_json
-from casadical.report.style import COLOURS, NETWORK_STYLES, STYLES
-from casadical.report.workspace import round_factor, skeleton, workspace
+from casadical.project.remaining_errors import NETWORK_STYLES
 
 
 @pytest.fixture(scope="module")
 def figures(hh800):
-    return calibration_figures(hh800)
+    return plot(hh800)
 
 
 def trace(figure, name):
@@ -65,7 +72,7 @@ def test_factors_are_round_and_never_greater(factor, rounded) -> None:
 
 
 def test_shares_and_probabilities_sum_to_one(diagnosis, details) -> None:
-    figures = diagnosis_figures(diagnosis, details)
+    figures = plot(diagnosis, more=details)
     assert sum(figures["where/joints"].data[0].x) == pytest.approx(100, abs=1e-3)
     assert sum(figures["causes/1"].data[0].x) == pytest.approx(1, abs=0.02)  # those beyond the first eight are left out
     bars = figures["gap"].data[0].x
@@ -75,7 +82,7 @@ def test_shares_and_probabilities_sum_to_one(diagnosis, details) -> None:
 
 
 def test_curves_are_drawn_with_their_bands_and_lines(diagnosis, details, curves) -> None:
-    figures = diagnosis_figures(diagnosis, details)
+    figures = plot(diagnosis, more=details)
     angles, lines = figures["curves/angles"], figures["curves/lines"]
     drawn = [t for t in angles.data if t.name == "curve"]
     assert len(drawn) == 6
@@ -112,12 +119,14 @@ def test_many_poses_are_thinned_and_said_to_be() -> None:
     error = rng.normal(size=(n, 3)) * 1e-4
     models = (ModelErrors("SKCM", np.linalg.norm(error, axis=1), error),)
     poses = PoseErrors("report", True, np.arange(n) + 2, np.zeros((n, 6)), rng.uniform(-1, 1, (n, 3)), models)
-    figure = errors_by_pose(poses)
+    figure = draw(errors_by_pose(poses))
     assert len(figure.data[0].y) == 400
     assert "400 of 3000 drawn" in figure.layout.xaxis.title.text
     assert set(figure.data[0].x) <= set(poses.row)
-    assert error_distribution(poses).data[0].x[-1] == pytest.approx(1e3 * models[0].length.max(), abs=1e-5)  # of all
-    assert len(workspace(poses).to_json()) < 400_000
+    assert draw(error_distribution(poses)).data[0].x[-1] == pytest.approx(
+        1e3 * models[0].length.max(), abs=1e-5
+    )  # of all
+    assert len(draw(workspace(poses)).to_json()) < 400_000
 
 
 def made_up(n: int = 60, **changes: object) -> PoseErrors:
@@ -130,7 +139,7 @@ def made_up(n: int = 60, **changes: object) -> PoseErrors:
 
 
 def test_before_and_after_are_both_seen_as_points_over_the_rows_of_the_file() -> None:
-    figure = errors_by_pose(made_up(), floor=5e-5)
+    figure = draw(errors_by_pose(made_up(), floor=5e-5))
     assert [t.mode for t in figure.data] == ["markers", "markers", "lines"]
     assert all(t.visible in (True, None) for t in figure.data)
     assert figure.layout.yaxis.type == "log"
@@ -145,7 +154,7 @@ def test_far_poses_neither_set_the_scale_nor_vanish() -> None:
     after = np.full(60, 1e-4)
     after[[7, 30]] = 9e-3
     out = (LeftOut("data/arm.csv", 99, 0.2),)
-    figure = errors_by_pose(made_up(models=(ModelErrors("SKCM", after),), left_out=out))
+    figure = draw(errors_by_pose(made_up(models=(ModelErrors("SKCM", after),), left_out=out)))
     top = figure.layout.yaxis.range[1]
     assert top < 1.0
     points, crosses = figure.data
@@ -161,7 +170,7 @@ def test_far_poses_neither_set_the_scale_nor_vanish() -> None:
 def test_quantiles_of_normal_noise_lie_in_their_band_and_a_wrong_row_does_not() -> None:
     noise = np.random.default_rng(3).normal(size=(400, 3))
     for residuals in (noise, np.where(noise > 2.2, 9.0, noise)):
-        band, points = residual_quantiles(residuals).data
+        band, points = residual_quantiles(residuals).series
         half = len(band.x) // 2
         high, low = np.array(band.y[:half]), np.array(band.y[half:])[::-1]
         inside = (points.y <= high) & (points.y >= low)
@@ -190,9 +199,9 @@ def test_the_coverage_has_every_reading_between_the_limits(hh800, figures) -> No
     assert np.array(ticks.x).reshape(m.q.shape)[:, 1] == pytest.approx(100 * share, abs=0.01)
 
 
-def test_dark_changes_every_colour_and_no_number(figures) -> None:
+def test_dark_changes_every_colour_and_no_number(hh800, figures) -> None:
     figure = figures["errors/report"]
-    night = dark(figure)
+    night = plot(hh800, "errors/report", dark=True)
     assert night.layout.paper_bgcolor == COLOURS["paper"][1]
     y, same = (json.loads(f.to_json())["data"][0]["y"] for f in (figure, night))
     assert y == same
@@ -236,4 +245,4 @@ def test_without_plotly_the_message_says_what_to_install(monkeypatch) -> None:
 
     monkeypatch.setattr("casadical.core.errors.importlib.import_module", missing)
     with pytest.raises(InputError, match=r"plotly and jinja2.*pip install 'casadical\[report\]'"):
-        libraries.require()
+        require()

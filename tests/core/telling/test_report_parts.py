@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,27 +13,27 @@ import pandas as pd
 import pytest
 
 from casadical.core.telling.blocks import mm
-from casadical.report.calibration import _tiles
-from casadical.report.cause_figures import gap_course
-from casadical.report.curve_figures import COLUMNS, _grid
-from casadical.report.figures_of_calibration import calibration_figures
-from casadical.report.provenance import campaign_files
-from casadical.report.share_figures import intervals
-from casadical.report.style import COLOURS, NETWORK_STYLES, STYLES
+from casadical.core.telling.drawing import COLOURS, draw
+from casadical.core.telling.figure import Axis
+from casadical.diagnosis.figures import curve_figures, gap_course
+from casadical.diagnosis.spectrum import Spectrum
+from casadical.identification.figures import intervals
+from casadical.identification.pose_errors import STYLES
+from casadical.project.remaining_errors import NETWORK_STYLES
+from casadical.project.sources import campaign_files
 
 pytest.importorskip("plotly", reason="plotly is not installed (extra report)")
 
 
 def test_bars_of_an_interval_go_from_low_to_high() -> None:
-    figure = intervals("t", "x", ["a", "b"], [0.5, 2.0], [0.4, 2.0], [0.75, 2.5], ["", ""], "%{x}")
+    figure = draw(intervals("n", "t", Axis("x"), ["a", "b"], [0.5, 2.0], [0.4, 2.0], [0.75, 2.5], ["", ""], "%{x}"))
     bars = figure.data[0].error_x
     assert list(bars.arrayminus) == pytest.approx([0.1, 0.0])
     assert list(bars.array) == pytest.approx([0.25, 0.5])
 
 
 def test_models_are_drawn_in_the_colours_of_a_light_page() -> None:
-    light = {both[0] for both in COLOURS.values()}
-    assert {colour for colour, _, _ in (*NETWORK_STYLES, *STYLES.values())} <= light
+    assert {colour for colour, _, _ in (*NETWORK_STYLES, *STYLES.values())} <= set(COLOURS)
     assert len(set(NETWORK_STYLES)) == len(NETWORK_STYLES)
 
 
@@ -41,22 +42,20 @@ def test_the_tiles_are_the_figures_of_the_held_out_poses(calibrated: Any) -> Non
     states = planar.accuracies["KM"]
     held_out = next(name for name in states if name.startswith("report"))
     after, before = states[held_out]["calibrated"], states[held_out]["placed"]
-    shown = {tile.label: tile.value for tile in _tiles(planar)}
+    shown = {tile.label: tile.value for tile in planar.page().tiles}
     assert shown == {
         "Mean error before": mm(before.mean),
         "Mean error after KM": mm(after.mean),
         "95 % of the poses below": mm(after.p95),
         "Largest error": mm(after.max),
     }
-    assert "training" not in calibration_figures(planar)  # no networks, no figure of their training
+    assert "training" not in planar.figures()  # no networks, no figure of their training
 
 
-@pytest.mark.parametrize(("joints", "rows"), [(1, 1), (2, 1), (3, 2), (6, 3), (7, 4)])
-def test_a_grid_has_a_place_for_every_joint(joints: int, rows: int) -> None:
-    assert COLUMNS == 2
-    curves = [SimpleNamespace(joint=k, share=0.1, lines=(), lost=0.0) for k in range(1, joints + 1)]
-    spectrum: Any = SimpleNamespace(joints=curves)
-    figure = _grid(spectrum, "t", "x", "y")
+@pytest.mark.parametrize(("joints", "rows"), [(1, 1), (2, 1), (3, 2), (6, 3)])
+def test_a_grid_has_a_place_for_every_joint(curves: Spectrum, joints: int, rows: int) -> None:
+    unseen = tuple(replace(c, lines=(), lost=0.0) for c in curves.joints[:joints])
+    figure = draw(next(curve_figures(replace(curves, joints=unseen))))
     titles = [a.text for a in figure.layout.annotations if a.text.startswith("joint")]
     assert titles == [f"joint {k}: not seen" for k in range(1, joints + 1)]
     assert len(figure._grid_ref) == rows
@@ -65,7 +64,7 @@ def test_a_grid_has_a_place_for_every_joint(joints: int, rows: int) -> None:
 def test_the_course_of_the_gap_ends_at_the_floor_in_millimetres() -> None:
     course = pd.DataFrame([("base", 0.2, 0.18, 0.22)], columns=["model", "gap_mm", "low_mm", "high_mm"])
     d: Any = SimpleNamespace(course=course, gap=SimpleNamespace(floor=5e-5), effects=lambda: ())
-    bars = gap_course(d, None).data[0]
+    bars = gap_course(d).series[0]
     np.testing.assert_allclose(bars.x, [0.2, 0.05])
 
 

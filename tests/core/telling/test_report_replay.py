@@ -8,10 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from casadical.core.telling.blocks import Table, Words
+from casadical.core.telling.drawing import draw
+from casadical.core.telling.figure import Figure
+from casadical.export.mjcf.replay_blocks import replay_blocks, replay_figure, stage_names
 from casadical.identification.accuracy import errors
 from casadical.identification.identification import identify
-from casadical.report.page import Drawing, Table, Words
-from casadical.report.replay_blocks import replay_blocks, replay_figure, stage_names
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +23,7 @@ def blocks(diagnosis):
 
 
 def test_the_figure_shows_geometry_and_cause_shrink_the_gap_towards_the_noise(diagnosis, blocks) -> None:
-    figure = next(b.figure for b in blocks if isinstance(b, Drawing))
+    figure = draw(next(b for b in blocks if isinstance(b, Figure)))
     nominal, geometry, cause = figure.data[0].x
     assert nominal > 10 * geometry
     assert cause < 0.7 * geometry
@@ -39,7 +41,7 @@ def test_geometry_in_the_engine_is_that_of_casadical_on_the_same_poses(diagnosis
     m = case.m[case.kept]
     parts = m.split({"identify": 2 / 3, "report": 0.332}, 0)
     fit = identify(case.given, parts["identify"], ("kinematic", "compliance"), loss="huber", priors=True, screen=False)
-    figure = next(b.figure for b in blocks if isinstance(b, Drawing))
+    figure = draw(next(b for b in blocks if isinstance(b, Figure)))
     assert figure.data[0].x[1] == pytest.approx(1e3 * np.mean(errors(fit.robot, parts["report"])), abs=1e-4)
 
 
@@ -51,7 +53,7 @@ def test_a_cause_without_a_counterpart_is_no_stage(diagnosis) -> None:
     assert stage_names(found)[-1] == "with backlash@5"
     lost = replace(found, stages=(*found.stages[:2], replace(found.stages[2], lacking=("backlash@5",))))
     assert len(stage_names(lost)) == 2
-    assert len(replay_figure(lost, 1e-5).data[0].x) == 2
+    assert len(replay_figure(lost, 1e-5).series[0].x) == 2
 
 
 def test_without_mujoco_one_sentence_says_how_to_get_it(diagnosis, monkeypatch) -> None:

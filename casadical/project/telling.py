@@ -1,0 +1,105 @@
+"""Figures and reports of any result by one call each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Protocol, TypeAlias, overload
+
+from casadical.core.errors import InputError
+from casadical.core.telling.blocks import Page
+from casadical.core.telling.drawing import dark as darkened
+from casadical.core.telling.drawing import draw
+from casadical.core.telling.figure import Figure
+from casadical.core.telling.page import html_of
+from casadical.diagnosis.figures import diagnosis_figures
+from casadical.diagnosis.result import Diagnosis
+from casadical.identification.figures import identification_figures
+from casadical.identification.result import Identification
+
+if TYPE_CHECKING:
+    from casadical.core.telling.drawing import Picture
+    from casadical.diagnosis.details import Details
+
+
+class WithFigures(Protocol):
+    """A result that has figures, by name."""
+
+    def figures(self) -> Mapping[str, Figure]: ...
+
+
+class WithPage(Protocol):
+    """A result that has a page."""
+
+    def page(self) -> Page: ...
+
+
+Result: TypeAlias = WithFigures | Identification | Diagnosis
+
+
+@overload
+def plot(result: Result, name: None = None, more: Details | None = None, *, dark: bool = ...) -> dict[str, Picture]: ...
+@overload
+def plot(result: Result, name: str, more: Details | None = None, *, dark: bool = ...) -> Picture: ...
+def plot(
+    result: Result, name: str | None = None, more: Details | None = None, *, dark: bool = False
+) -> Picture | dict[str, Picture]:
+    """The figures of a report, drawn by plotly: one by its name, or all by name.
+
+    Parameters
+    ----------
+    result : Calibration | Identification | Diagnosis | Comparison | Fleet
+        of `calibrate`, `identify`, `diagnose`, `casadical.fleet.compare` or `casadical.fleet.run_fleet`
+    name : str, optional
+        as "errors/report"; None: all figures
+    more : Details, optional
+        what `casadical.diagnosis.analyse` computed of a diagnosis
+    dark : bool, default False
+        in the colours of a dark notebook or page
+
+    Raises
+    ------
+    InputError
+        a name that the result does not have, or plotly is not installed
+
+    Examples
+    --------
+    >>> sorted(casadical.plot(calibration))[:3]
+    ['distribution/identify', 'distribution/report', 'errors/identify']
+    """
+    figures: Iterable[Figure]
+    if isinstance(result, Diagnosis):
+        figures = diagnosis_figures(result, more)
+    else:
+        figures = identification_figures(result) if isinstance(result, Identification) else result.figures().values()
+    by_name = {figure.name: figure for figure in figures}
+    if name is not None and name not in by_name:
+        raise InputError(f"plot: {name!r} is no figure of this result; there are {', '.join(by_name)}")
+    wanted = by_name if name is None else {name: by_name[name]}
+    pictures = {key: darkened(draw(figure)) if dark else draw(figure) for key, figure in wanted.items()}
+    return pictures if name is None else pictures[name]
+
+
+def report(results: Sequence[WithPage | Page], command: Sequence[str] = ()) -> str:
+    """One HTML file of one or several results of a kind, that needs no other file.
+
+    Parameters
+    ----------
+    results : Sequence[Calibration | Comparison | Fleet | Page]
+        or the pages of them, as `casadical.diagnosis.diagnosis_page` makes one of a diagnosis
+    command : Sequence[str], default ()
+        as it was typed, for the provenance
+
+    Raises
+    ------
+    InputError
+        plotly or jinja2 is not installed, or a file is gone
+
+    Examples
+    --------
+    >>> casadical.report([calibration])[:15]
+    '<!doctype html>'
+    >>> page = casadical.diagnosis.diagnosis_page(diagnosis, "made up")
+    >>> casadical.report([page])[:15]
+    '<!doctype html>'
+    """
+    return html_of([result if isinstance(result, Page) else result.page() for result in results], command)
