@@ -1,5 +1,6 @@
 """Settings in which a cause is not linear (knee, lag, cycles, time of a step), between the grid's points."""
 
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -66,7 +67,7 @@ def refined(
     return case, variant
 
 
-def _best(case: Case, trial: list[tuple[Effect, ...]], log: Array, chosen: Array) -> int:
+def _best(case: Case, trial: Sequence[tuple[Effect, ...]], log: Array, chosen: Array) -> int:
     """Number of the best settings. Of equal ones those that explain the poses left out, too; else the first."""
     equal = np.flatnonzero(log >= log.max() - TIE)
     if len(equal) > 1 and not case.kept.all():
