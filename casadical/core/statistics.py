@@ -2,6 +2,10 @@
 
 from statistics import NormalDist
 
+import numpy as np
+
+from casadical.core.arrays import Array
+
 
 def student_t(probability: float, degrees_of_freedom: int) -> float:
     """Quantile of Student's t distribution, by the Cornish-Fisher series (Abramowitz and Stegun 26.7.5).
@@ -25,3 +29,9 @@ def exceeded_by_chance(ratio: float, above: float, below: float) -> float:
     a, b = 2 / (9 * above), 2 / (9 * below)
     root = ratio ** (1 / 3)
     return NormalDist().cdf((1 - a - (1 - b) * root) / (b * root**2 + a) ** 0.5)
+
+
+def robust_std(r: Array) -> float:
+    """Standard deviation of residuals from their median absolute value, robust to outliers; zeros have weight zero."""
+    counted = np.abs(r[r != 0])
+    return float(1.4826 * np.median(counted)) if counted.size else 0.0

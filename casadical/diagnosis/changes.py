@@ -11,11 +11,11 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.linear_gaussian.grid import log_sum
+from casadical.core.statistics import robust_std
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.result import Change
 from casadical.identification.prior import Prior
-from casadical.identification.variance import robust_std
 from casadical.measurements.noise import Noise
 
 # Probability, before any data, that a part of what was known has changed between two campaigns.

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from casadical.core.errors import InputError
+from casadical.core.statistics import robust_std
 from casadical.diagnosis.candidates import Candidate, candidates_of
 from casadical.diagnosis.changes import changes
 from casadical.diagnosis.conclusion import conclude
@@ -24,7 +25,6 @@ from casadical.identification.prepared import Prepared, prepare, prepared_again
 from casadical.identification.prior import Prior
 from casadical.identification.result import Identification
 from casadical.identification.sessions import sessions_in
-from casadical.identification.variance import robust_std
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot

@@ -11,6 +11,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.parameters import Parameter
+from casadical.core.statistics import robust_std
 from casadical.diagnosis.camera_columns import with_images
 from casadical.diagnosis.candidates import Candidate, choose
 from casadical.diagnosis.cross_validation import fit_of
@@ -22,7 +23,6 @@ from casadical.effects import Effect
 from casadical.identification.accuracy import predicted
 from casadical.identification.prior import Prior
 from casadical.identification.result import Identification
-from casadical.identification.variance import robust_std
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.position_covariance import PositionCovariance
 from casadical.measurements.kinds.registry import find_kind

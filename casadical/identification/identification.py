@@ -12,7 +12,6 @@ from casadical.identification.residuals import ALL_LOSSES, AnyLoss
 from casadical.identification.result import Identification, learnt_from
 from casadical.identification.screening import SCREENINGS, solve_without_outliers
 from casadical.identification.solver import Progress
-from casadical.identification.variance import variance
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
@@ -126,7 +125,7 @@ def calibrated(
         identifiability=found,
         problem=reduced,
         solution=solution,
-        variance=variance(reduced, solution.v, trimmed=True),
+        variance=reduced.variance(solution.v, trimmed=True),
         degrees_of_freedom=reduced.degrees_of_freedom,
         outliers=outliers,
     )

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from casadical.core.arrays import Array
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,3 +57,18 @@ class Last:
         """An answer at v that was computed elsewhere."""
         self.point, self.answer = v.copy(), answer
         return answer
+
+
+class Kept:
+    """What a problem has computed: once and for all, by name, and last at one point."""
+
+    def __init__(self) -> None:
+        self.made: dict[str, Any] = {}
+        self.sums, self.parts, self.gradient, self.cost = Last(), Last(), Last(), Last()
+
+    def once(self, name: str, compute: Callable[[], T]) -> T:
+        """What was computed under this name, or now."""
+        if name not in self.made:
+            self.made[name] = compute()
+        found: T = self.made[name]
+        return found

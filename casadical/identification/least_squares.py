@@ -8,7 +8,7 @@ loss), of known separations between points, and of priors where they are asked f
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
 
@@ -17,9 +17,10 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.parameters import Parameter
+from casadical.core.statistics import robust_std
 from casadical.identification.accuracy import predicted
 from casadical.identification.identifiability import scaled_inverse
-from casadical.identification.last_answer import Last, Sums
+from casadical.identification.last_answer import Kept, Sums
 from casadical.identification.residuals import POINT_SCALE, Block, Loss, loss_slope, loss_value, make_block
 from casadical.identification.solver import ACCEPTABLE, OPTIMUM, Progress, Solution, minimise
 from casadical.measurements.kinds.registry import find_kind
@@ -56,19 +57,26 @@ class LeastSquares:
     sigmas: tuple[tuple[float, float], ...]
     fixed_loads: bool = False
     known: tuple[tuple[tuple[str, ...], Array], ...] = ()
+    _kept: Kept = field(default_factory=Kept, init=False, repr=False)
 
-    @cached_property
+    @property
     def labels(self) -> tuple[str, ...]:
         """Names of all unknown points."""
+        return self._kept.once("labels", self._labels)
+
+    def _labels(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(name for k in range(len(self.sets)) for name in self.pose_labels(k)))
 
     def pose_labels(self, k: int) -> list[str]:
         m = self.sets[k]
         return [f"{k}/{name}" for name in find_kind(m.kind).point_names(m.arrays)]
 
-    @cached_property
+    @property
     def points(self) -> Array:
         """Start of every unknown point, shape (K, 3) [m]."""
+        return self._kept.once("points", self._points)
+
+    def _points(self) -> Array:
         start: dict[str, Array] = {}
         for k, m in enumerate(self.sets):
             if labels := self.pose_labels(k):
@@ -76,8 +84,11 @@ class LeastSquares:
                 start |= dict(zip(labels, find_kind(m.kind).point_starts(m.arrays, p), strict=True))
         return np.array([start[name] for name in self.labels]).reshape(-1, 3)
 
-    @cached_property
+    @property
     def blocks(self) -> tuple[Block, ...]:
+        return self._kept.once("blocks", self._blocks)
+
+    def _blocks(self) -> tuple[Block, ...]:
         index = {name: k for k, name in enumerate(self.labels)}
         made = []
         for k, (m, (sigma, sigma_angle)) in enumerate(zip(self.sets, self.sigmas, strict=True)):
@@ -193,14 +204,14 @@ class LeastSquares:
         A line search asks for further points where it did not step to the last one, which its gradient would show:
         there residuals are evaluated without derivatives.
         """
-        last = self._last_sums
-        if last.point is None or last.holds(v) or self._last_gradient.holds(last.point):
+        last = self._kept.sums
+        if last.point is None or last.holds(v) or self._kept.gradient.holds(last.point):
             return self._sums(v).cost + 0.5 * self.prior_square(v)
-        return float(self._last_cost(v, self._cost))
+        return float(self._kept.cost(v, self._cost))
 
     def gradient(self, v: Array) -> tuple[Array, Array]:
         """Gradient and Gauss-Newton Hessian of the cost at v, shapes (size,) and (size, size)."""
-        found: tuple[Array, Array] = self._last_gradient(v, self._gradient)
+        found: tuple[Array, Array] = self._kept.gradient(v, self._gradient)
         return found
 
     def _gradient(self, v: Array) -> tuple[Array, Array]:
@@ -215,7 +226,7 @@ class LeastSquares:
 
         As good as the whole Jacobian, and as small as the variables are; the sums at v come with it.
         """
-        last = self._last_sums
+        last = self._kept.sums
         known: Sums | None = last.answer if last.holds(v) else None
         if known is None or known.triangle is None:
             known = last.keep(v, self._summed(v, triangle=True))
@@ -244,7 +255,7 @@ class LeastSquares:
         return [np.concatenate(some) if len(some) > 1 else some[0] for some in of_set.values()]
 
     def _sums(self, v: Array) -> Sums:
-        found: Sums = self._last_sums(v, self._summed)
+        found: Sums = self._kept.sums(v, self._summed)
         return found
 
     def _summed(self, v: Array, *, triangle: bool = False) -> Sums:
@@ -288,11 +299,8 @@ class LeastSquares:
         """
         if self.residual_count * self.size > KEPT:
             return self._evaluated(v)
-        found: tuple[_Part, ...] = self._last_parts(v, lambda v: tuple(self._evaluated(v)))
+        found: tuple[_Part, ...] = self._kept.parts(v, lambda v: tuple(self._evaluated(v)))
         return found
-
-    _last_sums, _last_parts = cached_property(lambda _: Last()), cached_property(lambda _: Last())
-    _last_gradient, _last_cost = cached_property(lambda _: Last()), cached_property(lambda _: Last())
 
     def _evaluated(self, v: Array) -> Iterator[_Part]:
         x, u = self.separate(v)
@@ -368,6 +376,19 @@ class LeastSquares:
         p = len(self.names)
         return np.asarray(whole[:p, :p] * np.outer(self.scale, self.scale))
 
+    def variance(self, v: Array, *, trimmed: bool = False) -> float:
+        """Of a residual, in units of sigma: the sum of squares over the degrees of freedom.
+
+        With a robust loss, and unless outliers were trimmed, from the median absolute residuals instead. With what is
+        known from elsewhere at least one: that the prior leaves little is no sign that it or the instrument is better.
+        """
+        least = 1.0 if self.known else 0.0
+        freedom = max(1, self.degrees_of_freedom)
+        if self.loss != "linear" and not trimmed:
+            typical = float(np.median([robust_std(r) ** 2 for r in self.residuals(v)]))
+            return max(least, typical * self.residual_count / freedom)
+        return max(least, (self.square(v) + self.prior_square(v, told=True)) / freedom)
+
     def redundancies(self, v: Array) -> Array:
         """Degrees of freedom of each observed number, one less its leverage; they sum to those of the fit."""
         inverse = scaled_inverse(self.gradient(v)[1])
@@ -381,13 +402,13 @@ class LeastSquares:
     def with_names(self, names: Sequence[str]) -> LeastSquares:
         """With others of the robot's parameters: data and, of some of the same, the sums at the start stay."""
         other = replace(self, names=tuple(names))
-        if "blocks" in vars(self):
+        if "blocks" in self._kept.made:
             blocks = tuple(block.with_names(self.robot, other.names) for block in self.blocks)
-            vars(other).update(labels=self.labels, points=self.points, blocks=blocks)
+            other._kept.made.update(labels=self.labels, points=self.points, blocks=blocks)
         place_of = {name: k for k, name in enumerate(self.names)}
-        if (sums := self._last_sums.at_zero) and place_of.keys() >= set(other.names):
+        if (sums := self._kept.sums.at_zero) and place_of.keys() >= set(other.names):
             columns = [*(place_of[n] for n in other.names), *range(len(self.names), self.size)]
-            other._last_sums(np.zeros(other.size), lambda _: sums.of(columns))
+            other._kept.sums(np.zeros(other.size), lambda _: sums.of(columns))
             other.gradient(np.zeros(other.size))
         return other
 

@@ -20,7 +20,6 @@ from casadical.identification.identifiability import (
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.residuals import POINT_SCALE
 from casadical.identification.solver import Progress, Solution
-from casadical.identification.variance import variance
 from casadical.measurements.kinds.registry import find_kind
 
 # Residuals of this share of the reach are no measuring error.
@@ -62,7 +61,7 @@ def reduce_and_solve(
         else:
             optima[variables] = solution.v
             left = left or _misfit(reduced, solution.v)
-            worse = [] if problem.priors else _poor(reduced, solution.v, variance(reduced, solution.v))
+            worse = [] if problem.priors else _poor(reduced, solution.v, reduced.variance(solution.v))
             if not worse:
                 more = _with_visible(reduced, solution.v, found, problem.names)
                 if more is None:
@@ -103,7 +102,7 @@ def _with_visible(
         wider, at = _widened(problem, v, visible, order)
     # The noise as one step would leave it: what these parameters explain is none.
     left = max(0.0, 1 - wider.decrement(at) / max(wider.cost(at), 1e-300))
-    worse = {u.name for u in _poor(wider, at, left * variance(problem, v))}
+    worse = {u.name for u in _poor(wider, at, left * problem.variance(v))}
     if not visible & worse:
         return wider, at
     return None if visible <= worse else _widened(problem, v, visible - worse, order)
@@ -119,7 +118,7 @@ def _widened(problem: LeastSquares, v: Array, more: set[str], order: Sequence[st
 
 def _misfit(problem: LeastSquares, v: Array) -> float:
     """Standard deviation of a coordinate that a fit leaves, the greatest of all sets [m]."""
-    return float(np.sqrt(variance(problem, v))) * max(sigma for sigma, _ in problem.sigmas)
+    return float(np.sqrt(problem.variance(v))) * max(sigma for sigma, _ in problem.sigmas)
 
 
 def _poor(problem: LeastSquares, v: Array, variance: float) -> list[Unidentifiable]:
@@ -131,7 +130,7 @@ def _poor(problem: LeastSquares, v: Array, variance: float) -> list[Unidentifiab
 def _poor_at_start(problem: LeastSquares) -> list[Unidentifiable]:
     """Those by which a solve wanders off: by the sigmas, and if these excuse none, by the misfit of the start."""
     v = np.zeros(problem.size)
-    return _poor(problem, v, 1.0) or _poor(problem, v, variance(problem, v))
+    return _poor(problem, v, 1.0) or _poor(problem, v, problem.variance(v))
 
 
 # More parameters than this, held back by priors, are not all tested for independence.

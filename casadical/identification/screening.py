@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.statistics import robust_std
 from casadical.identification.identifiability import Identifiability
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.reduction import Optima, reduce_and_solve
 from casadical.identification.solver import Progress, Solution
-from casadical.identification.variance import robust_std
 from casadical.measurements.kinds.registry import find_kind
 
 Solved = tuple[LeastSquares, Solution, Identifiability]

@@ -7,7 +7,7 @@ finds itself (zeros and lengths that are off by little) is no slip.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -166,10 +166,10 @@ def _kept(level: Sequence[Hypothesis], share: Array) -> list[int]:
 
 def _moves(h: Hypothesis, turning: Sequence[bool], shifts: Sequence[int], rows: int) -> Iterator[Hypothesis]:
     n = len(turning)
-    yield from (replace(h, shift=shift) for shift in shifts if shift != h.shift)
-    yield from (replace(h, rows=k) for k in range(rows) if k != h.rows)
+    yield from (h._replace(shift=shift) for shift in shifts if shift != h.shift)
+    yield from (h._replace(rows=k) for k in range(rows) if k != h.rows)
     for factor in (1.0, 180 / np.pi, np.pi / 180):
-        yield replace(h, factor=tuple(factor if t else 1.0 for t in turning))
+        yield h._replace(factor=tuple(factor if t else 1.0 for t in turning))
     for i in range(n):
         for sign in (1, -1):
             for zero in QUARTERS if i in _inner(turning) else (0.0,):
@@ -195,7 +195,7 @@ def _length_moves(h: Hypothesis, lengths: Array, robot: Robot) -> Iterator[Hypot
         name, i = ("a", int(k)) if k < n else ("d", int(k) - n)
         known = any((name, i) == (other, j) for other, j, _ in h.lengths)
         if rest < 0.9 and abs(departure) > LENGTH * robot.reach and not known:
-            yield replace(h, lengths=(*h.lengths, (name, i, float(departure))))
+            yield h._replace(lengths=(*h.lengths, (name, i, float(departure))))
 
 
 def _refined(fit: SlipFit, h: Hypothesis) -> Hypothesis:
@@ -208,7 +208,7 @@ def _refined(fit: SlipFit, h: Hypothesis) -> Hypothesis:
             h = h.at("zero", i, _zero(h.zero[i] + float(fit.zeros([h], i)[0])))
         for k, (name, i, departure) in enumerate(h.lengths):
             size = float(fit.departures([h])[0, i + (name == "d") * n, 1])
-            h = replace(h, lengths=(*h.lengths[:k], (name, i, departure + size), *h.lengths[k + 1 :]))
+            h = h._replace(lengths=(*h.lengths[:k], (name, i, departure + size), *h.lengths[k + 1 :]))
         if h.zero == before.zero and not h.lengths:
             break
     return h
