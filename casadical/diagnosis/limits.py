@@ -5,7 +5,7 @@ import pandas as pd
 from casadical.diagnosis.candidates import gathered
 from casadical.diagnosis.isolability import Isolability, of_case
 from casadical.diagnosis.result import Diagnosis, Unlisted
-from casadical.identification.left_open import left_open
+from casadical.identification.undetermined import undetermined
 
 # An effect is invisible if the base absorbs so much of it, or if it must be so many times its usual size to be found.
 ABSORBED, OUT_OF_REACH = 0.98, 5.0
@@ -17,7 +17,7 @@ TIMES = (1.0, 2.0, OUT_OF_REACH)
 
 def cannot_tell(d: Diagnosis) -> tuple[str, ...]:
     """What these kinds of readings cannot tell at all, each with what would; the ends of "these data cannot ..."."""
-    return tuple(left_open(d.identification.measurements, d.identification.unknown_points))
+    return tuple(undetermined(d.identification.measurements, d.identification.unknown_points))
 
 
 def indistinguishable(d: Diagnosis, poses: Isolability | None) -> dict[str, str]:

@@ -11,8 +11,8 @@ from casadical.core.arrays import Array
 from casadical.core.errors import shown
 from casadical.core.telling.blocks import Table, Words, mm
 from casadical.identification.accuracy import Accuracy, errors, summarise
-from casadical.identification.left_open import left_open
 from casadical.identification.result import AS_BEFORE, Identification, LeftOut, rows_in_words
+from casadical.identification.undetermined import undetermined
 from casadical.project.check.coverage import coverage
 from casadical.project.networks import Networks
 from casadical.project.problem import Problem, together
@@ -61,7 +61,7 @@ def _doubts(problem: Problem, last: Identification) -> Iterator[Words]:
         without = mm(float(np.mean(np.concatenate([e for e, _ in _held_out(problem, last.robot).values()]))))
         text = f"Held-out poses far off, in the figures above: {worst}; without them the mean is {without} mm."
         yield Words(text, "warning")
-    for text in left_open(last.measurements, last.unknown_points):
+    for text in undetermined(last.measurements, last.unknown_points):
         yield Words(f"These readings cannot {text}.", "warning")
     if last.at_bounds:
         yield Words(f"At bounds: {', '.join(last.at_bounds)}: widen the bounds or doubt the model.", "warning")

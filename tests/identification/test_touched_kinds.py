@@ -9,7 +9,7 @@ from casadical import InputError, Measurements
 from casadical.core.transforms import from_rpy
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
-from casadical.identification.left_open import left_open
+from casadical.identification.undetermined import undetermined
 from tests.identification import arms
 
 FREE = ["kinematic"]
@@ -71,7 +71,7 @@ def test_planes_tell_ratios_of_lengths_and_nothing_of_base_and_size() -> None:
 
 def test_what_planes_leave_open_is_said_and_no_distance_between_them_is_taken() -> None:
     touched = Measurements(np.zeros((4, 6)), "plane", label=np.array(["A", "A", "B", "B"]))
-    (said,) = left_open([touched], {})
+    (said,) = undetermined([touched], {})
     assert "kind sphere" in said
     with pytest.raises(InputError, match="kind 'plane' has no points whose distance could be known"):
         touched.with_separations([("A", "B", 0.1)])

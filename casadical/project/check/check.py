@@ -9,10 +9,10 @@ import numpy as np
 
 from casadical.core.errors import InputError, shown
 from casadical.identification.identifiability import CONFOUNDED
-from casadical.identification.left_open import left_open_before
 from casadical.identification.plausibility import check_against
 from casadical.identification.prepared import METHODS, by_method
 from casadical.identification.sessions import apart, place_sessions, with_sessions
+from casadical.identification.undetermined import undetermined_at_start
 from casadical.measurements.clock import clock_faults
 from casadical.measurements.measurements import Measurements
 from casadical.project.check.coverage import (
@@ -130,7 +130,7 @@ def precheck(
     trusted = [m[np.flatnonzero(~far_off(problem.robot, m)[0])] for m in sets] if usable else []
     start = place_sessions(problem.robot, trusted or sets)
     found += [
-        Finding("warning", "kind", f"these readings cannot {t}") for t in left_open_before(start, trusted or sets)
+        Finding("warning", "kind", f"these readings cannot {t}") for t in undetermined_at_start(start, trusted or sets)
     ]
     for method in problem.methods if usable else ():
         try:

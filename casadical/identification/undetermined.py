@@ -1,4 +1,4 @@
-"""What readings of some kinds cannot tell at all, however many, each with the one thing that would."""
+"""What readings of some kinds do not determine at all, however many, each with the one thing that would."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -16,7 +16,7 @@ from casadical.robot.robot import Robot
 IN_LINE = 0.05
 
 
-def left_open(sets: Sequence[Measurements], where: Mapping[str, Array]) -> Iterator[str]:
+def undetermined(sets: Sequence[Measurements], where: Mapping[str, Array]) -> Iterator[str]:
     """What these sets cannot tell, each as the end of a sentence: "these data cannot ...".
 
     where : unknown points by number of the set and name, as of `Identification.unknown_points`, shape (3,) [m] each
@@ -50,10 +50,10 @@ def left_open(sets: Sequence[Measurements], where: Mapping[str, Array]) -> Itera
         )
 
 
-def left_open_before(robot: Robot, sets: Sequence[Measurements]) -> Iterator[str]:
+def undetermined_at_start(robot: Robot, sets: Sequence[Measurements]) -> Iterator[str]:
     """The same before an identification, unknown points where a robot with its base and tool placed has them."""
     problem = LeastSquares(robot, tuple(sets), (), "linear", False, ((1.0, 1.0),) * len(sets))
-    yield from left_open(sets, dict(zip(problem.labels, problem.points, strict=True)))
+    yield from undetermined(sets, dict(zip(problem.labels, problem.points, strict=True)))
 
 
 def _far_ends(k: int, m: Measurements, where: Mapping[str, Array]) -> Array:
