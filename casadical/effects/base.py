@@ -82,7 +82,7 @@ class Effect:
     held: ClassVar[float] = CHOSEN  # one sigma of each parameter once the effect is in a model, in sizes
     on_list: ClassVar[str] = ""  # standard, extended, unknown (names no cause), or only where it is asked for by name
     answers_as: ClassVar[str] = ""  # the effect under whose name it is a candidate and an answer, as one more law
-    acts_at: ClassVar[str] = ""  # arm, joints, turning or rigid joints; by default joints where it adds an `angle`
+    acts_at: ClassVar[str] = ""  # arm, payload, [turning or rigid] joints; by default joints where it adds an `angle`
     covers: ClassVar[frozenset[str]] = frozenset()  # effects that it holds: beside it they are no causes of their own
     size: ClassVar[Mapping[str, tuple[float, str]]] = {}  # its parameters, where all settings have the same
     needs: ClassVar[tuple[str, ...]] = ()  # columns that must have been logged
@@ -109,10 +109,16 @@ class Effect:
         """
         place = cls.acts_at or ("arm" if cls.angle is Effect.angle else "joints")
         rigid = [j for j in arm.numbers if not arm.joints[j - 1].compliance]
-        every: Mapping[str, Sequence[int | None]] = {"arm": (None,), "joints": arm.numbers, "rigid joints": rigid}
+        every: Mapping[str, Sequence[int | None]] = {
+            "arm": (None,),
+            "payload": (None,) if arm.payload else (),
+            "joints": arm.numbers,
+            "turning joints": arm.revolute,
+            "rigid joints": rigid,
+        }
         return (
             cls(joint, **point)
-            for joint in (arm.revolute if place == "turning joints" else every[place])
+            for joint in every[place]
             for point in grid_points(cls, arm.near(joint) if joint else ())
         )
 
@@ -408,12 +414,12 @@ class Effect:
         """
         return point
 
-    def counterpart(self, found: Counterparts, v: Mapping[str, float]) -> Counterparts:
-        """What a simulator has in its place, added to what was found before; v : its values (see `own_values`).
+    def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
+        """What a simulator has in its place, besides what it has for others; v : its values (see `own_values`).
 
         Parameters
         ----------
-        found : Counterparts
+        simulator : Counterparts
             what was collected of other effects
         v : Mapping[str, float]
             its values by short name [SI], see `own_values`
@@ -424,4 +430,4 @@ class Effect:
             the same with its own part
         """
         why = "an effect of the measurement, not of the robot" if self.of_measurement else "no counterpart in MuJoCo"
-        return found.without(self.label, why)
+        return simulator.without(self.label, why)

@@ -116,19 +116,19 @@ class Counterparts:
 
         sizes : turn about each axis under the greatest torque [rad]
         """
-        found, great = self, self.great(None)
+        made, great = self, self.great(None)
         k = tuple(great / size if size > 0 else np.inf for size in sizes.values())
         wrong = tuple(name for name, size in sizes.items() if size < 0)
         if wrong:
-            found = found.without(label, f"{', '.join(wrong)} came out negative: rigid there", wrong)
+            made = made.without(label, f"{', '.join(wrong)} came out negative: rigid there", wrong)
         if all(np.isinf(k)):
-            return found
+            return made
         stiff = ", ".join(f"{s:.4g}" for s in k)
         if not link:
-            found = replace(found, base=k)  # type: ignore[arg-type]
-            return found.noted(f"{label}: hinges of the foot, {stiff} N m/rad")
-        found = replace(found, flexures={**found.flexures, link: k})  # type: ignore[dict-item]
-        return found.noted(f"{label}: link {link} in three pieces between hinges, {stiff} N m/rad in all")
+            made = replace(made, base=k)  # type: ignore[arg-type]
+            return made.noted(f"{label}: hinges of the foot, {stiff} N m/rad")
+        made = replace(made, flexures={**made.flexures, link: k})  # type: ignore[dict-item]
+        return made.noted(f"{label}: link {link} in three pieces between hinges, {stiff} N m/rad in all")
 
     def noted(self, text: str) -> Counterparts:
         """With a line on what became of an effect."""

@@ -66,7 +66,7 @@ class Definition(TomlTable):
     name: str = Field(pattern=rf"^{_NAME.pattern}$", max_length=60)
     on_list: Literal["standard", "extended", ""] = ""
     answers_as: str = ""
-    acts_at: Literal["arm", "joints", "turning joints", "rigid joints", ""] = ""
+    acts_at: Literal["arm", "joints", "turning joints", "rigid joints", "payload", ""] = ""
     of_measurement: bool = False
     from_kind: bool = False
     simulated_first: bool = False
@@ -130,7 +130,7 @@ class DefinedEffect(FormulaEffect):
         return self._texts.sizes
 
     def refuse_joints(self, arm: Arm) -> None:
-        if self.acts_at != "arm" and self.joint is None:
+        if "joints" in self.acts_at and self.joint is None:
             raise InputError(f"{self.name}: joint is missing")
         super().refuse_joints(arm)
 
@@ -138,9 +138,9 @@ class DefinedEffect(FormulaEffect):
         settings = {name: getattr(self, name) for name in self.definition.settings}
         return settings | {name: self.value(context, name) for name in self.sizes()}
 
-    def counterpart(self, found: Counterparts, v: Mapping[str, float]) -> Counterparts:
+    def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
         known = COUNTERPARTS.get(self.definition.counterpart)
-        return known(self, found, v) if known else super().counterpart(found, v)
+        return known(self, simulator, v) if known else super().counterpart(simulator, v)
 
 
 class _Texts(NamedTuple):

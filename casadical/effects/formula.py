@@ -67,8 +67,8 @@ class Formula:
 
         functions : what the functions' names stand for, SYMBOLIC or NUMERIC
         """
-        found = _value(_tree(self.text), names, functions)
-        return found if isinstance(found, list) else [found]
+        value = _value(_tree(self.text), names, functions)
+        return value if isinstance(value, list) else [value]
 
 
 @lru_cache(maxsize=8192)

@@ -43,6 +43,7 @@ SEAMS = {
     "point": Seam(3, "m"),
     "distance": Seam(1, "m"),
     "energy": Seam(1, "J"),
+    "payload shift": Seam(3, "m"),
 }
 # Columns by their name in a formula, where it is another one.
 COLUMNS = {"t": "progress", "payload": "payload_kg", "warmth": "warmth_0s"}
@@ -88,8 +89,8 @@ class FormulaEffect(Effect):
             if numbered and int(numbered[1]) not in (*arm.numbers, *([0] if name[0] == "m" else [])):
                 text = next(iter(self.formulas.values())).text
                 raise InputError(f"formula {text!r}: {name}; robot {arm.name!r} has joints 1 to {arm.n}")
-        if "payload" in self.formulas and arm.payload is None:
-            raise InputError(f"{self.name}: seam = 'payload'; robot {arm.name!r} declares no payload")
+        if arm.payload is None and (seam := next((s for s in self.formulas if s.startswith("payload")), "")):
+            raise InputError(f"{self.name}: seam = {seam!r}; robot {arm.name!r} declares no payload")
 
     def own_names(self, context: Context) -> dict[str, Symbolic]:
         """Parameters and settings by their names in the formulas."""
@@ -104,15 +105,17 @@ class FormulaEffect(Effect):
         return formula.values({n: known[n] if n in known else variable(context, n) for n in formula.names})
 
     def energy(self, context: Context) -> Symbolic:
-        payload, total = context.arm.payload, 0.0
-        for value in self.values_at("energy", context):
-            total += value
-        if "payload" in self.formulas and payload is not None:
-            T = context.frames[-1]
-            centre = T[:3, :3] @ ca.DM(payload.com) + T[:3, 3]
-            mass = self.values_at("payload", context)[0] * context.conditions["payload_kg"]
-            total += -mass * ca.dot(context.gravity, centre)
-        return total
+        payload, T = context.arm.payload, context.frames[-1]
+        total: Symbolic = sum(self.values_at("energy", context))
+        if payload is None or not self.formulas.keys() & {"payload", "payload shift"}:
+            return total
+        # First moment that is added, of a payload of 1 kg, about the base.
+        moment: Symbolic = ca.SX.zeros(3)
+        for share in self.values_at("payload", context):
+            moment += share * (T[:3, :3] @ ca.DM(payload.com) + T[:3, 3])
+        if shift := self.values_at("payload shift", context):
+            moment += T[:3, :3] @ ca.vertcat(*shift)
+        return total - context.conditions["payload_kg"] * ca.dot(context.gravity, moment)
 
     def joint_angle(self, context: Context) -> Symbolic:
         moved = ca.SX.zeros(context.arm.n)
@@ -179,7 +182,7 @@ def _known(name: str, seam: str) -> bool:
     """Whether a formula at a seam may name this quantity of a pose or this column."""
     if seam == "joints" and OF_JOINT.fullmatch(name):
         return True
-    if seam == "payload" and not name.startswith("q") and not COLUMN.fullmatch(name):
+    if seam.startswith("payload") and not name.startswith("q") and not COLUMN.fullmatch(name):
         return False
     # Loads follow from the energy, not the other way round.
     if seam == "energy" and name.startswith("tau"):

@@ -89,9 +89,9 @@ class JointErrorCurve(Effect):
             moved[joint - 1] = series(context.q[joint - 1], *values)
         return moved
 
-    def counterpart(self, found: Counterparts, v: Mapping[str, float]) -> Counterparts:
+    def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
         why = "a MuJoCo joint has no error that follows its own angle; add dq of `export c --what curves` to ctrl"
-        return found.without(self.label, why) if any(v.values()) else found.noted(f"{self.label}: zero")
+        return simulator.without(self.label, why) if any(v.values()) else simulator.noted(f"{self.label}: zero")
 
 
 def series(q: Symbolic, sines: Sequence[Symbolic], cosines: Sequence[Symbolic]) -> Symbolic:

@@ -99,7 +99,7 @@ class Law(FormulaEffect):
         names = columns_of(self.drivers)
         if self.seam == "joints":
             names += [f"{n}{j}" for n in self.drivers if n in ("approach", "move") for j in range(1, self.count + 1)]
-        needed = ["payload_kg"] if self.seam == "payload" else list(FAR) if self.seam == "distance" else []
+        needed = ["payload_kg"] if self.seam.startswith("payload") else list(FAR) if self.seam == "distance" else []
         return tuple(dict.fromkeys([*names, *needed]))
 
     def refuse_joints(self, arm: Arm) -> None:

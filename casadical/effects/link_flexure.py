@@ -63,5 +63,5 @@ class LinkFlexure(Effect):
             @ translate(*ca.vertsplit(-far))
         )
 
-    def counterpart(self, found: Counterparts, v: Mapping[str, float]) -> Counterparts:
-        return found.with_springs(self.label, v, self.member)
+    def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
+        return simulator.with_springs(self.label, v, self.member)

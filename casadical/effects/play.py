@@ -50,12 +50,12 @@ class Backlash(Effect):
         push = context.load(self.joint) - self.friction * context.conditions[f"approach{self.joint}"]
         return self.value(context, "half") * ca.tanh(push / self.width)
 
-    def counterpart(self, found: Counterparts, v: Mapping[str, float]) -> Counterparts:
+    def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
         if v["half"] <= 0:
-            return found.without_sign(self.label)
-        held = self.friction * found.great(self.joint)
-        found = found.with_drive(self.joint, play=v["half"], play_friction=held)
-        return found.noted(f"{self.label}: joint{self.joint}_play with limits of +-{1e6 * v['half']:.1f} urad")
+            return simulator.without_sign(self.label)
+        held = self.friction * simulator.great(self.joint)
+        simulator = simulator.with_drive(self.joint, play=v["half"], play_friction=held)
+        return simulator.noted(f"{self.label}: joint{self.joint}_play with limits of +-{1e6 * v['half']:.1f} urad")
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,8 @@ from casadical.effects.play import BacklashByLoad as BacklashByLoad
 FrictionWindup = _defined["friction_windup"]
 ThermalGrowth = _defined["thermal_growth"]
 TargetShift = _defined["target_shift"]
-from casadical.effects.weights import PayloadError as PayloadError
-from casadical.effects.weights import LinkMasses as LinkMasses
+PayloadError = _defined["payload_error"]
+from casadical.effects.link_masses import LinkMasses as LinkMasses
 from casadical.effects.springs import GravityCompensator as GravityCompensator
 
 BaseCompliance = _defined["base_compliance"]

@@ -85,13 +85,13 @@ def checked_settings(kind: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Settings as an effect's class takes them, of plain data. Raises InputError for one that is none, or no number."""
     hints = get_type_hints(kind)
     names = [f.name for f in fields(kind) if f.name != "joint"]
-    found = {}
+    checked = {}
     for key, value in given.items():
         if key not in names:
             raise InputError(f"settings.{key}: no setting of {kind.name}; allowed: {', '.join(names) or 'none'}")
         try:
-            found[key] = TypeAdapter(hints[key], config=_STRICT).validate_json(json.dumps(value, default=str))
+            checked[key] = TypeAdapter(hints[key], config=_STRICT).validate_json(json.dumps(value, default=str))
         except ValidationError as error:
             wrong = error.errors()[0]["msg"].replace("Input should be", "must be")
             raise InputError(f"settings.{key} = {value!r}: {wrong}") from None
-    return found
+    return checked

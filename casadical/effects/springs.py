@@ -51,14 +51,14 @@ class GravityCompensator(Effect):
         share = share + self.value(context, "preload") * ca.sin(turn) / length
         return context.values.get(f"c{self.joint}", 0.0) * context.torque_scale[self.joint - 1] * share
 
-    def counterpart(self, found: Counterparts, v: Mapping[str, float]) -> Counterparts:
-        if not self.joint or found.drive(self.joint).compliance <= 0:
-            return found.without_sign(self.label)
-        great = found.great(self.joint)
+    def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
+        if not self.joint or simulator.drive(self.joint).compliance <= 0:
+            return simulator.without_sign(self.label)
+        great = simulator.great(self.joint)
         swing, ahead = great * float(np.hypot(v["sin"], v["cos"])), float(np.arctan2(v["cos"], v["sin"]))
         made = Balancer(self.joint, self.anchor, self.phase, swing, ahead, great * v["preload"])
-        found = replace(found, balancers=(*found.balancers, made))
-        return found.noted(f"{self.label}: tendon from link to link before, {swing:.4g} N m at its greatest")
+        simulator = replace(simulator, balancers=(*simulator.balancers, made))
+        return simulator.noted(f"{self.label}: tendon from link to link before, {swing:.4g} N m at its greatest")
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from casadical.core.schema import check, load_toml
 from casadical.effects import Effect
 from casadical.effects.definition import DefinitionFile
 from casadical.effects.plugins import new_effects
-from casadical.robot.effect_tables import CovarianceTable, EffectTable, LearntTable, text_of
+from casadical.robot.effect_tables import CovarianceTable, EffectTable, LearntTable, effects_of, text_of
 from casadical.robot.robot import Robot
 
 VERSION = 2
@@ -49,19 +49,11 @@ def read_effects(path: str | Path, effects: Sequence[type[Effect]] = ()) -> Effe
     file = check(_EffectFile, load_toml(path), path.name)
     if not (file.effect or file.definition):
         raise InputError(f"{path.name}: neither [[effect]] nor [[definition]]; one at least is needed")
-    found, values = [], {}
     try:
-        kinds = new_effects(file.definition)
+        known, values, _ = effects_of(file.effect, file.definition, effects)
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from None
-    for k, table in enumerate(file.effect, 1):
-        try:
-            effect = table.effect((*effects, *kinds))
-        except InputError as error:
-            raise InputError(f"{path.name}: effect[{k}].{error}") from None
-        found.append(effect)
-        values.update({f"{effect.label}.{name}": given.value for name, given in table.values.items()})
-    return Effects(tuple(found), values, file.robot, kinds)
+    return Effects(known, values, file.robot, new_effects(file.definition))
 
 
 def effects_toml(robot: Robot, effects: Sequence[Effect], comment: str = "") -> str:

@@ -13,7 +13,8 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.schema import Pair, TomlTable
 from casadical.effects import Effect, find_effect
-from casadical.effects.plugins import defined_in_files
+from casadical.effects.definition import Definition
+from casadical.effects.plugins import defined_in_files, new_effects
 from casadical.robot.knowledge import Covariance, ErrorBound, Knowledge
 
 # A standard error and the variance of its parameter may differ by so much, relative.
@@ -48,6 +49,28 @@ class EffectTable(TomlTable):
             if given.unit != sizes[name][1]:
                 raise InputError(f"values.{name}.unit = {given.unit!r}; allowed: {sizes[name][1]!r}")
         return effect
+
+
+def effects_of(
+    tables: Sequence[EffectTable], definitions: Sequence[Definition], own: Sequence[type[Effect]]
+) -> tuple[tuple[Effect, ...], dict[str, float], dict[str, float]]:
+    """Effects, values and standard errors of their parameters; own : classes besides those defined and installed.
+
+    Raises InputError by key.
+    """
+    kinds = (*own, *new_effects(definitions))
+    effects, values, errors = [], {}, {}
+    for k, table in enumerate(tables, 1):
+        try:
+            effect = table.effect(kinds)
+        except InputError as error:
+            raise InputError(f"effect[{k}].{error}") from None
+        effects.append(effect)
+        for name, given in table.values.items():
+            values[f"{effect.label}.{name}"] = given.value
+            if given.std_error is not None:
+                errors[f"{effect.label}.{name}"] = given.std_error
+    return tuple(effects), values, errors
 
 
 class CovarianceTable(TomlTable):
@@ -120,29 +143,29 @@ def knowledge_of(
     errors : standard errors beside values, by parameter; one that is in no covariance makes a block of its own
     Raises InputError by key.
     """
-    found = []
+    parts = []
     for k, table in enumerate(covariance, 1):
         try:
-            found.append(table.covariance())
+            parts.append(table.covariance())
         except InputError as error:
             raise InputError(f"covariance[{k}].{error}") from None
-    for block in found:
+    for block in parts:
         for name in block.names:
             if name not in names:
                 raise InputError(f"covariance: no parameter {name!r}; there are {', '.join(names)}")
-    known = {name: float(np.sqrt(v)) for c in found for name, v in zip(c.names, np.diag(c.matrix), strict=True)}
+    known = {name: float(np.sqrt(v)) for c in parts for name, v in zip(c.names, np.diag(c.matrix), strict=True)}
     for name, given in errors.items():
         if abs(known.setdefault(name, given) - given) > SAME * given:
             raise InputError(
                 f"{name}: std_error = {given:.6g}, but its [[covariance]] says {known[name]:.6g}; leave one out"
             )
-        if all(name not in c.names for c in found):
-            found.append(Covariance((name,), np.array([[given**2]])))
+        if all(name not in c.names for c in parts):
+            parts.append(Covariance((name,), np.array([[given**2]])))
     ranges = learnt.ranges(arm)
-    if not (found or learnt.model_fields_set):
+    if not (parts or learnt.model_fields_set):
         return None
     conditions = {name: (pair[0], pair[1]) for name, pair in learnt.conditions.items()}
-    return Knowledge(tuple(found), learnt.campaign, learnt.poses, ranges, conditions, learnt.misfit, learnt.robots)
+    return Knowledge(tuple(parts), learnt.campaign, learnt.poses, ranges, conditions, learnt.misfit, learnt.robots)
 
 
 def text_of(

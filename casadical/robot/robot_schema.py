@@ -15,14 +15,19 @@ from pydantic import AfterValidator, Field, model_validator
 
 from casadical.core.arm import STANDARD_GRAVITY
 from casadical.core.arrays import Array
-from casadical.core.errors import InputError
 from casadical.core.parts import WIDTHS, Body, BodyWidth, Coupling, FourBar, Joint, Placement, Target, Width
 from casadical.core.schema import ANGLE, LENGTH, READING, Angle, FaultError, Length, Pair, TomlTable, Triple
 from casadical.core.transforms import frame, from_rpy
 from casadical.effects import Effect
 from casadical.effects.definition import Definition
-from casadical.effects.plugins import new_effects
-from casadical.robot.effect_tables import BoundTable, CovarianceTable, EffectTable, LearntTable, knowledge_of
+from casadical.robot.effect_tables import (
+    BoundTable,
+    CovarianceTable,
+    EffectTable,
+    LearntTable,
+    effects_of,
+    knowledge_of,
+)
 from casadical.robot.error_bound import refuse_other
 from casadical.robot.robot import Robot
 
@@ -216,7 +221,7 @@ class RobotFile(TomlTable):
             tool = replace(tool, T=flange @ tool.T)
             points = [flange[:3, :3] @ point + flange[:3, 3] for point in points]
             payload = payload and _moved(payload, flange)
-        effects, values, errors = self._effects(own)
+        effects, values, errors = effects_of(self.effect, self.definition, own)
         robot = Robot(
             name=self.name,
             joints=tuple(joints),
@@ -241,21 +246,6 @@ class RobotFile(TomlTable):
         if bound:
             refuse_other(robot, bound)
         return replace(robot, knowledge=known, bound=bound)
-
-    def _effects(self, own: Sequence[type[Effect]]) -> tuple[tuple[Effect, ...], dict[str, float], dict[str, float]]:
-        """Effects, values and standard errors of their parameters. Raises InputError by key."""
-        own, effects, values, errors = (*own, *new_effects(self.definition)), [], {}, {}
-        for k, table in enumerate(self.effect, 1):
-            try:
-                effect = table.effect(own)
-            except InputError as error:
-                raise InputError(f"effect[{k}].{error}") from None
-            effects.append(effect)
-            for name, given in table.values.items():
-                values[f"{effect.label}.{name}"] = given.value
-                if given.std_error is not None:
-                    errors[f"{effect.label}.{name}"] = given.std_error
-        return tuple(effects), values, errors
 
 
 def _from_standard(rows: list[Joint]) -> tuple[list[Joint], Array]:

@@ -1,4 +1,4 @@
-"""Masses of the payload and of the links that are not the declared ones."""
+"""The declared masses and mass centres of the links are wrong."""
 
 from __future__ import annotations
 
@@ -16,49 +16,8 @@ from casadical.effects.counterparts import Counterparts
 
 
 @dataclass(frozen=True)
-class PayloadError(Effect):
-    """The declared payload has another mass and mass centre."""
-
-    name = "payload_error"
-    on_list = "standard"
-    signature = "torque errors where the payload is mounted"
-    needs = ("payload_kg",)
-    physics = "Gravity on the true payload differs from the declared one; it acts through the joints' springs."
-    confused_with = "nonlinear_stiffness; compliance of the wrist where the payload never changes"
-    size = {"mass": (0.06, "kg/kg"), **dict.fromkeys("xyz", (0.03, "m"))}
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        return (cls(),) if arm.payload else ()
-
-    def energy(self, context: Context) -> Symbolic:
-        payload = context.arm.payload
-        if payload is None:
-            return 0.0
-        kg, T = context.conditions["payload_kg"], context.frames[-1]
-        shift = ca.vertcat(*(self.value(context, c) for c in "xyz"))
-        moment = self.value(context, "mass") * ca.DM(payload.com) + shift
-        point = T[:3, :3] @ moment + self.value(context, "mass") * T[:3, 3]
-        return -kg * ca.dot(context.gravity, point)
-
-    def counterpart(self, found: Counterparts, v: Mapping[str, float]) -> Counterparts:
-        """The true mass, and the centre whose first moment is that of the effect."""
-        declared = found.payload
-        if declared is None:
-            return super().counterpart(found, v)
-        factor = 1 + v["mass"]
-        centre = declared.com + np.array([v[c] for c in "xyz"]) / factor
-        found = replace(found, payload=Body(declared.mass * factor, centre), payload_factor=factor)
-        return found.noted(
-            f"payload_error: {declared.mass * factor:.4g} kg in place of {declared.mass:.4g} kg, centre moved"
-        )
-
-
-@dataclass(frozen=True)
 class LinkMasses(Effect):
-    """The declared masses and mass centres of the links are wrong.
-
-    share, centre : one sigma of each link's mass as a share of the declared one, and of each coordinate of its mass
+    """share, centre : one sigma of each link's mass as a share of the declared one, and of each coordinate of its mass
     centre [m]; zero for a link without declared mass, and where both are known exactly (see `Arm.body_width`)
     """
 
@@ -107,19 +66,19 @@ class LinkMasses(Effect):
                 total = total - joint.body.mass * ca.dot(context.gravity, first_moment)
         return total
 
-    def counterpart(self, found: Counterparts, v: Mapping[str, float]) -> Counterparts:
+    def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
         """True masses, and the centres whose first moments are those of the effect."""
-        bodies = list(found.bodies)
+        bodies = list(simulator.bodies)
         for k, body in enumerate(bodies):
             factor = 1 + v.get(f"m{k + 1}", 0.0)
             if body is None or not (self.share[k] or self.centre[k]):
                 continue
             if factor <= 0:
-                return found.without(self.label, f"the mass of link {k + 1} came out negative")
+                return simulator.without(self.label, f"the mass of link {k + 1} came out negative")
             shift = np.array([v.get(f"{c}{k + 1}", 0.0) for c in "xyz"])
             bodies[k] = Body(body.mass * factor, body.com + shift / factor)
         masses = ", ".join("-" if b is None else f"{b.mass:.4g}" for b in bodies)
-        return replace(found, bodies=tuple(bodies)).noted(f"link_masses: {masses} kg, mass centres moved")
+        return replace(simulator, bodies=tuple(bodies)).noted(f"link_masses: {masses} kg, mass centres moved")
 
 
 def _undeclared(arm: Arm, row: int) -> float:
