@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadical.compensator.checks import joint_angles, residuals
-from casadical.compensator.folds import training_masks
 from casadical.compensator.layout import JointBox, Layout, box_around
 from casadical.compensator.network import Network
 from casadical.compensator.report import BeforeAfter, table
-from casadical.compensator.task import Loss, make_task
+from casadical.compensator.task import Loss, make_task, training_masks
 from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.known import trainer_named
 from casadical.compensator.training import Progress, train_all
@@ -278,14 +277,14 @@ def _check_choices(poses: int, folds: int, margin: float) -> None:
 def _apply(network: Network, data: Data) -> BeforeAfter:
     rows = joint_angles(data[0], network.layout.joints)
     before = residuals(data[1], len(rows), network.layout.outputs)
-    return BeforeAfter.of(before, before - network.output_mm(rows))
+    return BeforeAfter.compare(before, before - network.output_mm(rows))
 
 
 def _cross_validated(networks: list[Network], masks: Any, rows: Array, targets: Array) -> BeforeAfter:
     after = targets.copy()
     for network, mask in zip(networks, masks, strict=True):
         after[~mask] -= network.output_mm(rows[~mask])
-    return BeforeAfter.of(targets, after)
+    return BeforeAfter.compare(targets, after)
 
 
 def _data_sha256(rows: Array, targets: Array) -> str:

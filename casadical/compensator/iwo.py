@@ -13,8 +13,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadical.compensator.checksummed_json import pack, unpack
 from casadical.compensator.iwo_settings import IwoSettings
-from casadical.compensator.packing import pack, unpack
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 

@@ -25,7 +25,7 @@ class Errors:
 
     Examples
     --------
-    >>> casadical.compensator.Errors.of(np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 1.0]])).mean_mm
+    >>> casadical.compensator.Errors.summarise(np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 1.0]])).mean_mm
     3.0
     """
 
@@ -35,7 +35,7 @@ class Errors:
     std_mm: float
 
     @classmethod
-    def of(cls, errors_mm: Array) -> Self:
+    def summarise(cls, errors_mm: Array) -> Self:
         """Summarise error vectors.
 
         Parameters
@@ -69,7 +69,7 @@ class BeforeAfter:
 
     Examples
     --------
-    >>> both = casadical.compensator.BeforeAfter.of(residual_mm, 0.5 * residual_mm)
+    >>> both = casadical.compensator.BeforeAfter.compare(residual_mm, 0.5 * residual_mm)
     >>> round(both.gain, 2)
     0.5
     """
@@ -80,7 +80,7 @@ class BeforeAfter:
     gain_error: float
 
     @classmethod
-    def of(cls, before_mm: Array, after_mm: Array) -> Self:
+    def compare(cls, before_mm: Array, after_mm: Array) -> Self:
         """Compare error vectors of the same poses.
 
         Parameters
@@ -98,11 +98,11 @@ class BeforeAfter:
         was, now = np.linalg.norm(before_mm, axis=1), np.linalg.norm(after_mm, axis=1)
         mean = float(was.mean())
         if mean == 0.0:
-            return cls(Errors.of(before_mm), Errors.of(after_mm), 0.0, 0.0)
+            return cls(Errors.summarise(before_mm), Errors.summarise(after_mm), 0.0, 0.0)
         ratio = float(now.mean()) / mean
         # delta method: the ratio of two means of paired values
         spread = float(np.std(now - ratio * was, ddof=1)) if len(was) > 1 else 0.0
-        return cls(Errors.of(before_mm), Errors.of(after_mm), 1 - ratio, spread / mean / len(was) ** 0.5)
+        return cls(Errors.summarise(before_mm), Errors.summarise(after_mm), 1 - ratio, spread / mean / len(was) ** 0.5)
 
 
 def table(rows: dict[str, BeforeAfter]) -> str:

@@ -1,4 +1,4 @@
-"""What a trainer is given: scaled inputs and targets, and the paper's loss (eqs. 12 and 14)."""
+"""What a trainer is given: scaled inputs and targets, folds of them, and the paper's loss (eqs. 12 and 14)."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,7 +26,7 @@ class Loss:
     --------
     >>> loss = casadical.compensator.Loss()
     >>> errors = np.array([[[1.0, 3.0]]])  # one network, one output, two poses [mm]
-    >>> loss.of(errors), loss.slope(errors).shape
+    >>> loss.value(errors), loss.slope(errors).shape
     (array([11.3]), (1, 1, 2))
     """
 
@@ -37,7 +37,7 @@ class Loss:
         if not (self.mean >= 0 and self.max >= 0 and self.mean + self.max > 0):
             raise InputError(f"the weights of the loss must not be negative nor both zero; got {self}")
 
-    def of(self, errors: Array) -> Array:
+    def value(self, errors: Array) -> Array:
         """The loss of every network.
 
         Parameters
@@ -121,7 +121,7 @@ class Task:
             memory = Memory()
         errors = forward(self.layout, weights, self.inputs, memory)
         errors -= self.targets
-        losses = self.loss.of(errors)
+        losses = self.loss.value(errors)
         self._idle.append(memory)
         return np.asarray(self.scale_mm**2 * losses)
 
@@ -192,3 +192,15 @@ def random_weights(layout: Layout, random: np.random.Generator, count: int) -> A
     """Draw starting weights, shape (count, layout.count): normal, divided by the square root of a neuron's inputs."""
     spread = layout.weights([np.full(shape, shape[1] ** -0.5) for shape in layout.shapes])
     return np.asarray(spread * random.standard_normal((count, layout.count)), dtype=np.float64)
+
+
+def training_masks(samples: int, folds: int, seed: int) -> Array:
+    """Split samples at random into folds of sizes that differ by one at most.
+
+    Returns a boolean array of shape (folds, samples), true where a sample is trained on.
+    """
+    order = np.random.default_rng(seed).permutation(samples)
+    masks = np.ones((folds, samples), dtype=bool)
+    for mask, held_out in zip(masks, np.array_split(order, folds), strict=True):
+        mask[held_out] = False
+    return masks

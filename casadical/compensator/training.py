@@ -7,8 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from casadical.compensator.checksummed_json import digest, read_checksummed, write_checksummed
-from casadical.compensator.packing import pack, unpack
+from casadical.compensator.checksummed_json import digest, pack, read_checksummed, unpack, write_checksummed
 from casadical.compensator.task import Task
 from casadical.compensator.trainers.base import Run, Trainer
 from casadical.core.arrays import Array

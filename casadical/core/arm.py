@@ -94,6 +94,12 @@ class Arm:
         units = {"revolute": ("deg", np.pi / 180), "prismatic": ("mm", 1e-3)}
         return {f"q{i}_{units[j.kind][0]}": units[j.kind][1] for i, j in enumerate(self.joints, 1)}
 
+    @property
+    def limits(self) -> tuple[Array, Array]:
+        """Lower and upper ends of the joints' ranges, each shape (n,) [rad or m]."""
+        lower, upper = np.array([(j.lower, j.upper) for j in self.joints]).T
+        return lower, upper
+
     def coupled(self, q: Array) -> Array:
         """Readings, shape (n, joints) [rad or m], with those of coupled and locked joints as they follow."""
         made = np.array(q, dtype=float)

@@ -92,6 +92,28 @@ def to_xyz(R: Array) -> Array:
     return -to_rpy(R.T)
 
 
+def quaternion(R: Array) -> Array:
+    """Unit quaternion, shape (4,), scalar first and not negative, of a rotation, shape (3, 3)."""
+    # The greatest eigenvector of a symmetric matrix (Bar-Itzhack 2000), which needs no case distinctions.
+    K = np.zeros((4, 4))
+    K[0, 1:] = K[1:, 0] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+    K[1:, 1:] = R + R.T - np.trace(R) * np.eye(3)
+    K[0, 0] = np.trace(R)
+    q = np.linalg.eigh(K)[1][:, -1]
+    return np.asarray(q if q[0] >= 0 else -q)
+
+
+def from_quaternion(q: Array) -> Array:
+    """Rotations, shape (..., 3, 3), of quaternions of any length but zero, scalar first, shape (..., 4)."""
+    w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
 def frame(R: Array, p: Array) -> Array:
     """Transform, shape (4, 4), from a rotation (3, 3) and a translation (3,) [m]."""
     T = np.eye(4)

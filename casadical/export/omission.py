@@ -66,17 +66,19 @@ def rigid_rest(robot: Robot, seed: int = 0) -> tuple[float, float]:
     """
     robot = robot.with_only(e for e in robot.effects if not e.of_measurement)
     q, w = _poses(robot, seed)
-    p, margin = robot.model.evaluate(("p", "margin"), q, w, robot.parameters.values)
     bare = geometry_of(robot)
-    (stiff,) = bare.model.evaluate(("p",), q, np.tile(bare.declared, (POSES, 1)), bare.parameters.values)
-    closed = (margin.reshape(-1, POSES) > LEAST_MARGIN).all(axis=0)
-    moved = np.linalg.norm(p - stiff, axis=0)[closed]
-    return float(moved.mean()), float(moved.max())
+    (p,) = bare.model.evaluate(("p",), q, np.tile(bare.declared, (POSES, 1)), bare.parameters.values)
+    return _apart(robot, q, w, p)
 
 
 def geometry_of(robot: Robot) -> Robot:
     """The rigid robot without effects whose geometry, base and tool are the same."""
-    return replace(robot.with_only(()), joints=tuple(replace(j, compliance=None) for j in robot.joints), knowledge=None)
+    return rigid(robot.with_only(()))
+
+
+def rigid(robot: Robot) -> Robot:
+    """The robot without springs in its joints, and without what the file knows of its accuracy."""
+    return replace(robot, joints=tuple(replace(j, compliance=None) for j in robot.joints), knowledge=None)
 
 
 def geometry_alone(calibration: "Calibration") -> dict[str, float | int | str]:
@@ -123,13 +125,17 @@ def lost(robot: Robot, parameters: Collection[str], seed: int = 0) -> tuple[floa
     the joints' ranges, either approach, all times, and the declared payload.
     """
     q, w = _poses(robot, seed)
-    whole = robot.parameters.values
-    without = whole.copy()
+    without = robot.parameters.values.copy()
     without[[robot.parameters.index_of(name) for name in parameters]] = 0.0
-    p, margin = robot.model.evaluate(("p", "margin"), q, w, whole)
-    (bare,) = robot.model.evaluate(("p",), q, w, without)
+    (p,) = robot.model.evaluate(("p",), q, w, without)
+    return _apart(robot, q, w, p)
+
+
+def _apart(robot: Robot, q: Array, w: Array, other: Array) -> tuple[float, float]:
+    """Mean and largest distance [m] of the measured point from another, shape (3, POSES), where the loops close."""
+    p, margin = robot.model.evaluate(("p", "margin"), q, w, robot.parameters.values)
     closed = (margin.reshape(-1, POSES) > LEAST_MARGIN).all(axis=0)
-    moved = np.linalg.norm(p - bare, axis=0)[closed]
+    moved = np.linalg.norm(p - other, axis=0)[closed]
     return float(moved.mean()), float(moved.max())
 
 
@@ -137,7 +143,7 @@ def _poses(robot: Robot, seed: int) -> tuple[Array, Array]:
     """Readings and conditions of the range on which a robot was learnt, shapes (POSES, n) and (POSES, conditions)."""
     rng = np.random.default_rng(seed)
     known = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
-    lower, upper = (known if len(known) else np.array([(j.lower, j.upper) for j in robot.joints])).T
+    lower, upper = known.T if len(known) else robot.limits
     q = rng.uniform(lower, upper, (POSES, robot.n))
     w = np.column_stack([_drawn(robot, k, rng) for k in range(len(robot.conditions))] or [np.zeros((POSES, 0))])
     return q, w

@@ -268,7 +268,7 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
         low, high = known.readings.T
         drawn = "the learnt range of each joint"
     else:
-        low, high = np.array([(j.lower, j.upper) for j in robot.joints]).T
+        low, high = robot.limits
         drawn = "the limits of each joint"
     q = np.random.default_rng(0).uniform(low, high, (DRAWN, robot.n))
     wide = doubted(robot, FURTHER)

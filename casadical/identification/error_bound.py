@@ -137,7 +137,7 @@ def evaluated(robot: Robot, sets: Iterable[Measurements], names: tuple[str, ...]
 
 def _anywhere(robot: Robot, names: tuple[str, ...]) -> Array:
     """Jacobians at random poses within the joint limits, where the robot has a pose."""
-    lower, upper = np.array([(j.lower, j.upper) for j in robot.joints]).T
+    lower, upper = robot.limits
     q = np.random.default_rng(0).uniform(lower, upper, (_SAMPLES, robot.n))
     J = evaluated(robot, [unmeasured(q)], names)[1]
     return np.asarray(J[np.isfinite(J).all(axis=(1, 2))])

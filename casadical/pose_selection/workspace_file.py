@@ -45,7 +45,7 @@ class _Workspace(TomlTable):
 def read_workspace(path: str | Path, robot: Robot) -> Workspace:
     """The workspace of a file, in the measuring frame. Raises InputError that names file and key."""
     given = check(_Workspace, load_toml(Path(path)), str(path))
-    lower, upper = np.array([(j.lower, j.upper) for j in robot.joints]).T
+    lower, upper = robot.limits
     for joint in given.joint:
         if joint.number > robot.n:
             raise InputError(f"{path}: joint {joint.number}: {robot.name} has {robot.n} joints")

@@ -162,7 +162,7 @@ class Robot(Arm):
         upright is made for the forces of motion.
         """
         bare = self.with_only(())
-        lower, upper = np.array([(j.lower, j.upper) for j in self.joints]).T
+        lower, upper = self.limits
         q = np.random.default_rng(0).uniform(lower, upper, (512, self.n))
         w = np.tile(bare.declared, (len(q), 1))
         tau = np.abs(bare.model.evaluate(("tau",), q, w, bare.parameters.values)[0])

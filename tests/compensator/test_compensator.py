@@ -111,8 +111,8 @@ def test_growing_maximum_is_said():
     before[:, 0] = [1, 1, 1, 1]
     after = np.zeros((4, 3))
     after[:, 0] = [0, 0, 0, 1.5]
-    row = BeforeAfter.of(before, after)
-    none = BeforeAfter.of(before, before)
+    row = BeforeAfter.compare(before, after)
+    none = BeforeAfter.compare(before, before)
     words = Compensator(
         network=Compensator.fit(*smooth(30, 0), trainer=QUICK).network,
         layout=Layout(),
@@ -135,7 +135,7 @@ def test_gain_error_against_the_bootstrap():
     random = np.random.default_rng(0)
     before = random.normal(size=(400, 3))
     after = 0.6 * before + 0.3 * random.normal(size=(400, 3))
-    row = BeforeAfter.of(before, after)
+    row = BeforeAfter.compare(before, after)
     was, now = np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1)
     draws = random.integers(0, 400, (2000, 400))
     spread = (1 - now[draws].mean(axis=1) / was[draws].mean(axis=1)).std()
@@ -144,7 +144,7 @@ def test_gain_error_against_the_bootstrap():
 
 
 def test_errors_by_hand():
-    errors = Errors.of(np.array([[3.0, 4, 0], [0, 0, 1]]))
+    errors = Errors.summarise(np.array([[3.0, 4, 0], [0, 0, 1]]))
     assert errors == Errors(2, 3.0, 5.0, 8**0.5)
 
 

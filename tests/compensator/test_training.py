@@ -7,9 +7,8 @@ import pytest
 from scipy.optimize import least_squares, minimize
 
 from casadical.compensator import Backprop, Iwo, IwoSettings, IwoThenLm, LevenbergMarquardt, Loss, train, train_all
-from casadical.compensator.folds import training_masks
 from casadical.compensator.forward import forward
-from casadical.compensator.task import random_weights
+from casadical.compensator.task import random_weights, training_masks
 from casadical.compensator.trainers.damped_least_squares import advance, begin_batch
 from casadical.core.errors import InputError
 from problems import small_task
@@ -29,7 +28,7 @@ QUICK = {
 def test_loss_by_hand():
     """Errors (1, 2, 2) and (0, 0, 3): E = 3 and 3; with (3, 0, 0) and (0, 3, 3): E = 3 and 6; l1 = 1, l2 = 0.7."""
     errors = np.array([[[1.0, 0], [2, 0], [2, 3]], [[3, 0], [0, 3], [0, 3]]])
-    np.testing.assert_allclose(Loss().of(errors), [3 + 0.7 * 3, 4.5 + 0.7 * 6], rtol=1e-15)
+    np.testing.assert_allclose(Loss().value(errors), [3 + 0.7 * 3, 4.5 + 0.7 * 6], rtol=1e-15)
 
 
 def test_loss_slope_against_finite_differences():
@@ -39,7 +38,7 @@ def test_loss_slope_against_finite_differences():
     for index in np.ndindex(errors.shape):
         step = np.zeros_like(errors)
         step[index] = 1e-6
-        numeric = (loss.of(errors + step) - loss.of(errors - step))[index[0]] / 2e-6
+        numeric = (loss.value(errors + step) - loss.value(errors - step))[index[0]] / 2e-6
         assert slope[index] == pytest.approx(numeric, abs=1e-8)
 
 

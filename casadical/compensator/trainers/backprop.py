@@ -5,8 +5,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from casadical.compensator.checksummed_json import pack, unpack
 from casadical.compensator.forward import forward, gradient
-from casadical.compensator.packing import pack, unpack
 from casadical.compensator.task import Task, random_weights
 from casadical.compensator.trainers.base import Trainer
 from casadical.core.arrays import Array
@@ -57,7 +57,7 @@ class BackpropRun:
         task = self.task
         errors = np.asarray(forward(task.layout, weights, task.inputs) - task.targets, dtype=np.float64)
         slope = gradient(task.layout, weights, task.inputs, task.loss.slope(errors))
-        return float(task.loss.of(errors)[0]), slope
+        return float(task.loss.value(errors)[0]), slope
 
     def step(self) -> None:
         t = self.trainer

@@ -12,10 +12,9 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from casadical.compensator.folds import training_masks
+from casadical.compensator.checksummed_json import pack, unpack
 from casadical.compensator.forward import forward
-from casadical.compensator.packing import pack, unpack
-from casadical.compensator.task import Task, random_weights
+from casadical.compensator.task import Task, random_weights, training_masks
 from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.damped_least_squares import Batch, advance, begin_batch
 from casadical.core.arrays import Array

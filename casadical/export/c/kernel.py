@@ -52,9 +52,6 @@ class Kernel:
     >>> dq.shape, status
     ((3, 2), array([0, 0, 5], dtype=int32))
     >>> p, status = kernel.forward(poses.q[:3])
-    >>> kernel.bound(poses.q[:3])  # of an export with a limit
-    Traceback (most recent call last):
-    casadical.core.errors.InputError: the export 'arm' has no function 'bound'; it has ['correct', 'forward']
     >>> kernel.rows("forward", poses.q[:3])[0].shape, kernel.steps(poses.q[:3], np.ones(3))[0].shape
     ((3, 3), (3, 2))
     >>> try:
@@ -71,22 +68,11 @@ class Kernel:
     def rows(self, function: str, q: Array) -> tuple[Array, Array]:
         """Call a function for each row of joints.
 
-        Parameters
-        ----------
-        function : str
-            ``network``, ``curves``, ``forward``, ``correct`` or ``bound``, as the export has it
-        q : Array, shape (k, n) [rad or m]
-            joint readings, converted to the kernel's real type
+        function : ``network``, ``curves``, ``forward``, ``correct`` or ``bound``, as the export has it
+        q : joint readings, shape (k, n) [rad or m], converted to the kernel's real type
 
-        Returns
-        -------
-        tuple[Array, Array]
-            values, shape (k, outputs), and status, shape (k,), a `casadical.export.Status`
-
-        Raises
-        ------
-        InputError
-            the export has no such function, or q another number of joints
+        Returns values, shape (k, outputs), and status, shape (k,), a `casadical.export.Status`. Raises InputError: the
+        export has no such function, or q another number of joints.
         """
         shape = self.shape
         if function not in shape.outputs:
@@ -103,112 +89,29 @@ class Kernel:
         return out, status
 
     def network(self, q: Array) -> tuple[Array, Array]:
-        """Correction by the network.
-
-        Parameters
-        ----------
-        q : Array, shape (k, n) [rad or m]
-            joint readings
-
-        Returns
-        -------
-        tuple[Array, Array]
-            corrections, shape (k, m) [mm], and status, shape (k,)
-
-        Examples
-        --------
-        >>> x = ca.SX.sym("q", 2)
-        >>> function = ca.Function("network", [x], [ca.vertcat(x, 0)], ["q"], ["dp"])
-        >>> network = casadical.export.NetworkFunction(function, np.full(2, -3.0), np.full(2, 3.0))
-        >>> export = casadical.export.write_c(network, "network", name="net", vectors=100, languages=())
-        >>> casadical.export.load("network").network(poses.q[:3])[0].shape
-        (3, 3)
-        """
+        """Corrections by the network, shape (k, m) [mm], and status; q, errors and the like as of `rows`."""
         return self.rows("network", q)
 
     def curves(self, q: Array) -> tuple[Array, Array]:
-        """Error curves of the joints.
-
-        Parameters
-        ----------
-        q : Array, shape (k, n) [rad or m]
-            joint readings
-
-        Returns
-        -------
-        tuple[Array, Array]
-            what each joint turns beyond its reading, shape (k, n) [rad or m], and status, shape (k,)
-
-        Examples
-        --------
-        >>> x = ca.SX.sym("q", 2)
-        >>> function = ca.Function("curves", [x], [1e-4 * ca.sin(x)], ["q"], ["dq"])
-        >>> curves = casadical.export.CurveFunction(function, np.full(2, -3.0), np.full(2, 3.0))
-        >>> export = casadical.export.write_c(curves, "curves2", name="arm", vectors=100, languages=())
-        >>> casadical.export.load("curves2").curves(poses.q[:3])[0].shape
-        (3, 2)
-        """
+        """What each joint turns beyond its reading, shape (k, n) [rad or m], and status."""
         return self.rows("curves", q)
 
     def forward(self, q: Array) -> tuple[Array, Array]:
-        """Calibrated position, with the rotation where the export has it.
-
-        Parameters
-        ----------
-        q : Array, shape (k, n) [rad or m]
-            joint readings
-
-        Returns
-        -------
-        tuple[Array, Array]
-            positions, shape (k, 3) [m], or (k, 12) with the rotation, and status, shape (k,)
-        """
+        """Calibrated positions, shape (k, 3) [m], or (k, 12) with the rotation where the export has it, and status."""
         return self.rows("forward", q)
 
     def correct(self, q: Array) -> tuple[Array, Array]:
-        """Corrections of joint commands.
-
-        Parameters
-        ----------
-        q : Array, shape (k, n) [rad or m]
-            joint readings
-
-        Returns
-        -------
-        tuple[Array, Array]
-            corrections, shape (k, n) [rad or m], and status, shape (k,)
-        """
+        """Corrections of joint commands, shape (k, n) [rad or m], and status."""
         return self.rows("correct", q)
 
     def bound(self, q: Array) -> tuple[Array, Array]:
-        """Bound of the error that remains, of an export that has one.
-
-        Parameters
-        ----------
-        q : Array, shape (k, n) [rad or m]
-            joint readings
-
-        Returns
-        -------
-        tuple[Array, Array]
-            bounds, shape (k, 1) [mm], and status, shape (k,)
-        """
+        """Bounds of the error that remains, of an export that has one, shape (k, 1) [mm], and status."""
         return self.rows("bound", q)
 
     def steps(self, q: Array, enable: Array) -> tuple[Array, Array]:
-        """``step`` for consecutive cycles from the zero state.
+        """``step`` for consecutive cycles from the zero state: corrections, shape (k, n) [rad or m], and status.
 
-        Parameters
-        ----------
-        q : Array, shape (k, n) [rad or m]
-            joint readings of consecutive cycles
-        enable : Array, shape (k,)
-            whether the correction is on
-
-        Returns
-        -------
-        tuple[Array, Array]
-            corrections, shape (k, n) [rad or m], and status, shape (k,)
+        q : readings, shape (k, n) [rad or m]; enable : whether the correction is on, shape (k,)
         """
         table = np.ascontiguousarray(q, DTYPE[self.shape.real])
         on = np.ascontiguousarray(enable, np.uint32)
@@ -218,13 +121,7 @@ class Kernel:
         return out, status
 
     def self_test(self) -> int:
-        """Status of the C's own self-test.
-
-        Returns
-        -------
-        int
-            0 where it passed
-        """
+        """Status of the C's own self-test, 0 where it passed."""
         return int(getattr(self._library, f"{self.shape.name}_self_test")())
 
 
@@ -285,7 +182,7 @@ def load(export: str | Path, *, trust: bool = False) -> Kernel:
     >>> casadical.export.load("curves1").self_test()
     0
     """
-    from casadical.export.c.manifest import read_manifest
+    from casadical.export.c.manifest import read_manifest  # late: pydantic, which to export takes no part in
 
     export = Path(export)
     manifest = read_manifest(export)
@@ -294,10 +191,7 @@ def load(export: str | Path, *, trust: bool = False) -> Kernel:
             f"{export}: was not exported here by you, and its C would be compiled and run; read it, and give --trust "
             "(trust=True), or export again from the robot file"
         )
-    facts = manifest.kernel
-    outputs = {str(key): size for key, size in facts.outputs.items()}
-    shape = Shape(facts.name, facts.real, facts.joints, outputs, tuple(facts.units))
-    contents = {}
+    shape, contents = Shape(**manifest.kernel.model_dump()), {}
     for name in (f"{shape.name}.h", f"{shape.name}.c", f"{shape.name}_self_test.c"):
         blob = read_bytes(export / name) if (export / name).is_file() else b""
         found = hashlib.sha256(blob).hexdigest() if blob else "missing"

@@ -97,9 +97,7 @@ def operations(program: TapeProgram) -> Operations:
                 for kind, more in (("multiplications", 0), ("additions", -1)):
                     count[kind] = count.get(kind, 0) + times * (len(node.args) + more)
             elif times and node.op not in _FREE:
-                kind = _KINDS.get(
-                    node.op, node.op if node.op in ("sqrt", "exp", "tansig", "atan2", "periodic") else "choices"
-                )
+                kind = _KINDS.get(node.op, "choices")
                 count[kind] = count.get(kind, 0) + times
     return Operations(key, count)
 
@@ -142,5 +140,6 @@ def _command_tapes(command: Command, real: Real) -> dict[str, Tape]:
     if command.bound is not None:
         boxes["bound"], tapes["bound"] = boxes["prepare"], tape_of(command.bound)
     tapes = {key: without_needless_guards(tape, *boxes[key], real) for key, tape in tapes.items()}
-    anything = np.full(tape_of(advance(command)).n_in, np.inf)
-    return tapes | {"advance": without_needless_guards(tape_of(advance(command)), -anything, anything, real)}
+    step = tape_of(advance(command))
+    anything = np.full(step.n_in, np.inf)
+    return tapes | {"advance": without_needless_guards(step, -anything, anything, real)}

@@ -227,20 +227,13 @@ def _manifest(
     blobs: dict[str, bytes],
     made: Export,
 ) -> bytes:
-    shape = shape_of(program, label.name)
     content = {
         "written_by": "casadical",
         "schema": SCHEMA,
         "product": "command" if program.network is None or program.command else program.network.key,
         "model_sha256": label.model_sha256,
         "data_sha256": label.data_sha256,
-        "kernel": {
-            "name": shape.name,
-            "real": shape.real,
-            "joints": shape.joints,
-            "outputs": shape.outputs,
-            "units": shape.units,
-        },
+        "kernel": vars(shape_of(program, label.name)),
         "files": {key: _sha256(blob) for key, blob in sorted(blobs.items())},
         "verified": made.verified,
         "comparisons": [vars(c) for c in made.comparisons],

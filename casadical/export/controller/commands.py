@@ -23,7 +23,7 @@ from casadical.export.c.products import Command, CurveFunction, Limits, NetworkF
 from casadical.export.controller.curves import joint_curves, without_curves
 from casadical.export.controller.functions import bent_function, difference_function, tool_function
 from casadical.export.controller.inverse import SINGULAR_POSE, freedom_of
-from casadical.export.omission import left_out
+from casadical.export.omission import geometry_of, left_out, rigid
 from casadical.robot.axes import row_matrix
 from casadical.robot.error_bound import bound_function
 from casadical.robot.robot import Robot
@@ -123,7 +123,7 @@ def command_of(
     freedom = freedom_of(nominal)
     orientation = orientation and freedom[1] > 0
     network = _network(sources, real.n)
-    lower, upper = np.array([(j.lower, j.upper) for j in real.joints]).T
+    lower, upper = real.limits
     if network is not None:
         lower, upper = np.maximum(lower, network.lower), np.minimum(upper, network.upper)
     command = Command(
@@ -131,7 +131,7 @@ def command_of(
         calibrated=tool_function(real, "calibrated", orientation, turn, network),
         lower=lower,
         upper=upper,
-        jacobian_of=tool_function(_rigid(without_curves(real)), "chain", orientation),
+        jacobian_of=tool_function(rigid(without_curves(real)), "chain", orientation),
         jacobian_at=bent_function(real) if _compliant(real) else None,
         network=network,
         bound=bound_of(sources)[0],
@@ -158,7 +158,7 @@ def own_robots(sources: Sources) -> tuple[Robot, Robot, Array]:
             "the robot file from before the calibration"
         )
     real, _ = followed(sources)
-    nominal = _rigid(robot_of(sources.nominal).with_only(()))
+    nominal = geometry_of(robot_of(sources.nominal))
     _refuse_other_robot(real, nominal, sources)
     if sources.tool == "shared":
         nominal = replace(nominal, tool=real.tool)
@@ -255,7 +255,7 @@ def curves_of(sources: Sources) -> CurveFunction:
             "finds the curves; Diagnosis.apply() and write_robot put them into a robot file"
         )
     q = ca.SX.sym("q", robot.n)
-    lower, upper = np.array([(j.lower, j.upper) for j in robot.joints]).T
+    lower, upper = robot.limits
     return CurveFunction(ca.Function("curves", [q], [curves(q)], ["q"], ["dq"]), lower, upper, units_of(robot))
 
 
@@ -339,10 +339,6 @@ def _loaded(robot: Robot, payload_kg: float | None) -> Robot:
             "add [payload] with mass_kg and com_mm to the robot file"
         )
     return replace(robot, payload=Body(payload_kg, robot.payload.com))
-
-
-def _rigid(robot: Robot) -> Robot:
-    return replace(robot, joints=tuple(replace(j, compliance=None) for j in robot.joints), knowledge=None)
 
 
 def _compliant(robot: Robot) -> bool:

@@ -52,7 +52,7 @@ class Corrector:
         q -> nominal tool positions [m], shape (k, 3); None where it is not known
     bound : Callable[[Array], Array], optional
         q -> below it 95 % of the errors are that remain [mm], shape (k,); None where it is not known
-    instead : Corrector, optional
+    fallback : Corrector, optional
         of the position alone, for targets whose pose cannot be corrected; None: they are refused
     units : tuple[str, ...], default ()
         "rad" or "m" of each joint's reading; none: all rad
@@ -70,7 +70,7 @@ class Corrector:
     position: Callable[[Array], Array]
     target: Callable[[Array], Array] | None = None
     bound: Callable[[Array], Array] | None = None
-    instead: "Corrector | None" = None
+    fallback: "Corrector | None" = None
     units: tuple[str, ...] = ()
 
 
@@ -207,18 +207,18 @@ def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
 
     shape = kernel.shape
     return Corrector(
-        shape.joints, correct, position, bound=bound if "bound" in shape.outputs else None, units=shape.units
+        shape.joints, correct, position, bound=bound if "bound" in shape.outputs else None, units=tuple(shape.units)
     )
 
 
-def model_corrector(command: Command, instead: Corrector | None = None) -> Corrector:
+def model_corrector(command: Command, fallback: Corrector | None = None) -> Corrector:
     """Correction by the export's reference in NumPy: the same bits as the exported double C, without a compiler.
 
     Parameters
     ----------
     command : Command
         what is corrected
-    instead : Corrector, optional
+    fallback : Corrector, optional
         as of `Corrector`
 
     Returns
@@ -241,7 +241,7 @@ def model_corrector(command: Command, instead: Corrector | None = None) -> Corre
         lambda q: mapped(command.calibrated, q)[:, :3],
         lambda q: mapped(command.nominal, q)[:, :3],
         (lambda q: reference_bound(made, q)[0][:, 0]) if command.bound else None,
-        instead,
+        fallback,
         command.units,
     )
 
@@ -288,8 +288,8 @@ def corrected_joints(corrector: Corrector, q: Array) -> tuple[Array, tuple[str, 
     names = [LEAVES_BOX if b and n == Status.OK.name else n for b, n in zip(beyond, names, strict=True)]
     fine = np.array([n == Status.OK.name for n in names])
     new = np.where(fine[:, None], q + dq, q)
-    if corrector.instead is not None and not fine.all():
-        other, reached = corrected_joints(corrector.instead, q[~fine])
+    if corrector.fallback is not None and not fine.all():
+        other, reached = corrected_joints(corrector.fallback, q[~fine])
         for k, joints, name in zip(np.flatnonzero(~fine), other, reached, strict=True):
             if name in FINE:
                 new[k], names[k] = joints, POSITION_ONLY

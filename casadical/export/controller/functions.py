@@ -10,7 +10,6 @@ from casadical.core.errors import InputError
 from casadical.export.c.differences import changed
 from casadical.export.c.products import NetworkFunction, mapped
 from casadical.export.controller.curves import GivenAngles, joint_curves, pose_of, without_curves
-from casadical.export.controller.inverse import limits_of
 from casadical.robot.robot import Robot
 
 ROUNDING = 1e-9  # m or rad
@@ -65,7 +64,7 @@ def difference_function(
 def _refuse_other(model: Robot, before: Array, nominal: Robot) -> None:
     """Raises InputError where the model with nominal parameters is not the nominal robot."""
     q = ca.SX.sym("q", model.n)
-    poses = np.random.default_rng(0).uniform(*limits_of(nominal), (50, model.n))
+    poses = np.random.default_rng(0).uniform(*nominal.limits, (50, model.n))
     mine, theirs = (
         mapped(ca.Function("pose", [q], pose), poses)
         for pose in (list(model.pose.call([q, ca.DM(before)])), pose_of(nominal, q))

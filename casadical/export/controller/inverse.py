@@ -98,7 +98,7 @@ def inverse_kinematics(robot: Robot, p: Array, R: Array | None, start: Array) ->
             f"inverse kinematics: p {p.shape}, R {None if R is None else np.shape(R)}; expected (k, 3) and (k, 3, 3)"
         )
     q = ca.SX.sym("q", robot.n)
-    return solved(ca.Function("pose", [q], pose_of(robot, q)), p, R, start, limits_of(robot))
+    return solved(ca.Function("pose", [q], pose_of(robot, q)), p, R, start, robot.limits)
 
 
 def freedom_of(robot: Robot) -> tuple[int, int]:
@@ -106,7 +106,7 @@ def freedom_of(robot: Robot) -> tuple[int, int]:
 
     A direction counts where the joints move the tool in it by more than a singular pose's, somewhere in their ranges.
     """
-    q, (lower, upper) = ca.SX.sym("q", robot.n), limits_of(robot)
+    q, (lower, upper) = ca.SX.sym("q", robot.n), robot.limits
     poses = np.random.default_rng(0).uniform(lower, upper, (50, robot.n))
     function = _residual_and_jacobian(ca.Function("pose", [q], pose_of(robot, q)), robot.n, True)
     J = np.nan_to_num(_evaluated(function, poses, np.zeros((len(poses), 12)))[1])
@@ -117,12 +117,6 @@ def freedom_of(robot: Robot) -> tuple[int, int]:
 def _strengths(J: Array) -> Array:
     """The greatest singular values of all poses, J : (k, m, n)."""
     return np.asarray(np.linalg.svd(J, compute_uv=False).max(axis=0))
-
-
-def limits_of(robot: Robot) -> tuple[Array, Array]:
-    """Lower and upper ends of the joints' ranges, each shape (n,) [rad or m]."""
-    lower, upper = np.array([(j.lower, j.upper) for j in robot.joints]).T
-    return lower, upper
 
 
 def solved(pose: ca.Function, p: Array, R: Array | None, start: Array, limits: tuple[Array, Array]) -> Inverse:

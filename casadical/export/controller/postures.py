@@ -12,7 +12,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.export.controller.curves import pose_of
-from casadical.export.controller.inverse import limits_of, solved
+from casadical.export.controller.inverse import solved
 from casadical.robot.kinematics import link_frames
 from casadical.robot.robot import Robot
 
@@ -56,7 +56,7 @@ class Postures:
             )
         return ""
 
-    def of(self, q: Array) -> Array:
+    def sides(self, q: Array) -> Array:
         """Postures of joints q, shape (k, 6): behind, bent back, wrist negative; boolean, shape (k, 3)."""
         x, bend, wrist, _ = self._signs.map(len(q))(q.T).full()
         return np.stack([x < 0, bend < 0, wrist < 0], axis=1)
@@ -83,7 +83,7 @@ class Postures:
     @cached_property
     def _box(self) -> tuple[Array, Array]:
         """One turn of each joint within its range, all of a linear joint's."""
-        lower, upper = limits_of(self.nominal)
+        lower, upper = self.nominal.limits
         middle = np.clip(0.0, lower, upper)
         return (
             np.where(self._turns, np.maximum(lower, middle - np.pi), lower),
@@ -102,7 +102,7 @@ class Postures:
         p, R = self.pose.map(len(q))(q.T)
         T = np.hstack([p.full().T, R.full().reshape(3, len(q), 3).transpose(1, 2, 0).reshape(len(q), 9)])
         fine = np.isfinite(T).all(axis=1)
-        return q[fine], T[fine], self.of(q[fine]) if not self.why_not else np.zeros((int(fine.sum()), 0))
+        return q[fine], T[fine], self.sides(q[fine]) if not self.why_not else np.zeros((int(fine.sum()), 0))
 
     def solutions(
         self, T: Array, posture: tuple[bool, bool, bool] | None, turns: Turns, wanted: tuple[int, ...] | None
@@ -113,7 +113,7 @@ class Postures:
         """
         found = self.reached(T, self._seeds(T, posture))
         if posture is not None:
-            found = found[(self.of(found) == np.array(posture)).all(axis=1)] if len(found) else found
+            found = found[(self.sides(found) == np.array(posture)).all(axis=1)] if len(found) else found
         return _different([c for row in found for c in self._turned(row, turns, wanted)], self.nominal.n)
 
     def _seeds(self, T: Array, posture: tuple[bool, bool, bool] | None) -> Array:
@@ -142,7 +142,7 @@ class Postures:
 
     def _towards(self, found: Array, near: Array) -> list[Array]:
         """The same arms, each joint with the whole turns that bring it nearest to `near` in its range."""
-        lower, upper = limits_of(self.nominal)
+        lower, upper = self.nominal.limits
         most, least = np.floor((upper - found + 1e-9) / _TURN), np.ceil((lower - found - 1e-9) / _TURN)
         turned = found + _TURN * np.clip(np.round((near - found) / _TURN), least, most)
         inside = (lower - 1e-9 <= found) & (found <= upper + 1e-9)
@@ -151,7 +151,7 @@ class Postures:
 
     def _turned(self, q: Array, turns: Turns, wanted: tuple[int, ...] | None) -> list[Array]:
         """The same arm with whole turns added to joints, in their ranges, where the turns are the wanted ones."""
-        lower, upper = limits_of(self.nominal)
+        lower, upper = self.nominal.limits
         choices = []
         for angle, low, high in zip(q, lower, upper, strict=True):
             first = angle - _TURN * np.floor((angle - low + 1e-9) / _TURN)

@@ -23,7 +23,7 @@ def counterparts(robot: Robot) -> Counterparts:
 def _mean_torque(robot: Robot) -> Array:
     """Mean size of each joint's gravity torque over its range, shape (n,) [N m or N]."""
     bare = robot.with_only(())
-    lower, upper = np.array([(j.lower, j.upper) for j in robot.joints]).T
+    lower, upper = robot.limits
     q = np.random.default_rng(0).uniform(lower, upper, (256, robot.n))
     tau: Array = bare.torque.map(256)(q.T, bare.parameters.values).full()
     return np.array([np.nanmean(np.abs(row)) for row in tau])

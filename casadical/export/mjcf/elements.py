@@ -5,6 +5,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.transforms import quaternion
 
 # Time constant [s] with which every spring alone comes to rest; statics depend neither on inertia nor on damping.
 SLOW = 0.02
@@ -15,17 +16,6 @@ LEAST_MASS = 1e-6
 def numbers(*values: float) -> str:
     """Numbers as MJCF takes them."""
     return " ".join(repr(float(v)) for v in values)
-
-
-def quaternion(R: Array) -> Array:
-    """Unit quaternion, shape (4,), scalar first and not negative, of a rotation, shape (3, 3)."""
-    # The greatest eigenvector of a symmetric matrix (Bar-Itzhack 2000), which needs no case distinctions.
-    K = np.zeros((4, 4))
-    K[0, 1:] = K[1:, 0] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
-    K[1:, 1:] = R + R.T - np.trace(R) * np.eye(3)
-    K[0, 0] = np.trace(R)
-    q = np.linalg.eigh(K)[1][:, -1]
-    return np.asarray(q if q[0] >= 0 else -q)
 
 
 def add_body(parent: ET.Element, name: str, T: Array) -> ET.Element:

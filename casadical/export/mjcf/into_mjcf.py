@@ -13,8 +13,8 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import frame, nearest_rotation
-from casadical.export.mjcf.elements import inert, numbers, quaternion
+from casadical.core.transforms import frame, nearest_rotation, quaternion
+from casadical.export.mjcf.elements import inert, numbers
 from casadical.export.mjcf.equilibrium import load_mujoco
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot

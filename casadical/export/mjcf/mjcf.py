@@ -11,12 +11,12 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from casadical.core.parts import Body, Joint
-from casadical.core.transforms import frame, from_rpy
+from casadical.core.transforms import frame, from_rpy, quaternion
 from casadical.effects.counterparts import Counterparts, Drive, Omission
 from casadical.export.mjcf.balancer import add_sites, add_tendons
 from casadical.export.mjcf.bending import add_pieces
 from casadical.export.mjcf.drives import counterparts
-from casadical.export.mjcf.elements import SLOW, add_body, add_mass, add_spring, inert, numbers, quaternion
+from casadical.export.mjcf.elements import SLOW, add_body, add_mass, add_spring, inert, numbers
 from casadical.export.mjcf.loops import add_loop, closed
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot

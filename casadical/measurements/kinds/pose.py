@@ -7,7 +7,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import Symbolic, from_xyz
+from casadical.core.transforms import Symbolic, from_quaternion, from_xyz
 from casadical.measurements.columns import Columns
 from casadical.measurements.kinds.base import PoseExpression
 from casadical.measurements.kinds.position import Position
@@ -60,7 +60,7 @@ def orientations(columns: Columns) -> Array:
                 f"{columns.at(row)}, columns 'qw' to 'qz': length {length[row]:.4g}; "
                 "allowed: unit quaternions (w first), within 1 %"
             )
-        R = _from_quaternion(quaternion)
+        R = from_quaternion(quaternion)
     else:
         angles = columns.vector("r", ("_deg", "_rad"))
         # Rx(a) Ry(b) Rz(c) is the transpose of Rz(-c) Ry(-b) Rx(-a).
@@ -73,13 +73,3 @@ def orientations(columns: Columns) -> Array:
             f"{off[row]:.3g}, mirrored ones by more than one); allowed: orthonormal matrices, right-handed"
         )
     return R
-
-
-def _from_quaternion(q: Array) -> Array:
-    w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)

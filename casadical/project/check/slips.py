@@ -86,7 +86,7 @@ def _cost(f: Fit, robot: Robot) -> float:
 
 def _outside(h: Hypothesis, robot: Robot, q: Array) -> bool:
     """Whether the readings would leave the joints' ranges."""
-    lower, upper = np.array([(j.lower, j.upper) for j in robot.joints]).T
+    lower, upper = robot.limits
     meant = h.readings(q)
     return bool(((meant < lower - 0.01) | (meant > upper + 0.01)).any(axis=1).mean() > FEW)
 

@@ -21,7 +21,7 @@ from casadical.export.c.reference import Status
 from casadical.export.controller.commands import Sources, command_of, own_robots, robot_of, units_of
 from casadical.export.controller.correction import FINE, LEAVES_BOX, Corrector, corrected_joints, model_corrector
 from casadical.export.controller.functions import tool_function
-from casadical.export.controller.inverse import limits_of, solved
+from casadical.export.controller.inverse import solved
 from casadical.export.controller.postures import Postures
 from casadical.export.controller.programs.language import ProgramLanguage
 from casadical.export.controller.programs.target import Target
@@ -106,10 +106,10 @@ class Cell:
 
 def _tooled(sources: Sources, steps: int, orientation: bool, limit_mm: float | None) -> Tooled:
     command = command_of(sources, steps, orientation=orientation, limit_mm=limit_mm)
-    instead = model_corrector(command_of(sources, steps, limit_mm=limit_mm)) if orientation else None
+    fallback = model_corrector(command_of(sources, steps, limit_mm=limit_mm)) if orientation else None
     real, nominal, turn = own_robots(sources)
     return Tooled(
-        model_corrector(command, instead),
+        model_corrector(command, fallback),
         tool_function(nominal, "nominal", True),
         tool_function(real, "calibrated", True, turn, command.network),
     )
@@ -218,7 +218,7 @@ def _written(language: ProgramLanguage, target: Target, cell: Cell, made: Tooled
     texts = tuple(n.written(v) for n, v in zip(target.numbers, values, strict=True))
     reads = np.array([float(text) * n.unit for text, n in zip(texts, target.numbers, strict=True)])
     if target.posture is not None:
-        if tuple(cell.postures.of(new[None])[0]) != _sides(target):
+        if tuple(cell.postures.sides(new[None])[0]) != _sides(target):
             return Result(target, CONFIGURATION_CHANGES)
         if target.turns is not None and target.turn_text:
             texts += tuple(language.turns_text(target, language.turns(new)))
@@ -242,14 +242,14 @@ def _controller(
     assert target.base is not None
     assert made.nominal is not None
     T = cell.root @ target.base @ language.matrix(reads)
-    found = solved(made.nominal, T[None, :3, 3], T[None, :3, :3], new[None], limits_of(cell.postures.nominal))
+    found = solved(made.nominal, T[None, :3, 3], T[None, :3, :3], new[None], cell.postures.nominal.limits)
     return found.q[0] if found.reached[0] else None
 
 
 def _beyond(cell: Cell, q: Array) -> bool:
     if cell.sources is None:
         return False
-    lower, upper = limits_of(cell.postures.nominal)
+    lower, upper = cell.postures.nominal.limits
     return bool((q < lower).any() or (q > upper).any())
 
 

@@ -14,7 +14,7 @@ from lark import Token, Tree
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.export.controller.programs.language import ProgramLanguage, angles_of_matrix, matrix_of_angles
-from casadical.export.controller.programs.scan import found, parts, tokens_of, words
+from casadical.export.controller.programs.scan import islands_of, parts, tokens_of, words
 from casadical.export.controller.programs.target import DEG, MM, Given, Number, Posture, Target, line_of
 
 GRAMMAR = r"""
@@ -51,7 +51,7 @@ class Fanuc(ProgramLanguage):
         tokens = tokens_of(GRAMMAR, text[begin.start() :])
         for token in tokens:  # of the whole text
             token.start_pos, token.end_pos = _place(token) + begin.start(), (token.end_pos or 0) + begin.start()
-        islands = [p for island in found(GRAMMAR, tokens) for p in parts(island, "position")]
+        islands = [p for island in islands_of(GRAMMAR, tokens) for p in parts(island, "position")]
         heads = [k for k in range(len(tokens) - 1) if tokens[k].value == "P" and tokens[k + 1].value == "["]
         read = {island.meta.start_pos: island for island in islands}
         targets = []
@@ -129,7 +129,7 @@ def _target(
         said = str(items[key].children[-1]).lower()
         if said != unit:
             raise InputError(f"{source}: line {line}: {name}: {key} is given in {said}; it must be in {unit}")
-    numbers = tuple(Number.of(t, units[u], _DECIMALS) for t, u in zip(tokens, wanted, strict=True))
+    numbers = tuple(Number.from_token(t, units[u], _DECIMALS) for t, u in zip(tokens, wanted, strict=True))
     external = any(re.fullmatch(r"E\d", k) and float(str(i.children[1])) != 0 for k, i in items.items())
     made = Target(line, name, "J1" in items, numbers, external=external)
     return (made if made.joints else _configured(made, items)), frames

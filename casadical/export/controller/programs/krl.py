@@ -12,7 +12,7 @@ from lark import Token, Tree
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.export.controller.programs.language import ProgramLanguage, angles_of_matrix, matrix_of_angles
-from casadical.export.controller.programs.scan import found, parts, tokens_of, words
+from casadical.export.controller.programs.scan import islands_of, parts, tokens_of, words
 from casadical.export.controller.programs.target import DEG, MM, Given, Number, Posture, Target, only_one
 
 GRAMMAR = r"""
@@ -82,7 +82,7 @@ class _Module:
 
     def __init__(self, text: str) -> None:
         self.tokens = tokens_of(GRAMMAR, text)
-        self.islands = list(found(GRAMMAR, self.tokens))
+        self.islands = list(islands_of(GRAMMAR, self.tokens))
         self.moves = {
             _name(ref) for island in self.islands for move in parts(island, "move") for ref in parts(move, "ref")
         }
@@ -211,7 +211,7 @@ def _target(source: str, name: str, aggregate: Tree[Token], units: tuple[float, 
         return Target(line, shown, "A1" in values, (), left=f"without a number for {lost}")
     if f"A{joints + 1}" in values:
         raise InputError(f"{source}: line {line}: {shown} has A{joints + 1}; this robot has only {joints} joints")
-    numbers = tuple(Number.of(t, u) for t, u in zip(tokens, unit, strict=True))
+    numbers = tuple(Number.from_token(t, u) for t, u in zip(tokens, unit, strict=True))
     external = any(_moved(values.get(f"E{i}")) for i in range(1, 7))
     made = Target(line, shown, "A1" in values, numbers, external=external)
     return made if made.joints else _with_words(made, values)
@@ -223,10 +223,9 @@ def _with_words(target: Target, values: Pairs) -> Target:
         return target
     posture = Posture(bool(status & 1), not status & 2, bool(status & 4))
     turns = tuple(turn >> i & 1 for i in range(6))
-    token = values["T"]
-    return replace(
-        target, posture=posture, turns=turns, turn_text=(Number.of(token, 1.0),), accurate=bool(status & _ACCURATE)
-    )
+    words_of_turns = (Number.from_token(values["T"], 1.0),)
+    accurate = bool(status & _ACCURATE)
+    return replace(target, posture=posture, turns=turns, turn_text=words_of_turns, accurate=accurate)
 
 
 def _bits(token: Token | Tree[Token] | None) -> int | None:

@@ -11,9 +11,9 @@ from lark import Token, Tree
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import frame
+from casadical.core.transforms import frame, from_quaternion, quaternion
 from casadical.export.controller.programs.language import ProgramLanguage
-from casadical.export.controller.programs.scan import found, parts, tokens_of
+from casadical.export.controller.programs.scan import islands_of, parts, tokens_of
 from casadical.export.controller.programs.target import MM, Given, Number, Posture, Target
 
 GRAMMAR = r"""
@@ -66,15 +66,7 @@ class Rapid(ProgramLanguage):
         length = float(np.linalg.norm(q))
         if abs(length - 1) > _UNIT_MISFIT:
             raise InputError(f"quaternion {q.tolist()}: its length is {length:.4g}; it must be 1")
-        w, x, y, z = q / length
-        R = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
-        return frame(R, values[:3])
+        return frame(from_quaternion(q), values[:3])
 
     def values(self, T: Array, like: Array) -> Array:
         q = quaternion(T[:3, :3])
@@ -87,26 +79,12 @@ class Rapid(ProgramLanguage):
         return [str(turn) for turn in turns]
 
 
-def quaternion(R: Array) -> Array:
-    """Unit quaternion (w, x, y, z), shape (4,), of a rotation (3, 3): eigenvector of Bar-Itzhack's matrix (2000)."""
-    a, b, c = R
-    K = np.array(
-        [
-            [a[0] + b[1] + c[2], c[1] - b[2], a[2] - c[0], b[0] - a[1]],
-            [c[1] - b[2], a[0] - b[1] - c[2], a[1] + b[0], a[2] + c[0]],
-            [a[2] - c[0], a[1] + b[0], b[1] - a[0] - c[2], b[2] + c[1]],
-            [b[0] - a[1], a[2] + c[0], b[2] + c[1], c[2] - a[0] - b[1]],
-        ]
-    )
-    return np.asarray(np.linalg.eigh(K)[1][:, -1])
-
-
 class _Module:
     """Declarations and motions of a program, and what tool and work object each target is used with."""
 
     def __init__(self, language: Rapid, source: str, tokens: list[Token], given: Given) -> None:
         self.language, self.source, self.given, self.tokens = language, source, given, tokens
-        self.islands = list(found(GRAMMAR, tokens))
+        self.islands = list(islands_of(GRAMMAR, tokens))
         self.declared = _declared(self.islands)
         self.known_targets = {n for kind, n, _ in self.declared if kind in ("robtarget", "jointtarget")}
         # Variables that get a value after their declaration, whole or in part, and the line.
@@ -116,7 +94,7 @@ class _Module:
             self.changed.setdefault(name, change.meta.line)
         self.frames: dict[tuple[str, str], tuple[int, Array | str]] = {}
         texts = [tokens_of(GRAMMAR, text) for text in given.texts.values()]
-        for islands in (self.islands, *(list(found(GRAMMAR, other)) for other in texts)):
+        for islands in (self.islands, *(list(islands_of(GRAMMAR, other)) for other in texts)):
             for kind, name, value in _declared(islands):
                 if kind in ("tooldata", "wobjdata"):
                     self.frames[kind, name] = (value.meta.line, self._frame(kind, value))
@@ -175,12 +153,12 @@ class _Module:
         external = any(float(str(t)) not in (0.0, _NO_AXIS) for t in flat[-1])
         if kind == "jointtarget":
             return Target(
-                line, name, True, tuple(map(Number.of, flat[0], self.given.joint_units(6))), external=external
+                line, name, True, tuple(map(Number.from_token, flat[0], self.given.joint_units(6))), external=external
             )
-        numbers = tuple(Number.of(t, MM) for t in flat[0]) + tuple(Number.of(t, 1.0) for t in flat[1])
+        numbers = tuple(Number.from_token(t, MM) for t in flat[0]) + tuple(Number.from_token(t, 1.0) for t in flat[1])
         *turns, cfx = (float(str(t)) for t in flat[2])
         posture = Posture(bool(int(cfx) & 4), bool(int(cfx) & 2), bool(int(cfx) & 1))
-        text = tuple(Number.of(t, 1.0) for t in flat[2][:3])
+        text = tuple(Number.from_token(t, 1.0) for t in flat[2][:3])
         made = Target(line, name, False, numbers, posture, tuple(map(int, turns)), text, external=external)
         length = float(np.linalg.norm(made.si[3:]))
         if not abs(length - 1) <= _UNIT_MISFIT:

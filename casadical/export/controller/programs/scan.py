@@ -29,7 +29,7 @@ def tokens_of(grammar: str, text: str) -> list[Token]:
     return list(_parser(grammar).lex(text))
 
 
-def found(grammar: str, tokens: Sequence[Token]) -> Iterator[Tree[Token]]:
+def islands_of(grammar: str, tokens: Sequence[Token]) -> Iterator[Tree[Token]]:
     """Each longest run of tokens that the grammar's `start` derives, in their order, without overlaps."""
     parser, k = _parser(grammar), 0
     first = set(_expected(parser.parse_interactive(""))) - {"OTHER", "$END"}

@@ -28,7 +28,7 @@ class Number:
     decimals: int | None = None
 
     @classmethod
-    def of(cls, token: Any, unit: float, decimals: int | None = None) -> Number:
+    def from_token(cls, token: Any, unit: float, decimals: int | None = None) -> Number:
         """Of a token of the grammar."""
         return cls(token.start_pos, token.end_pos, str(token), unit, decimals)
 

@@ -13,10 +13,9 @@ from lark import Token, Tree
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.core.transforms import frame
+from casadical.core.transforms import frame, quaternion
 from casadical.export.controller.programs.language import ProgramLanguage
-from casadical.export.controller.programs.rapid import quaternion
-from casadical.export.controller.programs.scan import found, parts, tokens_of, words
+from casadical.export.controller.programs.scan import islands_of, parts, tokens_of, words
 from casadical.export.controller.programs.target import DEG, Given, Number, Target, only_one
 
 GRAMMAR = r"""
@@ -92,7 +91,7 @@ class _Program:
 
     def __init__(self, source: str, text: str, joints: int) -> None:
         self.source, self.joints, self.tokens = source, joints, tokens_of(GRAMMAR, text)
-        islands = list(found(GRAMMAR, self.tokens))
+        islands = list(islands_of(GRAMMAR, self.tokens))
         self.variables: dict[str, _Variable] = {}
         for assign in (a for island in islands for a in parts(island, "assign")):
             value = assign.children[1]
@@ -204,8 +203,8 @@ def _keyword(argument: Tree[Token]) -> str:
 def _number(value: Tree[Token] | Token | None) -> Number | None:
     """A number, or d2r(number)."""
     if isinstance(value, Token):
-        return Number.of(value, 1.0) if value.type == "NUMBER" else None
+        return Number.from_token(value, 1.0) if value.type == "NUMBER" else None
     if isinstance(value, Tree) and value.data == "call" and str(value.children[0]) == "d2r":
         inner = parts(value, "argument")[0].children[-1]
-        return Number.of(inner, DEG) if isinstance(inner, Token) and inner.type == "NUMBER" else None
+        return Number.from_token(inner, DEG) if isinstance(inner, Token) and inner.type == "NUMBER" else None
     return None
