@@ -19,47 +19,52 @@ from casadical.cli.options import (
     problems_of,
 )
 from casadical.cli.progress import working
-from casadical.cli.terminal import WORSE, as_text, as_typed, keep, wrapped
+from casadical.cli.terminal import WORSE, html, keep, with_json, wrapped
 from casadical.core.telling.terminal import terminal
+
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        help="Write the calibrated robots (METHOD.robot.toml), parameters (METHOD.parameters.csv), networks "
+        "(METHOD.compensator.json) and result.json here; with several problems, into one folder for each.",
+    ),
+]
+Method = Annotated[
+    str | None,
+    typer.Option(
+        metavar="METHOD",
+        autocompletion=methods,
+        help="KM (kinematics only), SKCM (with joint compliance), or a network on what SKCM leaves, such as "
+        "IWO-NN-SKCM (the paper's) or GP-NN-SKCM; docs/compensator.md has them all. Default: the problem's.",
+    ),
+]
+Loss = Annotated[
+    str | None,
+    typer.Option(
+        metavar="LOSS",
+        autocompletion=losses,
+        help="linear; huber or soft_l1, which leave outliers out and name them; auto: huber where it finds any. "
+        "Default: the problem's, which is auto unless it says otherwise.",
+    ),
+]
+Split = Annotated[
+    int | None,
+    typer.Option(
+        min=0,
+        help="Seed of the random split into sets; default: the problem's. No effect where a column names the sets.",
+    ),
+]
 
 
 def calibrate(
     problems: Problems,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Write the calibrated robots (METHOD.robot.toml), parameters (METHOD.parameters.csv), networks "
-            "(METHOD.compensator.json) and result.json here; with several problems, into one folder for each.",
-        ),
-    ] = None,
+    out: Out = None,
     json_file: Json = None,
     report_file: Report = None,
-    method: Annotated[
-        str | None,
-        typer.Option(
-            metavar="METHOD",
-            autocompletion=methods,
-            help="KM (kinematics only), SKCM (with joint compliance), or a network on what SKCM leaves, such as "
-            "IWO-NN-SKCM (the paper's) or GP-NN-SKCM; docs/compensator.md has them all. Default: the problem's.",
-        ),
-    ] = None,
-    loss: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LOSS",
-            autocompletion=losses,
-            help="linear; huber or soft_l1, which leave outliers out and name them; auto: huber where it finds any. "
-            "Default: the problem's, which is auto unless it says otherwise.",
-        ),
-    ] = None,
-    seed: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            help="Seed of the random split into sets; default: the problem's. No effect where a column names the sets.",
-        ),
-    ] = None,
+    method: Method = None,
+    loss: Loss = None,
+    seed: Split = None,
     prior: Prior = None,
     prior_effects: PriorEffects = None,
     frozen: Frozen = False,
@@ -79,15 +84,10 @@ def calibrate(
     """
     from casadical.project import calibration as work
 
-    if report_file:
-        from casadical.core.telling.page import require
-
-        require()
     console = wrapped(quiet)
     known = carried(prior, prior_effects, frozen)
-    found: dict[str, Any] = {}
     done: list[work.Calibration] = []
-    texts: dict[Path, str] = {}
+    texts: dict[Path, Any] = {}
     given = problems_of(problems)
     for name, (source, tables) in given.items():
         with working(quiet, "reading", name) as show:
@@ -98,19 +98,16 @@ def calibrate(
         console.print()
         if out:
             texts |= done[-1].files(out if len(given) == 1 else out / name)
-        if json_file:
-            found[name] = done[-1].to_json()
     worse = [f"{name}: {c.worse}" for name, c in zip(given, done, strict=True) if c.worse]
     if worse:
         typer.echo("casadical: nothing was written: " + "\n".join(worse), err=True)
         raise typer.Exit(WORSE)
     if json_file:
-        texts[json_file] = as_text(found if len(found) > 1 else next(iter(found.values())))
+        figures = {name: c.to_json() for name, c in zip(given, done, strict=True)}
+        texts = with_json(texts, json_file, figures if len(figures) > 1 else [*figures.values()])
     if report_file:
-        from casadical.core.telling.page import html_of
-
         with working(quiet, "writing the report"):
-            texts[report_file] = html_of([c.page() for c in done], as_typed())
+            texts[report_file] = html([c.page() for c in done])
     keep(texts, console)
     if not details:
         console.print("all parameters and figures: --details, --out DIR or --report FILE.html", style="dim")

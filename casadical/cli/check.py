@@ -13,21 +13,26 @@ from casadical.core.errors import InputError, shown
 REPAIRS = 3
 
 
+NoiseMm = Annotated[
+    float | None,
+    typer.Option(
+        min=0,
+        metavar="MM",
+        help="Noise of a measured coordinate, one sigma, for the forecast; default: estimated from the data.",
+    ),
+]
+Strict = Annotated[bool, typer.Option("--strict", help="Exit with code 2 on warnings too.")]
+Repair = Annotated[
+    bool,
+    typer.Option("--repair", help="Write the best repair of slips into problem.toml (columns) and the robot file."),
+]
+
+
 def check(
     problems: Problems,
-    noise_mm: Annotated[
-        float | None,
-        typer.Option(
-            min=0,
-            metavar="MM",
-            help="Noise of a measured coordinate, one sigma, for the forecast; default: estimated from the data.",
-        ),
-    ] = None,
-    strict: Annotated[bool, typer.Option("--strict", help="Exit with code 2 on warnings too.")] = False,
-    repair: Annotated[
-        bool,
-        typer.Option("--repair", help="Write the best repair of slips into problem.toml (columns) and the robot file."),
-    ] = False,
+    noise_mm: NoiseMm = None,
+    strict: Strict = False,
+    repair: Repair = False,
     details: Details = False,
     json_file: Json = None,
     quiet: Quiet = False,

@@ -7,7 +7,7 @@ import typer
 
 from casadical.cli.options import Json, Quiet, Report
 from casadical.cli.progress import working
-from casadical.cli.terminal import NOT_VALID, as_typed, keep, with_json, wrapped
+from casadical.cli.terminal import NOT_VALID, html, keep, with_json, wrapped
 from casadical.core.telling.terminal import terminal
 
 
@@ -48,19 +48,13 @@ def compare(
     """
     from casadical.fleet.campaigns import compare_files
 
-    if report_file:
-        from casadical.core.telling.page import require
-
-        require()
     console = wrapped(quiet)
     with working(quiet, "reading") as show:
         found = compare_files(campaigns, robot, same_tool=same_tool, same_frame=same_frame, show=show)
     console.print(terminal(found.blocks()))
     texts: dict[Path, str] = {}
     if report_file:
-        from casadical.core.telling.page import html_of
-
-        texts[report_file] = html_of([found.page(campaigns)], as_typed())
+        texts[report_file] = html([found.page(campaigns)])
     keep(with_json(texts, json_file, found.to_json()), console)
     if found.changed:
         raise typer.Exit(NOT_VALID)

@@ -39,6 +39,13 @@ def languages(incomplete: str) -> list[str]:
     return _listed(tuple(known_languages()), incomplete)
 
 
+def forms(incomplete: str) -> list[str]:
+    """Words for `export model --to`."""
+    from casadical.export.robot_model import FORMS
+
+    return _begun(FORMS, incomplete)
+
+
 def effects(incomplete: str) -> list[str]:
     """Names of effects; after a comma, of the next one."""
     from casadical.effects.plugins import known_effects

@@ -7,7 +7,7 @@ import typer
 
 from casadical.cli.options import Json, Quiet, Report
 from casadical.cli.progress import working
-from casadical.cli.terminal import as_typed, keep, with_json, wrapped
+from casadical.cli.terminal import html, keep, with_json, wrapped
 from casadical.core.errors import shown
 from casadical.core.telling.terminal import terminal
 
@@ -55,10 +55,6 @@ def fleet(
     """
     from casadical.fleet.run import run_fleet
 
-    if report_file:
-        from casadical.core.telling.page import require
-
-        require()
     console = wrapped(quiet)
     try:
         with working(quiet, "starting") as show:
@@ -75,7 +71,5 @@ def fleet(
             words = f"note: {shown(path)}: of no type of this fleet with five robots; not written now."
             console.print(words, style="yellow", soft_wrap=True)
     if report_file:
-        from casadical.core.telling.page import html_of
-
-        texts[report_file] = html_of([found.page()], as_typed())
+        texts[report_file] = html([found.page()])
     keep(with_json(texts, json_file, found.to_json()), console)

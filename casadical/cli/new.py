@@ -14,40 +14,49 @@ if TYPE_CHECKING:
     from casadical.project.problem import Problem
 
 
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The new folder; nothing is overwritten.")]
+Urdf = Annotated[Path | None, typer.Option(metavar="FILE", help="Take the robot from this URDF.")]
+BaseLink = Annotated[
+    str | None, typer.Option(metavar="LINK", help="First link of the arm in the URDF; default: its root.")
+]
+TipLink = Annotated[
+    str | None, typer.Option(metavar="LINK", help="Last link of the arm; default: the only moving end.")
+]
+Dh = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE.csv",
+        help="Take the robot from this table, one row per joint: a_mm, alpha_deg, d_mm, theta_deg, ...",
+    ),
+]
+Convention = Annotated[
+    str | None,
+    typer.Option(metavar="WORD", help="Convention of the DH table: modified (Craig, the default) or standard."),
+]
+Data = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Measured poses: CSV or text in any usual form, or .xlsx, headings in five languages; default: "
+        "synthetic ones, marked as such.",
+    ),
+]
+Example = Annotated[
+    bool, typer.Option("--example", help="An example arm with made-up poses: what is written without a robot, too.")
+]
+Yes = Annotated[bool, typer.Option("--yes", "-y", help="Take the most probable answer to every question on the table.")]
+
+
 def new(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The new folder; nothing is overwritten.")],
-    urdf: Annotated[Path | None, typer.Option(metavar="FILE", help="Take the robot from this URDF.")] = None,
-    base_link: Annotated[
-        str | None, typer.Option(metavar="LINK", help="First link of the arm in the URDF; default: its root.")
-    ] = None,
-    tip_link: Annotated[
-        str | None, typer.Option(metavar="LINK", help="Last link of the arm; default: the only moving end.")
-    ] = None,
-    dh: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.csv",
-            help="Take the robot from this table, one row per joint: a_mm, alpha_deg, d_mm, theta_deg, ...",
-        ),
-    ] = None,
-    convention: Annotated[
-        str | None,
-        typer.Option(metavar="WORD", help="Convention of the DH table: modified (Craig, the default) or standard."),
-    ] = None,
-    data: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Measured poses: CSV or text in any usual form, or .xlsx, headings in five languages; default: "
-            "synthetic ones, marked as such.",
-        ),
-    ] = None,
-    example: Annotated[
-        bool, typer.Option("--example", help="An example arm with made-up poses: what is written without a robot, too.")
-    ] = False,
-    yes: Annotated[
-        bool, typer.Option("--yes", "-y", help="Take the most probable answer to every question on the table.")
-    ] = False,
+    folder: Folder,
+    urdf: Urdf = None,
+    base_link: BaseLink = None,
+    tip_link: TipLink = None,
+    dh: Dh = None,
+    convention: Convention = None,
+    data: Data = None,
+    example: Example = False,
+    yes: Yes = False,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:

@@ -12,14 +12,15 @@ from casadical.core.errors import InputError, shown
 if TYPE_CHECKING:
     from casadical.effects import Effect
     from casadical.project.problem import Carried
-    from casadical.robot.robot import Robot
 
-NOMINAL = typer.Option(
-    metavar="NOMINAL.toml",
-    help="The controller's model of the robot, taken as rigid: the robot file from before the calibration. What the "
-    "calibrated robot differs from it is corrected.",
-)
-Nominal = Annotated[Path | None, NOMINAL]
+Nominal = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="NOMINAL.toml",
+        help="The controller's model of the robot, taken as rigid: the robot file from before the calibration. What "
+        "the calibrated robot differs from it is corrected.",
+    ),
+]
 Compensator = Annotated[
     Path | None,
     typer.Option(metavar="NET.json", help="A trained compensator, as `casadical calibrate --out` writes it."),
@@ -62,6 +63,12 @@ Limit = Annotated[
         "robot file; default: any.",
     ),
 ]
+Room = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE.toml", help="Where poses may lie: limits, floor, boxes, tracker; see docs/plan.md."),
+]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
+Steps = Annotated[int | None, typer.Option(min=1, max=10, help="Least-squares steps of the correction; default: 2.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 Json = Annotated[
     Path | None,
@@ -69,9 +76,25 @@ Json = Annotated[
         "--json", metavar="FILE", help="Write all figures as JSON; with several inputs, a list or a table of them."
     ),
 ]
+
+
+def _with_report(path: Path | None) -> Path | None:
+    """Raises InputError before the work where a report cannot be written."""
+    if path:
+        from casadical.core.telling.page import require
+
+        require()
+    return path
+
+
 Report = Annotated[
     Path | None,
-    typer.Option("--report", metavar="FILE.html", help="Write an HTML report in one file (needs plotly and jinja2)."),
+    typer.Option(
+        "--report",
+        metavar="FILE.html",
+        callback=_with_report,
+        help="Write an HTML report in one file (needs plotly and jinja2).",
+    ),
 ]
 Details = Annotated[bool, typer.Option("--details", help="Print all figures, parameters and findings.")]
 Problems = Annotated[
@@ -94,7 +117,7 @@ Effects = Annotated[
         metavar="NAMES",
         autocompletion=words.effects,
         help="standard (the default), extended, or only these, by commas: names (backlash), labels "
-        "(backlash@5), effect files (law.effect.toml, as discover writes it, or one that defines effects).",
+        "(backlash@5), effect files (law.effect.toml, as diagnose --laws writes it, or one that defines effects).",
     ),
 ]
 Prior = Annotated[
@@ -173,34 +196,3 @@ def carried(prior: Path | None, parts: str | None, frozen: bool) -> "Carried":
     other = read_robot(prior)
     wanted = tuple(name.strip() for name in (parts or "effects").split(","))
     return lambda robot: carry_over(robot, other, wanted, frozen=frozen)
-
-
-def wants_pose(word: str) -> bool:
-    """Whether --correct asks for the orientation. Raises InputError for another word."""
-    if word not in ("position", "pose"):
-        raise InputError(f"--correct {word}: not known; allowed: position, pose")
-    return word == "pose"
-
-
-def poses_of(robot: "Robot") -> str:
-    """What --correct pose does for an arm, in words."""
-    from casadical.export.controller.inverse import freedom_of
-
-    moved, turned = freedom_of(robot)
-    if (moved, turned) == (3, 3):
-        return "position and orientation are corrected, by the least change of the joints"
-    position = "the position" if moved == 3 else f"the position in {moved} of 3 directions"
-    if not turned:
-        return f"--correct pose: {robot.n} joints cannot turn the tool beside moving it; {position} alone is corrected"
-    return (
-        f"--correct pose: {robot.n} joints reach {position} and, beside it, the orientation in {turned} of 3 "
-        "directions; what is left of it stays"
-    )
-
-
-def unreached(robot: "Robot") -> str:
-    """What the joints of an arm cannot move at all, in words; empty for most arms."""
-    from casadical.export.controller.inverse import freedom_of
-
-    moved = freedom_of(robot)[0]
-    return "" if moved == 3 else f"NOT REACHED: the joints move the tool in {moved} of 3 directions; errors across stay"

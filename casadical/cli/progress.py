@@ -19,10 +19,6 @@ DIAGNOSIS: Steps = {
     "laws beside nothing": 0.72, "laws beside what": 0.8, "poses to measure": 0.85, "what these poses": 0.93,
     "the robot with": 0.96,
 }  # fmt: skip
-DISCOVERY: Steps = {
-    "calibrating": 0.0, "signatures": 0.02, "cause 1": 0.1, "cause 2": 0.15, "cause": 0.2, "sets of causes": 0.22,
-    "laws beside nothing": 0.25, "laws beside what": 0.6, "the robot with": 0.95,
-}  # fmt: skip
 CHECK: Steps = {"comparing": 0.05, "slips": 0.1, "accuracy": 0.9}
 PLAN: Steps = {"calibrating": 0.0, "choosing": 0.1, "accuracy": 0.6}
 # After so many iterations half of a solve is taken as done: how many it needs is not known beforehand.

@@ -1,8 +1,9 @@
 """The command line as one tree: each command from its own module."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from casadical import __version__
 from casadical.cli.calibrate import calibrate
@@ -10,29 +11,58 @@ from casadical.cli.check import check
 from casadical.cli.compare import compare
 from casadical.cli.correct import correct
 from casadical.cli.diagnose import diagnose
-from casadical.cli.discover import discover
-from casadical.cli.export import export_app
+from casadical.cli.export import export_c, export_model
 from casadical.cli.fleet import fleet
 from casadical.cli.new import new
 from casadical.cli.outputs import guarded
 from casadical.cli.plan import plan
-from casadical.cli.replay import replay
 from casadical.cli.verify import verify
 from casadical.cli.withheld import withheld_app
+from casadical.core.errors import InputError
 
-app = typer.Typer(
-    name="casadical",
+# What commands of earlier versions are called now.
+MOVED = {
+    "discover": "diagnose PROBLEM_DIR CAMPAIGN.csv --laws",
+    "replay": "verify PROBLEM_DIR CAMPAIGN.csv --mujoco",
+    "export mjcf": "export model ROBOT.toml --to mjcf",
+    "export urdf": "export model ROBOT.toml --to urdf",
+    "export driver": "export model ROBOT.toml --to ur|standard_dh|modified_dh|xacro",
+}
+
+
+class Commands(TyperGroup):
+    """A group that tells the new name of a command that moved, and lists each command with its whole sentence."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """In place of click's, which cuts the sentences."""
+        commands = ((name, self.get_command(ctx, name)) for name in self.list_commands(ctx))
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, command.get_short_help_str(limit=200)) for name, command in commands if command])
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Raises InputError for an earlier name."""
+        old = " ".join([*ctx.command_path.split()[1:], args[0]])
+        if old in MOVED:
+            raise InputError(f"{old} is now: casadical {MOVED[old]}")
+        return super().resolve_command(ctx, args)
+
+
+def _group(name: str | None = None, **settings: Any) -> typer.Typer:
+    return typer.Typer(name=name, cls=Commands, no_args_is_help=True, rich_markup_mode=None, **settings)
+
+
+app = _group(
+    "casadical",
     help=(
         "Calibrate robots from measured poses.\n\n"
         "A PROBLEM_DIR is a folder with problem.toml, a robot file (TOML or URDF) and measurements (CSV, there or "
         "where problem.toml says). Start with one of the folders in problems/, for example:\n\n"
         "    casadical calibrate problems/ur10 --out results/ur10"
     ),
-    no_args_is_help=True,
-    rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+export_app = _group(help="Turn a calibrated robot into code for its controller, or into a model for another program.")
 
 
 def _version(wanted: bool) -> None:
@@ -50,7 +80,9 @@ def _root(
     pass
 
 
-for command in (new, check, calibrate, verify, compare, fleet, diagnose, discover, plan, replay, correct):
+for command in (new, check, calibrate, verify, compare, fleet, diagnose, plan, correct):
     app.command()(guarded(command, also=("folder",) if command is new else ()))
+export_app.command("c")(guarded(export_c))
+export_app.command("model")(guarded(export_model))
 app.add_typer(export_app, name="export")
 app.add_typer(withheld_app, name="withheld")

@@ -4,12 +4,15 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
 from casadical.core.errors import InputError, shown
 from casadical.core.files import json_text, write_together
+
+if TYPE_CHECKING:
+    from casadical.core.telling.blocks import Page
 
 BAD_INPUT, NO_CONVERGENCE, WORSE, NOT_VALID, OUR_BUG = 2, 3, 4, 5, 70
 
@@ -46,22 +49,25 @@ def keep_json(path: Path | None, figures: Mapping[str, Any] | Sequence[Mapping[s
         keep({path: as_text(figures)}, console)
 
 
-def with_json(texts: Mapping[Path, str], path: Path | None, figures: Mapping[str, Any]) -> dict[Path, str]:
+def with_json(
+    texts: Mapping[Path, str | bytes], path: Path | None, figures: Mapping[str, Any] | Sequence[Mapping[str, Any]]
+) -> dict[Path, Any]:
     """Files, and among them the one of `--json`, if there is one."""
     return {**texts, **({} if path is None else {path: as_text(figures)})}
 
 
-def keep(texts: Mapping[Path, str], console: Console) -> None:
-    """Write files, all or none, and print their names. Raises InputError."""
+def keep(texts: Mapping[Path, Any], console: Console, about: Mapping[Path, str] | None = None) -> None:
+    """Write files, all or none, and print their names, of some with words about them. Raises InputError."""
     write_together(texts)
     for path in texts:
-        print_written(path, console)
+        print_written(path, console, (about or {}).get(path, ""))
 
 
-def print_written(path: Path | None, console: Console) -> None:
+def print_written(path: Path | None, console: Console, about: str = "") -> None:
     """Print the name of a file that was written, if there is one."""
     if path is not None:
-        console.print(f"wrote {shown(path)}", soft_wrap=True, markup=False, emoji=False)
+        more = f": {about}" if about else ""
+        console.print(f"wrote {shown(path)}{more}", soft_wrap=True, markup=False, emoji=False)
 
 
 def refuse_taken(out: Path, overwrite: bool) -> None:
@@ -73,3 +79,10 @@ def refuse_taken(out: Path, overwrite: bool) -> None:
 def as_typed() -> list[str]:
     """The command line, for provenance."""
     return ["casadical", *sys.argv[1:]]
+
+
+def html(pages: "Sequence[Page]") -> str:
+    """Pages of results as one HTML file, with the command as it was typed."""
+    from casadical.core.telling.page import html_of
+
+    return html_of(pages, as_typed())

@@ -40,7 +40,7 @@ class Details:
     curves : Spectrum, optional
         see `spectrum`
     laws : Discovery, optional
-        see `casadical.discover`; only where the verdict is unknown
+        see `casadical.discover`; where the verdict is unknown, or it was asked for
     poses : DataFrame, optional
         see `next_poses`
     file : str, default ""
@@ -74,6 +74,7 @@ def analyse(
     workspace: Workspace | None = None,
     networks: bool = False,
     highest_line: float | None = None,
+    laws: bool = False,
     file: str = "",
     show: Callable[[str], None] = lambda _text: None,
 ) -> Details:
@@ -91,6 +92,8 @@ def analyse(
         whether to train networks, instead of the causes and after them
     highest_line : float, optional
         up to which frequency lines of joint error curves are looked for [cycles a turn], see `spectrum`
+    laws : bool, default False
+        whether the missing law is searched for where the verdict is not unknown, too
     file : str, default ""
         name of the file that the next poses are written to, for the page
     show : Callable[[str], None], optional
@@ -120,10 +123,11 @@ def analyse(
     if curved:
         show("joint error curves")
     curves = spectrum(found, highest_line) if curved else None
-    laws = laws_beside(found, show) if found.case.one_end and found.verdict == "unknown" else None
+    search = laws or (found.case.one_end and found.verdict == "unknown")
+    discovery = laws_beside(found, show) if search else None
     show("poses to measure next")
     chosen = next_poses(found, poses, workspace=workspace)
     show("what these poses can show")
     unlisted = describe_unlisted(found)
     out = ruled_out(found, unlisted)
-    return Details(where, isolability(found), unlisted, check, gaps, curves, laws, chosen, file, out)
+    return Details(where, isolability(found), unlisted, check, gaps, curves, discovery, chosen, file, out)

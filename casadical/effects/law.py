@@ -1,6 +1,6 @@
 """A law given as text: what is added at one place of the robot, as a formula of what is known at a pose.
 
-It is data: a formula is parsed and never executed (see `formula`). `casadical discover` writes such laws.
+It is data: a formula is parsed and never executed (see `formula`). `casadical diagnose --laws` writes such laws.
 """
 
 from __future__ import annotations

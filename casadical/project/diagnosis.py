@@ -14,8 +14,10 @@ from casadical.diagnosis.details import NEXT, Details, analyse
 from casadical.diagnosis.diagnose import Masses, diagnose
 from casadical.diagnosis.figures import diagnosis_figures
 from casadical.diagnosis.json_answer import as_json, diagnosis_files
+from casadical.diagnosis.laws.answer import Discovery
+from casadical.diagnosis.laws.rivals import law_rivals
 from casadical.diagnosis.page import diagnosis_page
-from casadical.diagnosis.posterior import Rivals, no_rivals
+from casadical.diagnosis.posterior import no_rivals
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.text import page_of
 from casadical.effects import Effect
@@ -88,14 +90,19 @@ def read_campaigns(
 
 @dataclass(frozen=True)
 class Options:
-    """How a campaign is diagnosed; each as in `casadical.diagnose`."""
+    """How a campaign is diagnosed; each as in `casadical.diagnose`.
+
+    rival_laws : whether laws compete at every ranking; search_laws : whether the missing law is searched for where the
+    verdict is not unknown, too, and told in full
+    """
 
     effects: Sequence[str | Effect | type[Effect]] | Literal["standard", "extended"] = "standard"
     seed: int = 0
     bootstrap: int = 0
     masses: Masses = "candidate"
-    rivals: Rivals = no_rivals
+    rival_laws: bool = False
     laws: bool = True
+    search_laws: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +131,7 @@ class CampaignDiagnosis:
             workspace=workspace,
             networks=networks,
             highest_line=highest_line,
+            laws=self.options.search_laws,
             file=file,
             show=show,
         )
@@ -132,6 +140,15 @@ class CampaignDiagnosis:
     def brief(self) -> Sequence[Words | Table]:
         """What counts, in a few lines: verdict, errors before and after, what must be known of them."""
         return brief(self.campaign.title, self.diagnosis, self.details)
+
+    @property
+    def searched(self) -> Discovery | None:
+        """The search for the missing law, where it was asked for."""
+        return self.details.laws if self.options.search_laws else None
+
+    def law_blocks(self) -> Sequence[Words | Table]:
+        """The search for the missing law, where it was asked for: laws, their rivals, and what each leaves."""
+        return self.searched.blocks() if self.searched else []
 
     def text(self) -> str:
         """All that was found, as plain text."""
@@ -148,11 +165,14 @@ class CampaignDiagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """The answer as plain data, lengths in mm."""
-        return as_json(self.diagnosis, self.campaign.name, self.details)
+        found = as_json(self.diagnosis, self.campaign.name, self.details)
+        return {**found, "laws": self.searched.to_json(self.campaign.name)} if self.searched else found
 
     def files(self, folder: str | Path, *, unlisted: bool = False) -> Mapping[Path, str]:
         """Robot file with the causes, figures and page; unlisted : with the description of an unknown cause, too."""
-        return diagnosis_files(folder, self.diagnosis, self.details, self.campaign.name, unlisted=unlisted)
+        name = self.campaign.name
+        found = diagnosis_files(folder, self.diagnosis, self.details, name, unlisted=unlisted)
+        return {**found, **self.searched.files(Path(folder), name)} if self.searched else found
 
 
 def diagnose_campaign(campaign: Campaign, options: Options | None = None, show: Show = silent) -> CampaignDiagnosis:
@@ -169,7 +189,7 @@ def diagnose_campaign(campaign: Campaign, options: Options | None = None, show: 
         bootstrap=asked.bootstrap,
         prior=campaign.prior,
         masses=asked.masses,
-        rivals=asked.rivals,
+        rivals=law_rivals if asked.rival_laws else no_rivals,
         laws=asked.laws,
         show=show,
     )

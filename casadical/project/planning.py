@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -11,6 +11,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.diagnosis.candidates import named
 from casadical.effects import Effect, Session
 from casadical.identification.identification import identify
 from casadical.identification.prior import Prior
@@ -21,7 +22,7 @@ from casadical.measurements.measurements import Measurements
 from casadical.measurements.noise import Noise
 from casadical.measurements.raw_table import read_table
 from casadical.pose_selection.candidates import Circumstances
-from casadical.pose_selection.criteria import Criterion
+from casadical.pose_selection.criteria import Criterion, checked
 from casadical.pose_selection.instruments import usual_places
 from casadical.pose_selection.places import place_instrument, select_with_places
 from casadical.pose_selection.plan import MeasurementPlan
@@ -30,7 +31,8 @@ from casadical.pose_selection.pose_search import select_poses
 from casadical.pose_selection.selection import Selection
 from casadical.pose_selection.stopping_rule import forecast
 from casadical.pose_selection.workspace import Workspace
-from casadical.project.problem import read_campaign, read_campaign_robot
+from casadical.pose_selection.workspace_file import read_workspace
+from casadical.project.problem import Carried, as_it_is, read_campaign, read_campaign_robot
 from casadical.project.problem_file import tables_of
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
@@ -145,6 +147,66 @@ def _of_first_target(robot: Robot, measured: Measurements | None) -> tuple[Robot
         first = ~measured.condition_matrix(rest, np.zeros(len(rest))).any(axis=1)
         measured = measured[np.flatnonzero(first)] if first.any() else None
     return replace(robot, targets=(), tool_name=""), measured
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a plan of a problem is to be; as of `plan`, in the units of the command.
+
+    effects : names or labels; room : file of a workspace; noise_mm : None: as declared, or estimated
+    """
+
+    effects: tuple[str, ...] = ()
+    criterion: str = "V"
+    room: Path | None = None
+    circumstances: Circumstances = field(default_factory=Circumstances)
+    noise_mm: float | None = None
+    joint_noise_urad: float = 0.0
+    min_distance: float = 0.0
+    target_mm: float | None = None
+    order: bool = True
+    places: Places | None = None
+
+
+def plan_problem(
+    path: Path,
+    n: int | None,
+    wanted: Wanted,
+    measured: Path | None = None,
+    carried: Carried = as_it_is,
+    *,
+    seed: int = 0,
+    show: Callable[[str], None] = lambda _text: None,
+) -> MeasurementPlan:
+    """The plan of a problem folder or a robot file.
+
+    measured : table of poses measured already; carried : puts the prior of another campaign into the robot
+    Raises InputError.
+    """
+    robot, prior = carried(robot_of(path))
+    before = read_campaign(path, measured, robot) if measured else None
+    candidates = [c for c in named(robot, wanted.effects) if c.listed] if wanted.effects else []
+    noise_mm = wanted.noise_mm
+    if noise_mm is None and measured is None:
+        noise_mm = noise_declared(path, robot, wanted.places)
+    return plan(
+        robot,
+        n,
+        # An effect with a grid of settings is planned for with the middle one.
+        [e for c in candidates for e in c.variants[len(c.variants) // 2]],
+        criterion=checked(wanted.criterion),
+        workspace=read_workspace(wanted.room, robot) if wanted.room else None,
+        circumstances=wanted.circumstances,
+        measured=before,
+        noise=None if noise_mm is None else Noise(1e-3 * noise_mm, 1e-6 * wanted.joint_noise_urad),
+        min_distance=wanted.min_distance,
+        order=wanted.order,
+        target=None if wanted.target_mm is None else 1e-3 * wanted.target_mm,
+        seed=seed,
+        places=wanted.places,
+        prior=prior,
+        show=show,
+    )
 
 
 def plan(

@@ -22,6 +22,7 @@ WORDS = (
     "GP-NN-SKCM", "linear", "huber", "standard", "extended", "backlash", "backlash@2", "backlash@99", "all", "q1",
     "D", "A",
 )  # fmt: skip
+FORMS = ("mjcf", "urdf", "ur", "standard_dh", "modified_dh", "xacro", "yaml", "")
 PATHS = (
     "in/p", "in/p/robot.toml", "in/p/poses.csv", "in/p/problem.toml", "in/results", "in/results/KM.robot.toml",
     "in/results/result.json", "in/program.csv", "in/dh.csv", "in/arm.urdf", "in/room.toml", "in/net.json", "in/none",
@@ -51,7 +52,8 @@ COMMANDS: dict[tuple[str, ...], tuple[tuple[Sequence[str], ...], dict[str, str |
             "-n": "small", "--out": "out", "--for": "word", "--criterion": "word", "--room": "path",
             "--measured": "path",
             "--payloads": "number", "--repeats": "small", "--noise-mm": "number", "--min-distance": "number",
-            "--target-mm": "number", "--no-order": None, "--seed": "number", "--json": "out", "-q": None,
+            "--isolability": None, "--target-mm": "number", "--no-order": None, "--seed": "number", "--json": "out",
+            "-q": None,
         },
     ),
     ("new",): (
@@ -65,16 +67,16 @@ COMMANDS: dict[tuple[str, ...], tuple[tuple[Sequence[str], ...], dict[str, str |
             "--tool": "word", "--trust": None, "--leave-out": None, "--overwrite": None, "--json": "out",
         },
     ),
-    ("export", "urdf"): ((ROBOT + PROBLEM,), {
-        "--out": "out", "--leave-out": None, "--overwrite": None, "--json": "out"}),
-    ("export", "mjcf"): ((ROBOT,), {"--out": "out", "--leave-out": None, "--overwrite": None, "--nominal": "path"}),
+    ("export", "model"): ((ROBOT + PROBLEM,), {
+        "--out": "out", "--to": "form", "--leave-out": None, "--overwrite": None, "--nominal": "path",
+        "--json": "out"}),
     ("diagnose",): ((PROBLEM, TABLE), {
-        "--effects": "word", "--seed": "number", "--isolability": None, "--json": "out"}),
+        "--effects": "word", "--seed": "number", "--laws": None, "--json": "out"}),
     ("withheld", "score"): ((("in", "in/p"), ("in/p",), TABLE), {"--json": "out"}),
     ("withheld", "predict"): ((("in", "in/p"),), {"--out": "out", "--by": "word", "--workers": "small"}),
 }  # fmt: skip
 # Of each command: `out` is needed by these.
-NEEDS_OUT = {("correct",), ("export", "urdf"), ("export", "mjcf")}
+NEEDS_OUT = {("correct",), ("export", "model")}
 # So often is each drawn: those that are quick more often.
 WEIGHTS = {("diagnose",): 1, ("plan",): 2, ("calibrate",): 4, ("check",): 4, ("new",): 3, ("correct",): 3}
 CHANGED = ("p/robot.toml", "p/problem.toml", "p/poses.csv", "results/KM.robot.toml", "program.csv", "dh.csv",
@@ -124,4 +126,5 @@ def _value(kind: str | None, choose: Choose) -> list[str]:
         return [choose((*NUMBERS, "3", "4", "5", "6"))]
     if kind == "dh":
         return [choose(("in/dh.csv", "in/dh.csv", "in/dh.csv", *PATHS))]
-    return [choose({"number": NUMBERS, "word": WORDS, "path": PATHS, "out": OUTPUTS[:4] * 4 + OUTPUTS}[kind])]
+    values = {"number": NUMBERS, "word": WORDS, "form": FORMS, "path": PATHS, "out": OUTPUTS[:4] * 4 + OUTPUTS}
+    return [choose(values[kind])]

@@ -61,7 +61,7 @@ def test_without_tables_the_folder_has_its_own(tmp_path: Path, both: tuple[str, 
 def test_isolability_needs_no_positions(tmp_path: Path) -> None:
     planned = tmp_path / "planned.csv"
     pd.read_csv(P03).drop(columns=["x_mm", "y_mm", "z_mm"]).to_csv(planned, index=False)
-    done = diagnosed(PROBLEM, planned, "--isolability", "--effects", FEW, "--json", tmp_path / "design.json")
+    done = run("plan", PROBLEM, planned, "--isolability", "--for", FEW, "--json", tmp_path / "design.json")
     assert done.returncode == 0, done.stderr
     for part in ("absorbed", "looks like", "joint_scale@5", "hose_drag", "60 poses"):
         assert part in done.stdout
@@ -79,9 +79,8 @@ def test_isolability_needs_no_positions(tmp_path: Path) -> None:
         ((ROOT / "problems" / "nowhere", P03), "no such problem folder"),
         ((PROBLEM, P03, "--effects", "backlsh"), "no effect 'backlsh'"),
         ((PROBLEM, PROBLEM / "robot.toml"), "not a readable CSV table"),
-        ((PROBLEM, PRACTICE / "none.csv", "--isolability"), "no such file"),
     ],
-    ids=["campaign", "robot file", "no problem", "problem", "effect", "no table", "design"],
+    ids=["campaign", "robot file", "no problem", "problem", "effect", "no table"],
 )
 def test_a_users_mistake_ends_in_a_message_and_2(tmp_path: Path, arguments: tuple, message: str) -> None:
     done = diagnosed(*arguments, "--json", tmp_path / "answer.json", width=400)

@@ -1,4 +1,4 @@
-"""casadical discover: what it prints and writes, and that diagnose takes its effect file."""
+"""casadical diagnose --laws: what it prints and writes, and that diagnose takes its effect file."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_a_law_is_printed_written_and_taken_again(
     stepped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, page, few = tmp_path / "out", tmp_path / "law.html", ("--effects", "gear_eccentricity")
-    assert main(monkeypatch, "discover", PROBLEM, stepped, *few, "--out", out, "--report", page) == 0
+    assert main(monkeypatch, "diagnose", PROBLEM, stepped, "--laws", *few, "--out", out, "--report", page) == 0
     said = capsys.readouterr().out
     kept = json.loads((out / "discovery.json").read_text())
     line = kept["laws"][0]["line"]

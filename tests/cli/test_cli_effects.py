@@ -168,17 +168,17 @@ def test_c_carries_what_joints_and_payload_decide(
 def test_models_refuse_what_has_no_place_there(
     kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(monkeypatch, "export", "mjcf", kept, "--out", tmp_path / "a.xml") == 0
+    assert main(monkeypatch, "export", "model", kept, "--out", tmp_path / "a.xml") == 0
     assert "effect friction_windup@3: dry friction" in words(capfd)
     more = kept.with_name("more.toml")
     for kind, held in (("mjcf", 1), ("urdf", 2)):
-        file = tmp_path / f"more.{kind}"
-        assert main(monkeypatch, "export", kind, more, "--out", file) == 2
+        given, file = ("export", "model", more, "--to", kind), tmp_path / f"more.{kind}"
+        assert main(monkeypatch, *given, "--out", file) == 2
         assert f"cannot hold {held} of its effects" in (said := words(capfd))
         assert "gear_eccentricity@5" in said
         assert "mm at most" in said
         assert not file.exists()
-        assert main(monkeypatch, "export", kind, more, "--out", file, "--leave-out", "--json", tmp_path / "k.json") == 0
+        assert main(monkeypatch, *given, "--out", file, "--leave-out", "--json", tmp_path / "k.json") == 0
         lines = held + (kind == "urdf")  # of a URDF also what all cost together
         assert words(capfd).count("LEFT OUT") == lines
         assert len(json.loads((tmp_path / "k.json").read_text())["left_out"]) == lines
@@ -186,7 +186,8 @@ def test_models_refuse_what_has_no_place_there(
 
 def test_replay_takes_it(kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra mujoco)")
-    assert main(monkeypatch, "replay", kept, CAMPAIGN, "--effects", "backlash", "--json", tmp_path / "r.json") == 0
+    given = (kept, CAMPAIGN, "--mujoco", "--effects", "backlash")
+    assert main(monkeypatch, "verify", *given, "--json", tmp_path / "r.json") == 0
     stages = json.loads((tmp_path / "r.json").read_text())["stages"]
     assert [s["model"] for s in stages] == ["nominal", "geometry and stiffness"]
     assert stages[1]["mean_mm"] < 0.09

@@ -9,9 +9,10 @@ import pytest
 from command_line import main
 
 from casadical.cli.outputs import _check
-from casadical.cli.progress import DISCOVERY, share
-from casadical.cli.replay import replay
+from casadical.cli.progress import DIAGNOSIS, share
+from casadical.cli.root import MOVED
 from casadical.core.errors import InputError
+from casadical.export.mjcf.replay import replay_campaign
 
 ROOT = Path(__file__).parents[2]
 
@@ -19,16 +20,16 @@ ROOT = Path(__file__).parents[2]
 @pytest.mark.parametrize(
     ("text", "done"),
     [
-        ("laws beside nothing", 0.25),
-        ("laws beside what was found", 0.6),
-        ("laws beside what was found: 3 of 4", 0.6 + 0.35 * 2 / 4),
-        ("the robot with laws", 0.95),
+        ("laws beside nothing", 0.72),
+        ("laws beside what was found", 0.8),
+        ("laws beside what was found: 3 of 4", 0.8 + 0.05 * 2 / 4),
+        ("the robot with laws", 0.96),
         ("unknown words", 0.0),
         ("1 of 4 campaigns", 0.25),
     ],
 )
-def test_the_bar_of_a_discovery_stands_where_the_step_begins(text: str, done: float) -> None:
-    assert share(text, DISCOVERY) == pytest.approx(done)
+def test_the_bar_of_a_diagnosis_stands_where_the_step_begins(text: str, done: float) -> None:
+    assert share(text, DIAGNOSIS) == pytest.approx(done)
 
 
 def test_check_says_by_its_exit_code_whether_all_is_right(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -55,14 +56,22 @@ def test_a_driver_file_replaces_nothing_unless_told(
 ) -> None:
     robot, out = ROOT / "problems" / "kr210" / "robot.toml", tmp_path / "dh.csv"
     out.write_text("mine")
-    arguments = ("export", "driver", robot, "--nominal", robot, "--form", "standard_dh", "--out", out)
+    arguments = ("export", "model", robot, "--nominal", robot, "--to", "standard_dh", "--out", out)
     assert main(monkeypatch, *arguments) == 2
     assert "dh.csv" in capsys.readouterr().err
     assert out.read_text() == "mine"
 
 
+@pytest.mark.parametrize("old", list(MOVED))
+def test_an_earlier_name_of_a_command_tells_the_new_one(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], old: str
+) -> None:
+    assert main(monkeypatch, *old.split(), "problems/planar") == 2
+    assert capsys.readouterr().err == f"casadical: {old} is now: casadical {MOVED[old]}\n"
+
+
 def test_the_split_of_a_replay_has_seed_zero() -> None:
-    assert inspect.signature(replay).parameters["seed"].default == 0
+    assert inspect.signature(replay_campaign).parameters["seed"].default == 0
 
 
 def test_a_command_is_what_is_written_by_default(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -73,7 +82,7 @@ def test_a_command_is_what_is_written_by_default(monkeypatch: pytest.MonkeyPatch
         made.append(product)
         raise InputError("far enough")
 
-    monkeypatch.setattr("casadical.export.write_c", stop)
+    monkeypatch.setattr("casadical.export.controller.c_export.write_c", stop)
     robot = ROOT / "problems" / "kr210" / "robot.toml"
     assert main(monkeypatch, "export", "c", robot, "--nominal", robot, "--out", tmp_path / "c") == 2
     assert [type(product).__name__ for product in made] == ["Command"]

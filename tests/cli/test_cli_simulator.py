@@ -1,4 +1,4 @@
-"""casadical export mjcf, export urdf, replay: what they write, print and refuse."""
+"""casadical export model, verify --mujoco: what they write, print and refuse."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HH800 = ROOT / "problems" / "hh800"
 
 def test_a_problem_is_calibrated_and_written(tmp_path: Path) -> None:
     file, kept = tmp_path / "arm.xml", tmp_path / "arm.json"
-    done = run("export", "mjcf", "problems/planar", "--out", file, "--json", kept)
+    done = run("export", "model", "problems/planar", "--out", file, "--json", kept)
     assert (done.returncode, done.stderr) == (0, "")
     assert "Planar arm of two links, 2 joints" in done.stdout
     root = ET.parse(file).getroot()
@@ -34,14 +34,14 @@ def test_a_robot_file_is_written_as_it_is_and_nothing_is_overwritten(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "arm.urdf"
-    assert main(monkeypatch, "export", "urdf", PLANAR / "robot.toml", "--out", file, "-q") == 0
+    assert main(monkeypatch, "export", "model", PLANAR / "robot.toml", "--out", file, "-q") == 0
     assert capfd.readouterr() == ("", "")
     text = file.read_text()
     assert 'xyz="0.4 0.0 0.0"' in text
-    assert main(monkeypatch, "export", "urdf", PLANAR / "robot.toml", "--out", file) == 2
+    assert main(monkeypatch, "export", "model", PLANAR / "robot.toml", "--out", file) == 2
     assert "is there already" in capfd.readouterr().err
     assert file.read_text() == text
-    assert main(monkeypatch, "export", "urdf", PLANAR / "robot.toml", "--out", file, "--overwrite") == 0
+    assert main(monkeypatch, "export", "model", PLANAR / "robot.toml", "--out", file, "--overwrite") == 0
 
 
 def test_a_urdf_says_in_millimetres_what_it_cannot_hold(
@@ -50,7 +50,7 @@ def test_a_urdf_says_in_millimetres_what_it_cannot_hold(
     """The figure of the URDF alone is that of pinocchio, which reads the file, at the measured poses."""
     pinocchio = pytest.importorskip("pinocchio")
     file, kept = tmp_path / "arm.urdf", tmp_path / "arm.json"
-    assert main(monkeypatch, "export", "urdf", KR210, "--out", file, "--json", kept) == 0
+    assert main(monkeypatch, "export", "model", KR210, "--out", file, "--json", kept) == 0
     printed = " ".join(capfd.readouterr().out.split())
     figures = json.loads(kept.read_text())["mean_errors"]
     calibration = calibrate(KR210, method="SKCM")
@@ -71,25 +71,34 @@ def test_a_urdf_says_in_millimetres_what_it_cannot_hold(
 def test_a_urdf_of_a_rigid_robot_leaves_nothing_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(monkeypatch, "export", "urdf", PLANAR, "--out", tmp_path / "arm.urdf") == 0
+    assert main(monkeypatch, "export", "model", PLANAR, "--out", tmp_path / "arm.urdf") == 0
     printed = " ".join(capfd.readouterr().out.split())
     assert "nothing is left out" in printed
     assert "this URDF alone 0.025 mm; the whole model 0.025 mm" in printed
 
 
 WRONG = {
-    "no such source": (["export", "mjcf", "none", "--out", "x.xml"], "no such problem folder or robot file"),
-    "a loop as a URDF": (["export", "urdf", HH800 / "robot.toml", "--out", "x.urdf"], "casadical export mjcf"),
+    "no such source": (["export", "model", "none", "--out", "x.xml"], "no such problem folder or robot file"),
+    "a loop as a URDF": (
+        ["export", "model", HH800 / "robot.toml", "--out", "x.urdf"],
+        "casadical export model --to mjcf",
+    ),
     "a campaign that is not there": (
-        ["export", "mjcf", HH800 / "robot.toml", "--out", "x.xml", "--campaign", "c.csv"],
+        ["export", "model", HH800 / "robot.toml", "--out", "x.xml", "--campaign", "c.csv"],
         "c.csv: no such file",
     ),
-    "into without joints": (["export", "mjcf", PLANAR, "--out", "x.xml", "--into", "y.xml"], "belong together"),
+    "into without joints": (["export", "model", PLANAR, "--out", "x.xml", "--into", "y.xml"], "belong together"),
     "into without the nominal": (
-        ["export", "mjcf", HH800 / "robot.toml", "--out", "x.xml", "--into", "y.xml", "--joints", "a,b"],
+        ["export", "model", HH800 / "robot.toml", "--out", "x.xml", "--into", "y.xml", "--joints", "a,b"],
         "give --nominal, or the problem folder",
     ),
-    "no such campaign": (["replay", PLANAR, "none.csv"], "none.csv: no such file"),
+    "an unknown ending": (["export", "model", PLANAR, "--out", "x.txt"], "give --to mjcf|urdf|ur|"),
+    "a hash of a URDF": (["export", "model", PLANAR, "--out", "x.urdf", "--hash", "a"], "give --to ur"),
+    "a campaign of a URDF": (["export", "model", PLANAR, "--out", "x.urdf", "--campaign", "c.csv"], "give --to mjcf"),
+    "a driver without its drawing": (["export", "model", PLANAR, "--out", "x.yaml"], "give --nominal"),
+    "a replay without a simulator": (["verify", PLANAR, "x.csv", "--seed", "1"], "--seed is of a replay"),
+    "a check without poses": (["verify", PLANAR], "which poses?"),
+    "no such campaign": (["verify", PLANAR, "none.csv", "--mujoco"], "none.csv: no such file"),
 }
 
 
@@ -109,12 +118,12 @@ def test_a_users_mistake_ends_in_a_message_and_2(
 def test_a_users_own_model_is_taken_and_given_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra mujoco)")
     nominal, mine, out = ROOT / "problems" / "ur10e" / "robot.toml", tmp_path / "mine.xml", tmp_path / "new.xml"
-    assert main(monkeypatch, "export", "mjcf", nominal, "--out", mine, "-q") == 0  # stands for a user's model
+    assert main(monkeypatch, "export", "model", nominal, "--out", mine, "-q") == 0  # stands for a user's model
     joints = ",".join(f"joint{i}" for i in range(1, 7))
     changed = tmp_path / "calibrated.toml"
     changed.write_text(nominal.read_text().replace("a_mm = -612.7", "a_mm = -613.2"))
     given = ["--into", mine, "--joints", joints, "--nominal", nominal]
-    assert main(monkeypatch, "export", "mjcf", changed, "--out", out, "-q", *given) == 0
+    assert main(monkeypatch, "export", "model", changed, "--out", out, "-q", *given) == 0
     before, after = (mujoco.MjModel.from_xml_path(str(path)) for path in (mine, out))
     assert before.nq == after.nq
     moved = [abs(after.body(f"link{i}").pos - before.body(f"link{i}").pos).max() for i in range(1, 7)]
@@ -125,17 +134,17 @@ def test_without_mujoco_replay_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    assert main(monkeypatch, "replay", PLANAR, "x.csv") == 2
+    assert main(monkeypatch, "verify", PLANAR, "x.csv", "--mujoco") == 2
     assert "pip install 'casadical[mujoco]'" in capfd.readouterr().err
 
 
 def test_a_campaign_is_replayed_and_its_models_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What `export mjcf --campaign` prints is held by docs/cli.md."""
+    """What `export model --campaign` prints is held by docs/cli.md."""
     pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra mujoco)")
     campaign = ROOT / "data" / "campaigns" / "practice" / "kr210-P05.csv"
-    few = ["--effects", "payload_error,joint_scale@3"]
+    few = ["--mujoco", "--effects", "payload_error,joint_scale@3"]
     kr210 = ROOT / "problems" / "kr210"
-    assert main(monkeypatch, "replay", kr210, campaign, "--out", tmp_path, "--json", tmp_path / "r.json", *few) == 0
+    assert main(monkeypatch, "verify", kr210, campaign, "--out", tmp_path, "--json", tmp_path / "r.json", *few) == 0
     stages = json.loads((tmp_path / "r.json").read_text())["stages"]
     assert [s["model"] for s in stages] == ["nominal", "geometry and stiffness", "payload_error"]
     assert stages[0]["mean_mm"] > 10 * stages[1]["mean_mm"] > 13 * stages[2]["mean_mm"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib import import_module
 
@@ -14,7 +15,7 @@ from casadical.blind_check import predictor
 from casadical.core.arrays import Array
 from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.refit import refit
-from casadical.export.mjcf.sources import robot_to_write
+from casadical.export.robot_model import robot_to_write
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
 from casadical.measurements.derived_columns import derive
@@ -44,7 +45,10 @@ def test_user_export_and_blind_check_have_the_same_robot(name: str, monkeypatch)
     """
     found, folder = diagnosed(name), ROOT / "problems" / name.split("-")[0]
 
-    def known(given: Robot, m: Measurements, effects: str = "standard", **_: object) -> Diagnosis:
+    def known(
+        given: Robot, sets: Measurements | Sequence[Measurements], effects: str = "standard", **_: object
+    ) -> Diagnosis:
+        (m,) = [sets] if isinstance(sets, Measurements) else sets
         ours, theirs = (r.parameters for r in (robot(name.split("-")[0]), given))
         assert (theirs.names, effects) == (ours.names, "standard")
         for of_each in ("value", "lower", "upper", "prior"):
@@ -55,10 +59,10 @@ def test_user_export_and_blind_check_have_the_same_robot(name: str, monkeypatch)
         return found
 
     if name != CAMPAIGNS[0]:
-        for module in ("casadical.diagnosis.diagnose", "casadical.export.mjcf.sources"):
+        for module in ("casadical.diagnosis.diagnose", "casadical.project.diagnosis"):
             monkeypatch.setattr(import_module(module), "diagnose", known)
     applied = found.apply()
-    exported, _ = robot_to_write(folder, PRACTICE / f"{name}.csv")
+    exported = robot_to_write(folder, PRACTICE / f"{name}.csv")
     table = pd.read_csv(PRACTICE / f"{name}.csv")
     s = predictor.session(name, to_toml(robot(name.split("-")[0])), table, table[:0])
     predictor.diagnosis(Recorded(s.name, s.robot, s.everything, s.seen))

@@ -91,10 +91,10 @@ def test_a_plug_in_is_kept_in_a_robot_file_and_exported(site: Path, campaign: Pa
     done = run(site, campaign, kept, program=KEEP)
     assert (done.returncode, done.stderr) == (0, "")
     assert 'name = "toy_cable"' in kept.read_text()
-    refused = run(site, "export", "mjcf", kept, "--out", model)
+    refused = run(site, "export", "model", kept, "--out", model)
     assert refused.returncode == 2
     assert "toy_cable@5: no counterpart in MuJoCo; lost without it: 0." in " ".join(refused.stderr.split())
-    assert run(site, "export", "mjcf", kept, "--out", model, "--leave-out").returncode == 0
+    assert run(site, "export", "model", kept, "--out", model, "--leave-out").returncode == 0
     given = ["export", "c", kept, "--nominal", f"problems/{NAME}/robot.toml", "--out", folder]
     written = run(site, *given)
     assert (written.returncode, written.stderr) == (0, "")

@@ -108,13 +108,13 @@ def test_a_campaign_is_understood_as_the_problems_own_tables_are(tmp_path: Path)
     assert not read_campaign(folder, campaign, robot, readings_only=True).position.any()
 
 
-def test_diagnose_takes_the_headers_of_the_problem(tmp_path: Path) -> None:
+def test_a_plan_takes_the_headers_of_the_problem(tmp_path: Path) -> None:
     """Also where problem.toml lists nothing to calibrate from."""
     folder, campaign = renamed(tmp_path)
     for name, path in (("a", campaign), ("b", CAMPAIGN)):
         if name == "b":
             (folder / "problem.toml").write_text(HEAD)
-        done = run("diagnose", "--isolability", "-q", folder, path, "--json", tmp_path / f"{name}.json")
+        done = run("plan", "--isolability", "-q", folder, path, "--json", tmp_path / f"{name}.json")
         assert (done.returncode, done.stderr) == (0, "")
     first, second = (json.loads((tmp_path / f"{name}.json").read_text()) for name in "ab")
     assert first | {"campaign": ""} == second | {"campaign": ""}

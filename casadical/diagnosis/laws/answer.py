@@ -155,7 +155,7 @@ class Discovery:
             why = _why_not(self.rounds[0])
             return f"no law is claimed: {why[0].lower()}{why[1:]}"
         left = f"{mm(self.gap['base'])} -> {mm(self.gap['law'])} mm on poses held out"
-        return f"{'; '.join(self.lines)}; {left} (casadical discover --out DIR has it in a robot file)"
+        return f"{'; '.join(self.lines)}; {left} (casadical diagnose --laws --out DIR has it in a robot file)"
 
     def blocks(self) -> list[Words | Table]:
         """What is claimed, what competes, and what each model leaves."""
@@ -231,7 +231,7 @@ class Discovery:
         }
 
     def files(self, folder: Path, name: str) -> dict[Path, str]:
-        """What `casadical discover --out` writes: the robot with what is kept, the laws alone, figures and text.
+        """What `casadical diagnose --laws --out` writes: the robot with what is kept, the laws alone, figures and text.
 
         name : of the campaign. Raises ConvergenceError.
         """

@@ -63,7 +63,7 @@ def driver_file(sources: Sources, form: str, checksum: str = "") -> Written:
     'joint'
     """
     if form not in FORMS:
-        raise InputError(f"--form {form}: not known; allowed: {', '.join(FORMS)}")
+        raise InputError(f"--to {form}: not known; allowed: {', '.join(FORMS)}")
     whole = robot_of(sources.robot)
     if whole.loops:
         raise InputError(f"{whole.name}: a four-bar has no place in a driver's kinematics; export c has one")

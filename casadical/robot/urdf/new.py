@@ -41,7 +41,9 @@ def new_urdf(robot: Robot) -> str:
     '<?xml version="1.0" e'
     """
     if robot.loops:
-        raise InputError(f"{robot.name!r} has a closed loop, a URDF is a tree; write it with: casadical export mjcf")
+        raise InputError(
+            f"{robot.name!r} has a closed loop, a URDF is a tree; write it with: casadical export model --to mjcf"
+        )
     root = ET.Element("robot", name=robot.name)
     root.append(ET.Comment(_about(robot)))
     ET.SubElement(root, "link", name="base_link")

@@ -140,7 +140,7 @@ def test_bad_input_is_refused_with_the_reason(robot, nominal, tmp_path, monkeypa
 
 def test_a_simulator_cannot_carry_them_and_says_what_is_lost(robot, tmp_path, monkeypatch, capfd):
     write_robot(robot, tmp_path / "robot.toml")
-    given = ["export", "mjcf", tmp_path / "robot.toml", "--out", tmp_path / "a.xml"]
+    given = ["export", "model", tmp_path / "robot.toml", "--out", tmp_path / "a.xml"]
     assert run(monkeypatch, *given) == 2
     said = " ".join(capfd.readouterr().err.split())
     assert "joint_error_curve: a MuJoCo joint has no error that follows its own angle" in said

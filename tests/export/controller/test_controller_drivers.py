@@ -103,10 +103,10 @@ def test_other_robots_and_forms_are_refused():
 
 def test_the_command_says_what_is_left_out(tmp_path, monkeypatch, capfd):
     write_robot(planted("ur10"), tmp_path / "real.toml")
-    given = ("export", "driver", tmp_path / "real.toml", "--nominal", nominal_path("ur10"))
+    given = ("export", "model", tmp_path / "real.toml", "--nominal", nominal_path("ur10"))
     for form in ("ur", "modified_dh", "xacro"):
         out = tmp_path / form
-        assert run(monkeypatch, *given, "--form", form, "--out", out, "--json", tmp_path / "s.json", "--overwrite") == 0
+        assert run(monkeypatch, *given, "--to", form, "--out", out, "--json", tmp_path / "s.json", "--overwrite") == 0
         assert "LEFT OUT compliance of joints 2, 3, 4, 5" in capfd.readouterr().out
         assert json.loads((tmp_path / "s.json").read_text())["form"] == form
 

@@ -1,0 +1,214 @@
+"""The export of a robot file as C: what is made of it, and what must be said of the files that are written."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import cast
+
+from casadical.core.errors import InputError
+from casadical.export.c.coefficients import Real
+from casadical.export.c.products import Command, Product
+from casadical.export.c.write import Export, write_c
+from casadical.export.controller.commands import (
+    Sources,
+    bound_of,
+    command_of,
+    curves_of,
+    followed,
+    measured_range,
+    network_of,
+    robot_of,
+)
+from casadical.export.controller.inverse import freedom_of
+from casadical.robot.robot import Robot
+
+
+@dataclass(frozen=True)
+class OfCommand:
+    """What only the correction of a command has; as of `command_of`, and times of its step function, None: the usual.
+
+    correct : position or pose; cycle_ms, rate_rad_s, ramp_s : as of `Limits`
+    """
+
+    steps: int = 2
+    correct: str = "position"
+    limit_mm: float | None = None
+    precise: bool = False
+    cycle_ms: float | None = None
+    rate_rad_s: float | None = None
+    ramp_s: float | None = None
+
+    @property
+    def times(self) -> dict[str, float]:
+        """Of `Limits`, those that are given."""
+        cycle = None if self.cycle_ms is None else 1e-3 * self.cycle_ms
+        times = {"cycle_s": cycle, "rate_rad_s": self.rate_rad_s, "ramp_s": self.ramp_s}
+        return {name: value for name, value in times.items() if value is not None}
+
+
+@dataclass(frozen=True, eq=False)
+class CExport:
+    """A robot file exported as C."""
+
+    sources: Sources
+    what: str
+    real: str
+    asked: OfCommand
+    product: Product
+    written: Export
+
+    def report(self) -> str:
+        """What `casadical export c` prints."""
+        robot = robot_of(self.sources.robot)
+        lines = [f"{self.what} of {self.sources.robot}, {self.real}"]
+        if wants_pose(self.asked.correct):
+            lines.append(poses_of(robot))
+        if self.what == "command" and (lost := unreached(robot)):
+            lines.append(lost)
+        lines += self._about()
+        if isinstance(self.product, Command):
+            limits = self.product.limits
+            lines.append(
+                f"cycle {1e3 * limits.cycle_s:g} ms, rate {limits.rate_rad_s:g} rad/s, ramp {limits.ramp_s:g} s: "
+                f"switched on in {limits.ramp_s / limits.cycle_s:.0f} calls of the step function"
+            )
+        return "\n".join(
+            [*lines, self.written.report(), "precondition: the controller's own absolute-accuracy option is off"]
+        )
+
+    def _about(self) -> list[str]:
+        """The files that the export was made from, with hashes, and the effects that are not in it."""
+        sources, what = self.sources, self.what
+        files = {"robot": sources.robot, "nominal": sources.nominal, "compensator": sources.compensator}
+        used = list(files) if what == "command" else ["robot", "compensator"]
+        lines = [
+            f"{label}: {path}, sha256 {_sha256(path)}"
+            for label, path in files.items()
+            if isinstance(path, Path) and label in used
+        ]
+        if sources.compensator and getattr(self.product, "network", self.product) is None:
+            lines.append("the compensator was refused when it was trained: it corrects nothing and is left out")
+        if what == "curves":
+            lines.append("the joints' error curves alone: a joint read as q stands at q + dq, so command q - dq(q)")
+        if what == "command":
+            mass = "as declared" if sources.payload_kg is None else f"{sources.payload_kg:g} kg"
+            lines += [f"LEFT OUT {line}" for line in followed(sources)[1]]
+            lines += no_bound(sources)
+            lines.append("readings within the joint limits of the robot file are corrected, others are CLAMPED")
+            lines += measured_range(arm := robot_of(sources.robot))
+            if arm.gravity_frame == "logged":
+                lines.append("LEFT OUT the tilt of the base: gravity is as the robot file declares it, the base level")
+            lines.append(f"payload: {mass}; tool: {sources.tool}; positions in the robot's own base frame")
+        return lines
+
+
+def export_c(
+    sources: Sources,
+    folder: Path,
+    what: str = "command",
+    asked: OfCommand | None = None,
+    *,
+    name: str | None = None,
+    real: str = "double",
+    languages: Sequence[str] | None = None,
+    overwrite: bool = False,
+    also: Callable[[Export], Mapping[Path, str]] = lambda _written: {},
+) -> CExport:
+    """Write what a controller needs of a robot file, compiled and compared before it is kept.
+
+    sources : files, not objects; what : see `product_of`; name : of C functions, None: from the robot's name
+    real, languages, overwrite, also : as of `write_c`
+    Raises InputError.
+    """
+    asked = asked or OfCommand()
+    if real not in ("float", "double"):
+        raise InputError(f"--real {real}: not known; allowed: float, double")
+    product = product_of(sources, what, asked)
+    try:
+        written = write_c(
+            product,
+            folder,
+            name=name or prefix_of(robot_of(sources.robot).name),
+            real=cast(Real, real),
+            model_sha256=_sha256(cast(Path, sources.robot)),
+            data_sha256=_sha256(sources.compensator) if isinstance(sources.compensator, Path) else "not given",
+            languages=languages,
+            overwrite=overwrite,
+            also=also,
+        )
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error.strerror}") from error
+    return CExport(sources, what, real, asked, product, written)
+
+
+def product_of(sources: Sources, what: str, asked: OfCommand) -> Product:
+    """The correction of commands, the network alone, or the joints' error curves alone.
+
+    Raises InputError where an option has no part in it.
+    """
+    if what not in ("network", "command", "curves"):
+        raise InputError(f"--what {what}: not known; allowed: network, command, curves")
+    if what == "network" and (sources.nominal or sources.payload_kg is not None):
+        raise InputError("--nominal and --payload have no part in a network alone; remove them, or give --what command")
+    if what == "curves" and (sources.nominal or sources.compensator or sources.payload_kg is not None):
+        raise InputError("--nominal, --compensator and --payload have no part in curves alone; remove them")
+    oriented = wants_pose(asked.correct)
+    if what == "command":
+        command = command_of(sources, asked.steps, orientation=oriented, limit_mm=asked.limit_mm, precise=asked.precise)
+        return replace(command, limits=replace(command.limits, **asked.times))
+    if oriented:
+        raise InputError(f"--correct {asked.correct}: is for --what command; {what} corrects nothing")
+    if asked.times:
+        raise InputError(f"--cycle, --rate and --ramp have no part in {what} alone; remove them")
+    if asked.precise:
+        raise InputError(f"--precise: is for --what command; {what} compares no robots")
+    if asked.limit_mm is not None:
+        raise InputError(f"--limit {asked.limit_mm:g}: is for --what command; {what} has no bound")
+    return network_of(sources) if what == "network" else curves_of(sources)
+
+
+def no_bound(sources: Sources) -> list[str]:
+    """Why the error that remains has no bound, where it has none."""
+    why = bound_of(sources)[1]
+    return [f"NO BOUND of the error that remains: {why}"] if why else []
+
+
+def prefix_of(name: str) -> str:
+    """A C prefix from a robot's name: lower case, at most 24 characters."""
+    words = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+    return (words if words[:1].isalpha() else f"robot_{words}")[:24].rstrip("_")
+
+
+def wants_pose(word: str) -> bool:
+    """Whether --correct asks for the orientation. Raises InputError for another word."""
+    if word not in ("position", "pose"):
+        raise InputError(f"--correct {word}: not known; allowed: position, pose")
+    return word == "pose"
+
+
+def poses_of(robot: Robot) -> str:
+    """What --correct pose does for an arm, in words."""
+    moved, turned = freedom_of(robot)
+    if (moved, turned) == (3, 3):
+        return "position and orientation are corrected, by the least change of the joints"
+    position = "the position" if moved == 3 else f"the position in {moved} of 3 directions"
+    if not turned:
+        return f"--correct pose: {robot.n} joints cannot turn the tool beside moving it; {position} alone is corrected"
+    return (
+        f"--correct pose: {robot.n} joints reach {position} and, beside it, the orientation in {turned} of 3 "
+        "directions; what is left of it stays"
+    )
+
+
+def unreached(robot: Robot) -> str:
+    """What the joints of an arm cannot move at all, in words; empty for most arms."""
+    moved = freedom_of(robot)[0]
+    return "" if moved == 3 else f"NOT REACHED: the joints move the tool in {moved} of 3 directions; errors across stay"
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -1,0 +1,208 @@
+"""A program corrected, file for file: a CSV of joint targets or one in a controller's language."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.core.errors import InputError
+from casadical.core.files import read_bytes
+from casadical.export.c.manifest import read_manifest
+from casadical.export.controller.c_export import no_bound, poses_of, unreached, wants_pose
+from casadical.export.controller.commands import Sources, Tool, command_of, followed, measured_range, robot_of
+from casadical.export.controller.correction import Corrector, corrected, kernel_corrector, model_corrector
+from casadical.export.controller.offline_program import read_program
+from casadical.export.controller.programs.correction import Cell, refuse_accuracy
+from casadical.export.controller.programs.language import ProgramLanguage, text_of
+from casadical.export.controller.programs.program import (
+    assumptions,
+    corrected_program,
+    read_target_program,
+    report_of,
+)
+from casadical.export.controller.programs.registry import language_of
+from casadical.export.controller.programs.target import Given
+
+
+@dataclass(frozen=True)
+class WithRobot:
+    """What a correction by robot files needs; in a folder of an export all of it was decided. None: the usual.
+
+    As of `Sources` and `command_of`; correct : position or pose
+    """
+
+    nominal: Path | None = None
+    compensator: Path | None = None
+    payload: float | None = None
+    steps: int | None = None
+    correct: str = "position"
+    limit: float | None = None
+    tool: str | None = None
+    leave_out: bool = False
+
+
+@dataclass(frozen=True)
+class OfLanguage:
+    """What a program in a controller's language does not say of its frames.
+
+    tcp, base : numbers of tools and bases, NAME=NUMBERS, as the controller shows them; data : files that hold more
+    root, flange : the controller's frames in those of the robot file
+    nearest, external_still : as of `Cell`; accuracy_off : whether the controller's own absolute accuracy is off
+    """
+
+    tcp: Sequence[str] | None = None
+    base: Sequence[str] | None = None
+    root: str | None = None
+    flange: str | None = None
+    data: Sequence[Path] | None = None
+    nearest: bool = False
+    external_still: bool = False
+    accuracy_off: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class CorrectedFile:
+    """A corrected program: what to say of it, its files, and its figures as plain data."""
+
+    lines: tuple[str, ...]
+    files: Mapping[Path, str | bytes]
+    figures: Mapping[str, Any] = field(default_factory=dict)
+
+
+def correct_file(
+    model: Path,
+    program: Path,
+    out: Path,
+    robot: WithRobot | None = None,
+    language: OfLanguage | None = None,
+    *,
+    trust: bool = False,
+) -> CorrectedFile:
+    """Correct the targets of a program so that the real tool reaches what the nominal one would.
+
+    model : folder that `write_c` wrote, or a robot file; out : where the corrected program is to be
+    trust : whether C of a folder that was exported elsewhere is compiled and run
+    Raises InputError.
+    """
+    robot, language = robot or WithRobot(), language or OfLanguage()
+    oriented = wants_pose(robot.correct)
+    if not model.exists():
+        raise InputError(f"{model}: no such folder or robot file")
+    corrector = _of_folder(model, robot, language, trust) if model.is_dir() else None
+    sources = None if corrector else _of_robot(model, robot, trust)
+    said = _of_sources(sources, oriented) if sources else [_stated(model)]
+    if program.suffix.lower() == ".csv":
+        _refuse_of_language(language, program)
+        made = _table(program, out, corrector or _model_corrector(sources, robot))
+    else:
+        made = _program(program, out, sources, corrector, robot, language)
+    return replace(made, lines=(*made.lines, *said))
+
+
+def _of_folder(folder: Path, given: WithRobot, language: OfLanguage, trust: bool) -> Corrector:
+    decided = {
+        "--nominal": given.nominal,
+        "--compensator": given.compensator,
+        "--payload": given.payload,
+        "--steps": given.steps,
+        "--correct": None if given.correct == "position" else given.correct,
+        "--limit": given.limit,
+        "--tool": given.tool,
+        "--leave-out": given.leave_out or None,
+        "--root": language.root,
+        "--flange": language.flange,
+    }
+    for option, value in decided.items():
+        if value is not None:
+            raise InputError(f"{option} was decided when {folder} was exported; give it with a robot file only")
+    return kernel_corrector(folder, trust=trust)
+
+
+def _of_robot(model: Path, given: WithRobot, trust: bool) -> Sources:
+    if trust:
+        raise InputError(f"--trust: is for a folder with C; {model} is a file, and nothing is compiled")
+    tool = cast(Tool, given.tool or "shared")
+    return Sources(model, given.nominal, given.compensator, given.payload, tool, given.leave_out)
+
+
+def _model_corrector(sources: Sources | None, given: WithRobot) -> Corrector:
+    assert sources is not None
+    steps, oriented = given.steps or 2, wants_pose(given.correct)
+    instead = model_corrector(command_of(sources, steps, limit_mm=given.limit)) if oriented else None
+    return model_corrector(command_of(sources, steps, orientation=oriented, limit_mm=given.limit), instead)
+
+
+def _of_sources(sources: Sources, oriented: bool) -> list[str]:
+    """What is said of the robot files that a correction is made from."""
+    robot = robot_of(sources.robot)
+    lines = [f"LEFT OUT {line}" for line in followed(sources)[1]]
+    lines += filter(None, [poses_of(robot) if oriented else "", unreached(robot)])
+    return [*lines, *measured_range(robot), *no_bound(sources)]
+
+
+def _refuse_of_language(language: OfLanguage, program: Path) -> None:
+    for name, value in vars(language).items():
+        if value:
+            option = f"--{name.replace('_', '-')}"
+            raise InputError(f"{option}: is for programs in a controller's language; {program} is a CSV")
+
+
+def _table(program: Path, out: Path, corrector: Corrector) -> CorrectedFile:
+    result = corrected(corrector, read_program(program, corrector.joints, corrector.units))
+    return CorrectedFile((result.report(),), {out: result.to_csv()}, result.to_json())
+
+
+def _program(
+    program: Path,
+    out: Path,
+    sources: Sources | None,
+    corrector: Corrector | None,
+    robot: WithRobot,
+    language: OfLanguage,
+) -> CorrectedFile:
+    spoken = language_of(program)
+    units = Cell(sources, folder=corrector).units
+    texts = {str(path): text_of(str(path), read_bytes(path)) for path in language.data or []}
+    given = Given(
+        _transforms(spoken, "--tcp", language.tcp), _transforms(spoken, "--base", language.base), texts, units
+    )
+    read = read_target_program(program, given, len(units))
+    cell = Cell(
+        sources,
+        robot.steps or 2,
+        wants_pose(robot.correct),
+        robot.limit,
+        root=_frame(spoken, "--root", language.root),
+        flange=_frame(spoken, "--flange", language.flange),
+        nearest=language.nearest,
+        external_still=language.external_still,
+        folder=corrector,
+    )
+    if not language.accuracy_off:
+        refuse_accuracy(read.source, list(read.targets))
+    result = corrected_program(read, cell)
+    lines = (result.report(), *(f"ASSUMED {line}" for line in assumptions(result, cell)))
+    return CorrectedFile(lines, {report_of(out): result.to_csv(), out: result.content()}, result.to_json())
+
+
+def _transforms(language: ProgramLanguage, option: str, entries: Sequence[str] | None) -> dict[str, Array]:
+    pairs = [entry.rpartition("=")[::2] for entry in entries or []]
+    return {name.strip(): language.transform(option, numbers) for name, numbers in pairs}
+
+
+def _frame(language: ProgramLanguage, option: str, text: str | None) -> Array:
+    return np.eye(4) if text is None else language.transform(option, text)
+
+
+def _stated(folder: Path) -> str:
+    """The remaining error that was measured when a folder was exported."""
+    figures = read_manifest(folder).figures
+    median, worst = figures.get("rest_um_median"), figures.get("rest_um_worst")
+    if median is None or worst is None:
+        return "remaining error: not measured"
+    return f"remaining error, measured at export on random poses: median {median:g} um, worst {worst:g} um"

@@ -1,0 +1,190 @@
+"""A calibrated robot in another program's file: a MuJoCo model, a URDF, the kinematics of a driver."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from casadical.core.errors import InputError
+from casadical.effects.counterparts import Omission
+from casadical.export.controller.commands import Sources
+from casadical.export.controller.drivers import FORMS as DRIVERS
+from casadical.export.controller.drivers import driver_file
+from casadical.export.mjcf.into_mjcf import into_mjcf
+from casadical.export.mjcf.mjcf import MjcfExport, mjcf
+from casadical.export.omission import geometry_alone, left_out, rest_of_rigid
+from casadical.project.calibration import Calibration, calibrate
+from casadical.project.diagnosis import Options, diagnose_campaign, read_campaigns
+from casadical.project.problem import read_campaign_robot, read_problem, read_problem_robot
+from casadical.robot.robot import Robot
+from casadical.robot.robot_file import read_robot
+from casadical.robot.urdf import new_urdf
+
+Show = Callable[[str], None]
+
+FORMS = ("mjcf", "urdf", *DRIVERS)
+# Which form a file's ending means.
+ENDINGS = {".xml": "mjcf", ".urdf": "urdf", ".yaml": "ur", ".yml": "ur", ".xacro": "xacro"}
+
+
+@dataclass(frozen=True, eq=False)
+class RobotModel:
+    """A robot as another program reads it.
+
+    text : of the file; lines : what it holds beside the geometry, what it leaves out and what that costs
+    about : the robot, in words; figures : the same as plain data
+    """
+
+    text: str
+    lines: tuple[str, ...]
+    figures: dict[str, Any]
+    about: str = ""
+
+
+@dataclass(frozen=True)
+class OfMjcf:
+    """What only a MuJoCo model can have.
+
+    campaign : measured poses from which the robot is calibrated and diagnosed; effects : as of `casadical diagnose`
+    into : a user's model, whose joints have these names, by commas; springs : whether it gets springs beside them
+    """
+
+    campaign: Path | None = None
+    effects: str | None = None
+    into: Path | None = None
+    joints: str | None = None
+    springs: bool = False
+
+
+def form_of(word: str | None, out: Path) -> str:
+    """The form that is asked for, or that the file's ending means. Raises InputError."""
+    form = word or ENDINGS.get(out.suffix.lower())
+    if form is None:
+        raise InputError(f"{out}: its ending does not say which form is wanted; give --to {'|'.join(FORMS)}")
+    if form not in FORMS:
+        raise InputError(f"--to {form}: not known; allowed: {', '.join(FORMS)}")
+    return form
+
+
+def robot_model(
+    source: Path,
+    form: str,
+    *,
+    nominal: Path | None = None,
+    of_mjcf: OfMjcf | None = None,
+    checksum: str = "",
+    leave_out: bool = False,
+    show: Show = lambda _text: None,
+) -> RobotModel:
+    """A calibrated robot in one of the `FORMS`.
+
+    source : a robot file, taken as it is, or a problem folder, which is calibrated
+    nominal : robot file from before the calibration, needed by a driver's kinematics and a user's own model
+    checksum : of the controller's own calibration, for `ur`
+    leave_out : whether effects that have no place there are left out; else they are refused
+    Raises InputError, ConvergenceError.
+    """
+    if not source.exists():
+        raise InputError(f"{source}: no such problem folder or robot file")
+    asked = of_mjcf or OfMjcf()
+    if form != "mjcf" and asked != OfMjcf():
+        raise InputError("--campaign, --effects, --into, --joints and --springs are of MuJoCo models: give --to mjcf")
+    if form != "ur" and checksum:
+        raise InputError(f"--hash is of the UR driver's kinematics, not of {form}: give --to ur")
+    if form == "mjcf":
+        return _mjcf(source, asked, nominal, leave_out, show)
+    if form == "urdf":
+        return _urdf(source, nominal, leave_out, show)
+    return _driver(source, form, nominal, checksum, show)
+
+
+def calibrated(folder: Path) -> Calibration:
+    """A problem calibrated by the last of its methods. Raises InputError, ConvergenceError."""
+    problem = read_problem(folder)
+    return calibrate(problem, method=problem.methods[-1])
+
+
+def robot_to_write(
+    source: Path, campaign: Path | None = None, effects: str | None = None, show: Show = lambda _text: None
+) -> Robot:
+    """The robot of a file as it is, of a problem calibrated, or of a campaign calibrated with its diagnosed causes.
+
+    Raises InputError, ConvergenceError.
+    """
+    if campaign is None:
+        return read_campaign_robot(source) if source.is_file() else calibrated(source).robot
+    (given,) = read_campaigns(source, [campaign])
+    return diagnose_campaign(given, Options(effects.split(",") if effects else "standard"), show).diagnosis.apply()
+
+
+def _mjcf(source: Path, asked: OfMjcf, nominal: Path | None, leave_out: bool, show: Show) -> RobotModel:
+    if (asked.into is None) != (asked.joints is None) or (asked.into is None and (asked.springs or nominal)):
+        raise InputError("--into and --joints belong together; --springs and --nominal belong to them")
+    show("calibrating")
+    robot = robot_to_write(source, asked.campaign, asked.effects, show)
+    made = mjcf(robot) if asked.into is None else into_users(source, asked, nominal, robot)
+    lost = (*left_out(robot, made.omitted, "a MuJoCo model", leave_out), *made.notes)
+    lines = (*(f"effect {text}" for text in made.written), *(f"LEFT OUT {text}" for text in lost))
+    figures = {"robot": robot.name, "written": list(made.written), "left_out": list(lost)}
+    return RobotModel(made.text, lines, figures, f"{robot.name}, {robot.n} joints")
+
+
+def into_users(source: Path, asked: OfMjcf, nominal: Path | None, robot: Robot) -> MjcfExport:
+    """A user's own model with the geometry (and springs) of a robot from `robot_to_write`; effects stay out of it.
+
+    nominal : robot file from before the calibration, needed where source is a robot file. Raises InputError.
+    """
+    assert asked.into is not None
+    assert asked.joints is not None
+    if source.is_file() and nominal is None and asked.campaign is None:
+        raise InputError("--into needs the robot before its calibration too: give --nominal, or the problem folder")
+    if nominal is not None:
+        before = read_robot(nominal)
+    else:
+        before = read_campaign_robot(source) if asked.campaign else read_problem_robot(source)
+    names = [name.strip() for name in asked.joints.split(",")]
+    text = into_mjcf(before, robot, asked.into, names, asked.springs)
+    why = f"effects go into a model of casadical's own, not into {asked.into.name}"
+    omitted = tuple(Omission(label, why) for label in dict.fromkeys(e.label for e in robot.effects))
+    lacking = not asked.springs and any(j.compliance for j in robot.joints)
+    return MjcfExport(text, (), omitted, ("springs of the joints; --springs adds them",) if lacking else ())
+
+
+def _urdf(source: Path, nominal: Path | None, leave_out: bool, show: Show) -> RobotModel:
+    if nominal is not None:
+        raise InputError("--nominal has no part in a URDF; remove it")
+    show("calibrating")
+    calibration = calibrated(source) if source.is_dir() else None
+    robot = calibration.robot if calibration else robot_to_write(source)
+    into = calibration.problem.urdf if calibration else None
+    figures = geometry_alone(calibration) if calibration else None
+    omissions = [Omission(e.label, "a URDF holds geometry and masses only") for e in robot.effects]
+    lost = (*left_out(robot, omissions, "a URDF", leave_out), *rest_of_rigid(robot))
+    text = calibration.problem.calibrated_urdf(robot) if calibration and into else new_urdf(robot)
+    lines = [f"LEFT OUT {line}" for line in lost]
+    if not lost:
+        lines.append("nothing is left out: the robot is rigid and has no effects")
+    if figures:
+        poses = "held-out poses" if figures["set"] == "report" else "poses that were identified from"
+        lines.append(
+            f"mean error at {figures['poses']} {poses}: nominal, base and tool fitted, {figures['nominal_mm']:.3f} mm; "
+            f"this URDF alone {figures['geometry_mm']:.3f} mm; the whole model {figures['model_mm']:.3f} mm"
+        )
+    if lost:
+        lines.append(
+            "a robot that is calibrated as rigid (method KM) loses less as a URDF; `export model --to mjcf` keeps the "
+            "springs"
+        )
+    name = into[0].name if into else None
+    kept = {"robot": robot.name, "into": name, "left_out": list(lost), "mean_errors": figures}
+    about = f"{robot.name}, {robot.n} joints" + (f", after {name}" if name else "")
+    return RobotModel(text, tuple(lines), kept, about)
+
+
+def _driver(source: Path, form: str, nominal: Path | None, checksum: str, show: Show) -> RobotModel:
+    if nominal is None:
+        raise InputError(f"--to {form}: needs the robot file from before the calibration, too: give --nominal")
+    show("calibrating")
+    made = driver_file(Sources(calibrated(source).robot if source.is_dir() else source, nominal), form, checksum)
+    lines = tuple(f"LEFT OUT {line}" for line in made.lines)
+    return RobotModel(made.text, lines, {"form": form, "left_out": list(made.lines)})
