@@ -63,7 +63,7 @@ Laws = Annotated[
     ),
 ]
 RivalLaws = Annotated[bool, typer.Option("--rival-laws", help="Laws compete at every ranking of causes.")]
-Masses = Annotated[
+OfMasses = Annotated[
     bool,
     typer.Option(
         "--nuisance-masses",
@@ -107,7 +107,7 @@ def diagnose(
     effects: Effects = None,
     laws: Laws = None,
     rival_laws: RivalLaws = False,
-    nuisance_masses: Masses = False,
+    nuisance_masses: OfMasses = False,
     prior: Prior = None,
     prior_effects: PriorEffects = None,
     frozen: Frozen = False,

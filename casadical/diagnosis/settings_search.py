@@ -52,7 +52,7 @@ def refined(
         return case, (effect,)
     halved = 0
     for _ in range(MOST_ROUNDS):
-        near = [(e,) for e in neighbours(variant[0], 0.5**halved)]
+        near: list[tuple[Effect, ...]] = [(e,) for e in neighbours(variant[0], 0.5**halved)]
         if not near:
             break
         case = case.with_variants(label, near)

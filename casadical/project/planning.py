@@ -32,7 +32,7 @@ from casadical.pose_selection.selection import Selection
 from casadical.pose_selection.stopping_rule import forecast
 from casadical.pose_selection.workspace import Workspace
 from casadical.pose_selection.workspace_file import read_workspace
-from casadical.project.problem import Carried, as_it_is, read_campaign, read_campaign_robot
+from casadical.project.problem import Carried, nothing_carried, read_campaign, read_campaign_robot
 from casadical.project.problem_file import tables_of
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
@@ -173,7 +173,7 @@ def plan_problem(
     n: int | None,
     wanted: Wanted,
     measured: Path | None = None,
-    carried: Carried = as_it_is,
+    carried: Carried = nothing_carried,
     *,
     seed: int = 0,
     show: Callable[[str], None] = lambda _text: None,
