@@ -61,13 +61,13 @@ def cause_rows(d: Diagnosis) -> list[CauseRow]:
 
 def wires_at_fault(d: Diagnosis, c: Cause) -> dict[str, str]:
     """Table (and anchor) of each instrument for distances that a cause is clearly in -> its parameters in words."""
-    if not c.of_instrument or d.case.others is None:
+    if not c.of_instrument:
         return {}
     found: dict[str, list[str]] = {}
     clear: dict[str, float] = {}
     for name, (value, error, unit) in (c.estimates or {}).items():
         if part := re.fullmatch(r"(\D+)(\d)", name):
-            for m in d.case.others.sets:
+            for m in d.case.observations.sets:
                 here = m.conditions.get(FLAGS[int(part[2]) - 1], np.zeros(len(m))) > 0
                 if here.any():
                     anchors = [*np.unique(m.label[here])] if m.label is not None else []

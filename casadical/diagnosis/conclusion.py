@@ -23,7 +23,7 @@ def conclude(
     state, end = named(state, end, seed)
     case, columns = state.case, state.columns()
     before = partitioned_errors(case.evidence, columns[:0], state.rankings[0].noise[""], seed)
-    repeated = replicates(case.m, case.whole.r, case.kept, case.apart, case.whole.measured)
+    repeated = replicates(case.m, case.whole.r, case.kept, case.observations.apart, case.whole.measured)
     noise = _final_noise(state, end)
     floor = noise_floor(case.evidence, noise, repeated, seed)
     richer = None if repeated.enough or end != "claimed" else _with_richer_form(state, floor, seed)

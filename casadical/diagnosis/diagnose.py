@@ -229,23 +229,23 @@ def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -
         for m, used in zip(given, found.measurements, strict=False)
         if m.orientation is not None and used.orientation is None
     ]
-    if case.others is None:
+    if case.observations.plain:
         return tuple(said)
     held = (u.reason.split(";")[0] for u in found.identifiability.held)
     said += dict.fromkeys(reason for reason in held if reason.startswith(WITHOUT))
-    stops = case.others.stops
+    stops = case.observations.stops
     if stops.most > 1:
         said.append(
             f"{len(stops.of)} rows were read at {len(stops.rows)} stops of the robot: rows at equal readings share how "
             "its joints repeat there; if it moved between them, say so by numbers in a column pose"
         )
-    ends = [np.concatenate([m.q, m.other]) for m in case.others.sets if m.other is not None]
+    ends = [np.concatenate([m.q, m.other]) for m in case.observations.sets if m.other is not None]
     if any(len(np.unique(q, axis=0)) < len(q) for q in ends):
         said.append(
             "rows between poses that share a pose: their noise is taken as independent; what they share, joint "
             "repeatability too, may look like something unknown"
         )
-    for m, (length, angle) in zip(case.others.sets, case.others.ratios.sigmas, strict=True):
+    for m, (length, angle) in zip(case.observations.sets, case.observations.ratios.sigmas, strict=True):
         kind = find_kind(m.kind)
         parts = [f"{1e3 * length:.3g} mm of a length"] * bool(kind.lengths)
         parts += [f"{1e3 * angle:.3g} mrad of an angle"] * bool(kind.angles)

@@ -143,7 +143,7 @@ def check_refit(found: Diagnosis, show: Callable[[str], None] = lambda _text: No
     case, effects = found.case, found.effects()
     folds = random_folds(int(case.kept.sum()), found.seed, alike=case.evidence.alike)
     sets = refit_measurements(case, effects, found.noise)
-    if case.others is None:  # positions are weighed by the noise that was found in the fit alone
+    if case.observations.plain:  # positions are weighed by the noise that was found in the fit alone
         sets = tuple(m.positions_alone() for m in sets)
     left = np.empty(len(folds))
     for fold in range(FOLDS):

@@ -16,7 +16,7 @@ from casadical.diagnosis.camera_columns import with_images
 from casadical.diagnosis.candidates import Candidate, choose
 from casadical.diagnosis.cross_validation import fit_of
 from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, SIGMAS, Evidence
-from casadical.diagnosis.linearisation import EffectColumns, linearise
+from casadical.diagnosis.linearisation import EffectColumns
 from casadical.diagnosis.noise_floor import replicates
 from casadical.diagnosis.observations import Observations, Ratios, joined, observe, stops_in, with_far_ends
 from casadical.effects import Effect
@@ -61,7 +61,7 @@ class Case:
     free : labels of effects of the given robot that are part of the base model, as uncertain as the effect says
     prior : what is known from another campaign; units : parameters that are correlated in it, as sums of independent
         ones of size one, shape (P, P), or None
-    others : what was measured, where that is not one set of positions; assumed : for the user, in sentences
+    observations : what was measured; assumed : for the user, in sentences
     """
 
     robot: Robot
@@ -73,41 +73,34 @@ class Case:
     whole: Evidence
     kept: Array
     columns: dict[Effect, Array]
+    observations: Observations
     free: tuple[str, ...] = ()
     prior: Prior = field(default_factory=Prior)
     units: Array | None = None
-    others: Observations | None = None
     assumed: tuple[str, ...] = ()
     selected: Selected = field(init=False, repr=False, default_factory=Selected)
 
     @property
     def one_end(self) -> bool:
         """Whether each row depends on one pose; a distance between two poses does not."""
-        return self.others is None or self.others.linear.far is None
+        return self.observations.linear.far is None
 
     @property
     def rows(self) -> Array:
         """Of each kept row of the measured sets the number of its pose among the kept ones, shape (rows,)."""
-        return np.arange(int(self.kept.sum())) if self.others is None else self.others.stops.kept(self.kept)
-
-    @property
-    def apart(self) -> Array | None:
-        """Number of what each pose was measured to, shape (n,), where that is not the measuring frame alone."""
-        return None if self.others is None else self.others.apart
+        return self.observations.stops.kept(self.kept)
 
     @cached_property
     def positions(self) -> Array:
         """Where the measured point was, shape (n, 3) [m]: as measured, else as the base model has it."""
-        if (self.others is None or len(self.others.sets) == 1) and self.m.position is not None:
+        if len(self.observations.sets) == 1 and self.m.position is not None:
             return self.m.position
         return predicted(self.robot, self.m)[0]
 
     @property
     def vectors(self) -> Array | None:
         """Of each kept pose what the base model leaves of its position, shape (kept, 3) [m]; None without positions."""
-        if self.others is None:
-            return self.evidence.r
-        several = len(self.others.sets) > 1 or self.m.position is None or self.m.kind == PositionCovariance.name
+        several = len(self.observations.sets) > 1 or self.m.position is None or self.m.kind == PositionCovariance.name
         return None if several else self.evidence.r[:, :3]
 
     @property
@@ -252,53 +245,41 @@ def make_case(
 
     free : see `Case`; ratios : of the noise of several sets or of angles, by default as the base fit has them
     """
-    sets = identification.measurements
-    plain, stops = len(sets) == 1 and sets[0].kind == "position", stops_in(sets)
-    m = sets[0] if plain else joined(sets, identification.given, stops)
+    robot, sets = identification.given, identification.measurements
+    stops = stops_in(sets)
+    m = joined(sets, robot, stops)
     m = with_images(with_far_ends(m, sets, identification.unknown_points, stops), sets, stops)
-    m = _with_declared_payload(m, identification.given)
+    m = _with_declared_payload(m, robot)
     possible, missing = choose(candidates, m)
     effects = tuple(dict.fromkeys(e for c in possible for v in c.variants for e in v))
     m, _ = derive(m, [c for e in effects for c in e.conditions])
-    robot = identification.given
     values = robot.values_of(identification.robot)
-    delta0 = _prior_mean(identification) - values
-    delta0[[n.startswith(("base_", "tool_r")) for n in robot.parameters.names]] = 0.0
-    if not plain:
-        ratios = ratios or Ratios(identification.problem.sigmas)
-        seen = observe(identification, m, sets, values, ratios, stops)
-        return _of_kinds(identification, seen, values, delta0, possible, missing, effects, free)
-    linear = linearise(robot, m, values)
-    p, _ = predicted(identification.robot, m)
-    assert m.position is not None
-    r = m.position - p
-    # Gross only: an effect that leaves the points in two clouds must not lose one of them as outliers.
-    kept = np.linalg.norm(r, axis=1) / np.sqrt(3) <= GROSS * robust_std(r)
-    E = EffectColumns(linear, effects).with_directions()
-    again = replicates(m, r, kept)
-    repeats = (again.sigma, min(again.freedom, MOST_FREEDOM)) if again.enough else (0.0, 0)
-    whole = Evidence(r, linear.J, linear.Jq, delta0, base_prior(robot, free), E, held=E.held, repeats=repeats)
+    seen = observe(identification, m, sets, values, ratios or Ratios(identification.problem.sigmas), stops)
+    kept, whole = _problem(identification, seen, effects, values, free)
     columns = column_numbers(effects, 0)
-    return Case(identification.robot, robot, values, m, possible, missing, whole, kept, columns, free)
+    return Case(identification.robot, robot, values, m, tuple(possible), missing, whole, kept, columns, seen, free)
 
 
-def _of_kinds(
+def _problem(
     identification: Identification,
     seen: Observations,
-    values: Array,
-    delta0: Array,
-    possible: Sequence[Candidate],
-    missing: dict[str, tuple[str, ...]],
     effects: tuple[Effect, ...],
+    values: Array,
     free: tuple[str, ...],
-) -> Case:
-    """The case of any kinds of measurement; the priors hold at the noise that the base model leaves."""
-    robot, m = identification.given, seen.m
-    r, numbers = seen.r, np.maximum(seen.measured.sum(axis=1), 1)
+) -> tuple[Array, Evidence]:
+    """Which poses are no outliers, and the linear problem of all poses.
+
+    The priors hold at the usual noise of a tracker where positions alone were measured, else at the noise that the base
+    model leaves.
+    """
+    robot, r, numbers = identification.given, seen.r, np.maximum(seen.measured.sum(axis=1), 1)
+    delta0 = robot.parameters.values - values
+    delta0[[n.startswith(("base_", "tool_r")) for n in robot.parameters.names]] = 0.0
     left = robust_std(r)
+    # Gross only: an effect that leaves the points in two clouds must not lose one of them as outliers.
     kept = seen.measured.any(axis=1) & (np.linalg.norm(r, axis=1) / np.sqrt(numbers) <= GROSS * left)
     E = EffectColumns(seen.linear, effects).with_directions()
-    again = replicates(m, r, kept, seen.apart, seen.measured)
+    again = replicates(seen.m, r, kept, seen.apart, seen.measured)
     whole = Evidence(
         r,
         np.concatenate([seen.linear.J, seen.U], axis=2),
@@ -306,18 +287,16 @@ def _of_kinds(
         np.append(delta0, seen.mean),
         np.append(base_prior(robot, free), np.ones(len(seen.mean))),
         E,
-        reference=max(left, float(SIGMAS[0])),
         held=E.held,
         repeats=(again.sigma, min(again.freedom, MOST_FREEDOM)) if again.enough else (0.0, 0),
         measured=seen.measured,
         size=seen.size,
         alike=seen.alike,
     )
-    whole = replace(whole, absorbed=whole.model.absorbed_by_base)
-    columns = column_numbers(effects, 0)
-    return Case(
-        identification.robot, robot, values, m, tuple(possible), missing, whole, kept, columns, free, others=seen
-    )
+    if seen.plain:
+        return kept, whole
+    whole = replace(whole, reference=max(left, float(SIGMAS[0])))
+    return kept, replace(whole, absorbed=whole.model.absorbed_by_base)
 
 
 def better_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
@@ -325,14 +304,15 @@ def better_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
 
     columns : of the causes, shape (k,)
     """
-    if case.others is None or case.evidence.measured is None:
+    seen = case.observations
+    if seen.plain:
         return None
-    fit, known = fit_of(case.evidence, columns, noise), case.others.ratios
+    fit, known = fit_of(case.evidence, columns, noise), seen.ratios
     left, pull = fit.rest.reshape(case.evidence.r.shape) ** 2, fit.pull(np.arange(len(case.evidence.r)))
-    freedom = case.evidence.measured - np.diagonal(pull, axis1=1, axis2=2)
+    freedom = seen.measured[case.kept] - np.diagonal(pull, axis1=1, axis2=2)
     place, found = np.cumsum(case.kept) - 1, []
-    for k, (m, (length, angle)) in enumerate(zip(case.others.sets, known.sigmas, strict=True)):
-        poses, places = case.others.numbers_of(k)
+    for k, (m, (length, angle)) in enumerate(zip(seen.sets, known.sigmas, strict=True)):
+        poses, places = seen.numbers_of(k)
         own, kind = case.kept[poses[:, 0]], find_kind(m.kind)
         poses, places = place[poses[own]], places[own]
         parts = (places[:, : kind.lengths], places[:, kind.lengths :])
@@ -343,7 +323,7 @@ def better_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
         found.append((length if m.sigma else length * factors[0], angle if m.sigma_angle else angle * factors[1]))
     more = Ratios(tuple(found))
     change = np.log([a for k in range(len(found)) for a in np.divide(more.of_set(k), known.of_set(k))])
-    counts = [bool(n) for m in case.others.sets for n in (find_kind(m.kind).lengths, find_kind(m.kind).angles)]
+    counts = [bool(n) for m in seen.sets for n in (find_kind(m.kind).lengths, find_kind(m.kind).angles)]
     return more if np.abs(change[counts]).max() > SAME_RATIO else None
 
 
@@ -363,10 +343,6 @@ def column_numbers(effects: Sequence[Effect], first: int) -> dict[Effect, Array]
     """Numbers of every effect's columns, one after the other."""
     edges = first + np.cumsum([0, *(len(e.sizes()) for e in effects)])
     return {e: np.arange(a, b) for e, a, b in zip(effects, edges[:-1], edges[1:], strict=True)}
-
-
-def _prior_mean(identification: Identification) -> Array:
-    return identification.given.parameters.values
 
 
 def base_prior(robot: Robot, free: Collection[str] = ()) -> Array:

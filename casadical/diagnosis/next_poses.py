@@ -164,7 +164,7 @@ def _table(
     table["repeats"] = [f"row {case.m.row[k]}" if k >= 0 else "" for k in source]
     table["new"] = _new(case, drawn, picked)
     table["separation"] = np.round(gained, 3)
-    sets = (case.m,) if case.others is None else case.others.sets
+    sets = (case.m,) if case.observations.plain else case.observations.sets
     for name in dict.fromkeys(("time_s", "temperature_degC", *(c for m in sets for c in find_kind(m.kind).fill))):
         table[name] = np.nan
     return table

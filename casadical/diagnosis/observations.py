@@ -23,6 +23,7 @@ from casadical.diagnosis.stops import Stops, stops_of
 from casadical.effects.formula_effect import FAR, FLAGS, WIRES
 from casadical.identification.result import Identification
 from casadical.measurements.kinds.distance import Distance
+from casadical.measurements.kinds.position import Position
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.model import constants_of
@@ -49,7 +50,7 @@ class Observations:
     """What sets of measurements tell, at the base model calibrated on them.
 
     m : all poses as one table; sets : as given, with the conditions of m; ratios : of their noise
-    stops : at which the sets' rows were read, which are the poses; first : the first of each row's numbers at its pose
+    layout : where the sets' rows stand among the numbers of the poses
     r : measured less modelled, shape (n, numbers); linear : its derivatives
     U : by the unknown points in units of what is known of them, shape (n, numbers, points), and mean, shape (points,)
     measured, size, alike : see `Evidence`; apart : number of what each pose was measured to, for repeats, shape (n,)
@@ -59,8 +60,7 @@ class Observations:
     m: Measurements
     sets: tuple[Measurements, ...]
     ratios: Ratios
-    stops: Stops
-    first: Array
+    layout: _Layout
     r: Array
     linear: Linearisation
     U: Array
@@ -73,8 +73,17 @@ class Observations:
 
     def numbers_of(self, k: int) -> tuple[Array, Array]:
         """Where a set's numbers stand among those of the poses: poses, shape (rows, 1), and places, (rows, numbers)."""
-        at = edges_of(self.sets)[k]
-        return self.stops.of[at, None], self.first[at, None] + np.arange(find_kind(self.sets[k].kind).numbers)
+        return self.layout.poses[k], self.layout.places[k]
+
+    @property
+    def plain(self) -> bool:
+        """Whether they are one set of positions."""
+        return len(self.sets) == 1 and self.sets[0].kind == Position.name
+
+    @property
+    def stops(self) -> Stops:
+        """At which the sets' rows were read: these are the poses."""
+        return self.layout.stops
 
 
 def joined(sets: Sequence[Measurements], robot: Robot, stops: Stops) -> Measurements:
@@ -167,6 +176,37 @@ def separated(sets: Sequence[Measurements], m: Measurements, stops: Stops) -> tu
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Layout:
+    """Where the rows of the sets stand among the numbers of the poses.
+
+    poses, places : of each set, shapes (rows, 1) and (rows, numbers); shape : poses, and numbers of the one with most
+    """
+
+    stops: Stops
+    rows: list[slice]
+    poses: list[Array]
+    places: list[Array]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return len(self.stops.rows), max(int(places.max()) + 1 for places in self.places)
+
+    def together(self, parts: Sequence[Array]) -> Array:
+        """Numbers of all sets at their poses, shape (poses, numbers, ...), zero where there are none."""
+        out = np.zeros((*self.shape, *parts[0].shape[2:]))
+        for poses, places, part in zip(self.poses, self.places, parts, strict=True):
+            out[poses, places] = part
+        return out
+
+
+def _layout(stops: Stops, sets: Sequence[Measurements]) -> _Layout:
+    rows, numbers = edges_of(sets), [find_kind(m.kind).numbers for m in sets]
+    first = _first_numbers(stops, np.repeat(numbers, [len(m) for m in sets]))
+    places = [first[at, None] + np.arange(k) for at, k in zip(rows, numbers, strict=True)]
+    return _Layout(stops, rows, [stops.of[at, None] for at in rows], places)
+
+
 def observe(
     identification: Identification,
     m: Measurements,
@@ -176,73 +216,87 @@ def observe(
     stops: Stops,
 ) -> Observations:
     """The sets at the base model's values, shape (P,) [SI]; m : of `joined`, with every condition that is needed."""
-    robot = identification.given
+    robot, where = identification.given, identification.unknown_points
     sets = separated(sets, m, stops)
-    where = identification.unknown_points
-    found = [_of_set(robot, part, k, values, where, ratios) for k, part in enumerate(sets)]
-    first = _first_numbers(stops, np.concatenate([np.full(len(part.r), part.r.shape[1]) for part in found]))
-    width = max(int(first[at].max()) + part.r.shape[1] for part, at in zip(found, edges_of(sets), strict=True))
-    ends = max(part.ends for part in found)
-    seams = found[0].S.shape[2] // found[0].ends
-
-    def together(name: str, *last: int) -> Array:
-        """Numbers of all sets at their poses, shape (n, width, ...), zero where there are none."""
-        out = np.zeros((len(m), width, *last))
-        for part, at in zip(found, edges_of(sets), strict=True):
-            own = getattr(part, name)
-            out[stops.of[at, None], first[at, None] + np.arange(own.shape[1])] = own
-        return out
-
-    S = np.zeros((len(m), width, ends * seams + POINT * (stops.most - 1)))
-    U, points = np.zeros((*S.shape[:2], 3 * len(where))), np.full((len(m), stops.most), -1)
-    for part, at in zip(found, edges_of(sets), strict=True):
-        poses, places = stops.of[at, None], first[at, None] + np.arange(part.r.shape[1])
-        S[poses, places, : part.S.shape[2]] = part.S
-        for turn in range(1, stops.most):
-            # What an instrument does to its own reading, it does to no other of this stop.
-            own = np.flatnonzero(stops.turn[at] == turn)
-            to = ends * seams + POINT * (turn - 1)
-            S[poses[own], places[own], to : to + POINT] = part.S[own, :, seams - POINT : seams]
-            S[poses[own], places[own], seams - POINT : seams] = 0.0
-        for i, k in enumerate(part.point):
-            if k >= 0:
-                U[poses[i], places[i], 3 * k : 3 * k + 3] = part.U[i]
-        points[stops.of[at], stops.turn[at]] = part.point
-    seen, q = (np.concatenate([np.asarray(getattr(part, name)) for part in found], axis=1) for name in ("seen", "q"))
+    parts = [_of_set(robot, part, k, values, where, ratios) for k, part in enumerate(sets)]
+    layout, ends = _layout(stops, sets), max(part.ends for part in parts)
+    S = _by_seams(parts, layout, ends)
+    seen, q = (np.concatenate([np.asarray(getattr(part, name)) for part in parts], axis=1) for name in ("seen", "q"))
     linear = Linearisation(
         robot,
         seams_of(robot),
         values,
         m.q,
         dict(m.conditions),
-        together("J", len(values)),
+        layout.together([part.J for part in parts]),
         S,
         seen[0, stops.rows],
         constants_of(robot, robot.torque_scale),
         (q[1, stops.rows], seen[1, stops.rows]) if ends > 1 else None,
         stops.most - 1,
     )
-    arms = S[:, :, : ends * seams].reshape(*S.shape[:2], ends, seams)[:, :, :, : robot.n]
-    root, mean = _known_points(identification, where)
-    apart = np.full((len(m), stops.most), -1)
-    apart[stops.of, stops.turn] = _measured_to(sets, np.concatenate([part.point for part in found]))
+    U, mean = _by_points(identification, parts, layout)
     return Observations(
         m=m,
         sets=sets,
         ratios=ratios,
-        stops=stops,
-        first=first,
-        r=together("r"),
+        layout=layout,
+        r=layout.together([part.r for part in parts]),
         linear=linear,
-        U=U @ root,
+        U=U,
         mean=mean,
-        measured=together("measured") > 0,
-        size=together("size"),
-        # What has no unknown point is spread over folds as if each pose were alone.
-        alike=_numbered(points) if len(where) else None,
-        apart=_numbered(apart),
-        Jq=arms[:, :, 0] if ends == 1 else np.sqrt((arms**2).sum(axis=2)),
+        measured=layout.together([part.measured for part in parts]) > 0,
+        size=layout.together([part.size for part in parts]),
+        alike=_numbered(_at_turns(stops, np.concatenate([part.point for part in parts]))) if len(where) else None,
+        apart=_numbered(_at_turns(stops, _measured_to(sets, np.concatenate([part.point for part in parts])))),
+        Jq=_by_joints(S, ends, parts[0].S.shape[2] // parts[0].ends, robot.n),
     )
+
+
+def _by_seams(parts: Sequence[_OfSet], layout: _Layout, ends: int) -> Array:
+    """Derivatives by all seam variables, shape (poses, numbers, seams).
+
+    What an instrument does to its own reading, it does to no other of this stop: of further readings the variables of
+    the measured point are others, behind all seams.
+    """
+    stops, seams = layout.stops, parts[0].S.shape[2] // parts[0].ends
+    S = np.zeros((*layout.shape, ends * seams + POINT * (stops.most - 1)))
+    for part, at, poses, places in zip(parts, layout.rows, layout.poses, layout.places, strict=True):
+        S[poses, places, : part.S.shape[2]] = part.S
+        for turn in range(1, stops.most):
+            own = np.flatnonzero(stops.turn[at] == turn)
+            to = ends * seams + POINT * (turn - 1)
+            S[poses[own], places[own], to : to + POINT] = part.S[own, :, seams - POINT : seams]
+            S[poses[own], places[own], seams - POINT : seams] = 0.0
+    return S
+
+
+def _by_joints(S: Array, ends: int, seams: int, joints: int) -> Array:
+    """Derivatives by the joint variables as the joints' repeatability acts, shape (poses, numbers, joints).
+
+    Joints repeat independently at the two ends of a distance between poses.
+    """
+    arms = S[:, :, : ends * seams].reshape(*S.shape[:2], ends, seams)[:, :, :, :joints]
+    return np.asarray(arms[:, :, 0] if ends == 1 else np.sqrt((arms**2).sum(axis=2)))
+
+
+def _by_points(identification: Identification, parts: Sequence[_OfSet], layout: _Layout) -> tuple[Array, Array]:
+    """Derivatives by the unknown points in units of what is known of them, and their mean; see `Observations`."""
+    where = identification.unknown_points
+    U = np.zeros((*layout.shape, 3 * len(where)))
+    for part, poses, places in zip(parts, layout.poses, layout.places, strict=True):
+        for i in np.flatnonzero(part.point >= 0):
+            k = 3 * part.point[i]
+            U[poses[i], places[i], k : k + 3] = part.U[i]
+    root, mean = _known_points(identification, where)
+    return U @ root, mean
+
+
+def _at_turns(stops: Stops, numbers: Array) -> Array:
+    """Numbers of rows by the turn of each at its stop, shape (stops, turns); -1 where there is no such row."""
+    out = np.full((len(stops.rows), stops.most), -1)
+    out[stops.of, stops.turn] = numbers
+    return out
 
 
 def _numbered(keys: Array) -> Array:

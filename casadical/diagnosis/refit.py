@@ -75,9 +75,9 @@ def refit_measurements(case: Case, effects: Sequence[Effect], noise: Noise) -> t
     of the sets have the mean of both.
     """
     m, _ = derive(case.m, [c for e in effects for c in e.conditions])
-    if case.others:
-        stops = case.others.stops
-        return chosen_of(_with_sigmas(case, separated(case.others.sets, m, stops), noise), case.kept[stops.of])
+    seen = case.observations
+    if not seen.plain:
+        return chosen_of(_with_sigmas(case, separated(seen.sets, m, seen.stops), noise), case.kept[seen.stops.of])
     C = case.whole.covariance(noise)[case.kept]
     m = replace(m.positions_alone()[case.kept], kind=PositionCovariance.name, extra={"whitening": whitening(C)})
     return (replace(m, sigma=typical_sigma(C)),)
@@ -105,12 +105,12 @@ def _left(found: Identification, k: int, m: Measurements, where: Mapping[str, Ar
 
 def _with_sigmas(case: Case, sets: Sequence[Measurements], noise: Noise) -> list[Measurements]:
     """The sets with the noise that was found."""
-    assert case.others
-    square = np.diagonal(case.whole.covariance(noise), axis1=1, axis2=2) * case.others.measured
+    seen = case.observations
+    square = np.diagonal(case.whole.covariance(noise), axis1=1, axis2=2) * seen.measured
     found = []
     for k, m in enumerate(sets):
-        at = case.others.numbers_of(k)
-        usual = float(np.sqrt(square[at].sum() / max(1, np.count_nonzero(case.others.measured[at]))))
-        length, angle = (usual / scale for scale in case.others.ratios.of_set(k))
+        at = seen.numbers_of(k)
+        usual = float(np.sqrt(square[at].sum() / max(1, np.count_nonzero(seen.measured[at]))))
+        length, angle = (usual / scale for scale in seen.ratios.of_set(k))
         found.append(replace(m, sigma=length, sigma_angle=angle))
     return found

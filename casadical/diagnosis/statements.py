@@ -118,7 +118,7 @@ def _rest(d: Diagnosis) -> str:
 
 def readings_of(d: Diagnosis) -> str:
     """Of how many readings the error of a pose is the norm, where several tables have readings of one pose."""
-    most = d.case.others.stops.most if d.case.others else 1
+    most = d.case.observations.stops.most
     return f", of each the norm over up to {most} readings" if most > 1 else ""
 
 
@@ -316,7 +316,7 @@ def _unknown(d: Diagnosis, more: Details) -> Iterator[Statement]:
                 "the noise floor is the fit's own, so errors of a form that was not tried count as noise; repeated "
                 "poses would tell the instrument's"
             )
-            sets = d.case.others.sets if d.case.others else ()
+            sets = d.case.observations.sets
             if len(sets) > 1 and any(m.sigma is None for m in sets):
                 words.append("so are the tables' noises, by which they are weighed: declare sigma_mm of each")
         yield Statement("UNKNOWN", "; ".join(w for w in words if w), doubtful=True)

@@ -42,12 +42,15 @@ def stops_of(sets: Sequence[Measurements], measured_to: Array) -> Stops:
 
     Rows at equal readings and circumstances are of one stop, unless another reading lies between them by the logged
     time, else by the number of the pose. What is read twice to the same end are two stops, and so is each distance
-    between two poses.
+    between two poses: each row of one set that is measured to one thing is a stop of its own.
     measured_to : number of set and far end of each row, shape (rows,)
     """
-    q, n = np.concatenate([m.q for m in sets]), len(measured_to)
+    n = len(measured_to)
+    if len(sets) == 1 and sets[0].other is None and len(np.unique(measured_to)) == 1:
+        return Stops(np.arange(n), np.zeros(n, dtype=np.int64), np.arange(n))
     shared = [c for c in sets[0].conditions if all(c in m.conditions for m in sets)]
     logged = {c: np.concatenate([m.conditions[c] for m in sets]) for c in shared}
+    q = np.concatenate([m.q for m in sets])
     key = np.column_stack([same_readings(q), *(values for c, values in logged.items() if _OF_STOP.fullmatch(c))])
     key = np.unique(key, axis=0, return_inverse=True)[1].ravel()
     clock = next((logged[c] for c in ("time_s", "pose") if c in logged), None)

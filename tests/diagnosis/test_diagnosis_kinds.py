@@ -144,15 +144,14 @@ def test_what_an_instrument_does_to_its_reading_it_does_to_no_other_of_the_stop(
     found = identify(robot("kr210"), sets, ("geometry",), priors=True)
     effect = WireDrift()
     case = make_case(found, candidates_of(robot("kr210"), [effect]))
-    assert case.others is not None
-    assert case.others.r.shape == (20, 3)
+    assert case.observations.r.shape == (20, 3)
     E = case.whole.take(case.columns[effect])
     changed = found.robot.with_effect(effect)
     for k, (name, (size, _)) in enumerate(effect.sizes().items()):
         values = {f"{effect.label}.{name}": 1e-2 * size}
-        for j, m in enumerate(case.others.sets):
+        for j, m in enumerate(case.observations.sets):
             more = readings(changed.with_values(values), m, m) - readings(found.robot, m, m)
-            scale = case.others.ratios.of_set(j)[0]
+            scale = case.observations.ratios.of_set(j)[0]
             np.testing.assert_allclose(E[:, j, k], 1e2 * scale * more, rtol=1e-3, atol=1e-9)
 
 
@@ -247,8 +246,8 @@ def test_angles_have_a_noise_of_their_own() -> None:
     m = poses(practice("hh800-P01"))
     found = diagnose(robot("hh800"), m, ["backlash", "joint_coupling"])
     assert [c.label for c in found.causes] == ["backlash@5"]
-    assert found.case.others is not None
-    length, angle = found.case.others.ratios.of_set(0)
+    assert not found.case.observations.plain
+    length, angle = found.case.observations.ratios.of_set(0)
     assert length == 1.0
     # .1 mrad were put in.
     assert found.noise.sigma / angle == pytest.approx(1e-4, rel=0.3)
@@ -259,7 +258,7 @@ def test_orientations_of_another_convention_are_left_aside_and_said() -> None:
     assert m.orientation is not None
     other = replace(m, orientation=m.orientation.transpose(0, 2, 1))
     found = diagnose(robot("hh800"), other, ["backlash"])
-    assert found.case.others is None
+    assert found.case.observations.plain
     assert any("convention" in said for said in found.case.assumed)
 
 
@@ -270,9 +269,9 @@ def test_sets_of_two_kinds_have_noise_of_their_own() -> None:
     assert coarse.distance is not None
     coarse = replace(coarse, distance=coarse.distance + rng.normal(0.0, 2e-4, 60))
     found = diagnose(robot("hh800"), [m[60:], coarse], ["backlash"])
-    assert found.case.others is not None
+    assert not found.case.observations.plain
     # .2 mm were put in.
-    assert found.noise.sigma / found.case.others.ratios.of_set(1)[0] == pytest.approx(2e-4, rel=0.3)
+    assert found.noise.sigma / found.case.observations.ratios.of_set(1)[0] == pytest.approx(2e-4, rel=0.3)
     assert [c.label for c in found.causes] == ["backlash@5"]
 
 

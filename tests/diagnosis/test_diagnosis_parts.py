@@ -23,7 +23,6 @@ from casadical.diagnosis import bootstrap, conclusion
 from casadical.diagnosis.brief import _things
 from casadical.diagnosis.candidates import Candidate, standard_candidates
 from casadical.diagnosis.details import analyse
-from casadical.diagnosis.diagnose import _of
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, log_repeats
 from casadical.diagnosis.formula_cache import KeptFormulas
 from casadical.diagnosis.formulas import _twist
@@ -42,6 +41,8 @@ from casadical.diagnosis.spectrum_report import _decimals
 from casadical.diagnosis.statements import Statement, _gap
 from casadical.effects import Backlash, GearEccentricity, NonlinearStiffness
 from casadical.effects.base import CHOSEN
+from casadical.identification.identification import base_calibrated
+from casadical.identification.prepared import prepare
 from casadical.identification.prior import Prior
 from casadical.measurements.noise import Noise
 from casadical.project.problem import read_problem
@@ -60,7 +61,7 @@ def small_case() -> Case:
     columns = {e: np.array([k]) for k, e in enumerate((soft, hard, other, unknown))}
     e = small_problem()
     nothing: Any = None
-    return Case(nothing, nothing, np.zeros(5), nothing, candidates, {}, e, np.ones(len(e.r), bool), columns)
+    return Case(nothing, nothing, np.zeros(5), nothing, candidates, {}, e, np.ones(len(e.r), bool), columns, nothing)
 
 
 def log_odds(case: Case, column: int) -> float:
@@ -201,7 +202,7 @@ def test_kept_formulas_are_known_to_who_clears_the_folder() -> None:
 def test_the_base_model_keeps_all_parameters_by_their_priors() -> None:
     planar = read_problem(ROOT / "problems" / "planar")
     (m,) = planar.sets["identify"]
-    found = _of(planar.robot, (m,), Prior(), (), lambda _: None)
+    found = base_calibrated(prepare(planar.robot, (m,)))
     assert found.problem.priors
     assert found.problem.loss == "huber"
     assert set(found.names) >= {"a1", "theta1", "beta1"}
@@ -237,9 +238,10 @@ def test_fifteen_poses_are_proposed_by_default() -> None:
 
 @pytest.mark.parametrize(("p", "told"), [(None, "P(nothing) = 0.2"), (5e-4, "p < 0.0005"), (1e-3, "p = 0.001")])
 def test_a_p_value_is_told_to_a_thousandth(p: float | None, told: str) -> None:
+    plain = SimpleNamespace(plain=True, sets=(), stops=SimpleNamespace(most=1))
     d: Any = SimpleNamespace(
         replicates=SimpleNamespace(enough=False, poses=0), verdict="none", p_nothing=p, outliers=(),
-        gap=SimpleNamespace(kept=1e-4, floor=1e-4), case=SimpleNamespace(kept=np.ones(5, bool), others=None),
+        gap=SimpleNamespace(kept=1e-4, floor=1e-4), case=SimpleNamespace(kept=np.ones(5, bool), observations=plain),
         rankings=[SimpleNamespace(none=0.2, noise_form="")],
     )  # fmt: skip
     assert next(_gap(d)).text.endswith(told)
@@ -260,7 +262,8 @@ def test_next_poses_have_the_unit_of_their_joint() -> None:
     joints = (Joint(), Joint(kind="prismatic"))
     q = np.array([[np.pi / 6, 0.25], [0.1, 0.2]])
     m = Measurements(q=q, kind="position", position=np.zeros((2, 3)))
-    case: Any = SimpleNamespace(robot=SimpleNamespace(joints=joints, payload=None), m=m, others=None)
+    plain = SimpleNamespace(plain=True)
+    case: Any = SimpleNamespace(robot=SimpleNamespace(joints=joints, payload=None), m=m, observations=plain)
     drawn: Any = SimpleNamespace(m=m, warm=None, repeated=np.array([-1, -1]), q=q)
     table = _table(case, (), drawn, [0], [0.5])
     assert table.loc[0, ["q1_deg", "q2_mm"]].tolist() == [30.0, 250.0]
