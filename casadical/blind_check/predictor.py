@@ -28,8 +28,6 @@ METHODS = {
     "ebic": ("baselines", "extended_bic"),
     "gp": ("gaussian_process", "gaussian_process"),
 }
-# Columns that follow from the order of all poses, the unseen ones among them.
-_BY_ORDER = ("progress", *(f"approach{j}" for j in range(1, 7)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +81,8 @@ def session(name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFrame) -> 
     table = pd.concat([seen.assign(seen=1.0), blank.assign(seen=0.0)]).sort_values("pose", kind="stable")
     joints = [j.kind for j in robot.joints]
     everything = from_table(table.drop(columns="seen"), joints, "position", source=f"{name}.csv")
-    everything, _ = derive(everything, _BY_ORDER)
+    # Columns that follow from the order of all poses, the unseen ones among them.
+    everything, _ = derive(everything, ["progress", *(f"approach{j}" for j in range(1, robot.n + 1))])
     return Session(name, robot, everything, table["seen"].to_numpy() == 1.0)
 
 

@@ -3,9 +3,10 @@
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from casadical.cli.options import Json, Quiet
 from casadical.cli.outputs import guarded
@@ -16,8 +17,20 @@ from casadical.core.errors import InputError
 if TYPE_CHECKING:
     from casadical.blind_check.protocol import Manifest
 
+
+class _RobotFirst(TyperGroup):
+    """A group whose first word may be a robot instead of one of its commands."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """What to run: a command, or the check of the robot that is named."""
+        own = bool(args) and args[0] not in (*self.commands, "--help", "-h")
+        return super().parse_args(ctx, ["robot", *args] if own else args)
+
+
 withheld_app = typer.Typer(
-    help="Blind check of the diagnosis on campaigns of another physics engine, whose hidden effects are kept in a key.",
+    help="Blind check of the diagnosis on campaigns of another physics engine, whose hidden effects are kept in a key. "
+    "`casadical withheld ROBOT.toml` checks a robot of your own.",
+    cls=_RobotFirst,
     no_args_is_help=True,
     rich_markup_mode="markdown",
 )
@@ -34,6 +47,59 @@ def _group() -> None:
 
 def _counted(show: Show) -> Callable[[str, int, int], None]:
     return lambda name, done, count: show(f"{done} of {count} ({name})")
+
+
+@withheld_app.command("robot")
+@guarded
+def robot_command(
+    robot: Annotated[
+        Path, typer.Argument(metavar="ROBOT.toml|FOLDER", help="Robot file (TOML or URDF), or a problem folder.")
+    ],
+    poses: Annotated[
+        str, typer.Option(metavar="N|TABLE.csv", help="Poses of a campaign: a number, or a table with the readings.")
+    ] = "60",
+    noise_um: Annotated[float, typer.Option(min=0.01, max=1e5, help="Noise of a measured coordinate [um].")] = 20.0,
+    n: Annotated[int, typer.Option("--n", "-n", min=4, max=10_000, help="Number of campaigns.")] = 40,
+    not_logged: Annotated[
+        str, typer.Option(metavar="WORDS", help="Of temperature, payload, approach, time: what you do not log.")
+    ] = "",
+    seed: Annotated[int | None, typer.Option(min=0, help="Of everything drawn; default: a random one.")] = None,
+    workers: Workers = None,
+    json_file: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """How often would a diagnosis of this robot, with this instrument, be right?
+
+    Makes campaigns of robots as built after the file in MuJoCo, with effects hidden at random, diagnoses each from its
+    table alone, and counts: claims that are right, false alarms, and which effects are found on this robot.
+
+    Example: casadical withheld robot.toml --poses 60 --noise-um 20 --n 40
+
+    Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
+    """
+    from casadical.blind_check.own_robot import check_robot
+    from casadical.blind_check.worker_pool import workers as pool
+    from casadical.core.telling.terminal import terminal
+    from casadical.project.problem import read_campaign, read_campaign_robot
+
+    subject = read_campaign_robot(robot)
+    given = None if poses.isdigit() else read_campaign(robot, Path(poses), subject, readings_only=True).q
+    lacking = [word.strip() for word in not_logged.split(",") if word.strip()]
+    with working(quiet, "drawing campaigns") as step, pool(None, workers) as executor:
+        checked = check_robot(
+            subject,
+            poses=int(poses) if given is None else len(given),
+            readings=given,
+            noise_um=noise_um,
+            n=n,
+            seed=seed,
+            not_logged=lacking,
+            executor=executor,
+            show=_counted(step),
+        )
+    console = wrapped(quiet)
+    console.print(terminal(checked.blocks()))
+    keep_json(json_file, checked.to_json(), console)
 
 
 @withheld_app.command("make")

@@ -8,11 +8,12 @@ from casadical.blind_check.mujoco_physics.cause import length_of
 from casadical.blind_check.mujoco_physics.hidden import LISTED, UNLISTED, Hidden
 from casadical.blind_check.mujoco_physics.plant import Plant
 from casadical.blind_check.mujoco_physics.rigid import random_vector
-from casadical.blind_check.mujoco_physics.statics import largest_torque, rated_torque
+from casadical.blind_check.mujoco_physics.statics import largest_torque, rated_torque, stretched_moments
 from casadical.core.errors import InputError
 
 Kind = Literal["none", "one", "pair", "three", "unlisted"]
 _COUNT = {"none": 0, "one": 1, "pair": 2, "three": 3, "unlisted": 1}
+NEARLY_RIGID = 1e-5  # rad at the rated torque
 _LOADED = ("backlash", "nonlinear_stiffness", "rubber_coupling")  # visible only where there is torque
 _ANY = (
     *("gear_eccentricity", "transmission_ripple", "joint_scale", "joint_zero_step", "thermal_zero_drift"),
@@ -111,11 +112,15 @@ def impossible(plant: Plant) -> dict[str, str]:
     """Effects that a robot cannot have, and why not; of a six-axis robot with payload on its feet there is none."""
     n, last, down = plant.n, range(plant.n - 2, plant.n + 1), plant.base[:3, :3].T @ plant.gravity / plant.weight
     bar, arm = plant.four_bar, plant.centres[2] - plant.centres[1] if n > 2 else np.zeros(3)
+    torque, full = largest_torque(plant)[np.array(plant.turning) - 1], stretched_moments(plant, 0)[1]
     lifted = {1, 2} <= set(plant.turning) and np.linalg.norm(arm) > 0.01 * plant.reach
     reasons = {
         "it has no payload": (plant.payload_kg <= 0, ("payload_error", "loose_flange", "tool_slip", "loose_cargo")),
         "its payload's mass centre lies in the flange": (not plant.payload_com.any(), ("loose_flange",)),
-        "no revolute joint carries weight": (not largest_torque(plant)[np.array(plant.turning) - 1].any(), _LOADED),
+        "no revolute joint carries weight": (
+            torque.max() < 1e-3 * full,
+            _LOADED,
+        ),
         "it has no revolute wrist of three joints": (
             n < 4 or not set(last) <= set(plant.turning) or (bar is not None and bar.driven in last),
             ("joint_coupling",),
@@ -125,7 +130,7 @@ def impossible(plant: Plant) -> dict[str, str]:
             ("gravity_compensator",),
         ),
         "it has no six revolute joints": (n != 6 or bool(plant.slides), ("hose_pull",)),
-        "its links 2 and 3 have no length": (not _links(plant), ("link_flexure", "cracked_link")),
+        "its links 2 and 3 have no length or carry nothing": (not _links(plant), ("link_flexure", "cracked_link")),
         "it has one link": (n < 2, ("thermal_bend",)),
     }
     found: dict[str, str] = {}
@@ -135,8 +140,10 @@ def impossible(plant: Plant) -> dict[str, str]:
 
 
 def _links(plant: Plant) -> list[int]:
-    """Links that may bend or crack: the second and the third, where they have some length."""
-    return [k for k in (2, 3) if k <= plant.n and np.linalg.norm(length_of(plant, k)) > 0.01 * plant.reach]
+    """Links that may bend or crack: the second and the third, where they have some length and carry some weight."""
+    least = 1e-3 * stretched_moments(plant, 0)[1]
+    long = [k for k in (2, 3) if k <= plant.n and np.linalg.norm(length_of(plant, k)) > 0.01 * plant.reach]
+    return [k for k in long if stretched_moments(plant, k)[0] > least]
 
 
 def _size(
@@ -146,6 +153,13 @@ def _size(
     sign, angle = float(rng.choice([-1.0, 1.0])), _between(rng, 0, 2 * np.pi)
     middle = float(np.round(rng.uniform(0.3, 0.7) * lasts_s))
     inside, links = _between(rng, *plant.ranges[(joint or 1) - 1]), _links(plant) or [2]
+    # A joint as good as rigid would hold its load by a small share of what winds it by the play.
+    given = (
+        float(rated_torque(plant)[(joint or 1) - 1] / plant.stiffness[(joint or 1) - 1])
+        if effect == "backlash"
+        else 1.0
+    )
+    rub = given / (60e-6 * usual) if given < NEARLY_RIGID else 1.0
     sizes: dict[str, dict[str, Any]] = {
         "gear_eccentricity": {
             "size": 40e-6 * usual,
@@ -180,7 +194,7 @@ def _size(
             "knee": float(rng.choice([0.0, rng.uniform(0.1, 0.3)])),
             "linear": _between(rng, 0.1, 0.3),
         },
-        "backlash": {"size": 60e-6 * usual, "friction": _between(rng, 0.01, 0.05)},
+        "backlash": {"size": 60e-6 * usual, "friction": rub * _between(rng, 0.01, 0.05)},
         "friction_windup": {"size": 40e-6 * usual, "load_share": _between(rng, 0, 0.8)},
         "link_flexure": {"link": int(rng.choice(links)), "size": 60e-6 * usual, "torsion": _between(rng, 0.6, 1.0)},
         "base_compliance": {"size": 50e-6 * usual, "across": _between(rng, 0.5, 1.0), "height_m": 0.3},

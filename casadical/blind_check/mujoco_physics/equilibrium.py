@@ -107,6 +107,7 @@ class Engine:
         gravity: Sequence[float] = (0.0, 0.0, -9.81),
     ) -> None:
         self.mujoco = optional("mujoco", "the engine needs MuJoCo; install it with: pip install 'casadical[withheld]'")
+        self.mujoco.set_mju_user_warning(lambda _text: None)  # into a file otherwise; what matters is raised below
         self.mechanism, self.travels, self.factor = mechanism, travels, factor
         self.xml = mjcf(mechanism, gravity)
         self.model = self.mujoco.MjModel.from_xml_string(self.xml)

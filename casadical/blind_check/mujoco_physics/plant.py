@@ -182,7 +182,7 @@ class Plant:
         return self.home[:, :3, 3]
 
     def at_home(self, link: int, x: Array) -> Array:
-        """Points (..., 3) [m] of a link frame (1-based), in the robot's base at zero readings."""
+        """Points of a link frame (1-based), shape (..., 3) [m], in the robot's base at zero readings."""
         placed: Array = x @ self.home[link - 1, :3, :3].T + self.home[link - 1, :3, 3]
         return placed
 

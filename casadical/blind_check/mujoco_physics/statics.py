@@ -120,9 +120,13 @@ def largest_torque(plant: Plant) -> Array:
 
 
 def rated_torque(plant: Plant) -> Array:
-    """By which effects are sized: the largest torque of each joint, but at least 5 % of the greatest, (joints,)."""
-    largest = largest_torque(plant)
-    floored: Array = np.maximum(largest, 0.05 * largest.max())
+    """By which effects are sized: the largest torque of each joint, but at least 5 % of the greatest, (joints,).
+
+    Where no joint carries weight, as of an arm that moves in a level plane: of all weights at full stretch.
+    """
+    largest, full = largest_torque(plant), stretched_moments(plant, 0)[1]
+    greatest = largest.max() if largest.max() > 1e-3 * full else full
+    floored: Array = np.maximum(largest, 0.05 * greatest)
     return floored
 
 

@@ -1,0 +1,398 @@
+"""How often a diagnosis of a robot of one's own would be right: hidden campaigns of it, diagnosed, and counted."""
+
+from __future__ import annotations
+
+import json
+import secrets
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from io import StringIO
+from statistics import median
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from casadical.blind_check.answers import Answer
+from casadical.blind_check.campaign_plans import COLUMNS, Plan, draw_plans
+from casadical.blind_check.confidence_intervals import Estimate, share
+from casadical.blind_check.generation import LEAST_POSES, campaign_of, engine_versions
+from casadical.blind_check.metrics import claims_made, detectable, detection, false_alarms, of_kind
+from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, FourBar, Plant
+from casadical.blind_check.mujoco_physics.draw import impossible
+from casadical.blind_check.mujoco_physics.plant import Building, home_frames
+from casadical.blind_check.mujoco_physics.statics import rated_torque
+from casadical.blind_check.outcomes import Outcome, outcome
+from casadical.blind_check.predictor import answer_campaign
+from casadical.blind_check.recording import Subject
+from casadical.blind_check.worker_pool import completed, workers
+from casadical.core.arrays import Array
+from casadical.core.errors import ConvergenceError, InputError
+from casadical.core.estimated_masses import with_estimated_masses, without_masses
+from casadical.core.telling.blocks import Block, Table, Words
+from casadical.robot.robot import Robot
+from casadical.robot.robot_file import to_toml
+
+REPEATABILITY = 5e-6  # rad, or m of a prismatic joint
+SOFT, RIGID = 3e-4, 2e-6  # deflection at the rated torque [rad or m]: stiffness not in the file, and joint without any
+MASS_SPREAD = 0.3  # of the logarithm of masses that are estimated
+
+
+def subject_of(robot: Robot, readings: Array | None = None) -> tuple[Subject, tuple[str, ...]]:
+    """A robot as the check uses it, and what had to be assumed. Raises InputError: what cannot be simulated.
+
+    readings : of the poses to measure, shape (poses, joints) [rad or m]; None: drawn
+    """
+    _refuse(robot)
+    assumed = []
+    if robot.effects:
+        robot = robot.with_only(())
+        assumed.append("the effects of its file are left out: campaigns hide effects of their own")
+    if robot.targets:
+        robot = replace(robot, targets=(), tool_name="")
+        assumed.append("of its several measured points the first is measured")
+    building = Building(
+        base_shift=robot.base.unknown != "none" or robot.joints[0].beta is not None,
+        base_turn=robot.base.unknown == "pose" or robot.joints[0].beta is not None,
+        reflector=robot.tool.unknown != "none",
+    )
+    weighed = with_estimated_masses(robot) if without_masses(robot) else robot
+    if weighed.masses == "estimated":
+        building = replace(building, mass_spread=MASS_SPREAD)
+        assumed.append(f"masses of the links are estimates from the reach, each off by some {MASS_SPREAD:.0%}")
+    if robot.payload is None:
+        assumed.append("no payload, for the file has none")
+    else:
+        assumed.append(f"no payload and {robot.payload.mass:g} kg in turns, or the latter alone where it is not logged")
+    nominal = _drawing(weighed)
+    stiffness, words = _stiffness(weighed, nominal)
+    nominal = replace(nominal, stiffness=stiffness)
+    shown = None if readings is None else np.where(_turns(robot), np.rad2deg(readings), 1e3 * readings)
+    level = robot.gravity_frame != "base"
+    return Subject(nominal, to_toml(robot), building, level, shown), (*assumed, *words)
+
+
+def _refuse(robot: Robot) -> None:
+    """Raises InputError for a structure that the engine's robots do not have."""
+    coupled = [str(i) for i, j in enumerate(robot.joints, 1) if j.coupling is not None]
+    faults = {
+        f"joint {', '.join(coupled)} follows other joints or is locked": bool(coupled),
+        "it has several four-bars": len(robot.loops) > 1,
+        "its four-bar is not between a joint from 3 on and the joint before": any(
+            loop.carrier != loop.driven - 1 or loop.driven < 3 for loop in robot.loops
+        ),
+        "its gravity is logged pose by pose": robot.gravity_frame == "logged",
+        "it has no gravity, by which effects are sized": not np.any(robot.gravity),
+        "it has no revolute joint": not _turns(robot).any(),
+    }
+    for fault, true in faults.items():
+        if true:
+            raise InputError(f"{robot.name}: cannot be simulated: {fault}")
+
+
+def _turns(robot: Robot) -> Array:
+    return np.array([j.kind == "revolute" for j in robot.joints])
+
+
+def _drawing(robot: Robot) -> Plant:
+    """The numbers of a robot file as the physics takes them; its kinematics are computed there again."""
+    joints, bar = robot.joints, robot.loops[0] if robot.loops else None
+    gravity = robot.gravity if robot.gravity_frame != "base" else robot.base.T[:3, :3] @ robot.gravity
+    return Plant(
+        name=robot.name,
+        home=home_frames([(j.alpha, j.a, j.beta or 0.0, j.b or 0.0, j.theta, j.d) for j in joints]),
+        reflector=robot.tool.T[:3, 3].copy(),
+        mass=np.array([j.body.mass if j.body else 0.0 for j in joints]),
+        com=np.array([j.body.com if j.body else np.zeros(3) for j in joints]),
+        payload_kg=robot.payload.mass if robot.payload else 0.0,
+        payload_com=robot.payload.com if robot.payload else np.zeros(3),
+        stiffness=np.ones(robot.n),
+        ranges=np.array([[j.lower, j.upper] for j in joints]),
+        base=robot.base.T,
+        four_bar=None
+        if bar is None
+        else FourBar(
+            bar.crank,
+            bar.coupler,
+            bar.rocker,
+            crank_zero_rad=joints[bar.driven - 1].theta - joints[bar.carrier - 1].theta,
+            passive_offset_rad=bar.offset - joints[bar.driven - 1].theta,
+            driven=bar.driven,
+        ),
+        slides=frozenset(int(i) for i in np.flatnonzero(~_turns(robot)) + 1),
+        gravity=np.asarray(gravity, float),
+    )
+
+
+def _stiffness(robot: Robot, nominal: Plant) -> tuple[Array, list[str]]:
+    """Of every joint [N m/rad or N/m], and what was assumed of it."""
+    rated = rated_torque(nominal)
+    values, soft, rigid = rated / SOFT, [], []
+    for i, joint in enumerate(robot.joints):
+        if joint.compliance:
+            values[i] = 1 / joint.compliance
+        elif joint.compliance is None:
+            values[i] = rated[i] / RIGID
+            rigid.append(str(i + 1))
+        else:
+            soft.append(str(i + 1))
+    words = []
+    if soft:
+        words.append(
+            f"joint {', '.join(soft)}: no stiffness in the file: {1e6 * SOFT:.0f} urad (um) at the rated torque"
+        )
+    if rigid:
+        words.append(f"joint {', '.join(rigid)}: rigid in the file: {1e6 * RIGID:.0f} urad (um) at the rated torque")
+    return values, words
+
+
+@dataclass(frozen=True, eq=False)
+class RobotCheck:
+    """Hidden campaigns of one robot and how they were answered.
+
+    assumed : what the file does not say; not_drawn : effects that it cannot have, and why
+    outcomes : of the campaigns that were answered; failed : name of each other one, and why
+
+    Parameters
+    ----------
+    robot : str
+        name
+    poses : int
+        of a campaign
+    noise : float
+        one sigma of a measured coordinate [m]
+    seed : int
+        what everything drawn follows from
+    not_logged : tuple[str, ...]
+        columns that the campaigns lack
+    """
+
+    robot: str
+    poses: int
+    noise: float
+    seed: int
+    not_logged: tuple[str, ...]
+    assumed: tuple[str, ...]
+    not_drawn: dict[str, str]
+    outcomes: tuple[Outcome, ...]
+    failed: dict[str, str]
+
+    @property
+    def figures(self) -> dict[str, Estimate]:
+        """Shares with their 95 % intervals (Wilson), by what they count."""
+        none, one, off = (of_kind(self.outcomes, kind) for kind in ("none", "one", "unlisted"))
+        hidden = [t for t in self.outcomes if t.kind != "none"]
+        claims = [t for t in self.outcomes if t.claimed]
+        return {
+            "claims that are right": share([not t.wrong_claims for t in claims]),
+            "false alarms where nothing is hidden": false_alarms(none),
+            "hidden effects noticed": detection(hidden, 0.0),
+            "of those that stand out of the noise": detection(detectable(hidden), 0.0),
+            "one effect: named first": share([t.first_right for t in one]),
+            "one effect: claimed, and right": share([t.claimed and t.first_right for t in one]),
+            "effect on no list: claimed as a listed one": claims_made(off),
+        }
+
+    @property
+    def by_effect(self) -> dict[str, list[Outcome]]:
+        """Campaigns in which an effect was hidden, alone or with others, by its name."""
+        names = sorted({e for t in self.outcomes for e in t.effects}, key=lambda e: (e in UNLISTED, e))
+        return {name: [t for t in self.outcomes if name in t.effects] for name in names}
+
+    def blocks(self) -> list[Block]:
+        """The report."""
+        lacking = f", without {' and '.join(self.not_logged)}" if self.not_logged else ""
+        reasons: dict[str, list[str]] = {}
+        for effect, reason in self.not_drawn.items():
+            reasons.setdefault(reason, []).append(effect.replace("_", " "))
+        return [
+            Words(f"Would a diagnosis of {self.poses} poses of {self.robot} be right?", "title"),
+            Words(self.verdict, "verdict"),
+            Table("", ["", "share (95 % interval)"], [[name, _interval(e)] for name, e in self.figures.items()]),
+            Table(
+                "By hidden effect",
+                ["effect", "noticed", "named", "share named (95 %)", "signal, median"],
+                [_row(name, part) for name, part in self.by_effect.items()],
+                frozenset({1, 2, 4}),
+            ),
+            Words(
+                f"{len(self.outcomes)} campaigns of MuJoCo{lacking}; noise {1e6 * self.noise:g} um a coordinate, "
+                f"joints repeat to {1e6 * REPEATABILITY:g} urad, the arm warms by 7 K; seed {self.seed}. Signal: what "
+                "the base model cannot absorb of all that is hidden, over the noise.",
+                "note",
+            ),
+            *(Words(f"Assumed: {text}.", "note") for text in self.assumed),
+            *(Words(f"Not hidden, for {reason}: {', '.join(names)}.", "note") for reason, names in reasons.items()),
+            *(Words(f"{name}: no answer: {why}", "warning") for name, why in self.failed.items()),
+        ]
+
+    @property
+    def verdict(self) -> str:
+        """The answer in a sentence."""
+        right, alarms = self.figures["claims that are right"], self.figures["false alarms where nothing is hidden"]
+        first = f"{right.hits} of {right.n} claims are right" if right.n else "No cause is claimed"
+        return f"{first}; {alarms.hits} false alarms in {alarms.n} campaigns that hide nothing."
+
+    def to_json(self) -> dict[str, Any]:
+        """All of it as plain data."""
+        return {
+            "robot": self.robot,
+            "poses": self.poses,
+            "noise_um": 1e6 * self.noise,
+            "seed": self.seed,
+            "not_logged": list(self.not_logged),
+            "assumed": list(self.assumed),
+            "not_drawn": self.not_drawn,
+            "versions": engine_versions(),
+            "withheld": {name: dict(e.__dict__) for name, e in self.figures.items()},
+            "effects": {
+                name: {
+                    "listed": name in LISTED,
+                    "campaigns": len(part),
+                    "noticed": sum(t.detected for t in part),
+                    "named": sum(_named(name, t) for t in part),
+                }
+                for name, part in self.by_effect.items()
+            },
+            "campaigns": [
+                {
+                    "name": t.name,
+                    "kind": t.kind,
+                    "hidden": list(t.truth or t.effects),
+                    "signal": t.signal,
+                    "verdict": t.verdict,
+                    "named": list(t.named),
+                }
+                for t in self.outcomes
+            ],
+            "failed": self.failed,
+        }
+
+
+def _interval(e: Estimate) -> str:
+    return "-" if e.value is None else f"{e.value:.2f}  ({e.low:.2f} .. {e.high:.2f}; {e.hits} of {e.n})"
+
+
+def _named(effect: str, t: Outcome) -> bool:
+    """Whether an answer names the effect at its place."""
+    return any(text in t.named for text in t.truth if text.partition("@")[0] == effect)
+
+
+def _row(effect: str, part: Sequence[Outcome]) -> list[str]:
+    """Of an effect: in how many campaigns something was noticed, and it was named; and the median of the signals."""
+    noticed, signal = f"{sum(t.detected for t in part)} of {len(part)}", f"{median(t.signal for t in part):.2g}"
+    if effect in UNLISTED:
+        return [f"{effect} (on no list)".replace("_", " "), noticed, "-", "-", signal]
+    named = share([_named(effect, t) for t in part])
+    interval = f"{named.low:.2f} .. {named.high:.2f}"
+    return [effect.replace("_", " "), noticed, f"{named.hits} of {named.n}", interval, signal]
+
+
+def check_robot(
+    robot: Robot,
+    *,
+    poses: int = 60,
+    readings: Array | None = None,
+    noise_um: float = 20.0,
+    n: int = 40,
+    seed: int | None = None,
+    not_logged: Sequence[str] = (),
+    executor: Executor | None = None,
+    show: Callable[[str, int, int], None] = lambda _text, _done, _all: None,
+) -> RobotCheck:
+    """How often would a diagnosis of this robot, with this instrument, be right?
+
+    Campaigns of robots as built after its file are made in the engine MuJoCo, with effects hidden at random; each is
+    diagnosed from its table alone, and compared with what was hidden.
+
+    Parameters
+    ----------
+    robot : Robot
+        nominal robot
+    poses : int, default 60
+        of a campaign, drawn within the joint ranges
+    readings : Array, shape (poses, joints) [rad or m], optional
+        poses to measure, in place of drawn ones
+    noise_um : float, default 20.0
+        one sigma of a measured coordinate [um]
+    n : int, default 40
+        number of campaigns
+    seed : int, optional
+        of everything drawn; by default a random one
+    not_logged : Sequence[str], default ()
+        of temperature, payload, approach and time, what is not logged
+    executor : Executor, optional
+        any of `concurrent.futures`' kind; by default a process for each core
+    show : Callable[[str, int, int], None], optional
+        called with a campaign's name, how many are done, and how many there are
+
+    Raises
+    ------
+    InputError
+        a robot that cannot be simulated, or too few poses or campaigns
+
+    Examples
+    --------
+    >>> from casadical.blind_check import check_robot
+    >>> from concurrent.futures import ThreadPoolExecutor
+    >>> arm = casadical.read_robot("problems/ur10e/robot.toml")
+    >>> with ThreadPoolExecutor(1) as pool:
+    ...     checked = check_robot(arm, poses=30, n=4, seed=1, executor=pool)
+    >>> len(checked.outcomes)
+    4
+    """
+    _check(robot, poses if readings is None else len(readings), noise_um, n, not_logged)
+    engine_versions()
+    subject, assumed = subject_of(robot, readings)
+    seed = secrets.randbits(32) if seed is None else seed
+    count = poses if readings is None else len(readings)
+    not_drawn = impossible(subject.nominal)
+    words = ([e for e in LISTED if e not in not_drawn], [e for e in UNLISTED if e not in not_drawn])
+    plans = draw_plans(n, seed, words, (count,), robots=("campaign",), noises=(1e-6 * noise_um,), struck=0.0)
+    if not_logged:
+        plans = [replace(p, missing=",".join(not_logged)) for p in plans]
+    plans = [replace(p, repeatability=REPEATABILITY) for p in plans]
+    found: dict[str, Outcome | str] = {}
+    with workers(executor) as pool:
+        for done, (name, result) in enumerate(completed(pool, _checked, [(subject, p) for p in plans]), 1):
+            found[name] = result
+            show(name, done, n)
+    in_order = {p.name: found[p.name] for p in plans}
+    return RobotCheck(
+        robot=robot.name,
+        poses=count,
+        noise=1e-6 * noise_um,
+        seed=seed,
+        not_logged=tuple(not_logged),
+        assumed=assumed,
+        not_drawn=not_drawn,
+        outcomes=tuple(t for t in in_order.values() if isinstance(t, Outcome)),
+        failed={name: t for name, t in in_order.items() if isinstance(t, str)},
+    )
+
+
+def _check(robot: Robot, poses: int, noise_um: float, n: int, not_logged: Sequence[str]) -> None:
+    least = max(LEAST_POSES, 3 * robot.n)
+    if poses < least:
+        raise InputError(f"{poses} poses; a campaign of {robot.name} needs at least {least}, or no robot is identified")
+    if not 0 < noise_um < 1e5:
+        raise InputError(f"noise_um is {noise_um:g}; it must be between 0 and 100000")
+    if n < 4:
+        raise InputError(f"n is {n}; a check needs at least 4 campaigns, one of each kind")
+    for word in not_logged:
+        if word not in COLUMNS:
+            raise InputError(f"not logged: {word}: not known; allowed: {', '.join(COLUMNS)}")
+
+
+def _checked(subject: Subject, plan: Plan) -> tuple[str, Outcome | str]:
+    """A campaign made, diagnosed from its tables alone, and held against its secret; runs in a worker."""
+    try:
+        made = campaign_of(subject, plan)
+    except (InputError, ConvergenceError) as error:
+        return plan.name, f"not simulated: {error}"
+    tables = (pd.read_csv(StringIO(text)) for text in (made.seen, made.unseen))
+    answer = answer_campaign("diagnosis", plan.name, subject.model, *tables)
+    if "failed" in answer:
+        return plan.name, str(answer["failed"])
+    return plan.name, outcome(plan.name, made.secret, Answer.model_validate_json(json.dumps(answer)))
