@@ -1,6 +1,5 @@
 """Settings in which a cause is not linear (knee, lag, cycles, time of a step), between the grid's points."""
 
-from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -56,7 +55,7 @@ def refined(
         if not near:
             break
         case = case.with_variants(label, near)
-        trial = [variant, *near]
+        trial: list[tuple[Effect, ...]] = [variant, *near]
         log = _log_evidence(case, [case.group(v) for v in trial], chosen)
         best = _best(case, trial, log, chosen)
         if log[best] - log[0] < GAIN:
@@ -67,12 +66,12 @@ def refined(
     return case, variant
 
 
-def _best(case: Case, trial: Sequence[tuple[Effect, ...]], log: Array, chosen: Array) -> int:
+def _best(case: Case, trial: list[tuple[Effect, ...]], log: Array, chosen: Array) -> int:
     """Number of the best settings. Of equal ones those that explain the poses left out, too; else the first."""
     equal = np.flatnonzero(log >= log.max() - TIE)
     if len(equal) > 1 and not case.kept.all():
         every = case.with_kept(np.ones_like(case.kept))
-        of_all = _log_evidence(every, [case.group(trial[k]) for k in equal], chosen)
+        of_all = _log_evidence(every, [case.group(trial[k]) for k in equal.tolist()], chosen)
         equal = equal[of_all >= of_all.max() - TIE]
     return int(equal[0])
 
