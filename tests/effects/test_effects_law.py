@@ -10,7 +10,7 @@ from bench import campaign, robot, with_columns
 from casadical.core.errors import InputError
 from casadical.diagnosis.linearisation import signatures
 from casadical.effects import Law
-from casadical.export.mjcf.drives import counterparts
+from casadical.export.mjcf.mjcf import counterparts
 from casadical.export.omission import left_out
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive

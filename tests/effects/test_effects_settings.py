@@ -11,7 +11,7 @@ from casadical.effects.counterparts import RIGID, Counterparts, Drive
 from casadical.effects.plugins import known_effects
 from casadical.effects.registry import FrameSettling
 from casadical.effects.smooth import AnyOfOtherAngle
-from casadical.export.mjcf.drives import counterparts
+from casadical.export.mjcf.mjcf import counterparts
 from casadical.identification.accuracy import predicted
 
 # Files that give no settings are read with these: no version may change them.

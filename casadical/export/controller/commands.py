@@ -20,8 +20,13 @@ from casadical.core.parts import Body, Placement
 from casadical.effects import Effect
 from casadical.effects.counterparts import Omission
 from casadical.export.c.products import Command, CurveFunction, Limits, NetworkFunction, mapped
-from casadical.export.controller.curves import joint_curves, without_curves
-from casadical.export.controller.functions import bent_function, difference_function, tool_function
+from casadical.export.controller.functions import (
+    bent_function,
+    difference_function,
+    joint_curves,
+    tool_function,
+    without_curves,
+)
 from casadical.export.controller.inverse import SINGULAR_POSE, freedom_of
 from casadical.export.omission import geometry_of, left_out, rigid
 from casadical.robot.axes import row_matrix

@@ -1,18 +1,80 @@
-"""The functions of the joints that a correction is made of: the tool of a robot, and how far two robots are apart."""
+"""The functions of the joints that a correction is made of: a robot's error curves, its tool, how far two are apart.
+
+The error curves are one function that C calls as a table, in the correction of a command and alone: a curve of 60
+harmonics is some 600 operations, a table some 30. The model takes the curves' values as parameters, so that everything
+else in it (deflections, other effects) follows the readings, as in the robot.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.transforms import Symbolic
+from casadical.effects import Effect, JointErrorCurve
+from casadical.effects.context import Context
 from casadical.export.c.differences import changed
 from casadical.export.c.products import NetworkFunction, mapped
-from casadical.export.controller.curves import GivenAngles, joint_curves, pose_of, without_curves
 from casadical.robot.robot import Robot
 
 ROUNDING = 1e-9  # m or rad
+
+
+@dataclass(frozen=True)
+class GivenAngles(Effect):
+    """What is added to each joint is a parameter: `z1`, `z2`, .. [rad]."""
+
+    joints: int = 6
+
+    name = "given_angles"
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        return {f"z{joint}": (1.0, "rad") for joint in range(1, self.joints + 1)}
+
+    def joint_angle(self, context: Context) -> Symbolic:
+        return ca.vertcat(*[self.value(context, name) for name in self.sizes()])
+
+
+def joint_curves(robot: Robot) -> ca.Function | None:
+    """joint_curves:(q[n] rad)->(dq[n] rad), which another function calls as a whole; None where the robot has no curve.
+
+    A joint whose coefficients are zero has the constant 0. Raises InputError for a coefficient that is not finite.
+    """
+    curves = [e for e in robot.effects if isinstance(e, JointErrorCurve)]
+    if not curves:
+        return None
+    values = {p.name: p.value for p in robot.parameters}
+    for name in (f"{e.label}.{short}" for e in curves for short in e.sizes()):
+        if not np.isfinite(values[name]):
+            raise InputError(f"{robot.name}: {name} = {values[name]}; a coefficient of a curve must be a finite number")
+    q = ca.SX.sym("q", robot.n)
+    context = Context(robot, np.zeros(robot.n), q, {}, values, (), None)
+    moved = sum((e.joint_angle(context) for e in curves), ca.SX.zeros(robot.n))
+    return ca.Function("joint_curves", [q], [ca.densify(moved)], {"never_inline": True})
+
+
+def without_curves(robot: Robot) -> Robot:
+    """The robot without its error curves."""
+    return robot.with_only(e for e in robot.effects if not isinstance(e, JointErrorCurve))
+
+
+def pose_of(robot: Robot, q: ca.SX) -> list[ca.SX]:
+    """p[3] [m] and R[3x3] of the tool at the readings q; the error curves are a call of `joint_curves`."""
+    curves = joint_curves(robot)
+    values = robot.parameters.values
+    if curves is None:
+        return list(robot.pose.call([q, ca.DM(values)]))
+    given = GivenAngles(None, robot.n)
+    model = without_curves(robot).with_effect(given)
+    names = [f"{given.label}.{name}" for name in given.sizes()]
+    phi = ca.SX(model.parameters.values)
+    phi[[model.parameters.index_of(name) for name in names]] = curves(q)
+    return list(model.pose.call([q, phi]))
 
 
 def tool_function(

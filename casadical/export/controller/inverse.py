@@ -12,7 +12,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
-from casadical.export.controller.curves import pose_of
+from casadical.export.controller.functions import pose_of
 from casadical.robot.robot import Robot
 
 LENGTH = 0.3  # m: by which an error of the orientation [rad] is weighted against one of the position

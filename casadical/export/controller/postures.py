@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.export.controller.curves import pose_of
+from casadical.export.controller.functions import pose_of
 from casadical.export.controller.inverse import solved
 from casadical.robot.kinematics import link_frames
 from casadical.robot.robot import Robot

@@ -1,16 +1,42 @@
-"""Elements of MJCF: frames, joints on springs, bodies; every number with all its digits."""
+"""Elements of MJCF: frames, joints on springs, bodies; links that bend, balancing springs, four-bars.
 
+A link that bends is three pieces with springs at the two Gauss points of its length. The moment is linear from root to
+end; slope and deflection of the end are integrals of the moment times at most the remaining length, a quadratic
+function, which two Gauss points integrate exactly. The link's own mass is distributed over the pieces so that each
+spring has the moment of the beam, and all together the link's mass and mass centre.
+
+A balancing spring is a tendon between two sites with a zero-length spring and a constant pull. The torque of
+`GravityCompensator`, T (S sin t + C cos t + P sin t / l), is that of a spring without rest length, k a b
+sin(t + phase), and that of a constant pull F along the line from anchor to lever, F a b sin t / length.
+
+A four-bar is a closed chain: crank, coupler and rocker with the robot's lengths, closed by equality constraints. The
+loop lies in the plane of the carrier's axis, as in `casadical.robot.fourbar`; the driven link turns with the rocker (a
+second equality), so that a driven axis that is not exactly parallel to the carrier's is as in the robot.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from casadical.core.arrays import Array
-from casadical.core.transforms import quaternion
+from casadical.core.parts import Body, FourBar, Joint
+from casadical.core.transforms import frame, quaternion
+from casadical.effects.counterparts import Balancer, Drive
+from casadical.robot.axes import row_matrix
+from casadical.robot.robot import Robot
 
 # Time constant [s] with which every spring alone comes to rest; statics depend neither on inertia nor on damping.
 SLOW = 0.02
 # Mass [kg] of a body that has none: MuJoCo moves no body without mass.
 LEAST_MASS = 1e-6
+GAUSS = (0.5 - 0.5 / np.sqrt(3), 0.5 + 0.5 / np.sqrt(3))
+AXES = ("1 0 0", "0 1 0", "0 0 1")
+# Length of the lever [m]: arbitrary, as stiffness and pull are scaled by it.
+LEVER = 0.3
+# Armature of a bar as a share of the drive's; a smaller one makes the constraints soft. Bars have no weight.
+BAR = 0.1
 
 
 def numbers(*values: float) -> str:
@@ -39,3 +65,100 @@ def add_spring(body: ET.Element, name: str, axis: str, stiffness: float, cubic: 
 def inert(stiffness: float) -> dict[str, str]:
     """Armature and damping of a joint on a spring, by which it comes to rest in `SLOW`."""
     return {"armature": numbers(stiffness * SLOW**2), "damping": numbers(2 * stiffness * SLOW)}
+
+
+def add_pieces(
+    body: ET.Element, name: str, mass: Body, end: Array, stiffness: tuple[float, float, float]
+) -> tuple[ET.Element, Array]:
+    """Pieces of a link, whose body is the first; the last piece, and the link's frame seen from it, shape (4, 4).
+
+    end : where the next joint is, shape (3,) [m]; stiffness : of the whole link about its axes [N m/rad]
+    """
+    s1, s2 = GAUSS
+    com = np.asarray(mass.com)
+    # A third of the mass each; centres from the moments (1 - s) m com that the springs must see.
+    c2 = s2 * end + 3 * (1 - s2) * com
+    c1 = s1 * end + 3 * (1 - s1) * com - (c2 - s1 * end)
+    c0 = 3 * com - c1 - c2
+    third = mass.mass / 3
+    add_mass(body, third, c0)
+    before = np.zeros(3)
+    for k, (share, centre) in enumerate(zip(GAUSS, (c1, c2), strict=True), 1):
+        body = add_body(body, f"{name}_piece{k}", frame(np.eye(3), share * end - before))
+        before = share * end
+        for axis, words, whole in zip("xyz", AXES, stiffness, strict=True):
+            if np.isfinite(whole):
+                add_spring(body, f"{name}_bend{k}{axis}", words, 2 * whole)
+        add_mass(body, third, centre - before)
+    return body, frame(np.eye(3), -before)
+
+
+def add_sites(balancer: Balancer, before: ET.Element, behind: Array, link: ET.Element, row: Joint) -> None:
+    """The ends of the tendons: anchors on the body before the joint (link frame at `behind`), the lever on the link."""
+    name, b = f"balancer{balancer.joint}", balancer.anchor * LEVER
+    T = behind @ row_matrix(replace(row, theta=0.0))
+    for suffix, angle in (("spring", balancer.phase - balancer.ahead + np.pi), ("pull", balancer.phase + np.pi)):
+        at = T @ np.array([b * np.cos(angle), b * np.sin(angle), 0.0, 1.0])
+        ET.SubElement(before, "site", name=f"{name}_{suffix}", pos=numbers(*at[:3]))
+    ET.SubElement(link, "site", name=f"{name}_lever", pos=numbers(LEVER, 0, 0))
+
+
+def add_tendons(balancer: Balancer, tendons: ET.Element, actuators: ET.Element) -> None:
+    """The spring and, where there is preload, the pull: an actuator whose command does nothing."""
+    name, b = f"balancer{balancer.joint}", balancer.anchor * LEVER
+    stiffness = balancer.swing / (LEVER * b)
+    for suffix in ("spring", "pull"):
+        node = ET.SubElement(tendons, "spatial", name=f"{name}_{suffix}")
+        if suffix == "spring":
+            node.set("stiffness", numbers(stiffness))
+            node.set("springlength", "0 0")
+        for end in (f"{name}_{suffix}", f"{name}_lever"):
+            ET.SubElement(node, "site", site=end)
+    # l is measured in anchor lengths there: T P sin t / (length / b) = F a b sin t / length.
+    pull = {"biastype": "affine", "gainprm": "0", "biasprm": numbers(-balancer.pull / LEVER, 0, 0)}
+    ET.SubElement(actuators, "general", {"name": f"{name}_pull", "tendon": f"{name}_pull", **pull})
+
+
+def add_loop(
+    robot: Robot,
+    loop: FourBar,
+    ends: Sequence[tuple[ET.Element, Array]],
+    links: Mapping[str, ET.Element],
+    drive: Drive,
+    drive_joints: Callable[[ET.Element, str, Joint, Drive], None],
+) -> None:
+    """The bars of a loop, and the free hinge of the driven link; links : bodies by name, up to the driven one.
+
+    ends : of base and links, the body on which the next joint stands, and the link's frame in it, shape (4, 4)
+    """
+    carrier, row = robot.joints[loop.carrier - 1], robot.joints[loop.driven - 1]
+    d = loop.driven
+    before, behind = ends[loop.carrier - 1]
+    crank = add_body(before, f"crank{d}", behind @ row_matrix(replace(carrier, theta=row.theta)))
+    drive_joints(crank, f"joint{d}", row, drive)
+    coupler = add_body(crank, f"coupler{d}", _along(loop.crank))
+    rocker = add_body(links[f"link{loop.carrier}"], f"rocker{d}", _along(row.a))
+    heavy = numbers(BAR * drive.stiffness * SLOW**2)
+    for body, name in ((coupler, "coupler"), (rocker, "rocker")):
+        ET.SubElement(body, "joint", name=f"{name}{d}", axis="0 0 1", armature=heavy)
+    for body in (crank, coupler, rocker):
+        add_mass(body, 0.0, np.zeros(3))
+    ET.SubElement(coupler, "site", name=f"coupler{d}_end", pos=numbers(loop.coupler, 0, 0))
+    ET.SubElement(rocker, "site", name=f"rocker{d}_end", pos=numbers(loop.rocker, 0, 0))
+    hinge = {"name": f"joint{d}_driven", "axis": "0 0 1", "armature": heavy}
+    ET.SubElement(links[f"link{d}"], "joint", hinge)
+
+
+def closed(equality: ET.Element, loop: FourBar) -> None:
+    """The constraints of a loop."""
+    d = loop.driven
+    ET.SubElement(equality, "connect", name=f"four_bar{d}", site1=f"coupler{d}_end", site2=f"rocker{d}_end")
+    ET.SubElement(
+        equality, "joint", name=f"driven{d}", joint1=f"joint{d}_driven", joint2=f"rocker{d}", polycoef="0 1 0 0 0"
+    )
+
+
+def _along(length: float) -> Array:
+    T = np.eye(4)
+    T[0, 3] = length
+    return T

@@ -10,14 +10,23 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from casadical.core.arrays import Array
 from casadical.core.parts import Body, Joint
 from casadical.core.transforms import frame, from_rpy, quaternion
 from casadical.effects.counterparts import Counterparts, Drive, Omission
-from casadical.export.mjcf.balancer import add_sites, add_tendons
-from casadical.export.mjcf.bending import add_pieces
-from casadical.export.mjcf.drives import counterparts
-from casadical.export.mjcf.elements import SLOW, add_body, add_mass, add_spring, inert, numbers
-from casadical.export.mjcf.loops import add_loop, closed
+from casadical.export.mjcf.elements import (
+    SLOW,
+    add_body,
+    add_loop,
+    add_mass,
+    add_pieces,
+    add_sites,
+    add_spring,
+    add_tendons,
+    closed,
+    inert,
+    numbers,
+)
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
 
@@ -111,6 +120,28 @@ def mjcf(robot: Robot) -> MjcfExport:
     ET.indent(root)
     text = '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
     return MjcfExport(text, found.written, found.left_out)
+
+
+def counterparts(robot: Robot) -> Counterparts:
+    """Springs for the compliances, then what each effect has for a counterpart; `left_out` names those without one."""
+    drives = tuple(Drive(compliance=j.compliance or 0.0) for j in robot.joints)
+    scale = robot.torque_scale
+    load = _mean_torque(robot) / scale if robot.effects else np.zeros(robot.n)
+    moment = float(max((scale[j - 1] for j in robot.revolute), default=scale.max()))
+    found = Counterparts(drives, scale, load, moment, tuple(j.body for j in robot.joints), robot.payload)
+    # Linear springs first: others bend around them.
+    for effect in sorted(robot.effects, key=lambda e: not e.simulated_first):
+        found = effect.counterpart(found, effect.own_values(robot.effect_values))
+    return found
+
+
+def _mean_torque(robot: Robot) -> Array:
+    """Mean size of each joint's gravity torque over its range, shape (n,) [N m or N]."""
+    bare = robot.with_only(())
+    lower, upper = robot.limits
+    q = np.random.default_rng(0).uniform(lower, upper, (256, robot.n))
+    tau: Array = bare.torque.map(256)(q.T, bare.parameters.values).full()
+    return np.array([np.nanmean(np.abs(row)) for row in tau])
 
 
 def _about(found: Counterparts) -> str:

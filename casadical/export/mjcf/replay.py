@@ -15,9 +15,8 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.diagnosis.refit import refit
 from casadical.diagnosis.result import Diagnosis
-from casadical.export.mjcf.drives import counterparts
 from casadical.export.mjcf.equilibrium import positions
-from casadical.export.mjcf.mjcf import MjcfExport, mjcf
+from casadical.export.mjcf.mjcf import MjcfExport, counterparts, mjcf
 from casadical.identification.accuracy import Accuracy, predicted, summarise
 from casadical.identification.identification import base_calibrated, calibrated
 from casadical.identification.prepared import prepare

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from casadical.core.errors import InputError
-from casadical.core.transforms import frame, from_rpy
-from casadical.export.mjcf.elements import numbers, quaternion
+from casadical.core.transforms import frame, from_rpy, quaternion
+from casadical.export.mjcf.elements import numbers
 from casadical.export.mjcf.into_mjcf import into_mjcf
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
