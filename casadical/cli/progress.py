@@ -1,14 +1,14 @@
 """Progress of one piece of work where a person watches: its step, its share, and the time to go."""
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, Task, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-Show = Callable[[str], None]
+from casadical.core.progress import Show
 
 # How a step's words begin -> the share of the whole work that is done when it begins, as a usual run takes its time.
 Steps = Mapping[str, float]

@@ -10,9 +10,10 @@ from typer.core import TyperGroup
 
 from casadical.cli.options import Json, Quiet
 from casadical.cli.outputs import guarded
-from casadical.cli.progress import Show, working
+from casadical.cli.progress import working
 from casadical.cli.terminal import keep_json, print_written, with_json, wrapped
 from casadical.core.errors import InputError
+from casadical.core.progress import Show
 
 if TYPE_CHECKING:
     from casadical.blind_check.protocol import Manifest

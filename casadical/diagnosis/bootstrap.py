@@ -5,13 +5,14 @@ has it, freed of what the base parameters take up, and judged by the statistic t
 listed or not, against none. (Davison and Hinkley, Bootstrap Methods and their Application, 1997, ch. 4.)
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.grid import log_sum
+from casadical.core.progress import Show
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, Evidence
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, prior_weights
@@ -43,7 +44,7 @@ class _Group:
     vector: Array
 
 
-def p_value(case: Case, ranking: Ranking, draws: int, seed: int, show: Callable[[str], None]) -> float:
+def p_value(case: Case, ranking: Ranking, draws: int, seed: int, show: Show) -> float:
     """Share of draws of noise alone whose odds of some cause are those of the data or higher, plus one draw's.
 
     ranking : of the data, without any cause chosen; show : called with a line of progress

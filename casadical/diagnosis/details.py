@@ -1,10 +1,11 @@
 """What is computed from a diagnosis to be reported: where the gap lies, what the poses show, what to measure next."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import pandas as pd
 
+from casadical.core.progress import Show, silent
 from casadical.diagnosis.held_out_gap import Check, NetworkGap, check_refit, network_gaps
 from casadical.diagnosis.isolability import Isolability, isolability
 from casadical.diagnosis.laws.answer import Discovery
@@ -76,7 +77,7 @@ def analyse(
     highest_line: float | None = None,
     laws: bool = False,
     file: str = "",
-    show: Callable[[str], None] = lambda _text: None,
+    show: Show = silent,
 ) -> Details:
     """All that `casadical diagnose` reports besides the diagnosis; some seconds, with networks minutes.
 
@@ -96,7 +97,7 @@ def analyse(
         whether the missing law is searched for where the verdict is not unknown, too
     file : str, default ""
         name of the file that the next poses are written to, for the page
-    show : Callable[[str], None], optional
+    show : Show, optional
         called with a line of progress
 
     Returns

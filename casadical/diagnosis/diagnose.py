@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from casadical.core.errors import InputError
+from casadical.core.progress import Show, silent
 from casadical.core.statistics import robust_std
 from casadical.diagnosis.candidates import Candidate, candidates_of
 from casadical.diagnosis.changes import changes
@@ -18,7 +19,7 @@ from casadical.diagnosis.linear_problem import Case, better_ratios, make_case
 from casadical.diagnosis.observations import Ratios
 from casadical.diagnosis.posterior import Rivals, no_rivals
 from casadical.diagnosis.result import Change, Diagnosis
-from casadical.diagnosis.search import Show, State, search
+from casadical.diagnosis.search import State, search
 from casadical.effects import Effect
 from casadical.identification.identification import base_calibrated
 from casadical.identification.prepared import Prepared, prepare, prepared_again
@@ -53,7 +54,7 @@ def diagnose(
     masses: Masses = "candidate",
     rivals: Rivals = no_rivals,
     laws: bool = True,
-    show: Show = lambda _text: None,
+    show: Show = silent,
 ) -> Diagnosis:
     """Diagnose the gap that calibration leaves on a campaign.
 

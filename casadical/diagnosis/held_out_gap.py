@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.arrays import Array
+from casadical.core.progress import Show, silent
 from casadical.diagnosis.cross_validation import FOLDS, fitted_without, held_out_errors, noise_square, random_folds
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.refit import left_by, refit, refit_measurements
@@ -115,14 +116,14 @@ class Check:
         return abs(self.refit / self.linearised - 1) <= 0.1
 
 
-def check_refit(found: Diagnosis, show: Callable[[str], None] = lambda _text: None) -> Check:
+def check_refit(found: Diagnosis, show: Show = silent) -> Check:
     """Held-out gap of the nonlinear refit beside that of the linearised model.
 
     Parameters
     ----------
     found : Diagnosis
         a diagnosis
-    show : Callable[[str], None], optional
+    show : Show, optional
         called with a line of progress
 
     Returns
@@ -184,9 +185,7 @@ class NetworkGap:
     refused: int
 
 
-def network_gaps(
-    found: Diagnosis, trainer: Trainer | str = "lm", show: Callable[[str], None] = lambda _text: None
-) -> tuple[NetworkGap, NetworkGap]:
+def network_gaps(found: Diagnosis, trainer: Trainer | str = "lm", show: Show = silent) -> tuple[NetworkGap, NetworkGap]:
     """The gap when the paper's network is used instead of the causes, and on what the causes leave.
 
     Parameters
@@ -195,7 +194,7 @@ def network_gaps(
         a diagnosis
     trainer : Trainer | str, default "lm"
         one of `known_trainers` by its name, or one with its settings
-    show : Callable[[str], None], optional
+    show : Show, optional
         called with a line of progress
 
     Returns
@@ -224,7 +223,7 @@ def network_gap(
     noise: Noise,
     seed: int,
     trainer: Trainer | str = "lm",
-    show: Callable[[str], None] = lambda _text: None,
+    show: Show = silent,
 ) -> NetworkGap:
     """Train the paper's 6-5-3 network on four fifths of the poses and try it on the last, five times.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.progress import Show
 from casadical.diagnosis.bootstrap import p_value
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cause_sets import most_probable_set
@@ -34,7 +35,6 @@ from casadical.diagnosis.thresholds import (
 from casadical.effects import Effect
 from casadical.measurements.noise import Noise
 
-Show = Callable[[str], None]
 # Why no further cause was taken, or that the last one was.
 End = Literal["none", "ambiguous", "unknown", "claimed"]
 

@@ -1,11 +1,11 @@
 """A calibrated robot in another program's file: a MuJoCo model, a URDF, the kinematics of a driver."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from casadical.core.errors import InputError
+from casadical.core.progress import Show, silent
 from casadical.effects.counterparts import Omission
 from casadical.export.controller.commands import Sources
 from casadical.export.controller.drivers import FORMS as DRIVERS
@@ -19,8 +19,6 @@ from casadical.project.problem import read_campaign_robot, read_problem, read_pr
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 from casadical.robot.urdf import new_urdf
-
-Show = Callable[[str], None]
 
 FORMS = ("mjcf", "urdf", *DRIVERS)
 # Which form a file's ending means.
@@ -74,7 +72,7 @@ def robot_model(
     of_mjcf: OfMjcf | None = None,
     checksum: str = "",
     leave_out: bool = False,
-    show: Show = lambda _text: None,
+    show: Show = silent,
 ) -> RobotModel:
     """A calibrated robot in one of the `FORMS`.
 
@@ -105,7 +103,7 @@ def calibrated(folder: Path) -> Calibration:
 
 
 def robot_to_write(
-    source: Path, campaign: Path | None = None, effects: str | None = None, show: Show = lambda _text: None
+    source: Path, campaign: Path | None = None, effects: str | None = None, show: Show = silent
 ) -> Robot:
     """The robot of a file as it is, of a problem calibrated, or of a campaign calibrated with its diagnosed causes.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from datetime import date
@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from casadical.core.errors import CasadicalError, InputError, shown
+from casadical.core.progress import Show, silent
 from casadical.fleet.changes import Comparison
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate, estimate, estimate_of_file
@@ -41,7 +42,7 @@ def compare_files(
     *,
     same_tool: bool = False,
     same_frame: bool = False,
-    show: Callable[[str], None] = lambda _text: None,
+    show: Show = silent,
 ) -> Comparison:
     """What changed in a robot over campaigns in files, in the order of their days or else as they are given.
 
@@ -56,7 +57,7 @@ def compare_files(
         whether the same point of the same tool was measured
     same_frame : bool, default False
         whether all positions are in one frame
-    show : Callable[[str], None], optional
+    show : Show, optional
         called with a line of progress
 
     Returns

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 from time import monotonic
@@ -11,6 +11,7 @@ from typing import Any
 import pandas as pd
 
 from casadical.core.errors import InputError, shown
+from casadical.core.progress import Show, silent
 from casadical.fleet.cluster import SchedulerLostError, client_of, results
 from casadical.fleet.one_robot import NOTHING, fingerprint, name_of, one_robot
 from casadical.fleet.result import KEPT, SHARED, Fleet, fleet_of
@@ -29,7 +30,7 @@ def run_fleet(
     scheduler: str | None = None,
     workers: int | None = None,
     with_diagnosis: bool = True,
-    show: Callable[[str], None] = lambda _text: None,
+    show: Show = silent,
 ) -> Fleet:
     """Calibrate, diagnose and compare every robot of a fleet; what a store has already is not computed again.
 
@@ -45,7 +46,7 @@ def run_fleet(
         how many processes of this machine; None: one a core
     with_diagnosis : bool, default True
         whether every robot is diagnosed, which takes longest
-    show : Callable[[str], None], optional
+    show : Show, optional
         called with a line of progress
 
     Returns
@@ -152,7 +153,7 @@ def _compute(
     place: Path,
     total: int,
     left: int,
-    show: Callable[[str], None],
+    show: Show,
 ) -> None:
     """Keeps the rows as they come. Raises SchedulerLostError with how to go on."""
     waiting: list[dict[str, Any]] = []

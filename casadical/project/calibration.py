@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from casadical.compensator import compensator_text
 from casadical.core.errors import InputError
 from casadical.core.files import claimed, json_text, write_together
+from casadical.core.progress import Show, silent
 from casadical.core.telling.blocks import Page, Table, Words, mm
 from casadical.core.telling.figure import Figure
 from casadical.core.telling.notebook import html
@@ -289,7 +290,7 @@ def calibrate(
     seed: int | None = None,
     carried: Carried | None = None,
     tables: Sequence[str | Path] = (),
-    show: Callable[[str], None] = lambda _text: None,
+    show: Show = silent,
 ) -> Calibration:
     """Identify a problem's robot by each of its methods, and train its networks on what is left.
 
@@ -307,7 +308,7 @@ def calibrate(
         what puts the prior of another campaign into the robot, as `carry_over` does; of a folder only
     tables : Sequence[str | Path], default ()
         measured poses, in place of the folder's own or beside a robot file (see `read_problem`)
-    show : Callable[[str], None], optional
+    show : Show, optional
         called with a line of progress
 
     Returns
@@ -367,7 +368,7 @@ def calibrate(
     return Calibration(problem, results, accuracies, trained, _without_prior(plain, results) if plain else None)
 
 
-def _identified(problem: Problem, show: Callable[[str], None], count: int) -> dict[str, Identification]:
+def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identification]:
     """By each method; with loss auto the last, which models most, says which poses are outliers.
 
     count : of parts of the work. Without outliers the result is the least squares of all poses.

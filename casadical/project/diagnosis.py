@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from casadical.core.progress import Show, silent
 from casadical.core.telling.blocks import Block, Page, Table, Words
 from casadical.core.telling.figure import Figure
 from casadical.diagnosis.brief import brief
@@ -28,12 +29,6 @@ from casadical.project.problem import Carried, nothing_carried, read_campaign, r
 from casadical.project.problem_file import own_tables
 from casadical.project.sources import campaign_files
 from casadical.robot.robot import Robot
-
-Show = Callable[[str], None]
-
-
-def silent(_text: str) -> None:
-    """Shows no progress."""
 
 
 @dataclass(frozen=True, eq=False)

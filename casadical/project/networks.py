@@ -8,6 +8,7 @@ import numpy as np
 from casadical.compensator import Compensator, Trainer, network_methods
 from casadical.compensator.training import Progress
 from casadical.core.arrays import Array
+from casadical.core.progress import Show, silent
 from casadical.identification.accuracy import Accuracy, residual_mm, summarise
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
@@ -96,7 +97,7 @@ def train_networks(
     methods: Sequence[str] | None = None,
     *,
     seed: int = 0,
-    show: Callable[[str], None] = lambda _text: None,
+    show: Show = silent,
     judged: Mapping[str, Measurements] | None = None,
 ) -> Networks:
     """Train networks on what an identification left.
@@ -113,7 +114,7 @@ def train_networks(
         network methods; None: all that there are
     seed : int, default 0
         of everything random
-    show : Callable[[str], None], optional
+    show : Show, optional
         called with a line of progress that holds the loss
     judged : Mapping[str, Measurements], optional
         poses whose errors are told, by set; None: all of the problem's

@@ -11,6 +11,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.progress import Show, silent
 from casadical.diagnosis.candidates import named
 from casadical.effects import Effect, Session
 from casadical.identification.identification import identify
@@ -176,7 +177,7 @@ def plan_problem(
     carried: Carried = nothing_carried,
     *,
     seed: int = 0,
-    show: Callable[[str], None] = lambda _text: None,
+    show: Show = silent,
 ) -> MeasurementPlan:
     """The plan of a problem folder or a robot file.
 
@@ -225,7 +226,7 @@ def plan(
     seed: int = 0,
     places: Places | None = None,
     prior: Prior | None = None,
-    show: Callable[[str], None] = lambda _text: None,
+    show: Show = silent,
 ) -> MeasurementPlan:
     """Poses in order and the forecast beyond them.
 

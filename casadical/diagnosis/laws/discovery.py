@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.progress import Show, silent
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import estimates, shrink_interval
 from casadical.diagnosis.diagnose import diagnose
@@ -19,7 +20,6 @@ from casadical.diagnosis.laws.round import Round
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.search import Show
 from casadical.diagnosis.settings_search import refined
 from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.diagnosis.thresholds import CLAIM, DETECT_FURTHER
@@ -39,7 +39,7 @@ def discover(
     effects: str | Sequence[str | Effect | type[Effect]] = "standard",
     *,
     seed: int = 0,
-    show: Show = lambda _text: None,
+    show: Show = silent,
 ) -> Discovery:
     """Diagnose a campaign and search for the law of what no listed effect explains.
 
@@ -75,7 +75,7 @@ def discover(
     return laws_beside(found, show)
 
 
-def laws_beside(found: Diagnosis, show: Show = lambda _text: None) -> Discovery:
+def laws_beside(found: Diagnosis, show: Show = silent) -> Discovery:
     """The laws of a diagnosed campaign: first instead of all its causes, which stay if they win, then beside these.
 
     Of a large campaign, on some of its poses.

@@ -13,6 +13,7 @@ import pandas as pd
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.progress import Show, silent
 from casadical.diagnosis.refit import refit
 from casadical.diagnosis.result import Diagnosis
 from casadical.export.mjcf.equilibrium import positions
@@ -25,7 +26,6 @@ from casadical.measurements.measurements import Measurements
 from casadical.project.diagnosis import Campaign, Options, diagnose_campaign
 from casadical.robot.robot import Robot
 
-Show = Callable[[str], None]
 # Shares of the poses that are fitted, and of those that are replayed.
 PARTS = {"identify": 2 / 3, "report": round(0.999 - 2 / 3, 3)}
 
@@ -159,7 +159,7 @@ def replay_campaign(
     effects: Sequence[str] | str = "standard",
     *,
     seed: int = 0,
-    show: Show = lambda _text: None,
+    show: Show = silent,
 ) -> Replay:
     """Identify, diagnose and replay a campaign on poses that were held out.
 
@@ -249,7 +249,7 @@ def _stages(
     held_out: Measurements,
     found: Diagnosis,
     with_causes: Callable[[], Robot],
-    show: Show = lambda _text: None,
+    show: Show = silent,
 ) -> tuple[ReplayedModel, ...]:
     """Nominal robot, calibrated one, and that with the causes: identified from some poses, replayed at others.
 

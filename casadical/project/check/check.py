@@ -1,6 +1,6 @@
 """The check of a whole problem before a solve: its files, its data, and the accuracy to expect."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from casadical.core.errors import InputError, shown
+from casadical.core.progress import Show, silent
 from casadical.identification.identifiability import CONFOUNDED
 from casadical.identification.plausibility import check_against
 from casadical.identification.prepared import METHODS, by_method
@@ -88,7 +89,7 @@ def precheck(
     folder: str | Path,
     noise: float | None = None,
     seed: int | None = None,
-    show: Callable[[str], None] = lambda _text: None,
+    show: Show = silent,
     tables: Sequence[str | Path] = (),
 ) -> Precheck:
     """Examine a problem folder and its data without solving anything.
@@ -166,9 +167,7 @@ def _target_findings(targets: Targets | None, wrong: Misnamed | None, source: st
     return [Finding("error", "targets", f"{text}; {more}")]
 
 
-def _slips(
-    robot: Robot, table: Measurements, targets: Targets | None, others: list[Robot], show: Callable[[str], None]
-) -> Slips | None:
+def _slips(robot: Robot, table: Measurements, targets: Targets | None, others: list[Robot], show: Show) -> Slips | None:
     """Several slips at once, from all poses of a table, in the order of the file; of several targets, from one point.
 
     That is the target that was measured most, or the middle of those that the table does not name.

@@ -6,12 +6,13 @@ finds itself (zeros and lengths that are off by little) is no slip.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.progress import Show, silent
 from casadical.measurements.measurements import Measurements
 from casadical.project.check.slip_fit import Fit, Hypothesis, SlipFit
 from casadical.robot.robot import Robot
@@ -55,7 +56,7 @@ def search_slips(
     robot: Robot,
     m: Measurements,
     others: Sequence[Robot] = (),
-    show: Callable[[str], None] = lambda _text: None,
+    show: Show = silent,
 ) -> Slips | None:
     """What is wrong with a table, if anything is; others : the robot with its rows read otherwise.
 
@@ -91,7 +92,7 @@ def _outside(h: Hypothesis, robot: Robot, q: Array) -> bool:
     return bool(((meant < lower - 0.01) | (meant > upper + 0.01)).any(axis=1).mean() > FEW)
 
 
-def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Callable[[str], None]) -> list[Fit]:
+def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Show) -> list[Fit]:
     """The states that were best on each level, with base and tool placed."""
     none = Hypothesis.none(robot.n)
     turning = [j.kind == "revolute" for j in robot.joints]
