@@ -50,7 +50,6 @@ def check(
     """
     from casadical.core.telling.terminal import terminal
     from casadical.project.check import precheck
-    from casadical.project.check.report import as_json, blocks, brief
     from casadical.project.check.target_repair import repaired
 
     console = wrapped(quiet)
@@ -68,9 +67,9 @@ def check(
             console.print(text, markup=False, highlight=False, soft_wrap=True)
             with working(quiet, "reading again", name, CHECK) as show:
                 found[-1] = precheck(folder, noise, show=show)
-        console.print(terminal((blocks if details else brief)(found[-1])))
+        console.print(terminal(found[-1].blocks() if details else found[-1].brief()))
         console.print()
-    keep_json(json_file, [as_json(f) for f in found], console)
+    keep_json(json_file, [f.to_json() for f in found], console)
     if quiet:
         for f in found:
             for finding in f.of("error"):

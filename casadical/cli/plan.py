@@ -135,6 +135,7 @@ def plan(
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
+    from casadical.core.telling.terminal import terminal
     from casadical.pose_selection.candidates import Circumstances
     from casadical.project.planning import Wanted, plan_problem, planned_with
 
@@ -161,7 +162,7 @@ def plan(
         )
     place = out if n is None else out or Path("plan.csv")
     console = wrapped(quiet)
-    console.print(found.report())
+    console.print(terminal(found.blocks()))
     console.print(planned_with(problem, measured, prior))
     keep(with_json(found.files(place) if place else {}, json_file, found.to_json()), console)
 

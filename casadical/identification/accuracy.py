@@ -1,7 +1,7 @@
 """Position errors of a model against measurements, and the figures that sum them up."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -50,6 +50,11 @@ class Accuracy:
     def __repr__(self) -> str:
         mean, top, p95 = mm(self.mean), mm(self.max), mm(self.p95)
         return f"<Accuracy of {self.n} poses: mean {mean} mm, 95 % below {p95} mm, max {top} mm>"
+
+    def to_json(self) -> dict[str, float | int]:
+        """As plain data, lengths in mm."""
+        figures = asdict(self)
+        return {"n": figures.pop("n")} | {f"{name}_mm": 1e3 * value for name, value in figures.items()}
 
 
 def summarise(errors: Array) -> Accuracy:

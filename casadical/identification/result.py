@@ -1,8 +1,10 @@
 """What an identification found: parameters with their standard errors, accuracy, predictions."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,6 +22,7 @@ from casadical.identification.reduction import POOR_FIT
 from casadical.identification.residuals import POINT_SCALE, Loss, make_block
 from casadical.identification.screening import SCREENINGS, TELLING, solve_without_outliers
 from casadical.identification.solver import Solution
+from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.robot.knowledge import Knowledge, blocks
 from casadical.robot.robot import Robot, modified_dh
@@ -116,20 +119,51 @@ class Identification:
             f"{held} not identifiable, {left:.3g} mm a coordinate left>"
         )
 
-    def _repr_html_(self) -> str:
-        """For a notebook: the verdict, every parameter, and the errors of what was used."""
+    def blocks(self) -> list[Words | Table]:
+        """The verdict, and every parameter."""
         rows = [
             (str(r["name"]), f"{r['nominal']:.4f}", f"{r['value']:.4f}", f"{r['std_error']:.2g}", str(r["unit"]),
              str(r["reason"] or r["status"]))
             for r in self.shown.to_dict("records")
         ]  # fmt: skip
         head = ("parameter", "nominal", "value", "std error", "unit", "status")
-        table = Table("All parameters", head, rows, frozenset({1, 2, 3}), folded=True)
+        return [Words(self.verdict), Table("All parameters", head, rows, frozenset({1, 2, 3}), folded=True)]
+
+    def to_json(self) -> dict[str, Any]:
+        """Verdict, course of the fit, poses that were left out, parameters; lengths in mm."""
+        return {
+            "verdict": self.verdict,
+            "optimal": self.is_optimal(),
+            "condition": self.identifiability.condition,
+            "degrees_of_freedom": self.degrees_of_freedom,
+            "iterations": len(self.solution.history) - 1,
+            "loss": self.loss,
+            "left_out": [{"source": o.source, "row": o.row, "error_mm": 1e3 * o.error} for o in self.left_out],
+            "unknown_places": self._places(),
+            "parameters": [
+                {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in row.items()}
+                for row in self.shown.to_dict("records")
+            ],
+            "modified_dh": modified_dh(self.robot),
+        }
+
+    def _places(self) -> list[dict[str, Any]]:
+        """Places that were identified too, such as far ends of wires, in the frame of the measurements."""
+        places = []
+        for label, xyz in self.unknown_points.items():
+            k, name = label.split("/", 1)
+            m = self.measurements[int(k)]
+            if find_kind(m.kind).places:
+                places.append({"source": m.source, "name": name, "xyz_mm": [1e3 * float(v) for v in xyz]})
+        return places
+
+    def _repr_html_(self) -> str:
+        """For a notebook: the verdict, every parameter, and the errors of what was used."""
         bars = []
         for m in self.used:
             a = summarise(errors(self.robot, m))
             bars += [(f"{m.kind}, mean", a.mean), (f"{m.kind}, 95 % below", a.p95)]
-        return html([Words(self.verdict), table], bars, repr(self)[1:-1])
+        return html(self.blocks(), bars, repr(self)[1:-1])
 
     @property
     def names(self) -> tuple[str, ...]:

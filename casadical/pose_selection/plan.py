@@ -6,12 +6,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from rich.console import RenderableType
 
 from casadical.core.arrays import Array
 from casadical.core.files import json_text
 from casadical.core.telling.blocks import Table, Words
-from casadical.core.telling.terminal import terminal
 from casadical.measurements.noise import Noise
 from casadical.pose_selection.instruments import Instrument
 from casadical.pose_selection.pose_order import travel
@@ -37,26 +35,24 @@ class MeasurementPlan:
     instrument: Instrument | None = None
     noise: Noise | None = None
 
-    def report(self) -> RenderableType:
+    def blocks(self) -> list[Words | Table]:
         """What `casadical plan` prints."""
         plan = self.selection
         if plan is None:
-            return terminal([*_places(self), Words(_how_many(self))])
+            return [*_places(self), Words(_how_many(self))]
         indices = ", ".join(f"{name} {value:.3g}" for name, value in plan.observability.items())
         indices = f"observability {indices}; " if indices else ""
         turned = np.rad2deg(travel(plan.robot, plan.q))
-        return terminal(
-            [
-                Words(_verdict(plan), "verdict"),
-                *_readings(plan),
-                Words(f"Criterion {plan.criterion}; {indices}travel {turned:.0f} deg."),
-                *_places(self),
-                Words(_how_many(self)),
-                *([] if self.checked_for_obstacles else _below_the_base(plan)),
-                _map(plan),
-                _errors(plan),
-            ]
-        )
+        return [
+            Words(_verdict(plan), "verdict"),
+            *_readings(plan),
+            Words(f"Criterion {plan.criterion}; {indices}travel {turned:.0f} deg."),
+            *_places(self),
+            Words(_how_many(self)),
+            *([] if self.checked_for_obstacles else _below_the_base(plan)),
+            _map(plan),
+            _errors(plan),
+        ]
 
     def to_json(self) -> dict[str, Any]:
         """The figures as plain data: poses, expected error [mm], observability indices, the forecast's two columns."""

@@ -28,7 +28,6 @@ from casadical.identification.tables import correlated, held_table, how_sure, pa
 from casadical.measurements.measurements import Measurements
 from casadical.project.calibration_page import calibration_page
 from casadical.project.check.targets import unnamed_targets
-from casadical.project.json_figures import method_figures, network_figures, paper_figures
 from casadical.project.networks import Networks, train_networks
 from casadical.project.outcome import (
     assumptions,
@@ -208,21 +207,34 @@ class Calibration:
             "robot": problem.robot.name,
             "tables": [dict(table) for table in problem.tables],
             "kinds": {name: kinds[names[0]] for name, names in together(kinds).items()},
-            "methods": {
-                method: method_figures(result, self.accuracies[method], usual_held_out(problem, result.robot))
-                for method, result in self.identifications.items()
-            },
+            "methods": {method: self._method_json(method) for method in self.identifications},
         }
         if self.networks:
             found["trained_on"] = self.networks.trained_on
-            found["networks"] = {name: network_figures(result) for name, result in self.networks.results.items()}
+            found["networks"] = {name: result.to_json() for name, result in self.networks.results.items()}
         if problem.prior:
             found["prior"] = problem.prior.to_json([m for _, m in problem.parts()])
             if self.without_prior is not None:
                 found["prior"]["without_mean_mm"] = 1e3 * self.without_prior.mean
         if problem.paper:
-            found["paper"] = paper_figures(problem.paper)
+            found["paper"] = problem.paper.to_json()
         return found
+
+    def _method_json(self, method: str) -> dict[str, Any]:
+        """A method with its errors on every set; where poses are far off, without these, too."""
+        usual = usual_held_out(self.problem, self.identifications[method].robot)
+        told = self.identifications[method].to_json()
+        last = {key: told.pop(key) for key in ("parameters", "modified_dh")}
+        sets = {
+            name: {
+                **states["calibrated"].to_json(),
+                "before_nominal": states["nominal"].to_json(),
+                "before_placed": states["placed"].to_json(),
+                **({"without_far_off": usual[name].to_json()} if name in usual else {}),
+            }
+            for name, states in self.accuracies[method].items()
+        }
+        return {**told, "sets": sets, **last}
 
     def files(self, folder: str | Path) -> dict[Path, str]:
         """What is kept, by file: all figures, of each method the robot and its parameters, or the compensator.

@@ -6,10 +6,11 @@ from casadical.core.telling.blocks import Block, Page, Section, Tile, Words, mm,
 from casadical.core.telling.figure import Figure
 from casadical.identification.result import Identification
 from casadical.identification.tables import correlated, held_table, how_sure, parameter_tables
+from casadical.project import remaining_errors
 from casadical.project.networks import Networks
 from casadical.project.outcome import left_out_table
 from casadical.project.problem import Problem
-from casadical.project.remaining_errors import MOST_LOCATED, Identifications
+from casadical.project.remaining_errors import Identifications
 from casadical.project.sources import problem_files
 from casadical.project.tables import Accuracies, error_tables, judged_on, network_tables, paper_tables, verdict
 
@@ -85,7 +86,8 @@ def _where(figures: Iterable[Figure], result: Identification) -> Iterator[Block]
     if not figures:
         yield Words("Localising the gap needs exactly one set of measured positions.", "note")
         return
-    poses = "the poses" if len(result.measurements[0]) <= MOST_LOCATED else f"{MOST_LOCATED} of the poses"
+    most = remaining_errors.MOST_LOCATED
+    poses = "the poses" if len(result.measurements[0]) <= most else f"{most} of the poses"
     yield Words(f"Of what {result.method} leaves at {poses} it was identified from. Bars are 95 % intervals.", "note")
     yield from figures
 

@@ -1,7 +1,8 @@
 """The paper's network methods on a problem: a network learns the error left by SKCM (section 5)."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -60,6 +61,22 @@ class NetworkResult:
     def verdict(self) -> str:
         """The result in words."""
         return f"{self.method}: {self.why if self.compensator is None else self.compensator.verdict}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Its verdict, the errors by set as it is used, and as trained even where it was refused."""
+        told: dict[str, Any] = {"verdict": self.verdict, "helps": self.helps}
+        c = self.compensator
+        if c is None:
+            return told
+        parts = {"train": c.training, "choose": c.choice, "report": c.validation}
+        return told | {
+            "trainer": c.trainer,
+            "settings": c.settings,
+            "seed": c.seed,
+            "chosen_by": c.chosen_by,
+            "sets": {name: a.to_json() for name, a in self.errors.items()},
+            "as_trained": {name: asdict(part) for name, part in parts.items() if part},
+        }
 
 
 @dataclass(frozen=True, eq=False)

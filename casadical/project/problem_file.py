@@ -175,6 +175,13 @@ class Paper(_Strict):
                     raise FaultError((table, name), f"allowed: before, {', '.join(all_methods())}")
         return self
 
+    def to_json(self) -> dict[str, Any]:
+        """What the paper reports, by table and method."""
+        return {"source": self.source} | {
+            name: {m: dict(zip(("mean_mm", "max_mm", "std_mm"), f, strict=True)) for m, f in table.items()}
+            for name, table in (("calibration", self.calibration), ("validation", self.validation))
+        }
+
 
 class ProblemFile(_Strict):
     """The whole file."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -16,9 +15,9 @@ from casadical.measurements.column_map import Source
 from casadical.measurements.headings import Question
 from casadical.project import remaining_errors
 from casadical.project.calibration import _without_prior
-from casadical.project.check.check import LACKS, Precheck, _outlook_findings
+from casadical.project.check.check import LACKS, _outlook_findings
 from casadical.project.check.information import outlook
-from casadical.project.check.report import as_json
+from casadical.project.check.result import Precheck
 from casadical.project.check.slip_fit import Hypothesis
 from casadical.project.check.slips import _outside
 from casadical.project.new.new import _answered
@@ -66,7 +65,7 @@ def test_a_misfit_is_more_than_four_times_the_noise(planar: Problem, seen: Outlo
 def test_no_accuracy_is_promised_from_too_few_numbers(seen: Outlook) -> None:
     few = replace(seen, numbers=seen.unknowns)
     none = replace(seen, names=(), errors=np.zeros(0))
-    told = as_json(Precheck(PLANAR, (), outlooks=(replace(seen, method="A"), replace(few, method="B"), none)))[
+    told = Precheck(PLANAR, (), outlooks=(replace(seen, method="A"), replace(few, method="B"), none)).to_json()[
         "methods"
     ]
     assert told["A"]["expected_accuracy_mm"] == pytest.approx(1e3 * seen.accuracy)
@@ -114,9 +113,10 @@ def test_too_few_poses_without_the_prior_are_no_error(calibrated: Any) -> None:
 
 
 def test_of_many_poses_some_tell_where_the_error_lies(calibrated: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    ways = {row.part for row in dict(where_left(calibrated("planar")).tables())["approach"].itertuples()}
+    result = calibrated("planar").identification
+    ways = {row.part for row in dict(where_left(result).tables())["approach"].itertuples()}
     monkeypatch.setattr(remaining_errors, "MOST_LOCATED", 20)
-    found = dict(where_left(calibrated("planar")).tables())
+    found = dict(where_left(result).tables())
     for name in ("regions", "time", "approach"):
         assert set(found[name].groupby("by").poses.sum()) <= {19, 20}  # the first pose was approached from nowhere
     assert {row.part for row in found["approach"].itertuples()} == ways
@@ -125,13 +125,12 @@ def test_of_many_poses_some_tell_where_the_error_lies(calibrated: Any, monkeypat
 
 def test_an_error_is_localised_in_positions_of_one_set_only(calibrated: Any) -> None:
     planar = calibrated("planar")
-    assert isinstance(where_left(planar), Localisation)
+    assert isinstance(where_left(planar.identification), Localisation)
     result = planar.identification
     (m,) = result.measurements
     distances = replace(m, kind="distance", position=None, distance=np.ones(len(m)), target=np.zeros((len(m), 3)))
     for sets in ((m, m), (distances,)):
-        other = SimpleNamespace(identification=SimpleNamespace(measurements=sets))
-        assert where_left(cast("Any", other)) is None
+        assert where_left(replace(result, measurements=sets)) is None
     # It was made ten times better, so no data are asked for.
     assert list(_no_better(planar.problem, result, planar.accuracies)) == []
 

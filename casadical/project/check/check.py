@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,6 @@ from casadical.identification.undetermined import undetermined_at_start
 from casadical.measurements.clock import clock_faults
 from casadical.measurements.measurements import Measurements
 from casadical.project.check.coverage import (
-    JointCoverage,
     coverage,
     coverage_findings,
     limits_findings,
@@ -25,7 +23,7 @@ from casadical.project.check.coverage import (
     margin_findings,
     repeats,
 )
-from casadical.project.check.findings import Finding, Level, table_faults, unknown_columns
+from casadical.project.check.findings import Finding, table_faults, unknown_columns
 from casadical.project.check.information import Outlook, outlook
 from casadical.project.check.plausible import (
     UNEXPLAINED,
@@ -36,6 +34,7 @@ from casadical.project.check.plausible import (
     plausible,
 )
 from casadical.project.check.repair import in_words, left_mm, other_lengths
+from casadical.project.check.result import Precheck
 from casadical.project.check.slips import Slips, search_slips
 from casadical.project.check.targets import Misnamed, Targets, middles, misnamed, recognised, whole_table
 from casadical.project.problem import Problem, read_campaign_robot, read_problem
@@ -46,43 +45,6 @@ from casadical.robot.robot import Robot
 COMFORTABLE = 3
 # A scatter of more than so many times the noise has other causes.
 LACKS = 4
-
-
-@dataclass(frozen=True, eq=False)
-class Precheck:
-    """What was found of one problem.
-
-    title, robot : names, empty where they could not be read; poses : in each set
-    noise : of a coordinate [m] as far as it is known beforehand; noise_source : from where, in words
-    joints : covered ranges in the set that is fitted; margin : smallest one of the four-bars
-    outlooks : for each method; none where the data are unusable
-    nominal : the robot; slips : what explains data that contradict it, where several slips were searched for
-    targets : several on one flange, that the table does not name; misnamed : rows that name another one
-    """
-
-    folder: Path
-    findings: tuple[Finding, ...]
-    title: str = ""
-    robot: str = ""
-    poses: tuple[tuple[str, int], ...] = ()
-    noise: float | None = None
-    noise_source: str = ""
-    joints: tuple[JointCoverage, ...] = ()
-    margin: float | None = None
-    outlooks: tuple[Outlook, ...] = ()
-    nominal: Robot | None = None
-    slips: Slips | None = None
-    targets: Targets | None = None
-    misnamed: Misnamed | None = None
-
-    def of(self, level: Level) -> tuple[Finding, ...]:
-        """Findings of one level."""
-        return tuple(f for f in self.findings if f.level == level)
-
-    @property
-    def ok(self) -> bool:
-        """Whether it can be calibrated: no errors."""
-        return not self.of("error")
 
 
 def precheck(

@@ -9,8 +9,8 @@ import tomlkit
 from casadical.core.arrays import Array
 from casadical.core.files import write_together
 from casadical.core.schema import load_toml
-from casadical.project.check.check import Precheck
 from casadical.project.check.repair import difference, left_mm, write_repair
+from casadical.project.check.result import Precheck
 from casadical.project.problem import read_problem_robot
 from casadical.robot.robot_file import robot_from
 from casadical.robot.urdf import read_urdf

@@ -1,0 +1,160 @@
+"""What was found of a problem before a solve; as words and tables, and as plain data to keep."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from casadical.core.telling.blocks import Table, Words
+from casadical.project.check.coverage import JointCoverage
+from casadical.project.check.findings import Finding, Level
+from casadical.project.check.information import Outlook
+from casadical.project.check.slips import Slips
+from casadical.project.check.targets import Misnamed, Targets
+from casadical.robot.robot import Robot
+
+# So many findings fit the screen.
+FINDINGS = 6
+LEVELS: tuple[Level, ...] = ("error", "warning", "note")
+_MARKS = {"error": "ERROR", "warning": "WARNING", "note": "note"}
+
+
+@dataclass(frozen=True, eq=False)
+class Precheck:
+    """What was found of one problem.
+
+    title, robot : names, empty where they could not be read; poses : in each set
+    noise : of a coordinate [m] as far as it is known beforehand; noise_source : from where, in words
+    joints : covered ranges in the set that is fitted; margin : smallest one of the four-bars
+    outlooks : for each method; none where the data are unusable
+    nominal : the robot; slips : what explains data that contradict it, where several slips were searched for
+    targets : several on one flange, that the table does not name; misnamed : rows that name another one
+    """
+
+    folder: Path
+    findings: tuple[Finding, ...]
+    title: str = ""
+    robot: str = ""
+    poses: tuple[tuple[str, int], ...] = ()
+    noise: float | None = None
+    noise_source: str = ""
+    joints: tuple[JointCoverage, ...] = ()
+    margin: float | None = None
+    outlooks: tuple[Outlook, ...] = ()
+    nominal: Robot | None = None
+    slips: Slips | None = None
+    targets: Targets | None = None
+    misnamed: Misnamed | None = None
+
+    def of(self, level: Level) -> tuple[Finding, ...]:
+        """Findings of one level."""
+        return tuple(f for f in self.findings if f.level == level)
+
+    @property
+    def ok(self) -> bool:
+        """Whether it can be calibrated: no errors."""
+        return not self.of("error")
+
+    def blocks(self) -> list[Words | Table]:
+        """What `casadical check --details` prints of one problem: verdict, findings, ranges, expected accuracy."""
+        told: list[Words | Table] = [*self._head(), Words("")]
+        told += _findings(f for level in LEVELS for f in self.of(level))
+        if self.joints:
+            told.append(self._ranges())
+        for view in self.outlooks:
+            told += [*([] if isinstance(told[-1], Table) else [Words("")]), *_outlook(view, self.noise_source)]
+        return told
+
+    def brief(self) -> list[Words | Table]:
+        """The same in few lines: verdict, errors and warnings, accuracy to expect."""
+        findings = [f for level in LEVELS[:2] for f in self.of(level)]
+        findings += [f for f in self.of("note") if f.topic == "units"]
+        told: list[Words | Table] = [*self._head(), *_findings(findings[:FINDINGS])]
+        if len(findings) > FINDINGS:
+            told.append(Words(f"and {len(findings) - FINDINGS} more"))
+        for view in self.outlooks:
+            told.append(Words(f"{view.method}: {len(view.names)} parameters identifiable, {len(view.held)} not."))
+            if view.held_out is not None:
+                told.append(Words(f"Expected mean error on other poses like these: {1e3 * view.held_out:.3g} mm."))
+        if self.slips and self.slips.explains:
+            told.append(Words("casadical check --repair writes the best repair and shows what it changes", "verdict"))
+        return [*told, Words("ranges of the joints, what is held and why: --details", "note")]
+
+    def _head(self) -> Iterator[Words]:
+        yield Words(f"{self.folder.name}: {self._verdict()}", "verdict")
+        if self.title:
+            sets = ", ".join(f"{name} {n}" for name, n in self.poses)
+            yield Words(f"{self.title}; {self.robot}; poses: {sets}")
+
+    def _verdict(self) -> str:
+        errors, warnings = len(self.of("error")), len(self.of("warning"))
+        if errors:
+            return f"NOT READY, {errors} error{'s' if errors > 1 else ''}"
+        return f"ready, {warnings} warning{'s' if warnings > 1 else ''}" if warnings else "ready"
+
+    def _ranges(self) -> Table:
+        rows = [
+            (
+                str(c.joint),
+                f"{c.low:.1f}",
+                f"{c.high:.1f} {c.unit}",
+                f"{c.lower:.0f} .. {c.upper:.0f}",
+                f"{100 * c.share:.0f} %",
+            )
+            for c in self.joints
+        ]
+        columns = ("joint", "from", "to", "limits", "covered")
+        return Table("Readings of the poses that are fitted", columns, rows, frozenset(range(5)))
+
+    def to_json(self) -> dict[str, Any]:
+        """The same as plain data."""
+        return {
+            "problem": self.folder.name,
+            "ok": self.ok,
+            "title": self.title,
+            "robot": self.robot,
+            "poses": dict(self.poses),
+            "findings": [asdict(f) for f in self.findings],
+            "joints": [asdict(c) for c in self.joints],
+            "four_bar_margin": self.margin,
+            "noise_mm": None if self.noise is None else 1e3 * self.noise,
+            "noise_source": self.noise_source,
+            "methods": {
+                view.method: {
+                    "identifiable": list(view.names),
+                    "held": {u.name: u.reason for u in view.held},
+                    "numbers": view.numbers,
+                    "condition": view.condition,
+                    "O1": view.O1,
+                    "scatter_mm": 1e3 * view.scatter if view.enough else None,
+                    "expected_held_out_mean_mm": None if view.held_out is None else 1e3 * view.held_out,
+                    "expected_accuracy_mm": 1e3 * view.accuracy if view.enough and view.names else None,
+                    "std_error": dict(zip(view.names, view.errors.tolist(), strict=True)),
+                }
+                for view in self.outlooks
+            },
+        }
+
+
+def _findings(findings: Iterable[Finding]) -> list[Words]:
+    return [Words(f"{f.topic}: {f.text}", f.level, mark=_MARKS[f.level]) for f in findings]
+
+
+def _outlook(view: Outlook, noise_source: str) -> list[Words | Table]:
+    lines = [
+        f"{view.method}: {len(view.names)} parameters identifiable from {view.numbers} numbers, {len(view.held)} not; "
+        f"condition number {view.condition:.0f}, observability O1 {view.O1:.3g}."
+    ]
+    if view.enough and view.names:
+        given = noise_source == "as given"
+        cause = f"noise of {1e3 * view.noise:.3g} mm a coordinate" if given else "the scatter in the data"
+        lines.append(
+            f"Expected accuracy: {1e3 * view.accuracy:.3g} mm rms over the joints' ranges for the parameters alone, of "
+            f"{cause}. A linear step leaves {1e3 * view.scatter:.3g} mm."
+        )
+        if view.held_out is not None:
+            lines.append(f"Expected mean error on other poses like these: {1e3 * view.held_out:.3g} mm.")
+    parts: list[Words | Table] = [Words(line) for line in lines]
+    if view.held:
+        parts.append(Table("", ("held", "why"), [(u.name, u.reason) for u in view.held]))
+    return parts
