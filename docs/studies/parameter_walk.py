@@ -25,7 +25,7 @@ class Walk:
     house: House
     entries: list[str] = field(default_factory=list)
     names: set[str] = field(default_factory=set)
-    passed: set[tuple[str, str, str]] = field(default_factory=set)
+    passed: set[tuple[str, str]] = field(default_factory=set)
 
     @cached_property
     def floor(self) -> dict[str, int]:
@@ -46,15 +46,15 @@ class Walk:
         floors = [self.floor[name.split(".")[0]] for name in self.entries]
         return sum(b > a for a, b in pairwise(floors))
 
-    def follow(self, module: str, name: str, parameter: str) -> Walk:
-        """Enter a function, `name` or Class.method, as one of its parameters."""
+    def follow(self, module: str, name: str, *parameters: str) -> Walk:
+        """Enter a function, `name` or Class.method, as one or some of its parameters."""
+        node = self._definitions(module)[name]
         self.entries.append(module)
-        if (module, name, parameter) not in self.passed:
-            self.passed.add((module, name, parameter))
-            node, borne = self._definitions(module)[name], {parameter}
-            self.names.add(parameter)
-            for statement in node.body:
-                self._pass_through(statement, module, name, borne, _types(node))
+        self.passed.add((module, name))
+        self.names |= {*parameters}
+        borne = set(parameters)
+        for statement in node.body:
+            self._pass_through(statement, module, name, borne, _types(node))
         return self
 
     def _pass_through(self, node: ast.AST, module: str, name: str, borne: set[str], types: dict[str, str]) -> None:
@@ -82,9 +82,9 @@ class Walk:
         given = [*zip(own[bound:], node.args, strict=False), *((k.arg, k.value) for k in node.keywords if k.arg)]
         if bound and isinstance(node.func, ast.Attribute):
             given.insert(0, (own[0], node.func.value))
-        for parameter, value in given:
-            if _is_of(value, borne):
-                self.follow(*place, str(parameter))
+        ours = [str(parameter) for parameter, value in given if _is_of(value, borne)]
+        if ours and place not in self.passed:
+            self.follow(*place, *ours)
 
     def _is_put_down(self, value: ast.expr, module: str) -> bool:
         place = self._resolved(value.func, module, "", {}) if isinstance(value, ast.Call) else None
