@@ -258,11 +258,12 @@ def _without_copies(m: Measurements) -> Measurements:
         known = np.unique(values.astype(str), return_inverse=True)[1] if name == "label" else values
         numbers.append(known.reshape(len(m), -1))
     # Only rows with equal hashes can be copies: of a table greater than memory these few are compared.
-    hashes = np.concatenate([_hashes([v[k : k + ROWS] for v in numbers]) for k in range(0, len(m), ROWS)])
-    ordered = np.sort(hashes)
-    alike = np.flatnonzero(np.isin(hashes, ordered[1:][ordered[1:] == ordered[:-1]]))
-    if not len(alike):
+    hashes = _hashes(numbers)
+    hashes.sort()
+    twice = hashes[1:][hashes[1:] == hashes[:-1]]
+    if not len(twice):
         return m
+    alike = np.flatnonzero(np.isin(_hashes(numbers), twice))
     rows = np.concatenate([values[alike].astype(float) for values in numbers], axis=1)
     copied = np.setdiff1d(alike, alike[np.unique(rows, axis=0, return_index=True)[1]])
     if not len(copied):
@@ -277,6 +278,7 @@ def _without_copies(m: Measurements) -> Measurements:
 def _hashes(numbers: Sequence[Array]) -> Array:
     """A number for each row of some arrays, the same for equal rows, shape (n,)."""
     hashes = np.zeros(len(numbers[0]), dtype=np.uint64)
-    for column in (column for values in numbers for column in values.T):
-        hashes = hashes * np.uint64(1_000_003) ^ pd.util.hash_array(column + 0.0)  # + 0.0: -0.0 is 0.0
+    for some in (slice(k, k + ROWS) for k in range(0, len(hashes), ROWS)):
+        for column in (column[some] for values in numbers for column in values.T):
+            hashes[some] = hashes[some] * np.uint64(1_000_003) ^ pd.util.hash_array(column + 0.0)  # -0.0 is 0.0
     return hashes

@@ -15,6 +15,7 @@ import pytest
 from pydantic import ValidationError
 from scipy import stats
 
+import casadical as ca_package
 from casadical.core import lazy, private_folder, threads
 from casadical.core.arm import Arm
 from casadical.core.casadi_buffers import call
@@ -49,6 +50,24 @@ def test_arrays_through_a_casadi_function_are_casadis_numbers() -> None:
     (found,) = SxInstructions.read(f).on_arrays([points[0]], [points[1]])
     expected = f.map(7)(points[:1], points[1:]).full()
     np.testing.assert_allclose(np.array([np.broadcast_to(v, 7) for v in found]), expected, rtol=1e-14, atol=1e-15)
+
+
+def test_instructions_with_values_of_any_kind_are_the_function() -> None:
+    x, y = ca.SX.sym("x", 2), ca.SX.sym("y")
+    inner = ca.Function("inner", [x], [ca.sin(x)], {"never_inline": True})
+    f = ca.Function("f", [x, y], [ca.vertcat(inner(x), 3.5), ca.sparsify(ca.diag(ca.vertcat(x[1] * y, 0)))])
+    read = SxInstructions.read(f)
+    words = {"mul": "({} * {})".format, "assign": str}
+    values = read.evaluate([["a", "b"], ["c"]], words.__getitem__, str, call=lambda args: [f"sin {v}" for v in args])
+    assert values == [["sin a", "sin b", "3.5"], ["(b * c)"]]
+    with pytest.raises(NotImplementedError, match="f: CasADi operation call has no numpy counterpart"):
+        read.on_arrays([1.0, 2.0], [3.0])
+
+
+def test_instructions_are_read_at_one_place() -> None:
+    package = Path(ca_package.__file__).parent
+    readers = {path.name for path in package.rglob("*.py") if "n_instructions" in path.read_text(encoding="utf-8")}
+    assert readers == {"sx_instructions.py"}
 
 
 def test_a_function_takes_no_argument_of_another_shape() -> None:
