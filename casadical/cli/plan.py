@@ -171,7 +171,7 @@ def _isolability(
     problem: Path, poses: list[Path] | None, effects: str | None, json_file: Path | None, quiet: bool
 ) -> None:
     """What poses can show, before any data."""
-    from casadical.diagnosis.isolability import isolability, isolability_json, isolability_page
+    from casadical.diagnosis.isolability import isolability
     from casadical.diagnosis.text import titled
     from casadical.project.diagnosis import read_campaigns
 
@@ -180,8 +180,8 @@ def _isolability(
     for campaign in read_campaigns(problem, poses, readings_only=True):
         (m,) = campaign.sets
         found = isolability(campaign.robot, m, effects_of(effects))
-        answers.append(isolability_json(found, campaign.name))
-        console.print(titled(f"{campaign.title}, {len(m)} poses", isolability_page(found)), soft_wrap=True)
+        answers.append(found.to_json(campaign.name))
+        console.print(titled(f"{campaign.title}, {len(m)} poses", found.text()), soft_wrap=True)
         console.print()
     keep_json(json_file, answers, console)
 

@@ -9,6 +9,7 @@ noise, has noncentrality 3 n r^2.
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +17,8 @@ import pandas as pd
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.telling.blocks import Table
+from casadical.core.telling.terminal import table_lines
 from casadical.diagnosis.candidates import Candidate, candidates_of, choose, columns_to_log, gathered_by_columns
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case, base_prior, column_numbers, widths
@@ -41,9 +44,8 @@ USUAL_NOISE = Noise(20e-6, 8e-6)
 
 SHOWN_RIVALS = 3
 WIDTH = 112
-HEAD = (
-    f"{'effect':<24} {'size mm':>8} {'absorbed':>9} {'visible mm':>11} {'to noise':>9} {'found from':>11}   looks like"
-)
+HEAD = ("effect", "size mm", "absorbed", "visible mm", "to noise", "found from", "  looks like")
+WIDTHS = (24, 8, 9, 11, 9, 11, 0)
 NOTES = (
     "size: rms at a realistic size; absorbed: the share that the base model takes up; visible: what is left of it, and "
     "a coordinate of that in units of the noise; found from: the multiple of the realistic size that is found 9 times "
@@ -97,6 +99,23 @@ class Isolability:
         shares = zip(self.alike.columns, self.alike.loc[label].to_numpy(), strict=True)
         found = [(str(k), float(v)) for k, v in shares if k != label and v > above]
         return dict(sorted(found, key=lambda rival: -rival[1]))
+
+    def to_json(self, campaign: str) -> dict[str, Any]:
+        """Isolability as plain data; a share that is nothing, and a size that is never found, are left out."""
+        rows = {str(k): {c: _plain(v) for c, v in row.items()} for k, row in self.effects.iterrows()}
+        alike = {k: {r: round(v, 4) for r, v in self.rivals(k, 0.1).items()} for k in rows}
+        return {"campaign": campaign, "effects": rows, "alike": alike, "missing": self.missing}
+
+    def text(self) -> str:
+        """A row per effect: size, what the base absorbs, what stays visible, its rivals; to be printed unwrapped."""
+        rows = []
+        for label, row in self.effects.iterrows():
+            rivals = [f"{k} {v:.2f}" for k, v in list(self.rivals(str(label)).items())[:SHOWN_RIVALS]]
+            figures = (f"{row['size_mm']:.3f}", f"{100 * row['absorbed']:.0f} %", f"{row['visible_mm']:.4f}")
+            more = (f"{row['visible_to_noise']:.2f}", _factor(row["findable_from"]))
+            rows.append((str(label), *figures, *more, "\n".join(f"  {rival}" for rival in rivals)))
+        lines = chain.from_iterable(table_lines(Table("", HEAD, rows, frozenset(range(1, 6))), WIDTHS, gap=1))
+        return "\n".join([*lines, *_footnotes(self)])
 
 
 def isolability(
@@ -247,32 +266,8 @@ def _spans(E: Array, groups: list[Array]) -> list[Array]:
     return [found[k] for k in range(len(groups))]
 
 
-def isolability_json(found: Isolability, campaign: str) -> dict[str, Any]:
-    """Isolability as plain data; a share that is nothing, and a size that is never found, are left out."""
-    rows = {str(k): {c: _plain(v) for c, v in row.items()} for k, row in found.effects.iterrows()}
-    alike = {k: {r: round(v, 4) for r, v in found.rivals(k, 0.1).items()} for k in rows}
-    return {"campaign": campaign, "effects": rows, "alike": alike, "missing": found.missing}
-
-
 def _plain(value: float) -> float | None:
     return float(f"{value:.5g}") if np.isfinite(value) else None
-
-
-def isolability_page(found: Isolability) -> str:
-    """A row per effect: size, what the base absorbs, what stays visible, and its rivals; to be printed unwrapped."""
-    return "\n".join([HEAD, *_rows(found), *_footnotes(found)])
-
-
-def _rows(found: Isolability) -> Iterator[str]:
-    for label, row in found.effects.iterrows():
-        absorbed = f"{100 * row['absorbed']:.0f} %"
-        figures = (
-            f"{label!s:<24} {row['size_mm']:>8.3f} {absorbed:>9} {row['visible_mm']:>11.4f} "
-            f"{row['visible_to_noise']:>9.2f} {_factor(row['findable_from']):>11}   "
-        )
-        rivals = [f"{k} {v:.2f}" for k, v in list(found.rivals(str(label)).items())[:SHOWN_RIVALS]]
-        yield f"{figures}{rivals[0] if rivals else ''}".rstrip()
-        yield from (" " * len(figures) + rival for rival in rivals[1:])
 
 
 def _factor(value: float) -> str:

@@ -2,10 +2,13 @@
 
 import textwrap
 from collections.abc import Iterator
+from itertools import chain
 
 from rich.console import RenderableType
 from rich.text import Text
 
+from casadical.core.telling.blocks import Table
+from casadical.core.telling.terminal import table_lines
 from casadical.diagnosis.cause_table import cause_rows
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.layers import COLUMNS as COLUMNS_OF_LAYERS
@@ -17,8 +20,9 @@ from casadical.diagnosis.statements import TIED, statements
 
 WIDTH = 112
 LABEL = 8
-# Of a signature in the table of causes.
-COLUMN = 62
+# The table of causes, and how wide its columns are.
+CAUSES = ("", "signature", "posterior", "gap if added", "shrinks by, 95 %")
+WIDTHS = (2, 62, 9, 16, 18)
 # Labels that stand before each of their statements, not only before the first.
 EACH = ("CANNOT", "MISSING")
 
@@ -58,7 +62,8 @@ def page_of(d: Diagnosis, more: Details | None = None) -> str:
         if s.about == "WHICH" and d.causes:
             lines += _causes(d, more)
         if s.about == "LAYERS":
-            lines += _layers(d)
+            table = Table("", COLUMNS_OF_LAYERS, layer_rows(d), frozenset({1, 2, 3, 4}))
+            lines += chain.from_iterable(table_lines(table, indent=LABEL))
         last = s.about
     return "\n".join(lines)
 
@@ -70,11 +75,15 @@ def _wrapped(text: str, first: str, further: str) -> list[str]:
 
 def _causes(d: Diagnosis, more: Details | None) -> Iterator[str]:
     """The table of causes: a row for each, beneath it its name and its parameters."""
-    yield f"   {'signature':<{COLUMN}} {'posterior':>9} {'gap if added':>16} {'shrinks by, 95 %':>18}"
-    for k, row in enumerate(cause_rows(d), 1):
-        first, *rest = textwrap.wrap(row.shown, COLUMN)
-        yield f"{k:>2} {first:<{COLUMN}} {row.cause.confidence:>9.2f} {row.gap:>16} {row.shrinks:>18}"
-        yield from (f"   {line}" for line in rest)
+    causes = cause_rows(d)
+    rows = [
+        (str(k), "\n".join(textwrap.wrap(r.shown, WIDTHS[1])), f"{r.cause.confidence:.2f}", r.gap, r.shrinks)
+        for k, r in enumerate(causes, 1)
+    ]
+    head, *lines = table_lines(Table("", CAUSES, rows, frozenset({0, 2, 3, 4})), WIDTHS, gap=1)
+    yield from head
+    for row, own in zip(causes, lines, strict=True):
+        yield from own
         yield from _wrapped(row.named, "     ", "     ")
         values = (
             (f"{name} {value} +- {error} {unit}" if error else f"{name} {value} {unit}").rstrip()
@@ -86,21 +95,9 @@ def _causes(d: Diagnosis, more: Details | None) -> Iterator[str]:
             yield from _curves(more.curves)
 
 
-def _layers(d: Diagnosis) -> Iterator[str]:
-    """The table of layers."""
-    rows = [COLUMNS_OF_LAYERS, *layer_rows(d)]
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    for row in rows:
-        figures = "  ".join(f"{cell:>{w}}" for cell, w in zip(row[1:], widths[1:], strict=True))
-        yield f"{'':{LABEL}}{row[0]:<{widths[0]}}  {figures}".rstrip()
-
-
 def _curves(s: Spectrum) -> Iterator[str]:
     """The table of joint error curves, a row a joint, and what their lines suggest."""
-    rows = [COLUMNS, *curve_rows(s)]
-    widths = [max(len(row[k]) for row in rows) for k in range(3)]
-    for row in rows:
-        first = "     " + "  ".join(f"{cell:>{w}}" for cell, w in zip(row, widths, strict=False)) + "  "
-        yield from _wrapped(first + row[3], "", " " * len(first))
+    table = Table("", COLUMNS, curve_rows(s), frozenset({0, 1, 2}))
+    yield from chain.from_iterable(table_lines(table, indent=5, most=WIDTH))
     for text in s.suggestions[:MOST_SUGGESTED]:
         yield from _wrapped(text, "     ", "     ")

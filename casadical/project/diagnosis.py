@@ -145,6 +145,10 @@ class CampaignDiagnosis:
         """The search for the missing law, where it was asked for: laws, their rivals, and what each leaves."""
         return self.searched.blocks() if self.searched else []
 
+    def blocks(self) -> list[Words | Table]:
+        """All words and tables of the page."""
+        return [b for section in self.page().sections for b in section.blocks if not isinstance(b, Figure)]
+
     def text(self) -> str:
         """All that was found, as plain text."""
         return page_of(self.diagnosis, self.details)

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from cases import practice, robot
 
-from casadical.diagnosis.isolability import Isolability, isolability, isolability_json, isolability_page
+from casadical.diagnosis.isolability import Isolability, isolability
 from casadical.diagnosis.linear_problem import base_prior
 from casadical.diagnosis.linearisation import signatures
 from casadical.effects import Backlash, BaseCompliance, FrictionWindup
@@ -130,9 +130,9 @@ def test_missing_columns_are_named() -> None:
 
 def test_page_and_json() -> None:
     found = isolability(robot("ur10e"), practice("ur10e-P03"), ["joint_scale@3", "gear_eccentricity@3"])
-    text = isolability_page(found)
+    text = found.text()
     assert "joint_scale@3" in text
     assert f"gear_eccentricity@3 {found.alike.loc['joint_scale@3', 'gear_eccentricity@3']:.2f}" in text
-    data = isolability_json(found, "design")
+    data = found.to_json("design")
     assert set(data) == {"campaign", "effects", "alike", "missing"}
     assert data["alike"]["joint_scale@3"]["gear_eccentricity@3"] > 0.9

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from itertools import pairwise
-from textwrap import indent
+from itertools import pairwise, zip_longest
+from textwrap import indent as indented
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 from casadical.core.telling.blocks import Block, Table, Words
@@ -39,7 +40,9 @@ def _rendered(block: Words | Table) -> RenderableType:
         return _table(block)
     if block.mark:
         return Text.assemble((block.mark, _STYLES[block.kind]), f" {block.text}")
-    return Text(f"{block.text}\n{indent(block.code, '    ')}" if block.code else block.text, style=_STYLES[block.kind])
+    return Text(
+        f"{block.text}\n{indented(block.code, '    ')}" if block.code else block.text, style=_STYLES[block.kind]
+    )
 
 
 def _table(block: Table) -> RenderableType:
@@ -55,6 +58,33 @@ def _table(block: Table) -> RenderableType:
     for k, row in enumerate(block.rows):
         shown.add_row(*map(Text, row), style="bold" if k in block.strong else "dim" if k in block.faint else "")
     return shown
+
+
+def table_lines(
+    table: Table, widths: Sequence[int] = (), *, gap: int = 2, indent: int = 0, most: int = 0
+) -> list[list[str]]:
+    """A table as lines of plain text: those of its head, then those of each row, for pages of a fixed width.
+
+    widths : of its columns, by default of the longest cell of each; gap : between them; indent : before the first
+    most : characters of a line, so that the last column is broken; cells may hold several lines, too
+    """
+    rows = [row for row in (table.columns, *table.rows) if row]
+    wide = widths or [max(len(line) for row in rows for line in row[k].split("\n")) for k in range(len(rows[0]))]
+    room = most - indent - sum(wide[:-1]) - gap * (len(wide) - 1)
+    told = []
+    for row in rows:
+        cells = [cell.split("\n") for cell in row]
+        if most:
+            cells[-1] = wrap(row[-1], room, break_on_hyphens=False)
+        lines = []
+        for parts in zip_longest(*cells, fillvalue=""):
+            sides = (
+                part.rjust(width) if k in table.numbers else part.ljust(width)
+                for k, (part, width) in enumerate(zip(parts, wide, strict=True))
+            )
+            lines.append((" " * indent + (" " * gap).join(sides)).rstrip())
+        told.append(lines)
+    return told
 
 
 def plain_text(blocks: Sequence[Block], width: int = 80) -> str:
