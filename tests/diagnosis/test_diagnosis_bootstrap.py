@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cases import case, practice, robot
+from cases import case, diagnose, practice, robot
 
 from casadical import InputError
 from casadical.diagnosis import bootstrap
-from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.posterior import rank
 
 NOTHING = np.zeros(0, dtype=np.int64)

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import diagnose
 from scipy.spatial.transform import Rotation
 
 from casadical.diagnosis.camera_columns import _images
-from casadical.diagnosis.diagnose import diagnose
 from casadical.measurements.measurements import Measurements
 from casadical.project.problem import read_campaign_robot
 
@@ -78,7 +78,7 @@ def seen_wrongly(T: np.ndarray, carried: bool, size: float) -> np.ndarray:
     [("hand_eye_step", False), ("stand_step", False), ("lens_scale", False), ("lens_scale", True)],
 )
 def test_what_a_camera_does_wrong_is_named(fault: str, carried: bool) -> None:
-    found = diagnose(robot(), campaign(fault, carried), laws=False)
+    found = diagnose(robot(), campaign(fault, carried))
     assert found.verdict == "explained"
     (cause,) = found.causes
     assert cause.label == fault
@@ -91,12 +91,12 @@ def test_what_a_camera_does_wrong_is_named(fault: str, carried: bool) -> None:
 
 
 def test_a_fault_of_the_robot_is_not_the_cameras() -> None:
-    found = diagnose(robot(), campaign("joint_zero_step", False), laws=False)
+    found = diagnose(robot(), campaign("joint_zero_step", False))
     assert [c.label for c in found.causes] == ["joint_zero_step@3"]
 
 
 def test_a_good_camera_has_no_fault() -> None:
-    assert diagnose(robot(), campaign("none", False), laws=False).verdict == "none"
+    assert diagnose(robot(), campaign("none", False)).verdict == "none"
 
 
 def test_what_a_fault_adds_is_moved_as_the_pinhole_moves_it() -> None:

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import ANSWERS, PRACTICE, ROOT, diagnosed, practice, robot, simulated
+from cases import ANSWERS, PRACTICE, ROOT, diagnose, diagnosed, practice, robot, simulated
 from numpy_physics import disturbances
 
 from casadical.diagnosis.details import analyse
-from casadical.diagnosis.diagnose import Diagnosis, diagnose
+from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.text import page_of
 from casadical.diagnosis.thresholds import CLAIM
@@ -74,7 +74,7 @@ CAUSES = [
     ("name", "seed", "cause", "expected"), CAUSES, ids=lambda v: getattr(v, "__class__", v).__name__
 )
 def test_simulated_cause_is_found(name: str, seed: int, cause: disturbances.Disturbance, expected: set) -> None:
-    d = diagnose(robot(name), simulated(name, seed, cause))
+    d = diagnose(robot(name), simulated(name, seed, cause), laws=True)
     assert d.verdict == "explained"
     assert named(d) == expected
     assert d.gap.after < 0.6 * d.gap.before
@@ -158,7 +158,8 @@ def test_a_wrong_payload_is_found_though_it_was_not_logged() -> None:
 def test_full_poses_are_diagnosed_by_their_positions_whatever_their_orientations_are() -> None:
     m = practice("ur10e-P06")
     turned = np.tile(np.eye(3), (len(m), 1, 1))  # of another convention than the robot's: hundreds of degrees off
-    d, same = diagnose(robot("ur10e"), replace(m, kind="pose", orientation=turned)), diagnose(robot("ur10e"), m)
+    pose = replace(m, kind="pose", orientation=turned)
+    d, same = (diagnose(robot("ur10e"), measured, FEW) for measured in (pose, m))
     assert (d.verdict, named(d)) == (same.verdict, named(same))
     assert d.gap.before == pytest.approx(same.gap.before, rel=1e-6)
 

@@ -4,13 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cases import case, robot, simulated
+from cases import case, diagnose, robot, simulated
 
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.columns import Factors, combined, directions_of
 from casadical.core.parts import Placement
 from casadical.diagnosis.cross_validation import estimates, fold_errors, new_fit, random_folds
-from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.learnt_sizes import learnt_sizes
 from casadical.diagnosis.linear_problem import Case

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cases import case, practice, robot, simulated, small_problem
+from cases import case, diagnose, practice, robot, simulated, small_problem
 from numpy_physics import disturbances
 from test_diagnosis_cross_validation import NOISE, refit
 
 from casadical import InputError
 from casadical.compensator import LevenbergMarquardt
 from casadical.diagnosis.cross_validation import covariance, held_out_errors, random_folds
-from casadical.diagnosis.diagnose import Diagnosis, diagnose
+from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.evidence import SIGMAS
 from casadical.diagnosis.held_out_gap import Stage, check_refit, course, network_gap, of_time, time_blocks
 from casadical.diagnosis.linear_problem import Case

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cases import case, plant, robot, simulated, small_problem
+from cases import case, diagnose, plant, robot, simulated, small_problem
 from numpy_physics import campaign, disturbances
 from scipy.stats import multivariate_normal
 
@@ -14,7 +14,6 @@ from casadical.core.linear_gaussian import grid as grids
 from casadical.core.linear_gaussian import marginals
 from casadical.core.sx_instructions import SxInstructions
 from casadical.diagnosis.cross_validation import Noise
-from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.evidence import KAPPAS, RHOS, SIGMAS, Evidence
 from casadical.diagnosis.learnt_sizes import learnt_sizes
 from casadical.effects import JointErrorCurve, TransmissionRipple

@@ -5,12 +5,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from cases import diagnose, identified, practice, robot
 
 from casadical.core.errors import InputError
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.cause_table import wires_at_fault
 from casadical.diagnosis.details import Details, analyse
-from casadical.diagnosis.diagnose import Diagnosis, diagnose
+from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.localisation import localise
@@ -24,7 +25,6 @@ from casadical.identification.identification import identify
 from casadical.identification.residuals import make_block
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
-from tests.diagnosis.cases import identified, practice, robot
 
 ANCHORS = np.array([[2.5, 0.5, 0.2], [-1.0, 2.5, 0.5], [0.3, -2.2, 2.0]])
 
@@ -223,7 +223,7 @@ def test_instruments_from_a_micrometre_to_a_centimetre_raise_no_alarm(sigma: flo
 
 
 def test_motions_that_share_poses_are_said_to_share_their_noise() -> None:
-    found = diagnose(robot("hh800"), motions(practice("hh800-P01")[:60]), ["backlash", "joint_coupling"], laws=False)
+    found = diagnose(robot("hh800"), motions(practice("hh800-P01")[:60]), ["backlash", "joint_coupling"])
     assert any("share a pose" in text for text in assumptions(found))
     assert not found.case.one_end
 
@@ -315,7 +315,7 @@ def test_a_wire_that_slips_once_is_named_with_its_step() -> None:
     first, second, third = distances(practice("kr210-P08")[:60])
     assert second.distance is not None
     slipped = replace(second, distance=second.distance + 2e-4 * (np.arange(60) >= 30))
-    found = diagnose(robot("kr210"), [first, slipped, third], ["wire_drift", "wire_step", "station_step"], laws=False)
+    found = diagnose(robot("kr210"), [first, slipped, third], ["wire_drift", "wire_step", "station_step"])
     assert [c.label for c in found.causes] == ["wire_step"]
     estimates = found.causes[0].estimates
     assert estimates is not None

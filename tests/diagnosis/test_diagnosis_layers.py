@@ -3,11 +3,11 @@
 import re
 
 import pytest
-from cases import robot, simulated
+from cases import diagnose, robot, simulated
 from numpy_physics import disturbances
 
 from casadical.diagnosis import search
-from casadical.diagnosis.diagnose import Diagnosis, diagnose
+from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.layers import layers
 from casadical.diagnosis.text import page_of

@@ -5,13 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import robot, simulated
+from cases import diagnose, robot, simulated
 from numpy_physics import disturbances
 
 from casadical.core.errors import InputError
 from casadical.core.parts import Body, BodyWidth, Joint
 from casadical.diagnosis.candidates import standard_candidates
-from casadical.diagnosis.diagnose import diagnose
 from casadical.effects import Context, LinkMasses
 from casadical.identification.identification import identify
 from casadical.robot.robot import Robot

@@ -2,11 +2,10 @@
 
 from dataclasses import replace
 
-from cases import robot, simulated
+from cases import diagnose, robot, simulated
 from numpy_physics import disturbances
 
 from casadical.diagnosis.candidates import choose, standard_candidates
-from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.text import page_of
 from casadical.effects import BacklashByLoad

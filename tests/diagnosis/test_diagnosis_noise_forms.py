@@ -5,14 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from cases import case, robot, simulated
+from cases import case, diagnose, robot, simulated
 from numpy_physics import Disturbance, disturbances
 from scipy import stats
 from scipy.signal import lfilter
 
 from casadical.blind_check.mujoco_physics.stops import Stops, only
 from casadical.core.arrays import Array
-from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.evidence import RHOS, SIGMAS, Evidence
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.noise_evidence import Form, Problem

@@ -7,10 +7,10 @@ from typing import ClassVar
 import casadi as ca
 import numpy as np
 import pytest
-from cases import robot, simulated
+from cases import diagnose, robot, simulated
 from rich.console import Console
 
-from casadical import InputError, diagnose, identify
+from casadical import InputError, identify
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.text import page_of, titled
 from casadical.effects import Context, Effect

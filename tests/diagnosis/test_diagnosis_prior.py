@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cases import robot
+from cases import diagnose, robot
 
-from casadical import Measurements, diagnose, identify
+from casadical import Measurements, identify
 from casadical.core.transforms import frame, from_rpy
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.refit import refit

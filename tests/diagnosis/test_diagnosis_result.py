@@ -4,9 +4,8 @@ import json
 import subprocess
 import sys
 
-from cases import practice, robot
+from cases import diagnose, practice, robot
 
-from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.result import Diagnosis
 
 ANALYSES = {

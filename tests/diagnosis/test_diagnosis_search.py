@@ -6,14 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import case, robot, simulated
+from cases import case, diagnose, robot, simulated
 from numpy_physics import disturbances
 
 from casadical.core.arrays import Array
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.claims import cause_set
 from casadical.diagnosis.details import Details
-from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.json_answer import as_json, diagnosis_files
 from casadical.diagnosis.limits import ruled_out
 from casadical.diagnosis.linear_problem import Case, make_case

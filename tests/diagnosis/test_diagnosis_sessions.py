@@ -3,11 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
-from cases import robot, simulated
+from cases import diagnose, robot, simulated
 
 from casadical.core.parts import Sessions
 from casadical.core.transforms import frame, from_rpy
-from casadical.diagnosis.diagnose import diagnose
 from casadical.measurements.measurements import Measurements
 
 

@@ -5,14 +5,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from cases import diagnosed, plant, robot
+from cases import diagnose, diagnosed, plant, robot
 from numpy_physics import Disturbance, campaign
 
 from casadical.blind_check.mujoco_physics import perturb
 from casadical.blind_check.mujoco_physics.stops import Stops, only
 from casadical.core.errors import InputError
 from casadical.diagnosis.details import Details, analyse
-from casadical.diagnosis.diagnose import Diagnosis, diagnose
+from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.line_search import Line
 from casadical.diagnosis.spectrum import JointCurve, Spectrum, curve_of, spectrum, spectrum_of, with_multiples

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from cases import practice, robot
+from cases import diagnose, practice, robot
 
 from casadical.core.telling.terminal import plain_text
 from casadical.diagnosis.brief import brief
 from casadical.diagnosis.details import Details, analyse
-from casadical.diagnosis.diagnose import Diagnosis, diagnose
+from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.held_out_gap import COLUMNS, Check, NetworkGap
 from casadical.diagnosis.isolability import Isolability
 from casadical.diagnosis.json_answer import as_json
