@@ -376,7 +376,7 @@ class Diagnosis:
 
     @cached_property
     def left(self) -> Array:
-        """What a fit of base model and causes to all poses leaves at each, shape (kept, numbers)."""
+        """What a fit of base model and causes to all poses leaves at each, shape (kept, numbers) [m]."""
         kept = self.case.kept
         return (
             fitted_without(self.case.whole, self.columns, self.noise, ~kept)[kept]

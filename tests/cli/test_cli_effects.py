@@ -86,7 +86,7 @@ def test_a_diagnosis_says_what_changed_since_the_prior(
     kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """The same campaign again: nothing changed; the robot that is written has the friction with a standard error."""
-    chosen = ["--effects", "backlash", "--json", tmp_path / "d.json", "--out", tmp_path / "out", "--details"]
+    chosen = ["--no-laws", "--effects=backlash", "--json", tmp_path / "d.json", "--out", tmp_path / "out", "--details"]
     assert main(monkeypatch, "diagnose", PROBLEM, CAMPAIGN, *chosen, "--prior", kept) == 0
     assert "friction_windup@3: changed since then with probability 0.0" in words(capfd)
     answer = json.loads((tmp_path / "d.json").read_text())
@@ -102,7 +102,7 @@ def test_a_diagnosis_says_what_changed_since_the_prior(
 def test_a_diagnosis_looks_for_what_is_not_in_the_model_yet(
     kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    chosen = ["--effects", "friction_windup,backlash", "--json", tmp_path / "d.json"]
+    chosen = ["--no-laws", "--effects=friction_windup,backlash", "--json", tmp_path / "d.json"]
     assert main(monkeypatch, "diagnose", kept, CAMPAIGN, *chosen) == 0
     assert HELD in words(capfd)
     answer = json.loads((tmp_path / "d.json").read_text())

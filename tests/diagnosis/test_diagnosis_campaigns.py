@@ -197,7 +197,7 @@ def test_a_fleet_says_of_the_practice_campaigns_what_a_diagnosis_says(tmp_path: 
 def test_a_fleet_says_of_the_hh800_what_a_diagnosis_says() -> None:
     row = one_robot(str(ROOT / "problems" / "hh800"), True)
     table = read_measurements(ROOT / "data" / "hh800_twin" / "hh800_twin.csv", 6)
-    d = diagnose(robot("hh800"), table)
+    d = diagnose(robot("hh800"), table, laws=True)
     assert (row["status"], row["verdict"], row["causes"]) == ("ok", d.verdict, ", ".join(c.label for c in d.causes))
     assert len(set(row["names"]) & {f"c{j}" for j in range(1, 7)}) == 6  # what robots of a type share is of it, too
 

@@ -10,7 +10,7 @@ from test_diagnosis_cross_validation import NOISE, refit
 
 from casadical import InputError
 from casadical.compensator import LevenbergMarquardt
-from casadical.diagnosis.cross_validation import covariance, held_out_errors, random_folds
+from casadical.diagnosis.cross_validation import held_out_errors, random_folds
 from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.evidence import SIGMAS
 from casadical.diagnosis.held_out_gap import Stage, check_refit, course, network_gap, of_time, time_blocks
@@ -138,7 +138,7 @@ def rougher(m: Measurements, sigma: float) -> Measurements:
 
 def scatter(d: Diagnosis) -> float:
     """Of a coordinate, instrument and joints together [m]."""
-    return float(np.sqrt(np.trace(covariance(d.case.evidence, d.noise), axis1=1, axis2=2).mean() / 3))
+    return float(np.sqrt(np.trace(d.case.evidence.covariance(d.noise), axis1=1, axis2=2).mean() / 3))
 
 
 def test_coarse_instrument_is_diagnosed_on_a_wider_grid() -> None:
@@ -215,7 +215,7 @@ def test_interrupt_leaves_nothing_behind() -> None:
     with pytest.raises(KeyboardInterrupt):
         diagnose(robot("ur10e"), practice("ur10e-P06"), FEW, show=stop)
     seen: list[str] = []
-    d = diagnose(robot("ur10e"), practice("ur10e-P06"), FEW, show=seen.append)
+    d = diagnose(robot("ur10e"), practice("ur10e-P06"), FEW, show=seen.append, laws=True)
     assert seen[0] == "calibrating the base model"
     assert [s for s in seen if s.startswith("cause")][-1].startswith("cause 2")
     assert seen[-1] == "laws in place of the causes"

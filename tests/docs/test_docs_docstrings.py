@@ -3,32 +3,27 @@
 from __future__ import annotations
 
 import ast
-import importlib
 import inspect
 import re
 from collections.abc import Iterator
+from functools import cache
 
 import pytest
+from test_docs_reference import OURS, documented
 from walk import ROOT
 
 from casadical.compensator.trainers import registry as trainers
 from casadical.effects import registry as effects
 
-PACKAGES = (
-    "casadical",
-    *(
-        f"casadical.{part}"
-        for part in (
-            *("compensator", "diagnosis", "effects", "export", "identification", "measurements", "pose_selection"),
-            *("report", "robot", "blind_check.mujoco_physics"),
-        )
-    ),
-)
 # Members of families, public by their line in a registry.
-REGISTRIES = {"casadical.effects": vars(effects), "casadical.compensator": vars(trainers)}
-REGISTRIES = {package: [k for k, v in names.items() if inspect.isclass(v)] for package, names in REGISTRIES.items()}
+MEMBERS = {
+    f"casadical.{room}.{name}": kind
+    for room, registry in (("effects", effects), ("compensator", trainers))
+    for name, kind in vars(registry).items()
+    if inspect.isclass(kind)
+}
 ARRAY = re.compile(r"\b(?:Array|NDArray|ArrayLike|Vector|ndarray|Buffer)\b")
-SHAPE = re.compile(r"shapes? \(|\((?:\w+, ?)*\w*\d?,?\)|see `|see :func|as of `|inverse of `")
+SHAPE = re.compile(r"shapes? \(|\((?:(?:\w+|\.{3}), ?)*\w*\d?,?\)|see `|see :func|as of `|inverse of `")
 UNIT = re.compile(r"\[[^\]]+\]|_mm\b|\bSI\b|boolean|bool|degrees|radians|see `|see :func|as of `")
 # Arrays without a unit, as what they hold has none.
 UNITLESS = {
@@ -38,19 +33,13 @@ UNITLESS = {
 
 
 def public() -> Iterator[tuple[str, object]]:
-    """Every public function and class of the packages, and the classes' own public methods and properties."""
-    for package in PACKAGES:
-        module = importlib.import_module(package)
-        for name in [*module.__all__, *REGISTRIES.get(package, ())]:
-            thing = getattr(module, name)
-            if not (inspect.isfunction(thing) or inspect.isclass(thing)):
-                continue
-            yield f"{package}.{name}", thing
-            if inspect.isclass(thing):
-                for key, member in vars(thing).items():
-                    function = underlying(member)
-                    if not key.startswith("_") and inspect.isfunction(function):
-                        yield f"{package}.{name}.{key}", function
+    """Every name of the reference and of the registries, and the classes' own public methods and properties."""
+    for name, thing in (documented() | MEMBERS).items():
+        yield name, thing
+        for key, member in vars(thing).items() if inspect.isclass(thing) else ():
+            function = underlying(member)
+            if not key.startswith("_") and inspect.isfunction(function):
+                yield f"{name}.{key}", function
 
 
 def underlying(member: object) -> object:
@@ -89,19 +78,21 @@ def test_shapes_and_units_of_arrays_are_told(name: str) -> None:
     assert name in UNITLESS or UNIT.search(text), f"{name} does not say their unit:\n{text}"
 
 
-def of_the_files() -> Iterator[tuple[str, ast.Module | ast.ClassDef | ast.FunctionDef]]:
+@cache
+def of_the_files() -> list[tuple[str, ast.Module | ast.ClassDef | ast.FunctionDef]]:
     """Everything in the package that may have a docstring, named by file and line."""
-    for path in sorted((ROOT / "casadical").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
-                yield f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 1)}", node
+    return [
+        (f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 1)}", node)
+        for path in sorted((ROOT / "casadical").rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+    ]
 
 
 OTHER_STYLES = re.compile(
     r"^ *(-{3,}|(Args|Arguments|Parameters|Returns|Raises|Attributes|Yields):?|:\w+[^:]*:.*)$", re.M
 )
 SECTIONED = re.compile(r"\n\n(Parameters|Returns|Raises|Attributes|References|Examples)\n-+\n.*", re.S)
-OURS = {"InputError", "ConvergenceError", "CasadicalError"}
 
 
 def test_one_style() -> None:

@@ -80,21 +80,3 @@ def test_the_test_commands_of_the_guide_name_existing_tests() -> None:
     paths = re.findall(r"tests/[\w/.]+", "".join(fenced(page, "sh")))
     assert paths
     assert [p for p in paths if not (ROOT / p).exists()] == []
-
-
-def test_the_changelog_names_modules_that_exist() -> None:
-    """The tables of moved modules: every new name is one, and none of the old ones is there any more."""
-    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").partition("### Moved modules")[2].partition("\n## ")[0]
-    lines = (line.split("|")[1:-1] for line in text.splitlines() if "`" in line)
-    rows = [[re.findall(r"`([\w.]+)`", cell) for cell in cells] for cells in lines]
-    moved = [(old, new) for row in rows if len(row) == 2 for old in row[0] for new in row[1]]
-    for modules, (old,), (new,) in (row for row in rows if len(row) == 3):
-        moved += [(f"{old}.{m}", f"{new}.{m}") for m in modules]
-    assert len(moved) > 150
-    assert [new for _, new in moved if not is_module(new)] == []
-    assert [old for old, new in moved if is_module(old) and not (ROOT / old.replace(".", "/")).is_dir()] == []
-
-
-def is_module(name: str) -> bool:
-    path = ROOT / name.replace(".", "/")
-    return path.with_suffix(".py").exists() or (path / "__init__.py").exists()

@@ -141,11 +141,8 @@ def test_the_commands_write_it_whole_or_not_at_all(tmp_path) -> None:
 
 
 def test_diagnose_writes_one_file_for_its_campaigns(tmp_path) -> None:
-    campaign = str(ROOT / "data/campaigns/practice/ur10e-P03.csv")
-    done = run(
-        "diagnose", str(ROOT / "problems/ur10e"), campaign, "--effects", "backlash", "--report", "d.html", "-q",
-        folder=tmp_path,
-    )  # fmt: skip
+    given = (ROOT / "problems/ur10e", ROOT / "data/campaigns/practice/ur10e-P03.csv", "--effects=backlash", "--no-laws")
+    done = run("diagnose", *given, "--report", "d.html", "-q", folder=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "ur10e-P03.csv" in (tmp_path / "d.html").read_text(encoding="utf-8")
 
