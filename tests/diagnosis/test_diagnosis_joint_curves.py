@@ -151,13 +151,13 @@ def test_learnt_sizes_stay_where_other_causes_get_further_settings() -> None:
     curve = next(c for c in known.candidates if c.label == "joint_error_curve").variants[0][0]
     sized, effect = known.with_sizes(curve, dict.fromkeys(curve.parts, 0.5), Noise(2e-5, 0.0))
     own = sized.columns[effect]
-    before = sized.whole.width_in_model(own)
-    assert before == pytest.approx(0.5 * known.whole.width_in_model(own))
+    before = sized.whole.model.held[own]
+    assert before == pytest.approx(0.5 * known.whole.model.held[own])
     more = sized.with_variants("transmission_ripple@2", [(TransmissionRipple(2, cycles=9.3),)])
     assert more.whole.width > sized.whole.width
     for problem in (more.whole, more.evidence):
-        assert problem.width_in_model(own) == pytest.approx(before)
-        assert len(problem.width_in_model(np.arange(problem.width))) == problem.width
+        assert problem.model.held[own] == pytest.approx(before)
+        assert len(problem.model.held) == problem.width
 
 
 def test_many_poses_have_more_harmonics() -> None:

@@ -75,7 +75,7 @@ def thing(name: str) -> object:
 
 
 def test_the_pages_import_public_names_only() -> None:
-    """Those of the README, of the pages, and of the tutorials."""
+    """Those of the README, of the pages, and of the tutorials; a page on the inside imports what it is about."""
     public = {*NAMES, *MEMBERS, *FURTHER_NAMES, *PACKAGES, *FURTHER}
     pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "tutorials").glob("*.py")]
     imported = set()
@@ -83,4 +83,5 @@ def test_the_pages_import_public_names_only() -> None:
         for module, names in re.findall(r"^ *from (casadical[\w.]*) import ([\w, ]+)", page.read_text(), re.MULTILINE):
             imported |= {(page.name, f"{module}.{name.split()[0]}") for name in names.split(",")}
     assert len(imported) > 50
-    assert sorted(name for name in imported if name[1] not in public) == []
+    inside = {"linear-gaussian.md"}
+    assert sorted(name for page, name in imported if page not in inside and name not in public) == []
