@@ -22,35 +22,22 @@ from casadical.core.errors import InputError
 MOST_CHARACTERS, MOST_NODES, MOST_LEVELS, MOST_POWER = 400, 120, 20, 6
 # Of numbers other than zero.
 LEAST, GREATEST = 1e-15, 1e9
-# Name -> number of arguments.
-FUNCTIONS = {
-    **dict.fromkeys(("sin", "cos", "tanh", "exp", "sqrt", "abs", "sign", "step"), 1),
-    **dict.fromkeys(("min", "max"), 2),
+# Name -> number of arguments; the function of expressions, and that of numbers and arrays.
+_KNOWN: Mapping[str, tuple[int, Callable[..., Any], Callable[..., Any]]] = {
+    "sin": (1, ca.sin, np.sin),
+    "cos": (1, ca.cos, np.cos),
+    "tanh": (1, ca.tanh, np.tanh),
+    "exp": (1, ca.exp, np.exp),
+    "sqrt": (1, ca.sqrt, np.sqrt),
+    "abs": (1, ca.fabs, np.abs),
+    "sign": (1, ca.sign, np.sign),
+    "step": (1, lambda x: ca.if_else(x > 0, 1.0, 0.0), lambda x: np.greater(x, 0.0) * 1.0),
+    "min": (2, ca.fmin, np.minimum),
+    "max": (2, ca.fmax, np.maximum),
 }
-SYMBOLIC: Mapping[str, Callable[..., Any]] = {
-    "sin": ca.sin,
-    "cos": ca.cos,
-    "tanh": ca.tanh,
-    "exp": ca.exp,
-    "sqrt": ca.sqrt,
-    "abs": ca.fabs,
-    "sign": ca.sign,
-    "step": lambda x: ca.if_else(x > 0, 1.0, 0.0),
-    "min": ca.fmin,
-    "max": ca.fmax,
-}
-NUMERIC: Mapping[str, Callable[..., Any]] = {
-    "sin": np.sin,
-    "cos": np.cos,
-    "tanh": np.tanh,
-    "exp": np.exp,
-    "sqrt": np.sqrt,
-    "abs": np.abs,
-    "sign": np.sign,
-    "step": lambda x: np.greater(x, 0.0) * 1.0,
-    "min": np.minimum,
-    "max": np.maximum,
-}
+FUNCTIONS = {name: count for name, (count, _, _) in _KNOWN.items()}
+SYMBOLIC = {name: symbolic for name, (_, symbolic, _) in _KNOWN.items()}
+NUMERIC = {name: numeric for name, (_, _, numeric) in _KNOWN.items()}
 _SIGNS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
 
 

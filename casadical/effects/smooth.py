@@ -30,6 +30,11 @@ class _Smooth(Effect):
     def label(self) -> str:
         return self.words.format(**vars(self))
 
+    def _harmonics(self, context: Context, q: Symbolic) -> Symbolic:
+        """Sum of the parameters s1, c1, s2 .. times sine and cosine of the multiples of an angle."""
+        waves = {"s": ca.sin, "c": ca.cos}
+        return sum(self.value(context, n) * waves[n[0]](int(n[1:]) * q) for n in self.sizes())
+
 
 @dataclass(frozen=True)
 class _Series(_Smooth):
@@ -80,44 +85,35 @@ class AnyOfOwnAngle(_Smooth):
     orders: int = 12
 
     name = "unknown_of_own_angle"
+    acts_at = "turning joints"
     words = "any function of q{joint} in joint {joint}"
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        return (cls(j) for j in arm.revolute)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {f"{n}{h}": (SIZE, "rad") for h in range(1, self.orders + 1) for n in "sc"}
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        waves = {"s": ca.sin, "c": ca.cos}
-        return sum(self.value(context, n) * waves[n[0]](int(n[1:]) * q) for n in self.sizes())
+        return self._harmonics(context, q)
 
 
 @dataclass(frozen=True)
-class AnyOfOtherAngle(Effect):
+class AnyOfOtherAngle(_Smooth):
     """An error of one joint that is any function of another joint's angle, as a belt, a cable or a hose gives."""
 
     driver: int = setting(1, joint=True)
     orders: int = 4
 
     name = "unknown_of_other_angle"
-    on_list = "unknown"
+    words = "any function of q{driver} in joint {joint}"
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
         return (cls(j, i) for j in arm.numbers for i in arm.revolute if i != j)
 
-    @property
-    def label(self) -> str:
-        return f"any function of q{self.driver} in joint {self.joint}"
-
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {f"{n}{h}": (2 * SIZE / h, "rad") for h in range(1, self.orders + 1) for n in "sc"}
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        waves, driver = {"s": ca.sin, "c": ca.cos}, context.q[self.driver - 1]
-        return sum(self.value(context, n) * waves[n[0]](int(n[1:]) * driver) for n in self.sizes())
+        return self._harmonics(context, context.q[self.driver - 1])
 
 
 @dataclass(frozen=True)
@@ -146,10 +142,7 @@ class SmoothInTime(_Series):
 
     name = "unknown_in_time"
     words = "smooth in time"
-
-    @property
-    def conditions(self) -> tuple[str, ...]:
-        return ("progress",)
+    needs = ("progress",)
 
     def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
         t = context.conditions["progress"] if context else 0.0
@@ -175,7 +168,7 @@ class SmoothInTime(_Series):
 
 
 @dataclass(frozen=True)
-class WarmUp(Effect):
+class WarmUp(_Smooth):
     """The arm warms up exponentially, though nobody measured it: zeros drift and links grow.
 
     settles : time constant as a share of the campaign
@@ -185,19 +178,12 @@ class WarmUp(Effect):
     settles: float = setting(0.3, (0.1, 0.3, 1.0))
 
     name = "unknown_warm_up"
-    on_list = "unknown"
+    words = "a warm-up that was not measured"
+    needs = ("progress",)
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
         return (cls(None, arm.n, s) for s in (0.1, 0.3, 1.0))
-
-    @property
-    def label(self) -> str:
-        return "a warm-up that was not measured"
-
-    @property
-    def conditions(self) -> tuple[str, ...]:
-        return ("progress",)
 
     @property
     def only_without(self) -> tuple[str, ...]:
@@ -265,6 +251,8 @@ class SmoothInLoad(_Series):
             down = ca.vertsplit(turn.T @ context.gravity / 9.81)
             loads = [ca.tanh(2 * context.load(i)) for i in range(1, self.moved + 1)]
             sides = [context.conditions[c] for c in self.conditions]
-        found = [(f"g{c}", 1.0, d) for c, d in zip("xyz", down, strict=True)]
-        found += [(f"l{i}", 1.0, load) for i, load in enumerate(loads, 1)]
-        return found + [(f"a{i}", 0.7, side) for i, side in enumerate(sides, 1)]
+        return [
+            *((f"g{c}", 1.0, d) for c, d in zip("xyz", down, strict=True)),
+            *((f"l{i}", 1.0, load) for i, load in enumerate(loads, 1)),
+            *((f"a{i}", 0.7, side) for i, side in enumerate(sides, 1)),
+        ]

@@ -14,14 +14,14 @@ import tomlkit
 from casadical import __version__
 from casadical.core.errors import InputError, shown
 from casadical.core.files import write_whole
-from casadical.core.parts import Placement, Target
+from casadical.core.parts import WIDTHS, Body, BodyWidth, FourBar, Joint, Placement, Target
 from casadical.core.schema import check, load_toml
+from casadical.core.transforms import to_rpy
 from casadical.effects import Effect, Session, find_effect
 from casadical.effects.plugins import defined_in_files
 from casadical.robot.effect_tables import text_of
 from casadical.robot.robot import Robot
 from casadical.robot.robot_schema import RobotFile, ToolTable
-from casadical.robot.robot_tables import body_table, frame_table, joint_table, loop_table, tool_tables, width_tables
 
 # Of the newest files that are read; from 2 on with effects and what is known of their values.
 VERSION = 2
@@ -147,13 +147,13 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
         "name": robot.name,
         "notes": list(robot.notes) or None,
         "masses": robot.masses if robot.masses != "declared" else None,
-        "base": frame_table(robot.base),
-        "tool": tool_tables(robot) if robot.targets else frame_table(robot.tool),
+        "base": _frame_table(robot.base),
+        "tool": _tool_tables(robot) if robot.targets else _frame_table(robot.tool),
         "gravity": {"frame": robot.gravity_frame, "vector_m_per_s2": [float(g) for g in robot.gravity]},
-        "payload": body_table(robot.payload) if robot.payload else None,
-        "width": width_tables(robot),
-        "joint": [joint_table(joint) for joint in robot.joints],
-        "four_bar": [loop_table(loop) for loop in robot.loops] or None,
+        "payload": _body_table(robot.payload) if robot.payload else None,
+        "width": _width_tables(robot),
+        "joint": [_joint_table(joint) for joint in robot.joints],
+        "four_bar": [_loop_table(loop) for loop in robot.loops] or None,
     }
     document.update({key: value for key, value in tables.items() if value is not None})
     text = tomlkit.dumps(document)
@@ -172,3 +172,89 @@ def _readable(text: str, robot: Robot) -> str:
     """The text, if its values are ones that a file may hold. Raises InputError."""
     check(RobotFile, _with_tools_apart(tomllib.loads(text)), f"robot {shown(robot.name)!r} cannot be written")
     return text
+
+
+def _mm(value: float) -> float:
+    """Millimetres of metres."""
+    return float(value * 1e3)
+
+
+def _deg(value: float) -> float:
+    """Degrees of radians."""
+    return float(np.rad2deg(value))
+
+
+def _frame_table(placement: Placement) -> dict[str, Any]:
+    """A frame as a file has it."""
+    return {
+        "xyz_mm": [_mm(v) for v in placement.T[:3, 3]],
+        "rpy_deg": [_deg(v) for v in to_rpy(placement.T[:3, :3])],
+        "unknown": placement.unknown,
+    }
+
+
+def _tool_tables(robot: Robot) -> list[dict[str, Any]]:
+    """Of several tools a table for each, the first one first."""
+    further = [
+        {"name": t.name, "xyz_mm": [_mm(v) for v in t.point], "unknown": robot.tool.unknown} for t in robot.targets
+    ]
+    return [{"name": robot.tool_name, **_frame_table(robot.tool)}, *further]
+
+
+def _body_table(body: Body) -> dict[str, Any]:
+    """A mass and its centre."""
+    return {"mass_kg": float(body.mass), "com_mm": [_mm(v) for v in body.com]}
+
+
+def _joint_table(joint: Joint) -> dict[str, Any]:
+    """A row."""
+    table: dict[str, Any] = {"alpha_deg": _deg(joint.alpha), "a_mm": _mm(joint.a)}
+    if joint.beta is not None:
+        table["beta_deg"] = _deg(joint.beta)
+    if joint.b is not None:
+        table["b_mm"] = _mm(joint.b)
+    table |= {"theta_deg": _deg(joint.theta), "d_mm": _mm(joint.d)}
+    if joint.kind == "prismatic":
+        table |= {"type": "prismatic", "limits_mm": [_mm(joint.lower), _mm(joint.upper)]}
+    else:
+        table["limits_deg"] = [_deg(joint.lower), _deg(joint.upper)]
+    if joint.coupling is not None:
+        turning = joint.kind == "revolute"
+        table["follows"] = [[j, float(k)] for j, k in joint.coupling.follows]
+        table["at_deg" if turning else "at_mm"] = (_deg if turning else _mm)(joint.coupling.at)
+    if joint.compliance is not None:
+        table["compliant"] = True
+        if joint.compliance > 0:
+            unit = "Nm_per_rad" if joint.kind == "revolute" else "N_per_m"
+            table[f"stiffness_{unit}"] = float(1 / joint.compliance)
+    if joint.body:
+        table["body"] = _body_table(joint.body)
+    return table
+
+
+def _loop_table(loop: FourBar) -> dict[str, Any]:
+    """A four-bar."""
+    return {
+        "driven": loop.driven,
+        "carrier": loop.carrier,
+        "crank_mm": _mm(loop.crank),
+        "coupler_mm": _mm(loop.coupler),
+        "rocker_mm": _mm(loop.rocker),
+        "offset_deg": _deg(loop.offset),
+    }
+
+
+def _width_tables(robot: Robot) -> dict[str, Any]:
+    """Widths that are not the usual ones, by group."""
+    of_bodies = {"mass_share": robot.body_width.share, "com_mm": _mm(robot.body_width.centre)}
+    groups = {
+        group: {
+            "length_bound_mm": _mm(w.length_bound),
+            "angle_bound_deg": _deg(w.angle_bound),
+            "length_prior_mm": _mm(w.length_prior),
+            "angle_prior_deg": _deg(w.angle_prior),
+        }
+        for group, w in robot.widths.items()
+        if w != WIDTHS[group]
+    }
+    return groups | ({} if robot.body_width == BodyWidth() else {"body": of_bodies})
