@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field, Strict
+from pydantic import Field, Strict, model_validator
 
 from casadical.core.arm import Arm
 from casadical.core.errors import InputError
-from casadical.core.schema import TomlTable, check, load_toml
+from casadical.core.schema import FaultError, TomlTable, Triple, check, load_toml
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect
 from casadical.effects.counterparts import Counterparts
@@ -29,7 +29,7 @@ from casadical.effects.settings import NEAR, setting
 LISTED = Path(__file__).with_name("listed.effect.toml")
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _PLACE = re.compile(r"\{(\w+)\}")
-_Number = bool | int | float | str
+_Value = bool | int | float | str
 
 
 class Grid(TomlTable):
@@ -41,15 +41,35 @@ class Grid(TomlTable):
 
 
 class Setting(TomlTable):
-    """A number, switch or word in which the effect is not linear (see `casadical.effects.setting`)."""
+    """A number, switch, word or point in which the effect is not linear (see `casadical.effects.setting`)."""
 
-    default: _Number
-    grid: list[_Number] | Grid | Literal["near"] = []
+    default: _Value | Triple
+    grid: list[_Value] | Grid | Literal["near"] = []
     steps: bool = False
     signed: bool = False
     given: bool = False
     joint: bool = False
     about: str = ""
+
+    @model_validator(mode="after")
+    def _values(self) -> Setting:
+        if self.grid == "near" and not self.joint:
+            raise FaultError("grid", "only for the number of a joint: joint = true")
+        if isinstance(self.grid, list) and not {type(v) for v in self.grid} <= {self.type}:
+            raise FaultError("grid", f"must hold values like the default one, {self.default!r}")
+        if self.steps and not (isinstance(self.grid, Grid) or len(self.grid) > 1):
+            raise FaultError("steps", "needs a grid of two values or more")
+        return self
+
+    @property
+    def value(self) -> Any:
+        """The default as an effect has it."""
+        return tuple(self.default) if isinstance(self.default, list) else self.default
+
+    @property
+    def type(self) -> Any:
+        """Of its values."""
+        return tuple[float, float, float] if isinstance(self.default, list) else type(self.default)
 
     def field(self) -> Any:
         """As a field of a dataclass."""
@@ -57,7 +77,7 @@ class Setting(TomlTable):
         if isinstance(grid, Grid):
             grid = [float(v) for v in np.linspace(grid.first, grid.last, grid.count)]
         how = {"steps": self.steps, "signed": self.signed, "given": self.given, "joint": self.joint}
-        return setting(self.default, NEAR if grid == "near" else tuple(grid), **how)
+        return setting(self.value, NEAR if grid == "near" else tuple(grid), **how)
 
 
 class Definition(TomlTable):
@@ -155,7 +175,7 @@ class _Texts(NamedTuple):
 
 def _word(value: Any) -> str:
     """A value in a name: fractions are rounded to whole numbers."""
-    return f"{value:.0f}" if not isinstance(value, int | str | None) else str(value)
+    return str(value) if isinstance(value, int | str | tuple | None) else f"{value:.0f}"
 
 
 def _texts_of(d: Definition, places: tuple[str, ...], words: tuple[str, ...]) -> _Texts:
@@ -177,7 +197,7 @@ def _texts_of(d: Definition, places: tuple[str, ...], words: tuple[str, ...]) ->
 @cache
 def _made(definition: str, module: str, name: str) -> type[DefinedEffect]:
     d = Definition.model_validate_json(definition)
-    own = [(key, type(s.default), s.field()) for key, s in d.settings.items()]
+    own = [(key, s.type, s.field()) for key, s in d.settings.items()]
     numbered = any(SEAMS[seam].numbered for seam in d.formulas)
     about = [f"{key} : {s.about}" for key, s in d.settings.items() if s.about]
     places = tuple(dict.fromkeys(place for text in _templates(d) for place in _PLACE.findall(text)))
@@ -211,12 +231,13 @@ def effect_class(d: Definition, module: str = "effect file") -> type[DefinedEffe
     """
     _refuse_names(d)
     kind = _made(d.model_dump_json(), module, "".join(word.title() for word in d.name.split("_")))
-    settings = {key: s.default for key, s in d.settings.items()}
+    settings = {key: s.value for key, s in d.settings.items()}
+    numbers = {key: value for key, value in settings.items() if isinstance(value, int | float)}
     try:
         whole = kind.texts_with(tuple(_word({"joint": 1, **settings}[place]) for place in kind.places))
         for seam, formula in whole.formulas.items():
-            check_formula(formula.text, seam, (*whole.sizes, *settings, *whole.needs))
-            refuse_constant(formula, whole.sizes, settings)
+            check_formula(formula.text, seam, (*whole.sizes, *numbers, *whole.needs))
+            refuse_constant(formula, whole.sizes, numbers)
     except InputError as error:
         raise InputError(f"formulas: {error}") from None
     sizes, used = whole.sizes, {name for formula in whole.formulas.values() for name in formula.names}
@@ -230,8 +251,8 @@ def _refuse_names(d: Definition) -> None:
     for seam in d.formulas:
         if seam not in SEAMS or seam == "joints":
             raise InputError(f"formulas.{seam}: no seam; allowed: {', '.join(s for s in SEAMS if s != 'joints')}")
-        if seam == "beam" and "station" not in d.settings:
-            raise InputError("formulas.beam: it needs a setting `station`")
+        if seam == "beam" and not ("station" in d.settings and isinstance(d.settings["station"].default, list)):
+            raise InputError("formulas.beam: it needs a setting `station`, a point")
     if d.counterpart and d.counterpart not in COUNTERPARTS:
         raise InputError(f"counterpart = {d.counterpart!r}: allowed: {', '.join(COUNTERPARTS)}")
     for name, (size, _) in d.sizes.items():

@@ -114,6 +114,8 @@ def test_the_list_of_the_package_is_a_file_like_any_other(tmp_path: Path) -> Non
         ("point", "[0, a, 0] * point_x**2"),
         ("base tilt", "[a * m0x, 0, a * m2y]"),
         ("distance", "a * r**2"),
+        ("beam", "a * r**2"),
+        ("payload shift", "[a, 0, a]"),
     ],
 )
 def test_the_column_at_a_seam_is_what_the_effect_does(seam: str, formula: str, tmp_path: Path) -> None:
@@ -122,9 +124,11 @@ casadical = 2
 [[definition]]
 name = "own"
 signature = "an own effect"
-sizes = {{a = [{"10.0" if seam == "energy" else "1e-4"}, "-"]}}
+sizes = {{a = [{"10.0" if seam == "energy" else "0.03" if seam == "payload shift" else "1e-4"}, "-"]}}
 formulas."{seam}" = "{formula}"
 {'needs = ["far_x_m", "far_y_m", "far_z_m"]' if seam == "distance" else ""}
+{"settings.station = {default = [2.0, 1.0, 0.5]}" if seam == "beam" else ""}
+{'needs = ["payload_kg"]' if seam == "payload shift" else ""}
 """
     effect = defined(tmp_path, text)()
     poses = with_columns(campaign(NAME)[:40], [effect])
@@ -163,6 +167,10 @@ def test_a_counterpart_is_named(tmp_path: Path) -> None:
         ('name = "soft_stop"', 'name = "backlash"', "there is an effect 'backlash' already"),
         ('name = "soft_stop"', 'name = "Soft stop"', "definition[1].name = 'Soft stop'"),
         ("[1.0, 1.5, 2.0]", '"far"', "grid"),
+        ("[1.0, 1.5, 2.0]", "[1, 2]", "must hold values like the default one, 1.5"),
+        ("[1.0, 1.5, 2.0]", '"near"', "only for the number of a joint"),
+        ("[1.0, 1.5, 2.0]", "[1.0], steps = true", "needs a grid of two values or more"),
+        ("default = 1.5, grid = [1.0, 1.5, 2.0]", 'default = "far"', "unknown name 'start'"),
         ("about =", "abuot =", "not a known key (is about meant?)"),
         ("physics", 'counterpart = "magnet"\nphysics', "counterpart = 'magnet': allowed: gear ratio, foot"),
         ("signature", "# signature", "signature: is missing"),

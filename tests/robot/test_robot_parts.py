@@ -16,7 +16,7 @@ from casadical.effects import Effect
 from casadical.robot.effect_tables import LearntTable
 from casadical.robot.kinematics import link_frames
 from casadical.robot.robot import SMALLEST_GEAR
-from casadical.robot.urdf.new import new_urdf
+from casadical.robot.urdf import new_urdf
 
 RIGHT = np.pi / 2
 

@@ -1,9 +1,10 @@
-"""A calibrated robot written back into its URDF: joint origins and tip carry the identified geometry."""
+"""URDFs written: a calibrated robot back into its own, and a new one of a robot that came from none."""
 
 import re
 from pathlib import Path
 from typing import Literal
 from xml.dom import minidom
+from xml.etree import ElementTree as ET
 
 import numpy as np
 
@@ -18,6 +19,10 @@ from casadical.robot.urdf.tree import parse_xml
 
 UNCHANGED = 1e-13  # m or rad: an origin nearer than this to its old value keeps its text
 SAME_ROBOT = 1e-9  # m or rad
+# Of a new file.
+TIP = "measured"
+# A URDF asks for them; they say nothing here.
+EFFORT, VELOCITY = "1e4", "10"
 
 
 def calibrated_urdf(
@@ -180,6 +185,11 @@ def _text(values: Array) -> str:
     return " ".join(repr(float(v)) for v in values)
 
 
+def _comment_text(text: str) -> str:
+    """Without two dashes side by side, which are not allowed in a comment."""
+    return re.sub("-(?=-)", "- ", text)
+
+
 def _add_link(document: minidom.Document, parent: str, name: str, T: Array) -> None:
     root = _root(document)
     joint_name = f"{name}_joint"
@@ -216,8 +226,81 @@ def _comment(document: minidom.Document, robot: Robot, chain: UrdfChain, base: s
         )
     if robot.effects:
         text += f"Effects that are NOT in this file either: {', '.join(e.name for e in robot.effects)}. "
-    while "--" in text:  # not allowed in a comment
-        text = text.replace("--", "- -")
     root = _root(document)
-    root.insertBefore(document.createComment(text), root.firstChild)
+    root.insertBefore(document.createComment(_comment_text(text)), root.firstChild)
     root.insertBefore(document.createTextNode("\n  "), root.firstChild)
+
+
+def new_urdf(robot: Robot) -> str:
+    """The text of a URDF: base_link is the robot's base frame, the joints are joint1 .. jointN.
+
+    Where the base stands in the measuring frame, compliances and effects have no place in a URDF: a comment says so.
+
+    Parameters
+    ----------
+    robot : Robot
+        calibrated or nominal
+
+    Returns
+    -------
+    str
+        XML
+
+    Raises
+    ------
+    InputError
+        a robot with a closed loop
+
+    Examples
+    --------
+    >>> casadical.robot.urdf.new_urdf(found.robot)[:21]
+    '<?xml version="1.0" e'
+    """
+    if robot.loops:
+        raise InputError(
+            f"{robot.name!r} has a closed loop, a URDF is a tree; write it with: casadical export model --to mjcf"
+        )
+    root = ET.Element("robot", name=robot.name)
+    root.append(ET.Comment(_about(robot)))
+    ET.SubElement(root, "link", name="base_link")
+    parent = "base_link"
+    for i, row in enumerate(robot.joints, 1):
+        link = ET.SubElement(root, "link", name=f"link{i}")
+        if row.body and row.body.mass > 0:
+            _mass(link, row.body.mass, row.body.com)
+        kind = "revolute" if row.kind == "revolute" else "prismatic"
+        joint = _joint(root, f"joint{i}", kind, parent, f"link{i}", row_matrix(row))
+        ET.SubElement(joint, "axis", xyz="0 0 1")
+        ends = {"lower": repr(float(row.lower)), "upper": repr(float(row.upper))}
+        ET.SubElement(joint, "limit", {**ends, "effort": EFFORT, "velocity": VELOCITY})
+        parent = f"link{i}"
+    ET.SubElement(root, "link", name=TIP)
+    _joint(root, f"{TIP}_joint", "fixed", parent, TIP, robot.tool.T)
+    ET.indent(root)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _about(robot: Robot) -> str:
+    springs = [f"{i}" for i, j in enumerate(robot.joints, 1) if j.compliance]
+    lines = ["Written by casadical: geometry and masses; inertias are placeholders."]
+    if springs:
+        lines.append(f"The springs of joints {', '.join(springs)} have no place in a URDF: the arm is rigid here.")
+    lines += [f"The effect {e.label} has no place in a URDF." for e in robot.effects]
+    return "\n  " + "\n  ".join(map(_comment_text, lines)) + "\n"
+
+
+def _joint(root: ET.Element, name: str, kind: str, parent: str, child: str, T: Array) -> ET.Element:
+    joint = ET.SubElement(root, "joint", name=name, type=kind)
+    ET.SubElement(joint, "parent", link=parent)
+    ET.SubElement(joint, "child", link=child)
+    ET.SubElement(joint, "origin", xyz=_text(T[:3, 3]), rpy=_text(to_rpy(T[:3, :3])))
+    return joint
+
+
+def _mass(link: ET.Element, mass: float, com: Array) -> None:
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(inertial, "origin", xyz=_text(com), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=repr(float(mass)))
+    moment = repr(float(mass * (0.1 + 0.3 * np.linalg.norm(com)) ** 2))
+    zero = dict.fromkeys(("ixy", "ixz", "iyz"), "0")
+    ET.SubElement(inertial, "inertia", {"ixx": moment, "iyy": moment, "izz": moment, **zero})
