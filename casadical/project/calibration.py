@@ -42,8 +42,8 @@ from casadical.project.outcome import (
 from casadical.project.problem import Carried, Problem, nothing_carried, read_problem, together
 from casadical.project.problem_file import BASE_METHODS, BaseMethod, all_methods, base_methods
 from casadical.project.remaining_errors import calibration_figures, used_poses
+from casadical.project.robot_columns import unfitted
 from casadical.project.tables import Accuracies, error_tables, judged_on, network_tables, paper_tables, verdict
-from casadical.project.target_names import unfitted
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
 

@@ -21,7 +21,6 @@ from casadical.measurements.measurements import SETS, Measurements
 from casadical.measurements.raw_table import RawTable
 from casadical.measurements.reading import from_columns, named_columns, readings_alone
 from casadical.measurements.table_parts import read_columns
-from casadical.project.coupled_readings import with_coupled
 from casadical.project.problem_file import (
     BaseMethod,
     DataTable,
@@ -34,7 +33,7 @@ from casadical.project.problem_file import (
     table_like,
     tables_of,
 )
-from casadical.project.target_names import refuse_nameless, with_known_targets
+from casadical.project.robot_columns import refuse_nameless, with_coupled, with_known_targets
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot, with_tools
 

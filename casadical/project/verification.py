@@ -22,7 +22,7 @@ from casadical.measurements.measurements import Measurements
 from casadical.project.check.targets import recognised
 from casadical.project.problem import read_campaign
 from casadical.project.problem_file import result_in
-from casadical.project.target_names import names_in
+from casadical.project.robot_columns import names_in
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 

@@ -38,7 +38,7 @@ from casadical.project.check.result import Precheck
 from casadical.project.check.slips import Slips, search_slips
 from casadical.project.check.targets import Misnamed, Targets, middles, misnamed, recognised, whole_table
 from casadical.project.problem import Problem, read_campaign_robot, read_problem
-from casadical.project.target_names import unfitted, unmeasured
+from casadical.project.robot_columns import unfitted, unmeasured
 from casadical.robot.robot import Robot
 
 # Observed numbers for each unknown from which on a fit also shows how good it is.
