@@ -67,6 +67,8 @@ def make(
 ) -> Manifest:
     """Write n campaigns to a folder and their key to another, and publish the key's hash with the campaigns.
 
+    Raises InputError for too few campaigns, a folder that is in use, or a key within the campaigns' folder.
+
     Parameters
     ----------
     folder : str | Path
@@ -87,16 +89,6 @@ def make(
         called with a campaign's name, how many are done, and how many there are
     also : Callable[[Manifest], Mapping[Path, str]], optional
         further files that appear with them or not at all
-
-    Returns
-    -------
-    Manifest
-        what is published with them
-
-    Raises
-    ------
-    InputError
-        too few campaigns, a folder that is in use, or a key within the campaigns' folder
 
     Examples
     --------

@@ -1,14 +1,73 @@
 """The metrics of a blind check, each with its interval; the one place where they are defined.
 
 Signal is the rms of a coordinate that the hidden effects add and the base model cannot absorb, over the instrument's
-noise. Detection, false alarms and FIA are counted as in the DX diagnosis competitions; the others are ours.
+noise. Detection, false alarms and FIA are counted as in the DX diagnosis competitions; the others are ours. Intervals
+are 95 %: shares by Wilson's score (1927), means and quantiles by the bootstrap (Efron 1979), written here again because
+the bootstrap of the diagnosis is part of what is judged.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import comb
+from statistics import NormalDist
 
-from casadical.blind_check.confidence_intervals import Estimate, mean, quantile, share
+import numpy as np
+
 from casadical.blind_check.outcomes import Outcome
+from casadical.core.arrays import Array
+
+_Z = NormalDist().inv_cdf(0.975)
+DRAWS = 2000
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """An estimate and its interval; None where there is no data.
+
+    n : campaigns (or claims) that it rests on; hits : of a share
+    """
+
+    value: float | None
+    low: float | None
+    high: float | None
+    n: int
+    hits: int | None = None
+
+    def __str__(self) -> str:
+        if self.value is None:
+            return "-"
+        count = f"n = {self.n}" if self.hits is None else f"{self.hits} of {self.n}"
+        return f"{self.value:.3f}  ({self.low:.3f} .. {self.high:.3f}; {count})"
+
+
+def share(hits: Sequence[bool]) -> Estimate:
+    """The share of hits."""
+    n, count = len(hits), sum(map(bool, hits))
+    if n == 0:
+        return Estimate(None, None, None, 0, 0)
+    p = count / n
+    centre, half = p + _Z**2 / (2 * n), _Z * float(np.sqrt(p * (1 - p) / n + _Z**2 / (4 * n**2)))
+    low, high = ((centre + sign * half) / (1 + _Z**2 / n) for sign in (-1, 1))
+    return Estimate(p, max(0.0, low), min(1.0, high), n, count)
+
+
+def bootstrap(values: Sequence[float], statistic: Callable[[Array], Array], seed: int = 0) -> Estimate:
+    """A statistic of values; it takes them along the last axis."""
+    if not len(values):
+        return Estimate(None, None, None, 0)
+    data = np.asarray(values, dtype=float)
+    draws = statistic(data[np.random.default_rng(seed).integers(0, len(data), (DRAWS, len(data)))])
+    low, high = np.quantile(draws, [0.025, 0.975])
+    return Estimate(float(statistic(data)), float(low), float(high), len(data))
+
+
+def mean(values: Sequence[float]) -> Estimate:
+    return bootstrap(values, lambda x: np.asarray(x.mean(axis=-1)))
+
+
+def quantile(values: Sequence[float], q: float) -> Estimate:
+    return bootstrap(values, lambda x: np.asarray(np.quantile(x, q, axis=-1)))
+
 
 STRONG, DETECTABLE, FAINT = 0.5, 0.35, 0.2
 
@@ -168,3 +227,60 @@ def first_answer(t: Outcome) -> str:
         return t.verdict if t.verdict in ("none", "unknown") else "unknown"
     word = t.named[0].partition("@")[0]
     return "at another joint" if t.truth and word == t.effects[0] and t.named[0] != t.truth[0] else word
+
+
+Right = Callable[[Outcome, Outcome], bool]
+
+
+@dataclass(frozen=True)
+class SignTest:
+    """One question put to two methods on the same campaigns.
+
+    Campaigns on which both are right, or neither, do not count; of the others each would win half if both were equally
+    good (exact sign test; McNemar 1947).
+    first, other : campaigns on which this one alone is right; both, neither : the rest
+    p : probability of so uneven a split, or a more uneven one, between methods that are equally good
+    """
+
+    name: str
+    first: int
+    other: int
+    both: int
+    neither: int
+
+    @property
+    def p(self) -> float:
+        n, least = self.first + self.other, min(self.first, self.other)
+        return min(1.0, 2 * sum(comb(n, k) for k in range(least + 1)) / (1 << n))
+
+    def __str__(self) -> str:
+        return (
+            f"{self.first} : {self.other} (of {self.first + self.other + self.both + self.neither}; p = {self.p:.2g})"
+        )
+
+
+def sign_tests(first: Sequence[Outcome], other: Sequence[Outcome]) -> list[SignTest]:
+    """Answers of two methods to the same campaigns, question by question."""
+    twin = {t.name: t for t in other}
+
+    def test(name: str, outcomes: Sequence[Outcome], right: Right) -> SignTest:
+        # right : whether the first of two outcomes of a campaign is right (by itself, or better than the second).
+        both = [(right(t, twin[t.name]), right(twin[t.name], t)) for t in outcomes]
+        splits = ((True, False), (False, True), (True, True), (False, False))
+        return SignTest(name, *(both.count(split) for split in splits))
+
+    def smaller(t: Outcome, o: Outcome) -> bool:
+        return t.share_left < o.share_left
+
+    none, one, unlisted = (of_kind(first, kind) for kind in ("none", "one", "unlisted"))
+    large = [t for t in detectable(first) if t.kind != "none"]
+    listed = [t for t in large if t.kind != "unlisted"]
+    return [
+        test("nothing there, and nothing said", none, lambda t, _: not t.detected),
+        test("detected, signal >= .35", large, lambda t, _: t.detected),
+        test("one effect: first cause right, signal >= .35", detectable(one), lambda t, _: t.first_right),
+        test("one effect: claimed and right", one, lambda t, _: t.claimed and t.first_right),
+        test("on no list, and not claimed", unlisted, lambda t, _: not t.claimed),
+        test("all campaigns: no wrong claim", first, lambda t, _: not t.wrong_claims),
+        test("listed effects, signal >= .35: less of the gap is left", listed, smaller),
+    ]

@@ -16,9 +16,8 @@ import pandas as pd
 
 from casadical.blind_check.answers import Answer
 from casadical.blind_check.campaign_plans import COLUMNS, Plan, draw_plans
-from casadical.blind_check.confidence_intervals import Estimate, share
 from casadical.blind_check.generation import LEAST_POSES, campaign_of, engine_versions
-from casadical.blind_check.metrics import claims_made, detectable, detection, false_alarms, of_kind
+from casadical.blind_check.metrics import Estimate, claims_made, detectable, detection, false_alarms, of_kind, share
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, FourBar, Plant
 from casadical.blind_check.mujoco_physics.draw import impossible
 from casadical.blind_check.mujoco_physics.plant import Building, home_frames
@@ -306,6 +305,8 @@ def check_robot(
     Campaigns of robots as built after its file are made in the engine MuJoCo, with effects hidden at random; each is
     diagnosed from its table alone, and compared with what was hidden.
 
+    Raises InputError for a robot that cannot be simulated, and for too few poses or campaigns.
+
     Parameters
     ----------
     robot : Robot
@@ -326,11 +327,6 @@ def check_robot(
         any of `concurrent.futures`' kind; by default a process for each core
     show : Callable[[str, int, int], None], optional
         called with a campaign's name, how many are done, and how many there are
-
-    Raises
-    ------
-    InputError
-        a robot that cannot be simulated, or too few poses or campaigns
 
     Examples
     --------

@@ -28,6 +28,8 @@ def predict(
 
     A campaign that cannot be answered has a line that says why; it is tried again by the next call.
 
+    Raises InputError for no such folder or method, tables that cannot be read, or a file that answers another check.
+
     Parameters
     ----------
     folder : str | Path
@@ -40,16 +42,6 @@ def predict(
         any of `concurrent.futures`' kind, a cluster's among them; by default a process for each core
     show : Callable[[str, int, int], None], optional
         called with a campaign's name, how many are done, and how many there are
-
-    Returns
-    -------
-    Path
-        file of answers
-
-    Raises
-    ------
-    InputError
-        no such folder or method, tables that cannot be read, or a file that answers another check
 
     Examples
     --------

@@ -8,9 +8,8 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from casadical.blind_check.metrics import part_metrics
+from casadical.blind_check.metrics import part_metrics, sign_tests
 from casadical.blind_check.scoring import Score
-from casadical.blind_check.sign_test import sign_tests
 from casadical.core.errors import InputError, optional
 from casadical.core.files import write_together
 

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from casadical.blind_check.answers import Header, read_answers
-from casadical.blind_check.confidence_intervals import Estimate
-from casadical.blind_check.metrics import Metric, breakdown, confusion, metrics, part_metrics
+from casadical.blind_check.metrics import Estimate, Metric, breakdown, confusion, metrics, part_metrics
 from casadical.blind_check.outcomes import Outcome, outcome
 from casadical.blind_check.protocol import Key, read_key, read_manifest
 from casadical.core.errors import InputError
@@ -72,24 +71,7 @@ def in_common(scores: Sequence[Score]) -> list[Score]:
 def score(folder: str | Path, key: str | Path, answers: str | Path) -> Score:
     """Answers against the key of the campaigns in a folder.
 
-    Parameters
-    ----------
-    folder : str | Path
-        that `make` wrote
-    key : str | Path
-        folder of its key
-    answers : str | Path
-        file that `predict` wrote
-
-    Returns
-    -------
-    Score
-        outcomes, to be printed or written
-
-    Raises
-    ------
-    InputError
-        the key is not the one that was published, or the answers are to another check
+    Raises InputError where the key is not the one that was published, or the answers are to another check.
 
     Examples
     --------

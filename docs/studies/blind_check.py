@@ -19,11 +19,10 @@ from diagnosis_scores import power
 from rich.console import Console
 
 from casadical.blind_check import metrics
-from casadical.blind_check.confidence_intervals import Estimate
+from casadical.blind_check.metrics import Estimate, sign_tests
 from casadical.blind_check.protocol import XZ, stored
 from casadical.blind_check.report import draw_confusion, report
 from casadical.blind_check.scoring import Score, in_common, score
-from casadical.blind_check.sign_test import sign_tests
 from casadical.core.files import write_whole
 
 ROOT = Path(__file__).parents[2]

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from casadical.blind_check import metrics, outcomes
-from casadical.blind_check.confidence_intervals import Estimate, quantile, share
+from casadical.blind_check.metrics import Estimate, quantile, share
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case
 from casadical.measurements.noise import Noise

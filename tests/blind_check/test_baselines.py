@@ -67,7 +67,7 @@ def test_the_marginal_likelihood_is_scikit_learns() -> None:
     from sklearn.gaussian_process import GaussianProcessRegressor
     from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
-    from casadical.blind_check.marginal_likelihood import loss
+    from casadical.blind_check.gaussian_process import loss
 
     rng = np.random.default_rng(2)
     X, y = rng.normal(size=(40, 3)), rng.normal(size=(40, 3))

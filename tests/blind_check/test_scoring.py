@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 
 from casadical.blind_check.answers import Answer
-from casadical.blind_check.confidence_intervals import mean, quantile, share
-from casadical.blind_check.metrics import confusion, metrics, part_metrics
+from casadical.blind_check.metrics import SignTest, confusion, mean, metrics, part_metrics, quantile, share, sign_tests
 from casadical.blind_check.outcomes import Outcome, outcome
 from casadical.blind_check.protocol import HiddenEffect, Secret, label, read_manifest
 from casadical.blind_check.scoring import in_common, score
-from casadical.blind_check.sign_test import SignTest, sign_tests
 from casadical.cli import app
 from casadical.core.errors import InputError
 

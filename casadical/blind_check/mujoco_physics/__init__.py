@@ -1,14 +1,14 @@
 """Independent physics: robots as built in the engine MuJoCo, with hidden effects.
 
 ``Plant.from_dict`` reads a nominal robot, ``perturb`` adds building errors, ``campaign`` measures it with ``Hidden``
-effects, ``measure`` does so at given poses, ``draw_hidden`` draws effects at random. The engine finds the equilibrium.
+effects, ``measure`` does so at given poses, ``draw_effect`` draws one at random. The engine finds the equilibrium.
 Of casadical only the errors are imported: rotations, loops and tables are written again here, so that a diagnosis
 checked against these campaigns is not checked against its own formulas. MuJoCo is loaded when an ``Engine`` is made:
 ``pip install 'casadical[withheld]'``.
 """
 
 from casadical.blind_check.mujoco_physics.campaigns import campaign, measure, positions
-from casadical.blind_check.mujoco_physics.draw import draw_effect, draw_hidden
+from casadical.blind_check.mujoco_physics.draw import draw_effect
 from casadical.blind_check.mujoco_physics.equilibrium import Engine, Setting, Stop
 from casadical.blind_check.mujoco_physics.hidden import LISTED, UNLISTED, Hidden
 from casadical.blind_check.mujoco_physics.mechanism import Body, Cord, Joint, Loop, Mechanism, Shaft
@@ -35,7 +35,6 @@ __all__ = [
     "Warmup",
     "campaign",
     "draw_effect",
-    "draw_hidden",
     "measure",
     "mechanism",
     "mjcf",

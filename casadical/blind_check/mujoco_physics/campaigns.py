@@ -29,30 +29,9 @@ def campaign(
 ) -> pd.DataFrame:
     """Measure ``n`` poses of the robot as built ``plant``; the same seed gives the same table.
 
-    Parameters
-    ----------
-    plant : Plant
-        the robot as built
-    hidden : Sequence[Hidden]
-        its effects
-    n : int
-        number of poses
-    seed : int
-        what everything drawn follows from
-    repeatability_urad : float, default REPEATABILITY_URAD
-        one sigma of each joint about its reading [urad]
-    **options : Unpack[Options]
-        as of `casadical.blind_check.mujoco_physics.table.simulate`
-
-    Returns
-    -------
-    DataFrame
-        columns of a campaign
-
-    Raises
-    ------
-    InputError
-        when an argument is not usable or MuJoCo is missing
+    repeatability_urad and options (noise_mm, payload_states, warmup, approach, q_deg, ...) are those of `simulate` in
+    `casadical.blind_check.mujoco_physics.table`. Raises InputError for an argument that is not
+    usable, and without MuJoCo.
 
     Examples
     --------
@@ -75,32 +54,8 @@ def measure(
 ) -> pd.DataFrame:
     """Measure given poses: the table ``readings`` with the positions of the reflector.
 
-    Parameters
-    ----------
-    plant : Plant
-        the robot as built
-    hidden : Sequence[Hidden]
-        its effects
-    readings : DataFrame
-        table of a campaign without positions
-    seed : int
-        what everything drawn follows from
-    noise_mm : float, default 0.02
-        one sigma of each measured coordinate [mm]
-    repeatability_urad : float, default REPEATABILITY_URAD
-        one sigma of each joint about its reading [urad]
-    truth : bool, default False
-        whether true positions are added
-
-    Returns
-    -------
-    DataFrame
-        the table with positions
-
-    Raises
-    ------
-    InputError
-        when a reading is missing
+    One sigma of a coordinate is noise_mm, of a joint repeatability_urad; truth adds true positions. What `readings`
+    does not have (time, temperature, payload, approach) is constant. Raises InputError where a reading is missing.
 
     Examples
     --------
@@ -118,25 +73,7 @@ def measure(
 def positions(plant: Plant, hidden: Sequence[Hidden], stops: Stops, jitter: Array | float = 0.0) -> Array:
     """Where the tracker sees the reflector without noise, (n, 3) [m]; ``jitter`` (n, joints) adds to the readings.
 
-    Parameters
-    ----------
-    plant : Plant
-        the robot as built
-    hidden : Sequence[Hidden]
-        its effects
-    stops : Stops
-        readings and circumstances
-    jitter : Array | float, shape (n, joints) [rad or m], default 0.0
-        errors of the joints
-
-    Returns
-    -------
-    Array, shape (n, 3) [m]
-
-    Raises
-    ------
-    ConvergenceError
-        where the engine finds no rest
+    Raises ConvergenceError where the engine finds no rest.
 
     Examples
     --------

@@ -1,6 +1,6 @@
 """Hidden effects drawn at random, with the sizes that real robots have."""
 
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 
@@ -11,8 +11,6 @@ from casadical.blind_check.mujoco_physics.rigid import random_vector
 from casadical.blind_check.mujoco_physics.statics import largest_torque, rated_torque, stretched_moments
 from casadical.core.errors import InputError
 
-Kind = Literal["none", "one", "pair", "three", "unlisted"]
-_COUNT = {"none": 0, "one": 1, "pair": 2, "three": 3, "unlisted": 1}
 NEARLY_RIGID = 1e-5  # rad at the rated torque
 _LOADED = ("backlash", "nonlinear_stiffness", "rubber_coupling")  # visible only where there is torque
 _ANY = (
@@ -22,69 +20,10 @@ _ANY = (
 )
 
 
-def draw_hidden(plant: Plant, kind: Kind, rng: np.random.Generator, *, poses: int = 100) -> tuple[Hidden, ...]:
-    """No effect, one, two or three different listed ones, or one that is on no list.
-
-    Sizes scatter by about a factor of two about what is usual. Steps in time fall into the middle of a campaign of
-    ``poses`` poses.
-
-    Parameters
-    ----------
-    plant : Plant
-        the robot as built
-    kind : Kind
-        how many effects, and whether they are listed
-    rng : np.random.Generator
-        what everything drawn follows from
-    poses : int, default 100
-        of the campaign
-
-    Returns
-    -------
-    tuple[Hidden, ...]
-        the effects
-
-    Raises
-    ------
-    InputError
-        an unknown kind
-
-    Examples
-    --------
-    >>> from casadical.blind_check.mujoco_physics import draw_hidden
-    >>> draw_hidden(plant, "none", np.random.default_rng(1))
-    ()
-    """
-    if kind not in _COUNT:
-        raise InputError(f"kind {kind!r} is unknown; it must be one of {', '.join(get_args(Kind))}")
-    pool = list(UNLISTED if kind == "unlisted" else LISTED)
-    chosen = rng.choice(pool, _COUNT[kind], replace=False)
-    return tuple(draw_effect(plant, str(effect), rng, poses=poses) for effect in chosen)
-
-
 def draw_effect(plant: Plant, effect: str, rng: np.random.Generator, *, poses: int = 100) -> Hidden:
     """One effect by its name, its joint and sizes at random.
 
-    Parameters
-    ----------
-    plant : Plant
-        the robot as built
-    effect : str
-        a word of `LISTED` or `UNLISTED`
-    rng : np.random.Generator
-        what everything drawn follows from
-    poses : int, default 100
-        of the campaign
-
-    Returns
-    -------
-    Hidden
-        the effect
-
-    Raises
-    ------
-    InputError
-        an unknown name
+    Raises InputError for an unknown name.
 
     Examples
     --------

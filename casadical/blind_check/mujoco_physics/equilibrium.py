@@ -129,19 +129,7 @@ class Engine:
     def rest(self, stop: Stop) -> Array:
         """The reflector as the tracker sees it when all has come to rest.
 
-        Parameters
-        ----------
-        stop : Stop
-            readings, payload and where to start
-
-        Returns
-        -------
-        Array, shape (3,) [m]
-
-        Raises
-        ------
-        ConvergenceError
-            it does not come to rest within some thousand steps
+        Raises ConvergenceError where it does not come to rest within some thousand steps.
         """
         self._arrange(stop)
         if self.travels:
@@ -153,18 +141,7 @@ class Engine:
         return np.array(self.data.sensor("measured").data)
 
     def coordinate(self, joint: str) -> float:
-        """The coordinate of a joint now.
-
-        Parameters
-        ----------
-        joint : str
-            name
-
-        Returns
-        -------
-        float
-            [rad or m]
-        """
+        """The coordinate of a joint now."""
         return float(self.data.qpos[self._row[joint]])
 
     def _arrange(self, stop: Stop) -> None:

@@ -135,20 +135,7 @@ class Mechanism:
     def body(self, name: str) -> Body:
         """The body of that name.
 
-        Parameters
-        ----------
-        name : str
-            of the body
-
-        Returns
-        -------
-        Body
-            a body
-
-        Raises
-        ------
-        InputError
-            there is none; those that there are
+        Raises InputError with those that there are.
         """
         for body in self.bodies:
             if body.name == name:
@@ -158,20 +145,7 @@ class Mechanism:
     def holder(self, joint: str) -> Body:
         """The body that has the joint of that name.
 
-        Parameters
-        ----------
-        joint : str
-            name
-
-        Returns
-        -------
-        Body
-            a body
-
-        Raises
-        ------
-        InputError
-            none has it; the joints that there are
+        Raises InputError with those that there are.
         """
         for body in self.bodies:
             if any(j.name == joint for j in body.joints):
@@ -182,74 +156,24 @@ class Mechanism:
     def joint(self, name: str) -> Joint:
         """The joint of that name.
 
-        Parameters
-        ----------
-        name : str
-            of the joint
-
-        Returns
-        -------
-        Joint
-            a joint
-
-        Raises
-        ------
-        InputError
-            there is none
+        Raises InputError with those that there are.
         """
         return next(j for j in self.holder(name).joints if j.name == name)
 
     def with_body(self, changed: Body) -> Self:
-        """The same with the body of that name replaced.
-
-        Parameters
-        ----------
-        changed : Body
-            takes the place of the body of its name
-
-        Returns
-        -------
-        Self
-            another mechanism
-        """
+        """The same with the body of that name replaced."""
         self.body(changed.name)
         return replace(self, bodies=tuple(changed if b.name == changed.name else b for b in self.bodies))
 
     def with_joint(self, changed: Joint) -> Self:
-        """The same with the joint of that name replaced.
-
-        Parameters
-        ----------
-        changed : Joint
-            takes the place of the joint of its name
-
-        Returns
-        -------
-        Self
-            another mechanism
-        """
+        """The same with the joint of that name replaced."""
         body = self.holder(changed.name)
         return self.with_body(
             replace(body, joints=tuple(changed if j.name == changed.name else j for j in body.joints))
         )
 
     def with_more(self, joint: str, *, before: tuple[Joint, ...] = (), after: tuple[Joint, ...] = ()) -> Self:
-        """The same with more joints around the joint of that name, in the same body.
-
-        Parameters
-        ----------
-        joint : str
-            name
-        before : tuple[Joint, ...], default ()
-            joints between the parent and this one
-        after : tuple[Joint, ...], default ()
-            joints behind it
-
-        Returns
-        -------
-        Self
-            another mechanism
-        """
+        """The same with more joints around the joint of that name, in the same body."""
         body = self.holder(joint)
         k = [j.name for j in body.joints].index(joint)
         return self.with_body(
@@ -257,20 +181,7 @@ class Mechanism:
         )
 
     def with_body_after(self, name: str, new: Body) -> Self:
-        """The same with ``new`` on the body ``name`` and everything that this one carried on ``new``, where it was.
-
-        Parameters
-        ----------
-        name : str
-            of the body that carries it
-        new : Body
-            further body
-
-        Returns
-        -------
-        Self
-            another mechanism
-        """
+        """The same with ``new`` on the body ``name`` and everything that this one carried on ``new``, where it was."""
         self.body(name)
         bodies: list[Body] = []
         for body in self.bodies:

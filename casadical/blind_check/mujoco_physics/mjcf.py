@@ -19,18 +19,6 @@ def mjcf(mechanism: Mechanism, gravity: Sequence[float] = (0.0, 0.0, -9.81)) -> 
     ``tendon_lengthspring``, which the model keeps at ``ref``). The body ``tracker`` stands at the world's origin, and
     a sensor gives the site ``reflector`` in its frame.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        the robot as built
-    gravity : Sequence[float], optional
-        in the measuring frame [m/s^2]
-
-    Returns
-    -------
-    str
-        XML
-
     Examples
     --------
     >>> from casadical.blind_check.mujoco_physics import mechanism, mjcf

@@ -108,15 +108,7 @@ class Plant:
     def from_dict(cls, robot: Mapping[str, Any]) -> Self:
         """The nominal robot, without errors, of a mapping as the files of data/campaigns/robots.
 
-        Parameters
-        ----------
-        robot : Mapping[str, Any]
-            of revolute joints
-
-        Raises
-        ------
-        InputError
-            a key is missing, or a table has the wrong shape
+        Raises InputError where a key is missing or a table has the wrong shape.
         """
         for key in _KEYS:
             if key not in robot:

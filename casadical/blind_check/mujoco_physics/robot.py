@@ -22,16 +22,6 @@ def mechanism(plant: Plant) -> Mechanism:
     ``coupler``, and the free hinge ``elbow`` between links 2 and 3; the coupler ends in a ball joint on link 3. It is
     drawn in the middle of the joint ranges.
 
-    Parameters
-    ----------
-    plant : Plant
-        the robot as built
-
-    Returns
-    -------
-    Mechanism
-        its bodies and joints
-
     Examples
     --------
     >>> from casadical.blind_check.mujoco_physics import mechanism

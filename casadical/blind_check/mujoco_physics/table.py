@@ -128,6 +128,8 @@ def simulate(
 
     Poses, circumstances and noise do not depend on the effects: the same campaign without them is their absence.
 
+    Raises InputError where an argument is not usable, or no pose keeps the loop's limits.
+
     Parameters
     ----------
     machine : Machine
@@ -154,16 +156,6 @@ def simulate(
         limits of the loop's crank distance [m]; None: a quarter of the rocker away from the folds
     truth : bool, default False
         add x_true_mm, y_true_mm, z_true_mm: no noise, joints exactly repeated, and the instrument right
-
-    Returns
-    -------
-    DataFrame
-        columns pose, time_s, temperature_degC, payload_kg, approach1.., q1_deg.. (q1_mm), x_mm, y_mm, z_mm
-
-    Raises
-    ------
-    InputError
-        an argument is not usable, or no pose keeps the loop's limits
 
     Examples
     --------
