@@ -1,4 +1,4 @@
-"""The commands `casadical withheld ...`."""
+"""The commands `casadical withheld ...`: the check of a robot of one's own, and a published round."""
 
 from collections.abc import Callable
 from functools import partial
