@@ -11,6 +11,7 @@ import numpy as np
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.linear_gaussian.grid import log_sum
+from casadical.core.linear_gaussian.normal_equations import joined
 from casadical.core.statistics import robust_std
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.linear_problem import Case
@@ -79,12 +80,7 @@ def _log_evidence(case: Case, fit: Fit, sigma: float, prior: Prior) -> float:
         scaled = C / np.outer(unit, unit)
         precision[np.ix_(at, at)] = np.linalg.inv(scaled) / np.outer(unit, unit)
         log_det -= float(np.linalg.slogdet(scaled)[1]) + 2 * float(np.log(unit).sum())
-    A = fit.sums.H + precision
-    right = fit.sums.g + precision @ mean
-    scale = np.sqrt(np.diag(A))
-    L = np.linalg.cholesky(A / np.outer(scale, scale))
-    solved = np.linalg.solve(L, right / scale)
-    square = float(fit.y @ fit.y + mean @ precision @ mean - solved @ solved)
-    log_norm = 0.5 * log_det - float(np.log(np.diag(L)).sum() + np.log(scale).sum())
+    square = float(fit.y @ fit.y + mean @ precision @ mean)
+    left = joined(fit.sums.H + precision, fit.sums.g + precision @ mean, square, 0.5 * log_det)
     grid = case.evidence.sigmas / sigma
-    return float(log_sum(log_norm - case.evidence.count * np.log(grid) - 0.5 * square / grid**2))
+    return float(log_sum(left.log_norm - case.evidence.count * np.log(grid) - 0.5 * left.square / grid**2))

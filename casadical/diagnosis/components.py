@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadical.core.arrays import Array
+from casadical.core.linear_gaussian.normal_equations import root_of_inverse
 from casadical.diagnosis.linear_problem import Case
 from casadical.effects import Effect
 from casadical.measurements.derived_columns import derive
@@ -25,8 +26,6 @@ MOST_POSES = 120
 ROUNDS = 40
 DRAWS = 200
 SIZE = 30e-6
-# A matrix is inverted by halves until they are smaller than this.
-LEAST_HALF = 40
 # Harmonics of a joint's own reading, beside the slow ones of every joint.
 FAST = range(3, 13)
 INSTRUMENT = "instrument"
@@ -121,7 +120,8 @@ def _sizes(y: Array, K: Array, sigma: float) -> Array:
     n, share = len(y), float(y @ y) / len(K)
     size = share / np.maximum(K[:, :: n + 1].sum(axis=1), 1e-30)
     for _ in range(ROUNDS):
-        inverse = _inverse(_total(K, size, sigma))
+        root = root_of_inverse(_total(K, size, sigma))
+        inverse = root.T @ root
         z = inverse @ y
         fit, cost = K @ np.outer(z, z).ravel(), K @ inverse.ravel()
         size *= np.sqrt(fit / np.maximum(cost, 1e-30))
@@ -131,18 +131,6 @@ def _sizes(y: Array, K: Array, sigma: float) -> Array:
 def _products_of(groups: list[Array]) -> Array:
     """Products of the rows of each group, one matrix a row, shape (groups, n * n)."""
     return np.stack([(g @ g.T).ravel() for g in groups])
-
-
-def _inverse(S: Array) -> Array:
-    """Of a positive definite matrix, by halves: products of matrices are several times as quick as LU."""
-    n = len(S) // 2
-    if n < LEAST_HALF:
-        return np.linalg.inv(S)
-    A, B = _inverse(S[:n, :n]), S[n:, :n]
-    BA = B @ A
-    D = _inverse(S[n:, n:] - BA @ B.T)
-    C = D @ BA
-    return np.block([[A + BA.T @ C, -C.T], [-C, D]])
 
 
 def _total(K: Array, size: Array, sigma: float) -> Array:

@@ -16,6 +16,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.linear_gaussian.fit import Fit
+from casadical.core.linear_gaussian.normal_equations import root_of_inverse
 
 # Frequencies that are tried [cycles a turn]: from half a cycle over all readings on, so many to a cycle over them.
 LOWEST, PER_CYCLE, WIDEST_STEP = 0.5, 5, 0.5
@@ -117,8 +118,7 @@ class Whole:
         self.g = flat.T @ self.y
         self.of_lines = np.repeat([a.joint for a in lines], 2)
         normal = flat.T @ flat + np.diag(np.concatenate([fit.prior**-2.0, np.zeros(2 * len(lines))]))
-        scale = np.sqrt(np.diag(normal))
-        self.root = np.linalg.inv(np.linalg.cholesky(normal / np.outer(scale, scale))) / scale
+        self.root = root_of_inverse(normal)
 
     def without(self, joint: int, own: Array) -> tuple[Array, Array]:
         """Columns that stay without a joint's curve and lines, and the root of their inverse normal matrix."""

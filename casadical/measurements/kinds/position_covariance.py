@@ -8,6 +8,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.core.transforms import Symbolic
 from casadical.measurements.columns import Columns
 from casadical.measurements.kinds.base import PoseExpression
@@ -54,7 +55,7 @@ def whitening(covariance: Array) -> Array:
 
     covariance : shape (n, 3, 3) [m^2]
     """
-    return np.asarray(typical_sigma(covariance) * np.linalg.inv(np.linalg.cholesky(covariance)))
+    return np.asarray(typical_sigma(covariance) * whitening_of(covariance).W)
 
 
 def typical_sigma(covariance: Array) -> float:
