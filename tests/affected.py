@@ -5,8 +5,6 @@ a file's folder in the package, a test itself, and always tests/house. With --ab
 import a changed room. What is shared by all tests touches all.
 """
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

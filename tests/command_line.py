@@ -1,7 +1,5 @@
 """The command inside the process of a test: nothing is loaded again, and what was compiled is still there."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

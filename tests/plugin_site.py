@@ -1,7 +1,5 @@
 """Plug-ins as an installer leaves them, and the command that finds them."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

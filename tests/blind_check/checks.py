@@ -1,7 +1,5 @@
 """A small check, made once a run: four campaigns, with their key and BIC's answers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Parts of both simulators and of the protocol by hand: levers, links, draws, circumstances, refusals."""
 
-from __future__ import annotations
-
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields
 from pathlib import Path

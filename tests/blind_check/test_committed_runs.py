@@ -1,7 +1,5 @@
 """The committed runs say what is committed: keys, answers, figures and the page belong together."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

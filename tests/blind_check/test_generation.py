@@ -1,7 +1,5 @@
 """What is drawn, what is shown, and what is kept apart."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections import Counter

@@ -1,7 +1,5 @@
 """Judge and judged stand apart, in fresh processes: what each of them has loaded once it has done its work."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

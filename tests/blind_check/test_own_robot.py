@@ -1,7 +1,5 @@
 """A robot of one's own under the check: its file as the physics takes it, what it cannot have, and the whole way."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from importlib.util import find_spec

@@ -1,7 +1,5 @@
 """What is kept for good may be packed: the same content, the same hash, the same score."""
 
-from __future__ import annotations
-
 import lzma
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Answers come from the campaigns alone, are kept as they come, and from any executor."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

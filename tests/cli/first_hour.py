@@ -1,7 +1,5 @@
 """Tables as new users bring them: made up by plain numpy, with nothing of casadical in them."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 

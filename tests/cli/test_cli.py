@@ -1,7 +1,5 @@
 """The command as a user meets it: what it prints, keeps, refuses, and its exit codes."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -142,9 +140,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_a_users_mistake_ends_in_a_message_and_2(
-    name: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_users_mistake_ends_in_a_message_and_2(name, monkeypatch, capfd):
     arguments, expected = WRONG[name]
     monkeypatch.chdir(ROOT)
     assert main(monkeypatch, *arguments) == 2
@@ -154,9 +150,7 @@ def test_a_users_mistake_ends_in_a_message_and_2(
     assert "Traceback" not in printed.err + printed.out
 
 
-def test_a_place_that_cannot_be_written_is_a_users_mistake_and_nothing_is_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_place_that_cannot_be_written_is_a_users_mistake_and_nothing_is_kept(tmp_path, monkeypatch, capfd):
     (tmp_path / "file").write_text("mine")
     for place in (["--out", tmp_path / "file"], ["--out", tmp_path / "new", "--json", tmp_path / "file" / "x.json"]):
         assert main(monkeypatch, "calibrate", PLANAR, "--quiet", *place) == 2
@@ -176,9 +170,7 @@ def test_a_mistake_in_the_second_problem_keeps_nothing_of_the_first(tmp_path: Pa
     assert not (tmp_path / "out").exists()
 
 
-def test_no_optimum_ends_in_3_and_keeps_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_no_optimum_ends_in_3_and_keeps_nothing(tmp_path, monkeypatch, capfd):
     monkeypatch.setattr("casadical.identification.solver.MAX_ITERATIONS", 1)
     assert main(monkeypatch, "calibrate", PLANAR, "--out", tmp_path / "out") == 3
     message = capfd.readouterr().err
@@ -189,9 +181,7 @@ def test_no_optimum_ends_in_3_and_keeps_nothing(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_bug_of_ours_ends_in_70_with_its_traceback(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bug_of_ours_ends_in_70_with_its_traceback(monkeypatch, capfd):
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("planted")
 

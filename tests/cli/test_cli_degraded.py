@@ -1,7 +1,5 @@
 """The command where something is missing: the same figures as elsewhere, or a sentence."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

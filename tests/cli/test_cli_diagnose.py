@@ -1,7 +1,5 @@
 """casadical diagnose: what it prints, keeps and refuses."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """casadical diagnose --laws: what it prints and writes, and that diagnose takes its effect file."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -27,9 +25,7 @@ def stepped(tmp_path: Path) -> Path:
     return tmp_path / "stepped.csv"
 
 
-def test_a_law_is_printed_written_and_taken_again(
-    stepped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_law_is_printed_written_and_taken_again(stepped, tmp_path, monkeypatch, capsys):
     out, page, few = tmp_path / "out", tmp_path / "law.html", ("--effects", "gear_eccentricity")
     assert main(monkeypatch, "diagnose", PROBLEM, stepped, "--laws", *few, "--out", out, "--report", page) == 0
     said = capsys.readouterr().out
@@ -44,8 +40,6 @@ def test_a_law_is_printed_written_and_taken_again(
     assert "Explained: law@2" in capsys.readouterr().out
 
 
-def test_a_missing_effect_file_is_named(
-    stepped: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_missing_effect_file_is_named(stepped, monkeypatch, capsys):
     assert main(monkeypatch, "diagnose", PROBLEM, stepped, "--effects", stepped.parent / "none.effect.toml") == 2
     assert "none.effect.toml" in capsys.readouterr().err

@@ -1,7 +1,5 @@
 """The examples of docs/cli.md, to the letter: each command is run, and what the page shows is what it prints."""
 
-from __future__ import annotations
-
 import shlex
 import shutil
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Commands that are given a robot file with effects in it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -34,9 +32,7 @@ def words(capfd: pytest.CaptureFixture[str]) -> str:
     return " ".join((out + err).split())
 
 
-def test_calibrate_holds_them_and_keeps_them(
-    kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_calibrate_holds_them_and_keeps_them(kept, tmp_path, monkeypatch, capfd):
     problem = tmp_path / "problem"
     problem.mkdir()
     (problem / "robot.toml").write_text(kept.read_text())
@@ -54,9 +50,7 @@ def test_calibrate_holds_them_and_keeps_them(
     assert errors["mean_mm"] < 0.09  # 0.14 mm without what was diagnosed
 
 
-def test_calibrate_takes_them_as_a_prior(
-    kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_calibrate_takes_them_as_a_prior(kept, tmp_path, monkeypatch, capfd):
     """Twenty poses: the friction of the file's joint 3 is free about its value; frozen, it is held."""
     problem = tmp_path / "problem"
     problem.mkdir()
@@ -82,9 +76,7 @@ def test_calibrate_takes_them_as_a_prior(
     assert "--frozen: needs the robot file that --prior names" in words(capfd)
 
 
-def test_a_diagnosis_says_what_changed_since_the_prior(
-    kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_diagnosis_says_what_changed_since_the_prior(kept, tmp_path, monkeypatch, capfd):
     """The same campaign again: nothing changed; the robot that is written has the friction with a standard error."""
     chosen = ["--no-laws", "--effects=backlash", "--json", tmp_path / "d.json", "--out", tmp_path / "out", "--details"]
     assert main(monkeypatch, "diagnose", PROBLEM, CAMPAIGN, *chosen, "--prior", kept) == 0
@@ -99,9 +91,7 @@ def test_a_diagnosis_says_what_changed_since_the_prior(
     assert "friction_windup@3 held at the values found there" in words(capfd)
 
 
-def test_a_diagnosis_looks_for_what_is_not_in_the_model_yet(
-    kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_diagnosis_looks_for_what_is_not_in_the_model_yet(kept, tmp_path, monkeypatch, capfd):
     chosen = ["--no-laws", "--effects=friction_windup,backlash", "--json", tmp_path / "d.json"]
     assert main(monkeypatch, "diagnose", kept, CAMPAIGN, *chosen) == 0
     assert HELD in words(capfd)
@@ -112,9 +102,7 @@ def test_a_diagnosis_looks_for_what_is_not_in_the_model_yet(
     assert "friction_windup@3: robot" in words(capfd)
 
 
-def test_columns_that_an_effect_follows_must_be_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_columns_that_an_effect_follows_must_be_there(tmp_path, monkeypatch, capfd):
     write_robot(read_campaign_robot(PROBLEM).with_effect(ThermalGrowth()), tmp_path / "warm.toml")
     table = pd.read_csv(CAMPAIGN).drop(columns="temperature_degC")
     table.to_csv(tmp_path / "cold.csv", index=False)
@@ -124,9 +112,7 @@ def test_columns_that_an_effect_follows_must_be_there(
     assert "temperature_degC" in said
 
 
-def test_plan_takes_it_and_frees_what_it_is_asked_for(
-    kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_plan_takes_it_and_frees_what_it_is_asked_for(kept, tmp_path, monkeypatch, capfd):
     wanted = ["-n", 12, "--out", tmp_path / "plan.csv", "--no-order"]
     assert main(monkeypatch, "plan", kept, *wanted) == 0
     assert "friction_windup" not in words(capfd)
@@ -134,9 +120,7 @@ def test_plan_takes_it_and_frees_what_it_is_asked_for(
     assert "friction_windup@3.constant" in words(capfd)
 
 
-def test_correct_refuses_what_a_controller_cannot_follow(
-    kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_correct_refuses_what_a_controller_cannot_follow(kept, tmp_path, monkeypatch, capfd):
     program, out = tmp_path / "program.csv", tmp_path / "corrected.csv"
     program.write_text("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n5,-80,80,-60,-80,10\n")
     given = ["correct", kept, program, "--out", out, "--nominal", PROBLEM / "robot.toml"]
@@ -150,9 +134,7 @@ def test_correct_refuses_what_a_controller_cannot_follow(
     assert out.exists()
 
 
-def test_c_carries_what_joints_and_payload_decide(
-    kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_c_carries_what_joints_and_payload_decide(kept, tmp_path, monkeypatch, capfd):
     given = ["export", "c", kept.with_name("more.toml"), "--nominal", PROBLEM / "robot.toml", "--out", tmp_path / "c"]
     assert main(monkeypatch, *given) == 2
     said = words(capfd)
@@ -165,9 +147,7 @@ def test_c_carries_what_joints_and_payload_decide(
     assert (tmp_path / "c" / "manifest.json").exists()
 
 
-def test_models_refuse_what_has_no_place_there(
-    kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_models_refuse_what_has_no_place_there(kept, tmp_path, monkeypatch, capfd):
     assert main(monkeypatch, "export", "model", kept, "--out", tmp_path / "a.xml") == 0
     assert "effect friction_windup@3: dry friction" in words(capfd)
     more = kept.with_name("more.toml")

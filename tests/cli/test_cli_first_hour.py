@@ -1,10 +1,7 @@
 """The first hour: every table as people bring it reaches a calibrated robot by the README's commands, none edited."""
 
-from __future__ import annotations
-
 import io
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import first_hour
@@ -73,9 +70,7 @@ def a_urdf(folder: Path) -> list[object]:
 
 
 @pytest.mark.parametrize("given", [worst_day, slips_and_a_link_in_metres, a_urdf], ids=lambda g: g.__name__)
-def test_the_hard_cases_are_calibrated_by_the_readmes_commands(
-    given: Callable[[Path], list[object]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_hard_cases_are_calibrated_by_the_readmes_commands(given, tmp_path, monkeypatch):
     """Four commands, nothing edited; the accuracy is judged on poses that the calibration never saw."""
     arm, out = tmp_path / "arm", tmp_path / "results"
     options = given(tmp_path)
@@ -118,9 +113,7 @@ def test_the_integrators_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert float(np.median(errors(robot, m))) < 2e-4
 
 
-def test_a_question_is_asked_and_nobody_answers(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_question_is_asked_and_nobody_answers(tmp_path, monkeypatch, capfd):
     q, p = first_hour.measured(40)
     names = [f"{w}{k} [deg]" for w in "AJ" for k in range(1, 7)] + ["X mm", "Y mm", "Z mm"]
     table = tmp_path / "two.csv"

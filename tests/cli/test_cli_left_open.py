@@ -1,7 +1,5 @@
 """What readings of some kinds cannot tell at all is said by every command, with the one thing that would."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

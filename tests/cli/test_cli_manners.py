@@ -1,7 +1,5 @@
 """All commands behave alike: the same flags in the same words, completion that works, progress only on a terminal."""
 
-from __future__ import annotations
-
 import os
 import pty
 import re

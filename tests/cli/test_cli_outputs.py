@@ -1,7 +1,5 @@
 """Outputs are checked before the work: no input, no foreign file and no other output is ever replaced."""
 
-from __future__ import annotations
-
 import contextvars
 import json
 import shutil

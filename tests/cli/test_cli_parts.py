@@ -1,7 +1,5 @@
 """Parts of commands that end before the work begins, or say how far it is."""
 
-from __future__ import annotations
-
 import inspect
 from pathlib import Path
 
@@ -51,9 +49,7 @@ def test_inputs_in_the_folder_of_the_outputs_are_safe_by_their_name(tmp_path: Pa
         _check([], [tmp_path], [taken], overwrite=True)
 
 
-def test_a_driver_file_replaces_nothing_unless_told(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_driver_file_replaces_nothing_unless_told(monkeypatch, capsys, tmp_path):
     robot, out = ROOT / "problems" / "kr210" / "robot.toml", tmp_path / "dh.csv"
     out.write_text("mine")
     arguments = ("export", "model", robot, "--nominal", robot, "--to", "standard_dh", "--out", out)
@@ -63,9 +59,7 @@ def test_a_driver_file_replaces_nothing_unless_told(
 
 
 @pytest.mark.parametrize("old", list(MOVED))
-def test_an_earlier_name_of_a_command_tells_the_new_one(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], old: str
-) -> None:
+def test_an_earlier_name_of_a_command_tells_the_new_one(monkeypatch, capsys, old):
     assert main(monkeypatch, *old.split(), "problems/planar") == 2
     assert capsys.readouterr().err == f"casadical: {old} is now: casadical {MOVED[old]}\n"
 
@@ -88,9 +82,7 @@ def test_a_command_is_what_is_written_by_default(monkeypatch: pytest.MonkeyPatch
     assert [type(product).__name__ for product in made] == ["Command"]
 
 
-def test_a_check_that_finds_nothing_to_repair_says_no_more_than_without(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_check_that_finds_nothing_to_repair_says_no_more_than_without(monkeypatch, capsys):
     told = []
     for options in ((), ("--repair",)):
         assert main(monkeypatch, "check", ROOT / "problems" / "planar", *options) == 0

@@ -1,7 +1,5 @@
 """casadical export model, verify --mujoco: what they write, print and refuse."""
 
-from __future__ import annotations
-
 import json
 import sys
 import xml.etree.ElementTree as ET
@@ -30,9 +28,7 @@ def test_a_problem_is_calibrated_and_written(tmp_path: Path) -> None:
     assert json.loads(kept.read_text())["left_out"] == []
 
 
-def test_a_robot_file_is_written_as_it_is_and_nothing_is_overwritten(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_robot_file_is_written_as_it_is_and_nothing_is_overwritten(tmp_path, monkeypatch, capfd):
     file = tmp_path / "arm.urdf"
     assert main(monkeypatch, "export", "model", PLANAR / "robot.toml", "--out", file, "-q") == 0
     assert capfd.readouterr() == ("", "")
@@ -44,9 +40,7 @@ def test_a_robot_file_is_written_as_it_is_and_nothing_is_overwritten(
     assert main(monkeypatch, "export", "model", PLANAR / "robot.toml", "--out", file, "--overwrite") == 0
 
 
-def test_a_urdf_says_in_millimetres_what_it_cannot_hold(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_urdf_says_in_millimetres_what_it_cannot_hold(tmp_path, monkeypatch, capfd):
     """The figure of the URDF alone is that of pinocchio, which reads the file, at the measured poses."""
     pinocchio = pytest.importorskip("pinocchio")
     file, kept = tmp_path / "arm.urdf", tmp_path / "arm.json"
@@ -68,9 +62,7 @@ def test_a_urdf_says_in_millimetres_what_it_cannot_hold(
     assert "LEFT OUT compliance of joints 1, 2, 3, 4, 5, 6" in printed
 
 
-def test_a_urdf_of_a_rigid_robot_leaves_nothing_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_urdf_of_a_rigid_robot_leaves_nothing_out(tmp_path, monkeypatch, capfd):
     assert main(monkeypatch, "export", "model", PLANAR, "--out", tmp_path / "arm.urdf") == 0
     printed = " ".join(capfd.readouterr().out.split())
     assert "nothing is left out" in printed
@@ -103,9 +95,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_a_users_mistake_ends_in_a_message_and_2(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_users_mistake_ends_in_a_message_and_2(name, tmp_path, monkeypatch, capfd):
     if name == "no such campaign":
         pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra mujoco)")
     arguments, words = WRONG[name]
@@ -130,9 +120,7 @@ def test_a_users_own_model_is_taken_and_given_back(tmp_path: Path, monkeypatch: 
     assert moved == pytest.approx([0, 0, 5e-4, 0, 0, 0], abs=1e-9)
 
 
-def test_without_mujoco_replay_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_without_mujoco_replay_says_what_to_install(monkeypatch, capfd):
     monkeypatch.setitem(sys.modules, "mujoco", None)
     assert main(monkeypatch, "verify", PLANAR, "x.csv", "--mujoco") == 2
     assert "pip install 'casadical[mujoco]'" in capfd.readouterr().err

@@ -1,7 +1,5 @@
 """Every command that reads measured poses takes a table beside a robot file, and by a folder's own names and kinds."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Parts of the compensator that whole trainings do not show."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A saved network whose checksum was computed again still is checked: types, shapes, and the size of its correction."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A trainer from another package, found by its entry point alone: no line of casadical knows it."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

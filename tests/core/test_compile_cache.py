@@ -1,7 +1,5 @@
 """Compiled kernels are trusted only from a folder of one's own, as they were made, and after a trial elsewhere."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import stat

@@ -1,7 +1,5 @@
 """Small parts of the ground floor, each against another way to say the same."""
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import os

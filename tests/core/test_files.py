@@ -1,7 +1,5 @@
 """Sets of files appear whole or not at all, whatever happens; proven by kills at every system call."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

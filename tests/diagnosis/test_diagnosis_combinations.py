@@ -70,9 +70,7 @@ def test_sums_by_another_set_of_poses_are_combined_alike(known: Case, curve: Arr
         assert found == pytest.approx(expected, abs=1e-4)
 
 
-def test_other_forms_of_noise_are_judged_alike(
-    known: Case, curve: Array, backlash: list[Array], apart: Evidence
-) -> None:
+def test_other_forms_of_noise_are_judged_alike(known, curve, backlash, apart):
     chosen = np.union1d(curve, backlash[0])
     for form in (Form(), Form(joint=1, worse=8.0), Form(stays=0.6)):
         found, expected = (

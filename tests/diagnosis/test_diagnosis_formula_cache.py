@@ -42,9 +42,7 @@ def columns(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Columns
     forget()
 
 
-def test_kept_formulas_give_the_same_bits_and_are_not_composed_again(
-    columns: Columns, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_kept_formulas_give_the_same_bits_and_are_not_composed_again(columns, monkeypatch):
     first = columns()
     monkeypatch.delattr(formulas, "_composed")
     np.testing.assert_array_equal(columns(), first)
@@ -66,9 +64,7 @@ def test_a_damaged_file_is_replaced(columns: Columns, tmp_path: Path) -> None:
     assert file.read_text() == whole
 
 
-def test_a_folder_that_cannot_be_written_costs_time_alone(
-    columns: Columns, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_folder_that_cannot_be_written_costs_time_alone(columns, monkeypatch, tmp_path):
     first = columns()
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path / "file" / "below"))

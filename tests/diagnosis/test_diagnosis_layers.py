@@ -45,9 +45,7 @@ def test_a_clean_campaign_has_no_layers() -> None:
     assert "layers" not in as_json(clean, "x")
 
 
-def test_a_floor_that_a_further_form_goes_below_explains_nothing(
-    both: Diagnosis, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_floor_that_a_further_form_goes_below_explains_nothing(both, monkeypatch):
     """The second cause is there, but one cause is all that the search may take."""
     assert both.verdict == "explained"
     monkeypatch.setattr(search, "MOST_CAUSES", 1)

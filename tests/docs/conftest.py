@@ -1,7 +1,5 @@
 """The built docs, once a run."""
 
-from __future__ import annotations
-
 import importlib.util
 
 import pytest

@@ -1,7 +1,5 @@
 """The script that draws the floor plan finds every import, and the committed page is what it makes."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The docs build without a warning, every link in them leads somewhere, and nothing is loaded from a network."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

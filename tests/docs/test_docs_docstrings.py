@@ -1,7 +1,5 @@
 """Public docstrings say what a caller must know: shapes and units of arrays, errors raised, sources of methods."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import re

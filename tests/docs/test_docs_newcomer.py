@@ -1,7 +1,5 @@
 """A newcomer's path: every command and code block of the README and of the pages runs as it stands, offline."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

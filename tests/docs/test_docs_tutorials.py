@@ -1,7 +1,5 @@
 """Each tutorial runs, and asserts its own numbers; its page says how long it took."""
 
-from __future__ import annotations
-
 import ast
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A Markdown page as a newcomer walks it: its files written, then its commands and its Python run, in their order."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

@@ -3,8 +3,6 @@
 The pairs, with what each parameter means in both worlds, are those of docs/studies/effects_and_physics.py.
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Simulated planar arms of one drawing, each a problem folder, with later campaigns where they are asked for."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Campaigns of one simulated arm for the tests: as built, changed, measured from elsewhere."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What is written into a robot file where its drawing is wrong, and drawings that are corrected one robot at a time."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

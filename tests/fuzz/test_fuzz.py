@@ -1,7 +1,5 @@
 """Hostile command lines and files, drawn by hypothesis of the grammar of docs/studies/fuzz.py."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The repository's own files, as git tracks them."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

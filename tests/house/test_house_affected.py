@@ -1,7 +1,5 @@
 """The command that says which tests a change touches."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

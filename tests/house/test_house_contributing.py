@@ -1,7 +1,5 @@
 """The files for contributors and code hosts are valid, and what they say of this repository is true."""
 
-from __future__ import annotations
-
 import os
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """How several processes share the tests: a file's fixtures are made once."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

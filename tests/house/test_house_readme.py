@@ -1,7 +1,5 @@
 """The README's code and commands work as they stand there."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from pathlib import Path

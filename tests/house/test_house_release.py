@@ -1,7 +1,5 @@
 """What is released: wheel and sdist, their versions and bounds, and that the base install runs without the extras."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Plain technical English in pages, docstrings, comments and messages: words that tire a reader from abroad."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

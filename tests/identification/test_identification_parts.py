@@ -1,7 +1,5 @@
 """Limits, thresholds and words of an identification, on arms small enough to see what must come out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import arms

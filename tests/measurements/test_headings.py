@@ -1,7 +1,5 @@
 """Foreign tables: form, headings and units; what is unsure is a question, what is written is what was measured."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

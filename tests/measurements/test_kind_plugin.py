@@ -1,7 +1,5 @@
 """A kind of measurement from another package, found by its entry point alone: no line of casadical knows it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """How a table is told to be written, what noise may be, and which unit a distance is taken for."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """One reader: every command says the same of the same file, rows count as in the file, problem.toml names columns."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

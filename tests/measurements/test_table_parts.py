@@ -97,9 +97,7 @@ def test_parts_of_other_encodings_are_the_whole(tmp_path: Path, monkeypatch: pyt
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
 @pytest.mark.parametrize("rows", [7, 40])
-def test_weights_and_columns_are_those_of_the_whole_table(
-    tmp_path: Path, frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch, form: str, rows: int
-) -> None:
+def test_weights_and_columns_are_those_of_the_whole_table(tmp_path, frame, monkeypatch, form, rows):
     whole = read_measurements(kept(tmp_path, frame, "csv"), 2, sigma_mm=0.03)
     path = kept(tmp_path, frame, form)
     in_parts(monkeypatch, 100 * rows, rows)
@@ -112,9 +110,7 @@ def test_weights_and_columns_are_those_of_the_whole_table(
     np.testing.assert_array_equal(found.row, whole.row)
 
 
-def test_a_robot_is_identified_without_keeping_data_jacobian_or_residuals(
-    tmp_path: Path, frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_robot_is_identified_without_keeping_data_jacobian_or_residuals(tmp_path, frame, monkeypatch):
     robot, path = read_robot(ROOT / "problems" / "planar" / "robot.toml"), kept(tmp_path, frame, "csv")
     usual = identify(robot, read_measurements(path, 2), method="KM")
     monkeypatch.setattr(residuals, "HELD", 10)
@@ -140,9 +136,7 @@ def test_a_word_in_a_later_part_is_named_with_its_row(tmp_path: Path, monkeypatc
         read_measurements(path, 2)
 
 
-def test_a_wrong_number_of_parquet_is_named_with_its_row(
-    tmp_path: Path, frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wrong_number_of_parquet_is_named_with_its_row(tmp_path, frame, monkeypatch):
     frame = frame.copy()
     frame.loc[33, "x_mm"] = np.inf
     in_parts(monkeypatch, rows=10)
@@ -176,18 +170,14 @@ WORDS = [f"{row},{'A' if k % 2 else 'B'}" for k, row in enumerate(ROWS)]
         ("remark", [f"{row},{'' if k < 30 else 'warm'}" for k, row in enumerate(ROWS)]),
     ],
 )
-def test_what_only_the_whole_table_tells_is_read_at_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, rows: list[str]
-) -> None:
+def test_what_only_the_whole_table_tells_is_read_at_once(tmp_path, monkeypatch, name, rows):
     path = written(tmp_path, [f"{HEAD},{name}", *rows])
     whole = read_measurements(path, 2)
     in_parts(monkeypatch)
     assert_same(read_measurements(path, 2), whole)
 
 
-def test_a_column_that_is_empty_in_later_parts_is_refused_as_at_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_column_that_is_empty_in_later_parts_is_refused_as_at_once(tmp_path, monkeypatch):
     path = written(tmp_path, [f"{HEAD},load_n", *(f"{row},{k if k < 30 else ''}" for k, row in enumerate(ROWS))])
     refused = r"row 32, column 'load_n': an empty cell is not a finite number \(10 such"
     with pytest.raises(InputError, match=refused):
@@ -207,9 +197,7 @@ def test_points_touched_in_several_parts_are_the_same_points(tmp_path: Path, mon
 
 
 @pytest.mark.parametrize("slow", [0, 20])
-def test_angles_in_another_unit_are_told_by_all_rows(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, slow: int
-) -> None:
+def test_angles_in_another_unit_are_told_by_all_rows(tmp_path, monkeypatch, slow):
     """A part in which the robot hardly moves is no fault."""
     cells = [row.split(",") for row in ROWS]
     still = [",".join([f"{10 + 0.01 * k:.4f}", f"{20 - 0.01 * k:.4f}", *c[2:]]) for k, c in enumerate(cells)]

@@ -1,7 +1,5 @@
 """Parts of a search for poses: depth of the exchange, size of the pool, order, digits of the table."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

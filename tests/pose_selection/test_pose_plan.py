@@ -80,9 +80,7 @@ def test_a_missing_file_of_measured_poses_is_said(monkeypatch, tmp_path, capsys,
     assert not (tmp_path / "n.csv").exists()
 
 
-def test_without_a_room_poses_below_the_base_are_said_and_with_one_not(
-    monkeypatch, tmp_path, capsys, robot_file
-) -> None:
+def test_without_a_room_poses_below_the_base_are_said_and_with_one_not(monkeypatch, tmp_path, capsys, robot_file):
     assert run(monkeypatch, robot_file, "-n", 12, "--out", tmp_path / "free.csv") == 0
     low = (pd.read_csv(tmp_path / "free.csv")["nominal_z_mm"] < 0).sum()
     assert low > 0

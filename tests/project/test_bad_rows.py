@@ -1,7 +1,5 @@
 """Bad rows of a table cannot hide: they are left out, named everywhere, and a result that they ruin is refused."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path
@@ -75,9 +73,7 @@ def test_every_row_left_out_is_named(tmp_path: Path) -> None:
     assert all(f"{row} (" in warned for row in expected - {20})
 
 
-def test_worse_than_before_is_an_error_with_its_remedy(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_worse_than_before_is_an_error_with_its_remedy(tmp_path, monkeypatch, capfd):
     (tmp_path / "clean").mkdir()
     fitted = read_problem(arm(tmp_path / "clean", {})).sets["identify"][0].row
     folder = arm(tmp_path, {int(row): 30.0 + 5 * k for k, row in enumerate(fitted[::8])})

@@ -1,7 +1,5 @@
 """One result of a calibrated problem: printed, kept and shown on a page with the same figures."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

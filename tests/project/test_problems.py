@@ -1,7 +1,5 @@
 """Every problem folder: the same files, certified figures that still hold, data that are what they say."""
 
-from __future__ import annotations
-
 import sys
 import tomllib
 from importlib import import_module

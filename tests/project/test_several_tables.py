@@ -1,7 +1,5 @@
 """Several tables of one kind and robot: every one of them counts in the figures, whichever is named last; synthetic."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -137,9 +135,7 @@ def test_what_an_instrument_did_is_left_out_and_said(tmp_path: Path) -> None:
     assert "wire_drift: what the instrument of the calibration did is left out" in plain_text(found.blocks())
 
 
-def test_the_command_takes_several_and_names_the_file_of_a_bad_row(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_takes_several_and_names_the_file_of_a_bad_row(tmp_path, monkeypatch, capfd):
     tables = later(tmp_path, 12, 0, 1e-4)
     bad = pd.read_csv(tables[1])
     bad.loc[3, "distance_mm"] += 5

@@ -1,7 +1,5 @@
 """Three reflectors on one flange: recognised, calibrated with a tool each, refused where a name is unknown."""
 
-from __future__ import annotations
-
 import sys
 import tomllib
 from dataclasses import replace
@@ -86,9 +84,7 @@ def test_what_the_robot_file_does_not_name_is_refused(arm: Path, tmp_path: Path)
         read_campaign(arm, table(tmp_path, 40), replace(robot, targets=(), tool_name=""))
 
 
-def test_the_three_commands_of_the_readme(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_the_three_commands_of_the_readme(tmp_path, monkeypatch, capfd):
     folder, data = tmp_path / "arm", table(tmp_path, 60)
     assert main(monkeypatch, "new", folder, "--dh", tmp_path / "dh.csv", "--data", data, "--yes") == 0
     assert "Column 'tool' names 3 measured points" in " ".join(capfd.readouterr().out.split())
@@ -119,9 +115,7 @@ NEST = np.sort([np.linalg.norm(a - b) for k, a in enumerate(first_hour.NEST) for
 
 
 @pytest.mark.parametrize("sign", [1, -1], ids=["clean", "a sign turned"])
-def test_reflectors_that_nobody_named_are_recognised_from_repeats(
-    sign: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_reflectors_that_nobody_named_are_recognised_from_repeats(sign, tmp_path, monkeypatch, capfd):
     arm, data = tmp_path / "arm", nest_table(tmp_path, sign=sign)
     said = f"repeats disagree: 3 targets on one flange, distances {', '.join(f'{d:.1f}' for d in NEST)} mm between them"
     assert main(monkeypatch, "new", arm, "--dh", tmp_path / "dh.csv", "--data", data, "--yes") == 0
@@ -175,9 +169,7 @@ def test_several_targets_on_the_tip_of_a_urdf(tmp_path: Path, monkeypatch: pytes
         assert text.count('<link name="casadical_measured_point') == 3
 
 
-def test_names_swapped_halfway_are_found_and_repaired(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_names_swapped_halfway_are_found_and_repaired(tmp_path, monkeypatch, capfd):
     path = table(tmp_path, 80)
     lines = path.read_text().splitlines()
     swapped = {"SMR1": "SMR2", "SMR2": "SMR1", "SMR3": "SMR3"}
@@ -233,9 +225,7 @@ def test_a_target_that_is_only_held_out_is_refused_with_its_rows(tmp_path: Path)
     assert any("no pose that is fitted tells where it is" in f.text for f in precheck(tmp_path / "arm").of("error"))
 
 
-def test_a_target_that_is_seen_once_is_left_out_by_new(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_target_that_is_seen_once_is_left_out_by_new(tmp_path, monkeypatch, capfd):
     path = table(tmp_path, 60)
     lines = path.read_text().splitlines()
     lines[17] = lines[17].rpartition(";")[0] + ";SMR4"
@@ -249,8 +239,6 @@ def test_a_target_that_is_seen_once_is_left_out_by_new(
     assert precheck(arm).ok
 
 
-def test_poses_are_planned_for_the_first_of_several_targets(
-    arm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_poses_are_planned_for_the_first_of_several_targets(arm, tmp_path, monkeypatch):
     assert main(monkeypatch, "plan", arm, "-n", "14", "--no-order", "--out", tmp_path / "next.csv", "-q") == 0
     assert "tool" not in (tmp_path / "next.csv").read_text().splitlines()[0]

@@ -1,7 +1,5 @@
 """A few poses measured later: the promise is kept by the same robot and broken by one that changed."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path
@@ -37,9 +35,7 @@ def later(folder: Path, change: float = 0.0) -> Path:
     return first_hour.write(folder, "einheiten.csv", q, p)
 
 
-def test_the_same_robot_keeps_its_promise_and_a_changed_one_does_not(
-    calibrated_arm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_the_same_robot_keeps_its_promise_and_a_changed_one_does_not(calibrated_arm, tmp_path, monkeypatch, capfd):
     kept = tmp_path / "kept.json"
     assert main(monkeypatch, "verify", calibrated_arm, later(tmp_path), "--json", kept) == 0
     said = " ".join(capfd.readouterr().out.split())
@@ -62,9 +58,7 @@ def test_the_same_robot_keeps_its_promise_and_a_changed_one_does_not(
         ("discovered", "discovery", {"gap_mm": {"base": 0.4, "law": 0.05}, "kept": "law"}),
     ],
 )
-def test_the_promise_of_a_diagnosed_robot_is_in_its_json(
-    calibrated_arm: Path, tmp_path: Path, name: str, stated: str, figures: dict[str, object]
-) -> None:
+def test_the_promise_of_a_diagnosed_robot_is_in_its_json(calibrated_arm, tmp_path, name, stated, figures):
     """A mean; of errors with a standard deviation of 1 in three coordinates the mean is 1.5958 and the rms 1.7321."""
     robot = tmp_path / f"{name}.robot.toml"
     robot.write_bytes(calibrated_arm.read_bytes())
@@ -104,9 +98,7 @@ def test_what_cannot_be_checked_is_refused(calibrated_arm: Path, tmp_path: Path)
     assert verify(alone, later(tmp_path), promised_mm=1.0).valid
 
 
-def test_a_later_table_is_understood_as_the_tables_of_the_calibration(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_later_table_is_understood_as_the_tables_of_the_calibration(tmp_path, monkeypatch):
     """A sign was repaired in problem.toml; the table of the later check has the same slip, and no folder beside it."""
     q, p = first_hour.measured(100)
     q[:, 2] *= -1
@@ -122,9 +114,7 @@ def test_a_later_table_is_understood_as_the_tables_of_the_calibration(
     assert main(monkeypatch, "verify", out / "KM.robot.toml", ten, "-q") == 2
 
 
-def test_bad_rows_neither_loosen_the_promise_nor_hide(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_rows_neither_loosen_the_promise_nor_hide(tmp_path, monkeypatch, capfd):
     """Two held-out rows are 50 mm off: the promise is that of the others. One of twelve later: it is named."""
     q, p = first_hour.measured(112)
     data = first_hour.write(tmp_path, "messung.csv", q[:90], p[:90])

@@ -1,7 +1,5 @@
 """What is written can be read again, whatever names and numbers it holds; else nothing is written."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import tomllib

@@ -1,7 +1,5 @@
 """Robot files: standard rows against direct matrices in numpy, round trips, units by key, loops, prismatic joints."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from pathlib import Path
 

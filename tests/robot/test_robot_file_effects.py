@@ -1,7 +1,5 @@
 """Robots with effects as files: the same positions, the same knowledge, and every fault by its key."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Every fault of a robot or problem file is answered with file, key, value and what is allowed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Seams, nested loops, great torques and written limits of small arms that are computed here by hand."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, replace
 from typing import Any

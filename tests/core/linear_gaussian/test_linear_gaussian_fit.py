@@ -51,9 +51,7 @@ def test_estimates_are_those_of_a_dense_solve(name: str) -> None:
 @pytest.mark.parametrize("rows", [fits.MOST_ROWS, 0], ids=["among observations", "among parameters"])
 @pytest.mark.parametrize("bytes_", [fits.MOST_BYTES, 0], ids=["columns kept", "columns made again"])
 @pytest.mark.parametrize("name", MODELS)
-def test_blocks_left_out_are_predicted_by_the_others(
-    monkeypatch: pytest.MonkeyPatch, name: str, rows: int, bytes_: int
-) -> None:
+def test_blocks_left_out_are_predicted_by_the_others(monkeypatch, name, rows, bytes_):
     monkeypatch.setattr(fits, "MOST_ROWS", rows)
     monkeypatch.setattr(fits, "MOST_BYTES", bytes_)
     model = MODELS[name]

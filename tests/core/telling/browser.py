@@ -1,7 +1,5 @@
 """A page opened in the real Chromium of this machine, watched for errors and for requests."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Reports in a real browser: drawn, hovered over, on a phone, in the dark, on paper, and never on the network."""
 
-from __future__ import annotations
-
 import pytest
 from browser import Opened, chromium
 

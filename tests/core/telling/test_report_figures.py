@@ -1,7 +1,5 @@
 """The figures carry the numbers they claim, by other ways of computing them."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

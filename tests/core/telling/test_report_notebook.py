@@ -1,7 +1,5 @@
 """What a notebook shows: short texts with units, tables that parse, and every figure by one call."""
 
-from __future__ import annotations
-
 import re
 from html.parser import HTMLParser
 

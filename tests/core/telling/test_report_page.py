@@ -1,7 +1,5 @@
 """The file: its order, what it says of where it comes from, user's text in it, and that it is whole or not there."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Parts of a report that need no diagnosis: bars, tiles, grids, colours, names of files."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Robots of the problem folders with planted errors: the 'calibrated' file of each test."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -101,9 +101,7 @@ def test_c_and_structured_text_have_the_bits_of_the_reference(robot, tmp_path, r
         assert found[1].tolist() == expected[1].tolist()
 
 
-def test_correct_refuses_what_is_above_the_limit_and_reports_the_bound(
-    robot, file, tmp_path, monkeypatch, capfd
-) -> None:
+def test_correct_refuses_what_is_above_the_limit_and_reports_the_bound(robot, file, tmp_path, monkeypatch, capfd):
     q = poses(robot, 12)
     with (tmp_path / "job.csv").open("w", newline="") as stream:
         csv.writer(stream).writerows([[f"q{i}_deg" for i in range(1, 7)], *np.rad2deg(q).tolist()])

@@ -4,8 +4,6 @@ After correction the real tool's positions there must be the nominal ones carrie
 which Kabsch's method finds without knowing how the base was taken off.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Robots with error curves of their joints: in the correction of a command, and the curves alone."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Geometry and digits of controller programs against scipy's rotations."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -52,9 +50,7 @@ def test_a_standard_row_leads_to_the_next_axis_with_theta_near_the_wanted_one(se
         ("5.0", MM, -1e-9, "0.0000"),
     ],
 )
-def test_digits_of_a_number_are_its_own_or_the_finest_of_its_unit(
-    text: str, unit: float, value: float, written: str
-) -> None:
+def test_digits_of_a_number_are_its_own_or_the_finest_of_its_unit(text, unit, value, written):
     assert Number(0, len(text), text, unit).written(value) == written
 
 

@@ -1,7 +1,5 @@
 """The calibrated geometry in a user's own MuJoCo model, whose frames are not ours."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from xml.etree import ElementTree as ET
 

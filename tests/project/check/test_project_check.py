@@ -1,7 +1,5 @@
 """Mistakes that people make, planted in good data: each is found and named before anything is solved."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import tomllib

@@ -1,7 +1,5 @@
 """Several slips at once: found, shown, written, and the repaired problem calibrates; clean tables are left alone."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Callable
@@ -66,9 +64,7 @@ def folder_of(tmp_path: Path, slip: Callable[..., Table] | None) -> Path:
 
 
 @pytest.mark.parametrize("slip", CASES, ids=lambda s: s.__name__)
-def test_slips_are_found_together_and_repaired(
-    slip: Callable[..., Table], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_slips_are_found_together_and_repaired(slip, tmp_path, monkeypatch, capfd):
     folder = folder_of(tmp_path, slip)
     said = " ".join(f.text for f in precheck(folder).findings if f.level == "error")
     for words in CASES[slip]:
@@ -91,9 +87,7 @@ def in_metres(q: np.ndarray, p: np.ndarray) -> Table:
 
 
 @pytest.mark.parametrize("slip", [mirrored, in_metres], ids=lambda s: s.__name__)
-def test_a_slip_of_the_positions_alone_is_repaired(
-    slip: Callable[..., Table], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_slip_of_the_positions_alone_is_repaired(slip, tmp_path, monkeypatch):
     folder = folder_of(tmp_path, slip)
     assert main(monkeypatch, "check", folder, "-q") == 2
     assert main(monkeypatch, "check", folder, "--repair", "-q") == 0
@@ -142,9 +136,7 @@ def test_lengths_of_the_whole_robot_in_another_unit_are_repaired_there(tmp_path:
     assert precheck(folder).ok
 
 
-def test_a_clean_table_is_left_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_clean_table_is_left_alone(tmp_path, monkeypatch, capfd):
     folder = folder_of(tmp_path, None)
     texts = {path: path.read_bytes() for path in folder.iterdir()}
     assert main(monkeypatch, "check", folder, "--repair") == 0

@@ -1,7 +1,5 @@
 """A new problem folder runs at once, says what is made up, and takes nothing away from what was there."""
 
-from __future__ import annotations
-
 import json
 import sys
 import tomllib

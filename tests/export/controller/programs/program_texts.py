@@ -3,8 +3,6 @@
 Orientations are scipy's, postures are drawn from the plane of the arm, and numbers are found again by patterns.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ to the joints that the target was drawn with. Both robots stand in the measuring
 off by Kabsch's method.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

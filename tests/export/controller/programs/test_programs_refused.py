@@ -1,7 +1,5 @@
 """What a program does not say is left and listed; a program that cannot be corrected is refused by its line."""
 
-from __future__ import annotations
-
 import csv
 import json
 
