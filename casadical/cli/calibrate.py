@@ -94,7 +94,7 @@ def calibrate(
             done.append(
                 work.calibrate(source, method=method, loss=loss, seed=seed, carried=known, tables=tables, show=show)
             )
-        console.print(done[-1].report() if details else terminal(done[-1].brief()))
+        console.print(terminal(done[-1].blocks() if details else done[-1].brief()))
         console.print()
         if out:
             texts |= done[-1].files(out if len(given) == 1 else out / name)

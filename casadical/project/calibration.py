@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from casadical.compensator import compensator_text
 from casadical.core.errors import InputError
@@ -15,7 +15,7 @@ from casadical.core.progress import Show, silent
 from casadical.core.telling.blocks import Page, Table, Words, mm
 from casadical.core.telling.figure import Figure
 from casadical.core.telling.notebook import html
-from casadical.core.telling.terminal import plain_text, terminal
+from casadical.core.telling.terminal import plain_text
 from casadical.identification.accuracy import Accuracy
 from casadical.identification.error_bound import learn_bound
 from casadical.identification.identification import calibrated
@@ -47,9 +47,6 @@ from casadical.project.tables import Accuracies, error_tables, judged_on, networ
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
 
-if TYPE_CHECKING:
-    from rich.console import RenderableType
-
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
@@ -74,8 +71,7 @@ class Calibration:
     >>> figures = calibration.accuracies["KM"]["report"]
     >>> round(1e3 * figures["placed"].mean, 2), round(1e3 * figures["calibrated"].mean, 4)  # mm
     (1.7, 0.0254)
-    >>> import rich
-    >>> rich.print(calibration.report())  # doctest: +ELLIPSIS
+    >>> print(calibration)  # doctest: +ELLIPSIS
     Planar arm of two links, to be read in five minutes
     Planar arm of two links; synthetic data
     On 15 poses that were held out, the mean position error falls from 1.696 mm to
@@ -168,16 +164,6 @@ class Calibration:
         method, before, after, _ = judged_on(self.accuracies)
         bars = [("before, mean", before.mean), (f"{method}, mean", after.mean), (f"{method}, 95 %", after.p95)]
         return html(self.brief(), bars)
-
-    def report(self) -> RenderableType:
-        """What `casadical calibrate` prints, for a console of rich.
-
-        Returns
-        -------
-        RenderableType
-            to be printed by rich
-        """
-        return terminal(self.blocks())
 
     def __str__(self) -> str:
         return plain_text(self.blocks())

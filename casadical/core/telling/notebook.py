@@ -19,7 +19,8 @@ def html(blocks: Sequence[Words | Table], bars: Sequence[tuple[str, float]] = ()
 def _words(block: Words) -> str:
     weight = "bold" if block.kind in ("title", "verdict") else "normal"
     faint = ";opacity:.7" if block.kind == "note" else ""
-    return f'<p style="font-weight:{weight};margin:4px 0;max-width:80ch{faint}">{escape(block.text)}</p>'
+    mark = f"<b>{escape(block.mark)}</b> " if block.mark else ""
+    return f'<p style="font-weight:{weight};margin:4px 0;max-width:80ch{faint}">{mark}{escape(block.text)}</p>'
 
 
 def _table(block: Table) -> str:

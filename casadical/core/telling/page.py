@@ -1,18 +1,22 @@
 """Pages as one HTML file that needs nothing else: words, tables and figures in sections, plotly.js inlined once."""
 
+import hashlib
 import json
 import math
-from collections.abc import Sequence
-from datetime import datetime
+import platform
+import shlex
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from casadical.core.errors import optional
+from casadical.core.errors import InputError, optional
 from casadical.core.telling.blocks import Page, Table, Words
 from casadical.core.telling.drawing import COLOURS, DARK, NEEDED, draw
 from casadical.core.telling.figure import Figure
-from casadical.core.telling.provenance import provenance_of
 
 TEMPLATES = Path(__file__).parent / "templates"
 
@@ -81,3 +85,45 @@ def _plotly() -> str:
     # Nothing in the library may end the element that it stands in.
     whole: str = optional("plotly.offline", NEEDED).get_plotlyjs()
     return whole.replace("</script", "<\\/script")
+
+
+PACKAGES = ("casadical", "casadi", "numpy", "pandas", "plotly")
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """files : (path, SHA-256) of what was read; versions : (name, version); command : as typed; date : UTC."""
+
+    files: tuple[tuple[str, str], ...]
+    versions: tuple[tuple[str, str], ...]
+    command: str
+    date: str
+
+
+def provenance_of(files: Iterable[Path], command: Sequence[str] = (), now: datetime | None = None) -> Provenance:
+    """Of files, read now; now : instead of the clock. Raises InputError where a file cannot be read."""
+    return Provenance(
+        files=tuple((str(path), sha256(path)) for path in dict.fromkeys(files)),
+        versions=(
+            *((name, _version(name)) for name in PACKAGES),
+            ("Python", platform.python_version()),
+            ("platform", f"{platform.system()} {platform.machine()}"),
+        ),
+        command=shlex.join(command),
+        date=(now or datetime.now(UTC)).strftime("%Y-%m-%d %H:%M UTC"),
+    )
+
+
+def sha256(path: Path) -> str:
+    """Of a file's bytes. Raises InputError."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "unknown"

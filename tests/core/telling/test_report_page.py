@@ -13,7 +13,7 @@ from command_line import run
 
 from casadical import report
 from casadical.core.telling.blocks import Words
-from casadical.core.telling.provenance import provenance_of
+from casadical.core.telling.page import provenance_of
 from casadical.diagnosis.page import diagnosis_page
 from casadical.project.problem import read_problem
 from casadical.project.sources import campaign_files, problem_files

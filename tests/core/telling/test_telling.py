@@ -1,0 +1,96 @@
+"""Blocks and figures as data: every renderer shows the same words, cells and numbers, and none what is not there."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, shown
+from casadical.core.telling.figure import Axis, Figure, Note, Rule, Series, Span, ticks_of_decades
+from casadical.core.telling.notebook import html
+from casadical.core.telling.page import html_of
+from casadical.core.telling.terminal import plain_text, table_lines
+
+TABLE = Table("Errors [mm]", ("model", "mean"), [("before", "1.70"), ("after [KM]", "0.03")], frozenset({1}))
+BLOCKS = [
+    Words("Falls from 1.70 to 0.03 mm.", "verdict"),
+    Words("reading: a column is missing", "error", mark="ERROR"),
+    Words("Then:", code="casadical plan arm"),
+    TABLE,
+]
+TOLD = ("Falls from 1.70", "ERROR", "a column is missing", "Errors [mm]", "after [KM]", "0.03")
+
+
+def drawn(**more: object) -> Figure:
+    line = Series("line", [1, 2, 3], [0.1, 1.0, 10.0], name="a <b>", colour="red", tip="%{y:.1f}")
+    return Figure("errors/a", "Errors <i>", [line], Axis("n", (1, 3)), Axis("mm", log=True), **more)
+
+
+def test_the_terminal_leaves_figures_out_and_blank_lines_about_tables() -> None:
+    text = plain_text([*BLOCKS, drawn(), Words("end")])
+    assert [line.strip() for line in text.splitlines()] == [
+        "Falls from 1.70 to 0.03 mm.", "ERROR reading: a column is missing", "Then:", "casadical plan arm", "",
+        "Errors [mm]", "model       mean", "before      1.70", "after [KM]  0.03", "", "end",
+    ]  # fmt: skip
+
+
+def test_terminal_notebook_and_page_say_the_same() -> None:
+    pytest.importorskip("jinja2", reason="jinja2 is not installed (extra report)")
+    page = Page("Calibration", "arm", "of two links", [Section("All", [*BLOCKS, drawn(caption="How to read it.")])])
+    for text in (plain_text(BLOCKS), html(BLOCKS), html_of([page])):
+        assert [words for words in TOLD if words not in text] == []
+    assert "How to read it." in html_of([page])
+
+
+def test_a_page_has_tiles_and_no_empty_section() -> None:
+    pytest.importorskip("jinja2", reason="jinja2 is not installed (extra report)")
+    page = Page("Fleet", "arms", "", [Section("Nothing", []), Section("All", BLOCKS)], [Tile("Mean", "0.03", "mm")])
+    text = html_of([page], ["casadical", "fleet", "a b"])
+    assert "Nothing" not in text
+    assert "<dt>Mean</dt><dd><b>0.03</b> mm</dd>" in text
+    assert "casadical fleet &#39;a b&#39;" in text
+
+
+def test_columns_of_plain_text_are_as_wide_as_their_cells_or_as_said() -> None:
+    head, first, second = table_lines(TABLE, indent=2)
+    assert (head, first, second) == (["  model       mean"], ["  before      1.70"], ["  after [KM]  0.03"])
+    several = Table("", ("a", "what"), [("x\ny", "one two three four")])
+    assert table_lines(several, (1, 9), gap=1, most=11)[1] == ["x one two", "y three", "  four"]
+
+
+def test_a_figure_is_drawn_as_its_data_say() -> None:
+    pytest.importorskip("plotly", reason="plotly is not installed (extra report)")
+    from casadical.core.telling.drawing import COLOURS, draw
+
+    picture = draw(drawn(marks=[Rule("y", 5.0), Note("here", 2, 1.0), Span(1, 2)]))
+    (trace,) = picture.data
+    assert (list(trace.x), list(trace.y), trace.line.color) == ([1, 2, 3], [0.1, 1.0, 10.0], COLOURS["red"][0])
+    assert (trace.name, picture.layout.title.text) == ("a &lt;b&gt;", "Errors &lt;i&gt;")  # a user's text stays text
+    assert (picture.layout.yaxis.type, picture.layout.yaxis.ticktext[0]) == ("log", "1e-09")
+    assert [a.text for a in picture.layout.annotations] == ["here"]
+    assert picture.layout.annotations[0].y == 0.0  # of a logarithmic axis, as plotly wants it
+    assert len(picture.layout.shapes) == 2
+
+
+def test_rows_are_words_from_the_top_and_intervals_lie_along_them() -> None:
+    pytest.importorskip("plotly", reason="plotly is not installed (extra report)")
+    from casadical.core.telling.drawing import draw
+
+    dots = Series("points", [1.0, 2.0], range(2), less=[0.5, 0.1], more=[0.2, 0.3])
+    picture = draw(Figure("n", "t", [dots], rows=("first", "a and\nb")))
+    assert list(picture.layout.yaxis.ticktext) == ["first", "a and<br>b"]
+    assert picture.layout.yaxis.range[0] > picture.layout.yaxis.range[1]
+    assert (list(picture.data[0].error_x.arrayminus), list(picture.data[0].error_x.array)) == ([0.5, 0.1], [0.2, 0.3])
+
+
+def test_figures_are_chosen_by_name_or_by_the_first_part_of_it() -> None:
+    figures = {name: drawn() for name in ("gap", "where/joints", "where/links", "whereabouts")}
+    assert len(shown(figures, "where")) == 2
+    assert len(shown(figures, "gap")) == 1
+
+
+def test_ticks_of_a_logarithmic_axis_are_round() -> None:
+    assert ticks_of_decades(0.1, 5) == [0.1, 0.2, 0.5, 1, 2, 5]
+    assert ticks_of_decades(0.02, 30, (1,)) == [0.01, 0.1, 1, 10]
+    assert re.fullmatch(r"[125]e-\d+|0\.\d+|\d+(e\+\d+)?", f"{ticks_of_decades()[0]:g}")
