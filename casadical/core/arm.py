@@ -89,6 +89,11 @@ class Arm:
         return tuple(i for i in self.numbers if self.joints[i - 1].kind == "revolute")
 
     @property
+    def units(self) -> tuple[str, ...]:
+        """Of each joint's reading, rad or m."""
+        return tuple("rad" if j.kind == "revolute" else "m" for j in self.joints)
+
+    @property
     def reading_units(self) -> dict[str, float]:
         """Key of each joint's reading, as columns of measurements are named (q1_deg, q2_mm), and its factor to SI."""
         units = {"revolute": ("deg", np.pi / 180), "prismatic": ("mm", 1e-3)}

@@ -8,6 +8,8 @@ renames to come; who reads or writes there next finishes what a killed process l
 Hidden names begin with `PREFIX`. Their writer holds a lock on them, so that those of a killed one can be removed.
 """
 
+import csv
+import io
 import json
 import os
 import re
@@ -38,6 +40,13 @@ _claimed: ContextVar[tuple[Path, ...]] = ContextVar("claimed", default=())
 def json_text(data: Any) -> str:
     """Plain data as the text of a JSON file. Raises ValueError for NaN and infinity, which JSON does not have."""
     return json.dumps(data, indent=1, allow_nan=False) + "\n"
+
+
+def csv_text(rows: Iterable[Iterable[Any]]) -> str:
+    """Rows as the text of a CSV file, with commas and lines that end as everywhere."""
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerows(rows)
+    return out.getvalue()
 
 
 def write_whole(path: Path, text: str) -> None:

@@ -113,8 +113,7 @@ def named_columns(
 
 def _sources(raw: RawTable, joints: int | Sequence[str], columns: Mapping[str, str | Source]) -> dict[str, Source]:
     """What each of our columns is made of; arguments and errors as of `named_columns`."""
-    kinds = ["revolute"] * joints if isinstance(joints, int) else list(joints)
-    meaning = understand(raw, kinds, columns)
+    meaning = understand(raw, _kinds(joints, raw.path.name), columns)
     for question in meaning.questions:
         first = next(iter(question.choices.values()))
         line = ", ".join(f'{ours} = "{source.name}"' for ours, source in first.items())

@@ -5,8 +5,10 @@ normal leaves a choice, the simpler table wins: d = 0 in front of a nearly paral
 like the base and the tip.
 """
 
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 
 import numpy as np
 
@@ -62,6 +64,11 @@ def rows_from_axes(axes: Sequence[Axis], tip: Array) -> Chain:
         frames.append(T)
         row = following if k + 1 < len(axes) else row
     return Chain(base, tuple(rows), tuple(frames), np.linalg.inv(T) @ tip)
+
+
+def frames_at_zero(rows: Sequence[Joint]) -> list[Array]:
+    """Frames of all links at zero readings, in the base frame, each (4, 4) [m]."""
+    return list(accumulate(map(row_matrix, rows), operator.matmul))
 
 
 def row_matrix(row: Joint) -> Array:

@@ -143,7 +143,7 @@ def command_of(
         limit_mm=limit_mm,
         limits=Limits(singular_m_per_rad=SINGULAR_POSE) if orientation else Limits(),
         steps=steps,
-        units=units_of(real),
+        units=real.units,
         freedom=freedom,
         notes=(*real.notes, *measured_range(robot_of(sources.robot))),
         difference=difference_function(real, nominal, orientation, turn, network) if precise else None,
@@ -221,7 +221,7 @@ def network_of(sources: Sources) -> NetworkFunction:
             f"{_word(sources.compensator)}: this network does not help and was refused when it was trained; there is "
             "nothing to export"
         )
-    return replace(network, units=units_of(robot))
+    return replace(network, units=robot.units)
 
 
 def curves_of(sources: Sources) -> CurveFunction:
@@ -261,7 +261,7 @@ def curves_of(sources: Sources) -> CurveFunction:
         )
     q = ca.SX.sym("q", robot.n)
     lower, upper = robot.limits
-    return CurveFunction(ca.Function("curves", [q], [curves(q)], ["q"], ["dq"]), lower, upper, units_of(robot))
+    return CurveFunction(ca.Function("curves", [q], [curves(q)], ["q"], ["dq"]), lower, upper, robot.units)
 
 
 def in_own_frame(robot: Robot, nominal: Robot) -> tuple[Robot, Array]:
@@ -284,15 +284,10 @@ def in_own_frame(robot: Robot, nominal: Robot) -> tuple[Robot, Array]:
     return own, turn
 
 
-def units_of(robot: Robot) -> tuple[str, ...]:
-    """Of each joint's reading, rad or m."""
-    return tuple("rad" if j.kind == "revolute" else "m" for j in robot.joints)
-
-
 def measured_range(robot: Robot) -> tuple[str, ...]:
     """The readings that the robot file was learnt from, in a sentence; none where the file does not say it."""
     known = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
-    factors = [(1e3, "mm") if unit == "m" else (180 / np.pi, "deg") for unit in units_of(robot)]
+    factors = [(1e3, "mm") if unit == "m" else (180 / np.pi, "deg") for unit in robot.units]
     spans = [
         f"{i}: {low * factor:.3g} to {high * factor:.3g} {unit}"
         for i, ((low, high), (factor, unit)) in enumerate(zip(known, factors, strict=False), 1)
@@ -352,7 +347,7 @@ def _compliant(robot: Robot) -> bool:
 
 def _refuse_other_robot(real: Robot, nominal: Robot, sources: Sources) -> None:
     loops = [[(loop.driven, loop.carrier) for loop in robot.loops] for robot in (real, nominal)]
-    for i, (a, b) in enumerate(zip(units_of(real), units_of(nominal), strict=False), 1):
+    for i, (a, b) in enumerate(zip(real.units, nominal.units, strict=False), 1):
         if a != b:
             kinds = {"rad": "revolute", "m": "prismatic"}
             raise InputError(

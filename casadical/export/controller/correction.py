@@ -325,14 +325,18 @@ def _moved(result: Corrected) -> list[str]:
     lines = [f"{'moved by':<22}{'mean':>10}{'max':>10}"]
     for i, (column, unit) in enumerate(zip(change.T, result.program.units, strict=True), 1):
         word, factor = ("mm", 1e3) if unit in ("_mm", "_m") else ("deg", 180 / np.pi)
-        lines.append(f"  {f'joint {i} [{word}]':<20}{factor * column.mean():>10.4f}{factor * column.max():>10.4f}")
-    lines.append(f"  {'tool [mm]':<20}{result.moved_mm[fine].mean():>10.4f}{result.moved_mm[fine].max():>10.4f}")
+        lines.append(mean_and_max(f"joint {i} [{word}]", factor * column))
+    lines.append(mean_and_max("tool [mm]", result.moved_mm[fine]))
     if result.rest_mm is not None:
         lines.append("distance of the tool from its nominal position, by the model")
-        for label, scale, column in zip(("before [mm]", "after [um]"), (1, 1e3), result.rest_mm[fine].T, strict=True):
-            lines.append(f"  {label:<20}{scale * column.mean():>10.4f}{scale * column.max():>10.4f}")
+        before, after = result.rest_mm[fine].T
+        lines += [mean_and_max("before [mm]", before), mean_and_max("after [um]", 1e3 * after)]
     if result.bound_mm is not None:
-        bound = result.bound_mm[fine]
         lines.append("95 % of the errors that remain are below, by what was measured (where the tool is alike)")
-        lines.append(f"  {'bound [mm]':<20}{bound.mean():>10.4f}{bound.max():>10.4f}")
+        lines.append(mean_and_max("bound [mm]", result.bound_mm[fine]))
     return lines
+
+
+def mean_and_max(label: str, values: Array) -> str:
+    """A line of a table of means and greatest values."""
+    return f"  {label:<20}{values.mean():>10.4f}{values.max():>10.4f}"

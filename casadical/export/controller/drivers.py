@@ -5,8 +5,6 @@ Each holds the geometry of a rigid arm in the robot's own base frame; what a for
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -14,10 +12,11 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.files import csv_text
 from casadical.core.transforms import frame, inverse, to_rpy
 from casadical.export.controller.commands import Sources, own_robots, robot_of
 from casadical.export.omission import rest_of_rigid
-from casadical.robot.axes import row_matrix
+from casadical.robot.axes import frames_at_zero, row_matrix
 from casadical.robot.robot import Robot, modified_dh
 
 UR_LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
@@ -78,10 +77,7 @@ def standard_dh(robot: Robot, like: Array) -> tuple[Array, Array, Array]:
     a later row. like : thetas [rad], shape (n,), of the signs that the normals get. Base and last row take what four
     numbers for each joint cannot hold. (Denavit and Hartenberg 1955; Hayati 1983 on parallel axes.)
     """
-    T, frames = np.eye(4), []
-    for joint in robot.joints:
-        T = T @ row_matrix(joint)
-        frames.append(T)
+    frames = frames_at_zero(robot.joints)
     base = frame(_aligned(np.eye(3), frames[0][:3, 2]), frames[0][:3, 3] - _along(frames[0]) * frames[0][:3, 2])
     at, rows = base, []
     for i in range(robot.n - 1):
@@ -162,14 +158,14 @@ def _standard_table(real: Robot, nominal: Robot, _: str) -> str:
     for name, T in (("base", base), ("tool", tool)):
         angles = np.rad2deg(to_rpy(T[:3, :3]))
         table.append([f"{name} x y z roll pitch yaw", *(f"{v:.12f}" for v in (*(1e3 * T[:3, 3]), *angles)), "", ""])
-    return _csv(table)
+    return csv_text(table)
 
 
 def _modified_table(real: Robot, _nominal: Robot, _: str) -> str:
     rows = modified_dh(real)
     texts = [["" if v is None else f"{v:.12f}" if isinstance(v, float) else str(v) for v in r.values()] for r in rows]
     table = [list(rows[0]), *texts]
-    return _csv(table)
+    return csv_text(table)
 
 
 def _xacro(real: Robot, _nominal: Robot, _: str) -> str:
@@ -180,12 +176,6 @@ def _xacro(real: Robot, _nominal: Robot, _: str) -> str:
             text = " ".join(repr(float(v)) for v in values)
             lines.append(f'  <xacro:property name="{name}_{what}" value="{text}"/>')
     return "\n".join([*lines, "</robot>"]) + "\n"
-
-
-def _csv(table: list[list[str]]) -> str:
-    out = io.StringIO()
-    csv.writer(out, lineterminator="\n").writerows(table)
-    return out.getvalue()
 
 
 def _not_held(whole: Robot) -> tuple[str, ...]:

@@ -1,7 +1,5 @@
 """An offline program as a CSV table: joint targets are read in SI, every other column is kept unchanged."""
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +8,7 @@ import numpy as np
 
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
+from casadical.core.files import csv_text
 from casadical.measurements.columns import Columns
 from casadical.measurements.raw_table import read_table
 
@@ -79,17 +78,15 @@ class Program:
         str
             CSV
         """
-        out = io.StringIO()
-        writer = csv.writer(out, lineterminator="\n")
-        writer.writerow([*self.header, STATUS, *([] if bound_mm is None else [BOUND])])
+        table = [[*self.header, STATUS, *([] if bound_mm is None else [BOUND])]]
         for k, row in enumerate(self.rows):
             cells = list(row)
             for i, (column, unit) in enumerate(zip(self.columns, self.units, strict=True)):
                 if moved[k]:
                     cells[column] = f"{q[k, i] / _FACTOR[unit]:.{_DIGITS[unit]}f}"
             bound = [] if bound_mm is None else [f"{bound_mm[k]:.4f}" if moved[k] else ""]
-            writer.writerow([*cells, status[k], *bound])
-        return out.getvalue()
+            table.append([*cells, status[k], *bound])
+        return csv_text(table)
 
 
 def read_program(path: str | Path, joints: int, units: Sequence[str] = ()) -> Program:

@@ -16,7 +16,7 @@ from casadical.core.errors import InputError
 from casadical.core.transforms import frame, nearest_rotation, quaternion
 from casadical.export.mjcf.elements import inert, numbers
 from casadical.export.mjcf.equilibrium import load_mujoco
-from casadical.robot.axes import row_matrix
+from casadical.robot.axes import frames_at_zero
 from casadical.robot.robot import Robot
 from casadical.robot.urdf.tree import parse_xml
 
@@ -70,7 +70,7 @@ def into_mjcf(nominal: Robot, calibrated: Robot, path: Path, joints: Sequence[st
         raise InputError(f"--joints: {len(joints)} names for the {nominal.n} joints of {nominal.name}")
     spec = _read(path)
     X, axes, points, bodies = _zero(spec, joints, str(path))
-    N, after = _frames(nominal), _frames(calibrated)
+    N, after = frames_at_zero(nominal.joints), frames_at_zero(calibrated.joints)
     B = _foot(N, axes, points, joints, str(path))
     C = [np.linalg.inv(B @ n) @ x for n, x in zip(N, X, strict=True)]
     new = [B @ n @ c for n, c in zip(after, C, strict=True)]
@@ -161,15 +161,6 @@ def _zero(spec: Any, joints: Sequence[str], source: str) -> tuple[list[Array], A
     axes = np.array([data.joint(name).xaxis for name in joints])
     points = np.array([data.joint(name).xanchor for name in joints])
     return [_pose(data.body(name)) for name in bodies], axes, points, bodies
-
-
-def _frames(robot: Robot) -> list[Array]:
-    """Our frames of all links at zero reading, in the base frame, each (4, 4)."""
-    found, T = [], np.eye(4)
-    for row in robot.joints:
-        T = T @ row_matrix(row)
-        found.append(T)
-    return found
 
 
 def _foot(N: Sequence[Array], axes: Array, points: Array, joints: Sequence[str], source: str) -> Array:

@@ -18,7 +18,7 @@ from casadical.core.errors import InputError
 from casadical.core.parts import Placement
 from casadical.core.transforms import frame
 from casadical.export.c.reference import Status
-from casadical.export.controller.commands import Sources, command_of, own_robots, robot_of, units_of
+from casadical.export.controller.commands import Sources, command_of, own_robots, robot_of
 from casadical.export.controller.correction import FINE, LEAVES_BOX, Corrector, corrected_joints, model_corrector
 from casadical.export.controller.functions import tool_function
 from casadical.export.controller.inverse import solved
@@ -69,7 +69,7 @@ class Cell:
         """Of each joint's reading, rad or m."""
         if self.sources is None and self.folder:
             return self.folder.units or ("rad",) * self.folder.joints
-        return units_of(robot_of(self._files.robot))
+        return robot_of(self._files.robot).units
 
     @property
     def _files(self) -> Sources:

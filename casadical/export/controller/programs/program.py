@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from casadical.core.errors import InputError
-from casadical.core.files import read_bytes
-from casadical.export.controller.correction import FINE, MEANINGS, SHOWN, position_only
+from casadical.core.files import csv_text, read_bytes
+from casadical.export.controller.correction import FINE, MEANINGS, SHOWN, mean_and_max, position_only
 from casadical.export.controller.programs import correction as c
 from casadical.export.controller.programs.language import ProgramLanguage, text_of
 from casadical.export.controller.programs.registry import language_of
@@ -70,11 +70,7 @@ class CorrectedProgram:
 
     def to_csv(self) -> str:
         """The report: a row for each target, corrected or not."""
-        out = io.StringIO()
-        writer = csv.writer(out, lineterminator="\n")
-        writer.writerow(_HEADER)
-        writer.writerows(_row(r) for r in self.results)
-        return out.getvalue()
+        return csv_text([_HEADER, *(_row(r) for r in self.results)])
 
     def to_json(self) -> dict[str, Any]:
         """The summary as plain data."""
@@ -160,7 +156,7 @@ def _errors(fine: list[c.Result]) -> list[str]:
     for label, k, factor in (
         ("before [mm]", 0, 1.0), ("after [um]", 1, 1e3), ("before [mdeg]", 2, 1e3), ("after [mdeg]", 3, 1e3),
     ):  # fmt: skip
-        lines.append(f"  {label:<20}{factor * table[:, k].mean():>10.4f}{factor * table[:, k].max():>10.4f}")
+        lines.append(mean_and_max(label, factor * table[:, k]))
     lines[0] = f"{lines[0]}: mean, max"
     return lines
 
