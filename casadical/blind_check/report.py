@@ -4,28 +4,37 @@ import io
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Group, RenderableType
-from rich.table import Table
-from rich.text import Text
-
 from casadical.blind_check.metrics import part_metrics, sign_tests
 from casadical.blind_check.scoring import Score
 from casadical.core.errors import InputError, optional
 from casadical.core.files import write_together
+from casadical.core.telling.blocks import Block, Table, Words
 
 _LAST = ("at another joint", "unknown", "none")
 
 
-def report(scores: Sequence[Score]) -> RenderableType:
+def blocks(scores: Sequence[Score]) -> list[Block]:
     """The first score in full, the metrics of the others beside it."""
-    first = scores[0]
-    parts: list[RenderableType] = [Text(_title(first)), Text(), _metrics(scores), Text()]
-    if len(scores) > 1:
-        parts += [Text("Right on the same campaign: the first alone : the other alone"), _sign_tests(scores), Text()]
-    parts += [_parts(first), Text()]
-    parts += [Text("Hidden (rows) and answered first (columns), at most one effect"), _confusion(first), Text()]
-    parts += [Text(line) for line in wrong_claims(first)]
-    return Group(*parts)
+    first, *others = scores
+    beside = []
+    if others:
+        by = [f"{first.head.by} : {s.head.by}" for s in others]
+        rows = zip(*(sign_tests(first.outcomes, s.outcomes) for s in others), strict=True)
+        title = "Right on the same campaign: the first alone : the other alone"
+        beside = [Table(title, ["", *by], [[r[0].name, *map(str, r)] for r in rows])]
+    every = zip(*(s.metrics for s in scores), strict=True)
+    return [
+        Words(_title(first)),
+        Table(
+            "",
+            ["", *(s.head.by for s in scores), "target"],
+            [[r[0].name, *(str(m.estimate) for m in r), r[0].target] for r in every],
+        ),
+        *beside,
+        _parts(first),
+        _confusion(first),
+        *map(Words, wrong_claims(first)),
+    ]
 
 
 def _title(s: Score) -> str:
@@ -37,39 +46,14 @@ def _title(s: Score) -> str:
     )
 
 
-def _table(*columns: str) -> Table:
-    table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False)
-    for column in columns:
-        table.add_column(column, no_wrap=True)
-    return table
-
-
-def _metrics(scores: Sequence[Score]) -> Table:
-    """Every metric of every score: value (95 % interval; n), and the target."""
-    table = _table("", *(s.head.by for s in scores), "target")
-    for rows in zip(*(s.metrics for s in scores), strict=True):
-        table.add_row(rows[0].name, *(str(r.estimate) for r in rows), rows[0].target)
-    return table
-
-
-def _sign_tests(scores: Sequence[Score]) -> Table:
-    """Every further score against the first, campaign by campaign."""
-    first, *others = scores
-    found = [sign_tests(first.outcomes, s.outcomes) for s in others]
-    table = _table("", *(f"{first.head.by} : {s.head.by}" for s in others))
-    for rows in zip(*found, strict=True):
-        table.add_row(rows[0].name, *map(str, rows))
-    return table
-
-
 def _parts(s: Score) -> Table:
-    table = _table("by", "", "n", *part_metrics(s.outcomes))
+    rows = []
     for by, parts in s.parts.items():
         for k, (word, part) in enumerate(parts.items()):
             found = part_metrics(part).values()
             cells = ["-" if f.value is None else f"{f.value:.3f} [{f.low:.2f}, {f.high:.2f}]" for f in found]
-            table.add_row(by if k == 0 else "", word, str(len(part)), *cells)
-    return table
+            rows.append([by if k == 0 else "", word, str(len(part)), *cells])
+    return Table("", ["by", "", "n", *part_metrics(s.outcomes)], rows)
 
 
 def ordered(s: Score) -> tuple[list[str], list[str]]:
@@ -82,11 +66,11 @@ def ordered(s: Score) -> tuple[list[str], list[str]]:
 
 def _confusion(s: Score) -> Table:
     rows, columns = ordered(s)
-    table = _table("", *(w.replace("_", " ").replace(" ", "\n") for w in columns))
-    for word in rows:
-        counts = [s.confusion[word].get(c, 0) for c in columns]
-        table.add_row(word, *(str(n) if n else "." for n in counts))
-    return table
+    return Table(
+        "Hidden (rows) and answered first (columns), at most one effect",
+        ["", *(w.replace("_", "\n").replace(" ", "\n") for w in columns)],
+        [[word, *(str(s.confusion[word].get(c, 0) or ".") for c in columns)] for word in rows],
+    )
 
 
 def wrong_claims(s: Score) -> list[str]:

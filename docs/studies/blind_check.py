@@ -21,9 +21,10 @@ from rich.console import Console
 from casadical.blind_check import metrics
 from casadical.blind_check.metrics import Estimate, sign_tests
 from casadical.blind_check.protocol import XZ, stored
-from casadical.blind_check.report import draw_confusion, report
+from casadical.blind_check.report import blocks, draw_confusion
 from casadical.blind_check.scoring import Score, in_common, score
 from casadical.core.files import write_whole
+from casadical.core.telling.terminal import terminal
 
 ROOT = Path(__file__).parents[2]
 DATA, PAGE, HERE = ROOT / "data" / "withheld", ROOT / "docs" / "blind-check.md", ROOT / "docs" / "studies"
@@ -139,7 +140,7 @@ def main() -> None:
     for run in LARGE:
         if run in found:
             text = io.StringIO()
-            Console(file=text, width=260).print(report(found[run][:1]))
+            Console(file=text, width=260).print(terminal(blocks(found[run][:1])))
             prints.append(f"THE {run.upper()}\n\n" + re.sub(r" +$", "", text.getvalue(), flags=re.MULTILINE))
             whole = json.dumps(found[run][0].as_json(), indent=1, allow_nan=False)
             write_whole(RUNS[run] / "score.json", whole + "\n")
