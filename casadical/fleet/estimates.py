@@ -283,7 +283,7 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
     scale = np.array([wide.parameters[n].scale for n in names])
     C = np.zeros((len(names), len(names)))
     for block in known.covariance:
-        own = block.of(names)
+        own = block.only(names)
         places = [names.index(n) for n in own.names]
         C[np.ix_(places, places)] = own.matrix
     H = B.T @ scaled_inverse(known.misfit * C / np.outer(scale, scale)) @ B

@@ -51,7 +51,7 @@ def _known(problem: LeastSquares, names: list[str]) -> Array:
     S = np.diag([given.get(n, (0.0, robot.parameters[n].prior))[1] ** 2 for n in names])
     blocks = (Covariance(*block) for block in problem.known)
     for block in (*(robot.knowledge.covariance if robot.knowledge else ()), *blocks):
-        own = block.of(names)
+        own = block.only(names)
         at = [names.index(n) for n in own.names]
         S[np.ix_(at, at)] = own.matrix
     return S

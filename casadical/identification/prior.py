@@ -165,7 +165,7 @@ def carry_over(
             "identify it with casadical, which writes [[covariance]] or std_error, or take it frozen"
         )
     sizes = {p.name: p.scale for p in taken}
-    blocks = (block.of(sizes) for block in knowledge.covariance)
+    blocks = (block.only(sizes) for block in knowledge.covariance)
     wider = WIDENED, CHANGED
     if knowledge.robots:
         wider = 1.0, 0.0

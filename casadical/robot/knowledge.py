@@ -48,7 +48,7 @@ class Covariance:
                 f"{some}: the least eigenvalue of its correlations is {least:.3g}; a covariance has none below zero"
             )
 
-    def of(self, names: Iterable[str]) -> Covariance:
+    def only(self, names: Iterable[str]) -> Covariance:
         """Of some of the parameters, the others unknown."""
         wanted = set(names)
         which = [k for k, name in enumerate(self.names) if name in wanted]
@@ -99,7 +99,7 @@ class Knowledge:
     def without(self, names: Iterable[str]) -> Knowledge:
         """The same, nothing known of the covariance of these parameters."""
         gone = set(names)
-        blocks = (block.of(set(block.names) - gone) for block in self.covariance)
+        blocks = (block.only(set(block.names) - gone) for block in self.covariance)
         return replace(self, covariance=tuple(block for block in blocks if block.names))
 
     def joined(self, later: Knowledge) -> Knowledge:

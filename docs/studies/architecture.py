@@ -20,7 +20,7 @@ from pathlib import Path
 from statistics import median
 
 from floor_plan import ROOT, floors, picture
-from imports_of_package import House, classes, files_naming, repeated_lines
+from imports_of_package import House, classes, defined, files_naming, repeated_lines
 from parameter_walk import Walk, callers
 
 PAGE = ROOT / "docs" / "architecture.md"
@@ -52,7 +52,7 @@ def figures(house: House) -> dict[str, str]:
         if p.is_file() and p.suffix not in (".py", ".pyi", ".pyc") and p.name != "py.typed"
     ]
     families = {
-        "effect": classes(house, "effects", "Effect"),
+        "effect": classes(house, "effects", "Effect") | defined(house),
         "kind of measurement": KINDS,
         "trainer": classes(house, "compensator.trainers", "Trainer"),
         "controller language": LANGUAGES,

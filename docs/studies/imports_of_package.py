@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -182,6 +183,18 @@ def classes(house: House, folder: str, base: str) -> dict[str, set[str]]:
     return found
 
 
+def defined(house: House) -> dict[str, set[str]]:
+    """Effects that are tables of a file, by class, each with both names."""
+    names = {name for said in _data_files(house) for name in said}
+    return {(kind := name.title().replace("_", "")): {kind, name} for name in sorted(names)}
+
+
+def _data_files(house: House) -> list[set[str]]:
+    """Names of the effects that each file of data defines."""
+    files = sorted(house.folder.rglob("*.effect.toml"))
+    return [{d["name"] for d in tomllib.loads(file.read_text(encoding="utf-8"))["definition"]} for file in files]
+
+
 def _named(node: ast.ClassDef) -> Iterator[str]:
     for n in node.body:
         target = n.target if isinstance(n, ast.AnnAssign) else n.targets[0] if isinstance(n, ast.Assign) else None
@@ -192,6 +205,7 @@ def _named(node: ast.ClassDef) -> Iterator[str]:
 def files_naming(house: House, members: dict[str, set[str]]) -> list[int]:
     """Of each member the number of files that name it, its own among them."""
     spoken = [m.words for m in house.modules.values() if m.name and m.room not in INDEPENDENT]
+    spoken += _data_files(house)
     return [sum(bool(names & said) for said in spoken) for names in members.values()]
 
 

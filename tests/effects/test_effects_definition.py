@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from bench import ROOT, campaign, robot, with_columns
 
+from casadical.cli.options import effects_of
 from casadical.core.errors import InputError
 from casadical.core.schema import load_toml
 from casadical.diagnosis.candidates import candidates_of
+from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.linearisation import signatures
 from casadical.effects import Effect, JointScale, ThermalGrowth, setting
 from casadical.effects.definition import LISTED
@@ -84,6 +86,21 @@ def test_a_robot_file_holds_the_definition(tmp_path: Path) -> None:
     np.testing.assert_allclose(predicted(again, poses)[0], predicted(whole, poses)[0], rtol=0, atol=1e-12)
     write_robot(robot(NAME).with_effect(JointScale(2)), tmp_path / "listed.toml")
     assert "definition" not in load_toml(tmp_path / "listed.toml")
+
+
+def test_a_diagnosis_names_it_and_writes_it(tmp_path: Path) -> None:
+    kind, poses = defined(tmp_path), campaign(NAME)[:150]
+    moved = robot(NAME).with_effect(kind(5, 1.0)).with_values({"soft_stop@5.give": 4e-4})
+    noise = np.random.default_rng(0).normal(0, 2e-5, (len(poses), 3))
+    seen = replace(poses, position=predicted(moved, poses)[0] + noise)
+    effects = effects_of(f"standard,{tmp_path / 'own.effect.toml'}")
+    found = diagnose(robot(NAME), seen, effects, laws=False)
+    assert [c.label for c in found.causes] == ["soft_stop@5"]
+    estimates = found.causes[0].estimates
+    assert estimates is not None
+    assert estimates["give"][0] == pytest.approx(4e-4, rel=0.15)
+    write_robot(found.apply(), tmp_path / "found.toml")
+    assert [type(e) for e in read_robot(tmp_path / "found.toml").effects] == [kind]
 
 
 def test_an_effect_goes_to_another_process(tmp_path: Path) -> None:

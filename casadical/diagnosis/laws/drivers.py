@@ -11,7 +11,7 @@ from casadical.core.arm import Arm
 from casadical.core.arrays import Array
 from casadical.diagnosis.linearisation import Linearisation
 from casadical.effects.formula import NUMERIC, names_in, parse
-from casadical.effects.formula_effect import COLUMN, COLUMNS
+from casadical.effects.formula_effect import COLUMN, columns_of
 from casadical.effects.law import Law
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
@@ -70,7 +70,7 @@ WARM = "warmth_600s"
 
 def with_columns(m: Measurements, drivers: Sequence[Driver]) -> tuple[Measurements, list[Driver]]:
     """The measurements with the drivers' columns, and those drivers whose columns were logged or follow."""
-    needed = {d: [COLUMNS.get(n, n) for n in parse(d.text).names if COLUMN.fullmatch(n)] for d in drivers}
+    needed = {d: columns_of(parse(d.text).names) for d in drivers}
     m, missing = derive(m, [c for columns in needed.values() for c in columns])
     return m, [d for d in drivers if not set(needed[d]) & set(missing)]
 
