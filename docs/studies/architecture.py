@@ -4,7 +4,8 @@ It reads every Python file of the package with `ast` and imports none. It writes
 tables between the markers of docs/architecture.md. `--check` writes nothing and ends in 1 if the page is out of date:
 other rooms, imports or circles, or a figure that differs by more than a tenth. `--figures [PACKAGE]` prints the
 figures, also of another copy of the package, and more: what a parameter passes (`parameter_walk`), who calls, how long
-functions and tests are. architecture_before.txt holds those of commit e4e7bcd, before the rooms.
+functions and tests are. architecture_before.txt holds those of commit e4e7bcd, before the rooms,
+architecture_0408a23.txt those of the commit before one way in, one engine, one teller.
 
 A room is an entry of the package's folder: a folder or a module. An arrow from room A to room B means that a module of
 A imports one of B, anywhere in the file: inside functions, under TYPE_CHECKING, or as a module's name in a string.
