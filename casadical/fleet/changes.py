@@ -226,14 +226,19 @@ class Comparison:
         return f"{len(self.campaigns)} campaigns, {first} to {last}"
 
     def blocks(self) -> list[Words | Table]:
-        """All that `casadical compare` prints.
-
-        Returns
-        -------
-        list[Words | Table]
-            words and tables, see `casadical.core.telling.blocks`
-        """
-        return _blocks(self)
+        """All that `casadical compare` prints."""
+        blocks: list[Words | Table] = []
+        for change in self.changes:
+            blocks += [*_change(self, change)]
+        if not self.changes:
+            chance = 1 - usual_probability(self.log_odds)
+            blocks.append(
+                Words(f"NOTHING CHANGED in the robot that {len(self.campaigns)} campaigns would show.", "verdict")
+            )
+            blocks.append(Words(f"Probability {chance:.3f}, if one robot in ten changes between two campaigns."))
+        blocks += [Words(f"{what}: {how}.") for what, how in self.placements]
+        blocks += [Words(f"note: {note}.", "note") for note in self.notes]
+        return [*blocks, _campaigns(self), _seen_from(self)]
 
     def figures(self) -> dict[str, Figure]:
         """By name: change/CAUSE for each change, and left, the scatter of each campaign."""
@@ -256,36 +261,39 @@ class Comparison:
         return Page(f"{name}: what changed", name, f"{kind}: {self.span}", sections, tiles, files=read)
 
     def to_json(self) -> dict[str, Any]:
-        """The same as plain data.
-
-        Returns
-        -------
-        dict[str, Any]
-            what `casadical compare --json` writes
-        """
-        return _json(self)
+        """The same as plain data, as `casadical compare --json` writes it."""
+        labels = [c.label for c in self.campaigns]
+        return {
+            "robot": self.campaigns[0].robot.name,
+            "name": self.name,
+            "changed": self.changed,
+            "log_odds_of_one_more": round(self.log_odds, 3),
+            "sure_from_log_odds": round(float(np.log(SURE)), 3),
+            "changes": [_change_json(c, labels) for c in self.changes],
+            "campaigns": [
+                {
+                    "label": c.label,
+                    "day": c.day,
+                    "poses": c.poses,
+                    "left_mm": None if c.sigma is None else 1e3 * c.sigma,
+                    "misfit": round(c.misfit, 4),
+                    "notes": list(c.notes),
+                }
+                for c in self.campaigns
+            ],
+            "placements": dict(self.placements),
+            "seen_from": [
+                {"cause": cause, "size": size if np.isfinite(size) else None, "unit": unit}
+                for cause, size, unit in self.seen_from
+            ],
+            "notes": list(self.notes),
+        }
 
 
 def usual_probability(log_odds: float) -> float:
     """That something changed, where that is the case in one of ten comparisons."""
     prior = USUAL_CHANGE / (1 - USUAL_CHANGE)
     return float(1 / (1 + np.exp(-np.clip(log_odds + np.log(prior), -500, 500))))
-
-
-def _blocks(found: Comparison) -> list[Words | Table]:
-    """All that `casadical compare` prints."""
-    blocks: list[Words | Table] = []
-    for change in found.changes:
-        blocks += [*_change(found, change)]
-    if not found.changes:
-        chance = 1 - usual_probability(found.log_odds)
-        blocks.append(
-            Words(f"NOTHING CHANGED in the robot that {len(found.campaigns)} campaigns would show.", "verdict")
-        )
-        blocks.append(Words(f"Probability {chance:.3f}, if one robot in ten changes between two campaigns."))
-    blocks += [Words(f"{what}: {how}.") for what, how in found.placements]
-    blocks += [Words(f"note: {note}.", "note") for note in found.notes]
-    return [*blocks, _campaigns(found), _seen_from(found)]
 
 
 def in_words(found: Comparison, change: Change) -> str:
@@ -432,36 +440,6 @@ def left_figure(
     ]  # fmt: skip
     x, y = Axis("campaign", step=step), Axis("one sigma [mm]", begins=True)
     return Figure(name, "Left in each campaign", series, x, y, **figure)
-
-
-def _json(found: Comparison) -> dict[str, Any]:
-    """The same as plain data."""
-    labels = [c.label for c in found.campaigns]
-    return {
-        "robot": found.campaigns[0].robot.name,
-        "name": found.name,
-        "changed": found.changed,
-        "log_odds_of_one_more": round(found.log_odds, 3),
-        "sure_from_log_odds": round(float(np.log(SURE)), 3),
-        "changes": [_change_json(c, labels) for c in found.changes],
-        "campaigns": [
-            {
-                "label": c.label,
-                "day": c.day,
-                "poses": c.poses,
-                "left_mm": None if c.sigma is None else 1e3 * c.sigma,
-                "misfit": round(c.misfit, 4),
-                "notes": list(c.notes),
-            }
-            for c in found.campaigns
-        ],
-        "placements": dict(found.placements),
-        "seen_from": [
-            {"cause": cause, "size": size if np.isfinite(size) else None, "unit": unit}
-            for cause, size, unit in found.seen_from
-        ],
-        "notes": list(found.notes),
-    }
 
 
 def _change_json(c: Change, labels: list[str]) -> dict[str, Any]:

@@ -100,13 +100,7 @@ class Fleet:
         return {name: words for name, words in told.items() if words}
 
     def blocks(self) -> list[Words | Table]:
-        """What `casadical fleet` prints.
-
-        Returns
-        -------
-        list[Words | Table]
-            words and tables, see `casadical.core.telling.blocks`
-        """
+        """What `casadical fleet` prints."""
         good = self.good
         text = f"{len(good)} of {len(self.robots)} robots calibrated"
         if len(good):
@@ -257,13 +251,7 @@ class Fleet:
             yield Table(f"Not calibrated ({len(bad)})", ("robot", "status", "why"), rows)
 
     def to_json(self) -> dict[str, Any]:
-        """The same as plain data.
-
-        Returns
-        -------
-        dict[str, Any]
-            what `casadical fleet --json` writes
-        """
+        """The same as plain data."""
         words = ["robot", "folder", "status", "error", "type", "type_name", "method", "verdict", "causes", "changes",
                  "at_bounds", "notes", "poses", "campaigns", "before_mm", "after_mm", "seconds"]  # fmt: skip
         listed = [{k: _plain(v) for k, v in r.items()} for r in records(self.robots[words])]

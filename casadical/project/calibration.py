@@ -108,13 +108,7 @@ class Calibration:
         return worse_than_before(self.identification, before, after) if held_out else ""
 
     def brief(self) -> Sequence[Words | Table]:
-        """What counts, in at most 20 lines of 80 columns: verdict, errors before and after, three things to know.
-
-        Returns
-        -------
-        Sequence[Words | Table]
-            words and tables, see `casadical.core.telling.blocks`
-        """
+        """What counts, in at most 20 lines of 80 columns: verdict, errors before and after, three things to know."""
         problem = self.problem
         return [
             Words(problem.title, "title"),
@@ -126,13 +120,7 @@ class Calibration:
         ]
 
     def blocks(self) -> Sequence[Words | Table]:
-        """All that `casadical calibrate` prints, as words and tables.
-
-        Returns
-        -------
-        Sequence[Words | Table]
-            words and tables, see `casadical.core.telling.blocks`
-        """
+        """All that `casadical calibrate` prints, as words and tables."""
         problem, last = self.problem, self.identification
         return [
             Words(problem.title, "title"),
@@ -178,13 +166,7 @@ class Calibration:
         return calibration_page(self.problem, self.identifications, self.accuracies, self.networks, self.figures())
 
     def to_json(self) -> dict[str, Any]:
-        """The same as plain data: per method and set the error figures, per parameter value, error, unit, status.
-
-        Returns
-        -------
-        dict[str, Any]
-            what `casadical calibrate --json` writes
-        """
+        """The same as plain data: per method and set the error figures, per parameter value, error, unit, status."""
         problem, kinds = self.problem, {name: m.kind for name, m in self.problem.parts()}
         found: dict[str, Any] = {
             "problem": problem.folder.name,

@@ -134,13 +134,7 @@ class Discovery:
         return None if some == whole else (some, whole)
 
     def apply(self) -> Robot:
-        """The calibrated robot with laws or smooth forms in its model, whichever predict better.
-
-        Returns
-        -------
-        Robot
-            a robot that predicts, and can be written and exported
-        """
+        """The calibrated robot with laws or smooth forms in its model, whichever predict better."""
         return self.refit().robot
 
     @property

@@ -88,13 +88,7 @@ class Replay:
         return pd.DataFrame(rows)
 
     def to_json(self) -> dict[str, Any]:
-        """The replay as plain data: its table, and what became of each effect in the last model.
-
-        Returns
-        -------
-        dict[str, Any]
-            plain data
-        """
+        """The replay as plain data: its table, and what became of each effect in the last model."""
         last = self.stages[-1].export
         return {
             "robot": self.robot,
