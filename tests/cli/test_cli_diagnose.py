@@ -121,14 +121,12 @@ def test_the_robot_with_its_causes_goes_on_to_every_command(tmp_path: Path) -> N
 
 def test_out_is_whole_or_not_there_and_a_folder_each_for_several(tmp_path: Path) -> None:
     (tmp_path / "taken" / "diagnosis.txt").mkdir(parents=True)
-    done = diagnosed(
-        PROBLEM, P06, "--effects", "backlash@3", "--out", tmp_path / "taken", "--json", tmp_path / "a.json"
-    )
+    done = diagnosed(PROBLEM, P06, "--effects", FEW, "--out", tmp_path / "taken", "--json", tmp_path / "a.json")
     assert done.returncode == 2
     assert "is a folder" in done.stderr
     assert [p.name for p in (tmp_path / "taken").iterdir()] == ["diagnosis.txt"]
     assert not (tmp_path / "a.json").exists()
-    done = diagnosed(PROBLEM, P06, P03, "--effects", "backlash@3", "--out", tmp_path / "two", "-q")
+    done = diagnosed(PROBLEM, P06, P03, "--effects", FEW, "--out", tmp_path / "two", "-q")
     assert done.returncode == 0, done.stderr
     assert sorted(p.parent.name for p in (tmp_path / "two").rglob("*.toml")) == ["ur10e-P03", "ur10e-P06"]
     done = diagnosed(PROBLEM, P06, "--unlisted")
