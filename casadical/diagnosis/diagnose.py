@@ -14,7 +14,7 @@ from casadical.diagnosis.candidates import Candidate, candidates_of
 from casadical.diagnosis.changes import changes
 from casadical.diagnosis.conclusion import conclude
 from casadical.diagnosis.evidence import ALL_SIGMAS
-from casadical.diagnosis.laws.contest import beside_nothing, instead
+from casadical.diagnosis.laws.contest import laws_before_causes, replaces_causes
 from casadical.diagnosis.linear_problem import Case, better_ratios, make_case
 from casadical.diagnosis.observations import Ratios
 from casadical.diagnosis.posterior import Rivals, no_rivals
@@ -215,8 +215,8 @@ def _held_against_laws(found: Diagnosis) -> Diagnosis:
     effects = found.effects()
     if not effects or not found.case.one_end or any(e.parts for e in effects):
         return found
-    law = beside_nothing(found)
-    if instead(found, law):
+    law = laws_before_causes(found)
+    if replaces_causes(found, law):
         state = State(found.case, rankings=found.rankings[:1])
         found = conclude(found.identification, state, "unknown", found.seed, found.p_nothing)
     return replace(found, law=law)

@@ -12,13 +12,13 @@ from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.parameters import Parameter
 from casadical.core.statistics import robust_std
-from casadical.diagnosis.camera_columns import with_images
 from casadical.diagnosis.candidates import Candidate, choose
 from casadical.diagnosis.cross_validation import fit_of
 from casadical.diagnosis.evidence import ALL_SIGMAS, RHOS, SIGMAS, Evidence
+from casadical.diagnosis.instrument_columns import with_far_ends, with_images
 from casadical.diagnosis.linearisation import EffectColumns
 from casadical.diagnosis.noise_floor import replicates
-from casadical.diagnosis.observations import Observations, Ratios, joined, observe, stops_in, with_far_ends
+from casadical.diagnosis.observations import Observations, Ratios, joined, observe, stops_in
 from casadical.effects import Effect
 from casadical.identification.accuracy import predicted
 from casadical.identification.prior import Prior

@@ -20,9 +20,7 @@ from casadical.core.casadi_buffers import call
 from casadical.diagnosis.linearisation import BLOCK, POINT, TURN, Linearisation, of_turn
 from casadical.diagnosis.seams import observed_at_seams, seams_of
 from casadical.diagnosis.stops import Stops, stops_of
-from casadical.effects.formula_effect import FAR, FLAGS, WIRES
 from casadical.identification.result import Identification
-from casadical.measurements.kinds.distance import Distance
 from casadical.measurements.kinds.position import Position
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
@@ -117,42 +115,6 @@ def stops_in(sets: Sequence[Measurements]) -> Stops:
     """At which stops the rows of some sets were read."""
     points = [m.label if m.label is not None else np.full(len(m), "") for m in sets]
     return stops_of(sets, _measured_to(sets, np.unique(np.concatenate(points).astype(str), return_inverse=True)[1]))
-
-
-def with_far_ends(
-    m: Measurements, sets: Sequence[Measurements], where: Mapping[str, Array], stops: Stops
-) -> Measurements:
-    """The table of all sets with columns of the instruments that read distances, where there are some.
-
-    far_x_m .. : the known far end, or where the base fit has it (see `Identification.unknown_points`); wire1 .. : 1
-    where the first such instrument read, else 0. Far ends of one table are those of one instrument each, up to WIRES.
-    Of further rows at a stop they are further columns (see `linearisation.of_turn`).
-    """
-    rows = len(stops.of)
-    far, wire, count = np.zeros((rows, 3)), np.zeros(rows, dtype=np.int64), 0
-    for k, (part, at) in enumerate(zip(sets, edges_of(sets), strict=True)):
-        if part.kind != Distance.name or part.distance is None:
-            continue
-        names = [f"{k}/{name}" for name in find_kind(part.kind).point_names(part.arrays)]
-        far[at] = part.target if part.target is not None else np.array([where[name] for name in names])
-        _, which = np.unique(far[at], axis=0, return_inverse=True)
-        wire[at] = 1 + count + which.ravel()
-        count = int(wire[at].max())
-    if not 0 < count <= WIRES:
-        return m
-    of_row = {f: (wire == k).astype(float) for k, f in enumerate(FLAGS, 1)} | dict(zip(FAR, far.T, strict=True))
-    return replace(m, conditions={**m.conditions, **by_turn(of_row, stops, len(m))})
-
-
-def by_turn(of_row: Mapping[str, Array], stops: Stops, poses: int) -> dict[str, Array]:
-    """Columns of rows, shape (rows,), as those of poses, of further rows at a stop with names of their own."""
-    columns: dict[str, Array] = {}
-    for turn in range(stops.most):
-        own = np.flatnonzero(stops.turn == turn)
-        for name, values in of_row.items():
-            columns[of_turn(name, turn)] = column = np.zeros(poses)
-            column[stops.of[own]] = values[own]
-    return columns
 
 
 def edges_of(sets: Sequence[Measurements]) -> list[slice]:

@@ -191,7 +191,7 @@ def _known(name: str, seam: str) -> bool:
 
 
 def image_columns(side: str, what: str) -> tuple[str, str, str]:
-    """Columns of a camera's vector in the measuring frame, made of measured poses (see `diagnosis.camera_columns`).
+    """Columns of a camera's vector in the measuring frame, made of measured poses (see `diagnosis.instrument_columns`).
 
     side : of SIDES; what : depth, the part of the way to the target along the lens's axis, or radial, the part across
         it times its slope squared. A fixed camera's frame is the measuring frame with the third axis along the lens,

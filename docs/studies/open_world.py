@@ -41,7 +41,7 @@ from casadical.blind_check.signal_size import base_jacobian, unabsorbed_rms
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.diagnosis.diagnose import diagnose
-from casadical.diagnosis.laws.contest import beside_nothing, instead
+from casadical.diagnosis.laws.contest import laws_before_causes, replaces_causes
 from casadical.measurements.reading import from_table
 from casadical.robot.robot import Robot
 
@@ -168,7 +168,7 @@ def trial(part: str, number: int, seeds: str, options: dict[str, Any], *, laws: 
         return answer | {"verdict": "refused", "named": [], "why": str(error), "seconds": 0.0}
     first = found.rankings[0]
     if laws:
-        answer["law"] = bool(instead(found, beside_nothing(found)))
+        answer["law"] = bool(replaces_causes(found, laws_before_causes(found)))
     return answer | {
         "verdict": found.verdict,
         "named": [c.label for c in found.causes],

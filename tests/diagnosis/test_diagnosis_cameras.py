@@ -11,7 +11,7 @@ import pytest
 from cases import diagnose
 from scipy.spatial.transform import Rotation
 
-from casadical.diagnosis.camera_columns import _images
+from casadical.diagnosis.instrument_columns import _images
 from casadical.measurements.measurements import Measurements
 from casadical.project.problem import read_campaign_robot
 

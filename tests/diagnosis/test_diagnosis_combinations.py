@@ -11,10 +11,10 @@ from casadical.core.linear_gaussian.columns import Factors, combined, directions
 from casadical.core.parts import Placement
 from casadical.diagnosis.cross_validation import estimates, fold_errors, new_fit, random_folds
 from casadical.diagnosis.evidence import Evidence
-from casadical.diagnosis.learnt_sizes import learnt_sizes
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import EffectColumns
 from casadical.diagnosis.noise_evidence import Form, Problem
+from casadical.diagnosis.settings_search import learnt_sizes
 from casadical.identification.accuracy import predicted
 from casadical.measurements.noise import Noise
 
@@ -102,8 +102,8 @@ def test_columns_stay_as_they_are_unless_a_whole_part_is_there() -> None:
     every = combined(np.arange(2, 10), [(part, V)])
     assert every.width == 6
     x = np.arange(8.0)
-    assert every.of(x) == pytest.approx(np.concatenate([x[:2], V.T @ x[2:6], x[6:]]))
-    assert every.values(every.of(x)) == pytest.approx(np.concatenate([x[:2], V @ V.T @ x[2:6], x[6:]]))
+    assert every.combine(x) == pytest.approx(np.concatenate([x[:2], V.T @ x[2:6], x[6:]]))
+    assert every.values(every.combine(x)) == pytest.approx(np.concatenate([x[:2], V @ V.T @ x[2:6], x[6:]]))
     assert every.places(np.arange(1, 6)).tolist() == [1, 2, 3]
     assert every.one_of_each(np.repeat([1.0, 5.0, 2.0], [2, 4, 2])).tolist() == [1, 1, 5, 5, 2, 2]
     assert every.left_out(np.repeat([1.0, 5.0, 2.0], [2, 4, 2])) == 10.0
@@ -126,7 +126,7 @@ def test_a_joint_that_moves_no_pose_has_no_combinations() -> None:
     assert factors.combined(every).columns_at(S) == pytest.approx(factors.columns_at(S)[:, :, 4:])
     assert every.places(idle).tolist() == []
     assert every.values(np.array([7.0, 8.0])).tolist() == [0, 0, 0, 0, 7, 8]
-    assert combined(idle, [(idle, np.zeros((4, 0)))]).of(np.ones(4)).shape == (0,)
+    assert combined(idle, [(idle, np.zeros((4, 0)))]).combine(np.ones(4)).shape == (0,)
 
 
 def test_a_diagnosis_ends_where_the_last_joint_moves_no_pose() -> None:

@@ -15,7 +15,7 @@ from casadical.core.linear_gaussian import marginals
 from casadical.core.sx_instructions import SxInstructions
 from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.evidence import KAPPAS, RHOS, SIGMAS, Evidence
-from casadical.diagnosis.learnt_sizes import learnt_sizes
+from casadical.diagnosis.settings_search import learnt_sizes
 from casadical.effects import JointErrorCurve, TransmissionRipple
 from casadical.effects.joint_error_curve import DENSE, ORDERS, USUAL
 from casadical.identification.accuracy import errors

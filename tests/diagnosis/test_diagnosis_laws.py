@@ -94,23 +94,23 @@ def test_drivers_are_what_the_robot_and_the_table_say() -> None:
 
 def test_screened_evidence_is_the_exact_one_at_each_rho() -> None:
     c = case("kr210-P02")
-    problem = Problem.of(c, NONE)
+    problem = Problem.beside(c, NONE)
     by_rho = log_sum(problem.log_base, axis=1)
     for s in search_laws(c, NONE)[:8]:
         seam, x = s.tried.seams[s.seam], s.tried.x[s.seam]
         values = s.tried.form.values(x, s.settings[None])
         exact = log_sum(problem.grids([s.columns])[0], axis=(1, 2)) - by_rho
         for rho in SCREENED:
-            screen = Screen.of(problem.evidence, rho)
+            screen = Screen.at_rho(problem.evidence, rho)
             G, b = screen.products(seam.columns * seam.size, values / scale_of(values)[:, None, :])
             assert screen.gains(G, b) == pytest.approx(exact[rho], abs=1.0)
 
 
 def test_products_of_functions_of_each_column_are_those_of_the_columns() -> None:
     c, rng = case("kr210-P02"), np.random.default_rng(3)
-    problem, n = Problem.of(c, NONE), int(c.kept.sum())
+    problem, n = Problem.beside(c, NONE), int(c.kept.sum())
     places, functions = rng.standard_normal((n, 3, 4)), rng.standard_normal((2, n, 4, 3))
-    screen = Screen.of(problem.evidence, 2)
+    screen = Screen.at_rho(problem.evidence, 2)
     G, b = screen.products(places, functions)
     for k in range(functions.shape[-1]):
         columns = np.concatenate([places * part[:, None, :, k] for part in functions], axis=2)

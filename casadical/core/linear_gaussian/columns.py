@@ -79,7 +79,7 @@ class ArrayColumns:
 
     def take(self, columns: Array, blocks: Array | slice = EVERY, every: Combined | None = None) -> Array:
         taken = self.values[blocks][:, :, columns]
-        return np.asarray(every.of(taken) if every else taken)
+        return np.asarray(every.combine(taken) if every else taken)
 
     def factors(self, blocks: slice = EVERY) -> Factors:
         every = np.arange(self.values.shape[2])
@@ -200,7 +200,7 @@ class Combined:
         """Whether all columns are as they are."""
         return all(V is None for _, _, V in self.blocks)
 
-    def of(self, M: Array) -> Array:
+    def combine(self, M: Array) -> Array:
         """Numbers by column as numbers by combination, along the last axis."""
         if self.plain:
             return M

@@ -162,9 +162,9 @@ class Marginals:
         own, at = self.sums.crossed(new, model.near, new), {}
         precision, lost = np.diag(every.one_of_each(weights**2)), every.left_out(np.log(weights))
         for k in model.near:
-            along = every.of(before.axes(k, new).T)
-            normal = every.of(own[k].T) + precision - along.T @ along
-            right = every.of(before.b[k][new][:, 0])
+            along = every.combine(before.axes(k, new).T)
+            normal = every.combine(own[k].T) + precision - along.T @ along
+            right = every.combine(before.b[k][new][:, 0])
             at[k] = joined(normal, right, before.at[k].square, before.at[k].log_norm - lost)
         return self._made(at, columns, before, new, every)
 
@@ -196,7 +196,7 @@ class Marginals:
                 products, left = self.sums.columns[more, k, :P], self.sums.columns[more, k, P]
             else:
                 products = cross[k]
-                products -= before.axes(k, more) @ chosen.combined.of(before.axes(k, chosen.new).T)
+                products -= before.axes(k, more) @ chosen.combined.combine(before.axes(k, chosen.new).T)
                 left = before.b[k][more][:, 0]
             V = products @ chosen.at[k].root.T
             chosen.V[k].add(more, V)
@@ -230,9 +230,9 @@ class Marginals:
             E = projection.columns(self.model.take(group))
             value, vector = np.linalg.eigh(E @ E.T)
             return value, np.sqrt(np.maximum(value, 0.0)) * (vector.T @ projection.y)
-        V = every.of(chosen.axes(k, group).T)
+        V = every.combine(chosen.axes(k, group).T)
         value, vector = np.linalg.eigh(self.sums.wide(group, k) - V.T @ V)
-        return value, vector.T @ every.of(chosen.b[k][group][:, 0])
+        return value, vector.T @ every.combine(chosen.b[k][group][:, 0])
 
 
 def loss_of_finer_noise(model: LinearModel, log_base: Array) -> Array:

@@ -77,8 +77,8 @@ class GridSums:
         for sums, k in zip(total, points, strict=True):
             sums[np.ix_(outer, outer)] = self.base[k]
             if len(columns):
-                sums[np.ix_(inner, inner)] = every.of(crossed[k].T)
-                sums[np.ix_(outer, inner)] = across = every.of(self.columns[columns, k].T)
+                sums[np.ix_(inner, inner)] = every.combine(crossed[k].T)
+                sums[np.ix_(outer, inner)] = across = every.combine(self.columns[columns, k].T)
                 sums[np.ix_(inner, outer)] = across.T
         return total
 

@@ -24,12 +24,12 @@ from casadical.diagnosis.settings_search import refined
 MOST_POSES = 600
 
 
-def instead(found: Diagnosis, first: Round) -> bool:
+def replaces_causes(found: Diagnosis, first: Round) -> bool:
     """Whether the best law beside nothing is claimed in place of all causes of a diagnosis together."""
     return first.claimed and first.best.score + np.log(PRIOR_FIRST["unknown"]) >= _set_mass(found) + ABOVE
 
 
-def beside_nothing(found: Diagnosis) -> Round:
+def laws_before_causes(found: Diagnosis) -> Round:
     """Laws compared with all else before any cause is in the model; of a large campaign, on some of its poses."""
     case = thinned(found.case)
     none = np.zeros(0, dtype=np.int64)

@@ -13,7 +13,7 @@ from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import estimates, shrink_interval
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.laws.answer import Discovery, Kept
-from casadical.diagnosis.laws.contest import beside_nothing, instead, round_of, thinned
+from casadical.diagnosis.laws.contest import laws_before_causes, replaces_causes, round_of, thinned
 from casadical.diagnosis.laws.held_out import held_out
 from casadical.diagnosis.laws.problem import Scored
 from casadical.diagnosis.laws.round import Round
@@ -83,10 +83,10 @@ def laws_beside(found: Diagnosis, show: Show = silent) -> Discovery:
     show("laws beside nothing")
     case = thinned(found.case)
     none = np.zeros(0, dtype=np.int64)
-    first = found.law or beside_nothing(found)
+    first = found.law or laws_before_causes(found)
     rounds, laws, causes = [first], [], found.effects()
     columns = found.columns
-    if instead(found, first):
+    if replaces_causes(found, first):
         laws, causes = [first.best], ()
         case = with_law(case, first.best.law)
         columns = case.group((first.best.law,))

@@ -110,7 +110,7 @@ class Problem:
     evidence: Evidence
 
     @classmethod
-    def of(cls, case: Case, chosen: Array) -> Problem:
+    def beside(cls, case: Case, chosen: Array) -> Problem:
         """Of a case; chosen : columns of what is in the model already."""
         base = case.evidence.with_base(chosen)
         return cls(replace(base, E=np.zeros((*base.r.shape, 1)), held=None))
@@ -143,7 +143,7 @@ class Problem:
         by_rho = dict(zip(near, log_sum(self.log_base[near], axis=1), strict=True))
         total = float(log_sum(self.log_base[near]))
         known = [k for k in SCREENED if k in by_rho] or [max(near, key=lambda k: by_rho[k])]
-        return [(float(by_rho[k]) - total, Screen.of(self.evidence, k)) for k in known]
+        return [(float(by_rho[k]) - total, Screen.at_rho(self.evidence, k)) for k in known]
 
     def gains(self, seam: Seam, functions: Array) -> Array:
         """Log evidence of laws at a place, shape (K,); functions : in units of their scales, as of `Form.values`."""

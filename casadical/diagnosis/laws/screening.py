@@ -31,7 +31,7 @@ class Screen:
     rows: int
 
     @classmethod
-    def of(cls, e: Evidence, rho: int) -> Screen:
+    def at_rho(cls, e: Evidence, rho: int) -> Screen:
         """The problem at a rho of the grid, by its number."""
         r = float(RHOS[rho])
         projection = e.projection(r)

@@ -173,7 +173,7 @@ def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset()
 
     chosen : columns of what is in the model already; without : labels of laws that are in it
     """
-    problem = Problem.of(case, chosen)
+    problem = Problem.beside(case, chosen)
     linear, known = _linear(case)
     kept, values = values_of(linear, known)
     drivers = list(zip(kept, values.T, strict=True))

@@ -1,0 +1,85 @@
+"""Columns of instruments, for effects in them: known far ends of distances, and where what cameras see lies in their
+image, made of measured full poses.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from casadical.core.arrays import Array
+from casadical.diagnosis.linearisation import of_turn
+from casadical.diagnosis.observations import edges_of
+from casadical.diagnosis.stops import Stops
+from casadical.effects.formula_effect import FAR, FLAGS, WIRES, image_columns
+from casadical.measurements.kinds.distance import Distance
+from casadical.measurements.kinds.registry import find_kind
+from casadical.measurements.measurements import Measurements
+
+# A slope against the lens's axis beyond which nothing is in an image.
+STEEPEST = 2.0
+
+
+def with_far_ends(
+    m: Measurements, sets: Sequence[Measurements], where: Mapping[str, Array], stops: Stops
+) -> Measurements:
+    """The table of all sets with columns of the instruments that read distances, where there are some.
+
+    far_x_m .. : the known far end, or where the base fit has it (see `Identification.unknown_points`); wire1 .. : 1
+    where the first such instrument read, else 0. Far ends of one table are those of one instrument each, up to WIRES.
+    Of further rows at a stop they are further columns (see `linearisation.of_turn`).
+    """
+    rows = len(stops.of)
+    far, wire, count = np.zeros((rows, 3)), np.zeros(rows, dtype=np.int64), 0
+    for k, (part, at) in enumerate(zip(sets, edges_of(sets), strict=True)):
+        if part.kind != Distance.name or part.distance is None:
+            continue
+        names = [f"{k}/{name}" for name in find_kind(part.kind).point_names(part.arrays)]
+        far[at] = part.target if part.target is not None else np.array([where[name] for name in names])
+        _, which = np.unique(far[at], axis=0, return_inverse=True)
+        wire[at] = 1 + count + which.ravel()
+        count = int(wire[at].max())
+    if not 0 < count <= WIRES:
+        return m
+    of_row = {f: (wire == k).astype(float) for k, f in enumerate(FLAGS, 1)} | dict(zip(FAR, far.T, strict=True))
+    return replace(m, conditions={**m.conditions, **by_turn(of_row, stops, len(m))})
+
+
+def by_turn(of_row: Mapping[str, Array], stops: Stops, poses: int) -> dict[str, Array]:
+    """Columns of rows, shape (rows,), as those of poses, of further rows at a stop with names of their own."""
+    columns: dict[str, Array] = {}
+    for turn in range(stops.most):
+        own = np.flatnonzero(stops.turn == turn)
+        for name, values in of_row.items():
+            columns[of_turn(name, turn)] = column = np.zeros(poses)
+            column[stops.of[own]] = values[own]
+    return columns
+
+
+def with_images(m: Measurements, sets: Sequence[Measurements], stops: Stops) -> Measurements:
+    """The table of all sets with the columns that effects of cameras need, where orientations were measured."""
+    if not any(part.orientation is not None for part in sets):
+        return m
+    names = [c for side in ("fixed", "carried") for what in ("depth", "radial") for c in image_columns(side, what)]
+    of_row = {name: np.zeros(len(stops.of)) for name in names}
+    for part, at in zip(sets, edges_of(sets), strict=True):
+        if part.orientation is not None and part.position is not None:
+            for name, values in _images(part.position, part.orientation).items():
+                of_row[name][at] = values
+    return replace(m, conditions={**m.conditions, **by_turn(of_row, stops, len(m))})
+
+
+def _images(p: Array, R: Array) -> Mapping[str, Array]:
+    """Of measured positions, shape (n, 3) [m], and orientations, shape (n, 3, 3).
+
+    A fixed camera has its lens where the measuring frame is, one that is carried where the tool frame is and sees the
+    measuring frame's origin. What a fault adds is moved in the measuring frame.
+    """
+    seen = {"fixed": (p, np.tile(np.eye(3), (len(p), 1, 1))), "carried": (-np.einsum("nji,nj->ni", R, p), -R)}
+    found: dict[str, Array] = {}
+    for side, (c, turn) in seen.items():
+        slope = np.minimum(np.hypot(c[:, 0], c[:, 1]) / np.maximum(np.abs(c[:, 2]), 1e-9), STEEPEST)
+        parts = {"depth": c * [0, 0, 1], "radial": c * [1, 1, 0] * (slope**2)[:, None]}
+        for what, part in parts.items():
+            found |= dict(zip(image_columns(side, what), np.einsum("nij,nj->in", turn, part), strict=True))
+    return found
