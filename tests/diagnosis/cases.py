@@ -18,7 +18,7 @@ from casadical.identification.identification import identify
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table, read_measurements
-from casadical.project.problem import read_campaign_robot
+from casadical.project.problem import read_campaign_robot, read_problem
 from casadical.robot.robot import Robot
 
 ROOT = Path(__file__).parents[2]
@@ -49,6 +49,13 @@ def diagnose(*arguments, laws: bool = False, **options) -> Diagnosis:
 def diagnosed(name: str) -> Diagnosis:
     """A practice campaign, with the contest."""
     return diagnose_whole(robot(name.split("-")[0]), practice(name))
+
+
+@cache
+def planar() -> Diagnosis:
+    """The planar arm of two joints, in a tenth of a second: nothing is wrong with it."""
+    problem = read_problem(ROOT / "problems" / "planar")
+    return diagnose(problem.robot, [*problem.sets["identify"]], ["backlash"])
 
 
 @cache

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from cases import ROOT, robot, small_problem
+from cases import ROOT, planar, robot, small_problem
 from numpy.testing import assert_allclose
 from scipy.special import logsumexp
 from scipy.stats import chi2, multivariate_normal
@@ -38,7 +38,7 @@ from casadical.diagnosis.noise_floor import replicates
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, SAME_JOINT, rank
 from casadical.diagnosis.seams import seams_of
 from casadical.diagnosis.spectrum_report import _decimals
-from casadical.diagnosis.statements import Statement, _gap
+from casadical.diagnosis.statements import Statement, statements
 from casadical.effects import Backlash, GearEccentricity, NonlinearStiffness
 from casadical.effects.base import CHOSEN
 from casadical.identification.identification import base_calibrated
@@ -225,8 +225,8 @@ def test_digits_of_a_frequency(error: float, shown: int) -> None:
 
 
 def test_thirds_are_named_to_a_tenth() -> None:
-    values = np.linspace(20.0, 29.0, 31)
-    case: Any = SimpleNamespace(m=SimpleNamespace(conditions={"temperature_degC": values}))
+    found = planar().case
+    case = replace(found, m=replace(found.m, conditions={"temperature_degC": np.linspace(20.0, 29.0, len(found.m))}))
     assert _thirds(case, "temperature", "time_s", "degC") == []
     names = [name for _, name, _ in _thirds(case, "temperature", "temperature_degC", "degC")]
     assert names == ["20.0 .. 23.0 degC", "23.0 .. 26.0 degC", "26.0 .. 29.0 degC"]
@@ -238,13 +238,8 @@ def test_fifteen_poses_are_proposed_by_default() -> None:
 
 @pytest.mark.parametrize(("p", "told"), [(None, "P(nothing) = 0.2"), (5e-4, "p < 0.0005"), (1e-3, "p = 0.001")])
 def test_a_p_value_is_told_to_a_thousandth(p: float | None, told: str) -> None:
-    plain = SimpleNamespace(plain=True, sets=(), stops=SimpleNamespace(most=1))
-    d: Any = SimpleNamespace(
-        replicates=SimpleNamespace(enough=False, poses=0), verdict="none", p_nothing=p, outliers=(),
-        gap=SimpleNamespace(kept=1e-4, floor=1e-4), case=SimpleNamespace(kept=np.ones(5, bool), observations=plain),
-        rankings=[SimpleNamespace(none=0.2, noise_form="")],
-    )  # fmt: skip
-    assert next(_gap(d)).text.endswith(told)
+    d = replace(planar(), p_nothing=p, rankings=(replace(planar().rankings[0], none=0.2),))
+    assert next(s for s in statements(d) if s.about == "GAP").text.endswith(told)
 
 
 def test_the_short_answer_has_each_kind_once_and_doubts_first() -> None:
@@ -252,10 +247,9 @@ def test_the_short_answer_has_each_kind_once_and_doubts_first() -> None:
         Statement("UNKNOWN", "much"), Statement("UNKNOWN", "more"), Statement("UNKNOWN", "doubt", doubtful=True),
         Statement("CANNOT", "tell"), Statement("WHERE", "joint 2"), Statement("GAP", "0.1 mm", doubtful=True),
     ]  # fmt: skip
-    d: Any = SimpleNamespace(verdict="explained")
-    assert [(s.about, s.text) for s in _things(d, told)] == [("UNKNOWN", "doubt"), ("WHERE", "joint 2")]
-    d.verdict = "none"
-    assert [s.about for s in _things(d, told)] == ["UNKNOWN"]
+    explained = replace(planar(), verdict="explained")
+    assert [(s.about, s.text) for s in _things(explained, told)] == [("UNKNOWN", "doubt"), ("WHERE", "joint 2")]
+    assert [s.about for s in _things(planar(), told)] == ["UNKNOWN"]
 
 
 def test_next_poses_have_the_unit_of_their_joint() -> None:
