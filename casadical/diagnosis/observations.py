@@ -58,7 +58,7 @@ class Observations:
     m: Measurements
     sets: tuple[Measurements, ...]
     ratios: Ratios
-    layout: _Layout
+    layout: Layout
     r: Array
     linear: Linearisation
     U: Array
@@ -139,7 +139,7 @@ def separated(sets: Sequence[Measurements], m: Measurements, stops: Stops) -> tu
 
 
 @dataclass(frozen=True, eq=False)
-class _Layout:
+class Layout:
     """Where the rows of the sets stand among the numbers of the poses.
 
     poses, places : of each set, shapes (rows, 1) and (rows, numbers); shape : poses, and numbers of the one with most
@@ -162,11 +162,11 @@ class _Layout:
         return out
 
 
-def _layout(stops: Stops, sets: Sequence[Measurements]) -> _Layout:
+def _layout(stops: Stops, sets: Sequence[Measurements]) -> Layout:
     rows, numbers = edges_of(sets), [find_kind(m.kind).numbers for m in sets]
     first = _first_numbers(stops, np.repeat(numbers, [len(m) for m in sets]))
     places = [first[at, None] + np.arange(k) for at, k in zip(rows, numbers, strict=True)]
-    return _Layout(stops, rows, [stops.of[at, None] for at in rows], places)
+    return Layout(stops, rows, [stops.of[at, None] for at in rows], places)
 
 
 def observe(
@@ -215,7 +215,7 @@ def observe(
     )
 
 
-def _by_seams(parts: Sequence[_OfSet], layout: _Layout, ends: int) -> Array:
+def _by_seams(parts: Sequence[_OfSet], layout: Layout, ends: int) -> Array:
     """Derivatives by all seam variables, shape (poses, numbers, seams).
 
     What an instrument does to its own reading, it does to no other of this stop: of further readings the variables of
@@ -242,7 +242,7 @@ def _by_joints(S: Array, ends: int, seams: int, joints: int) -> Array:
     return np.asarray(arms[:, :, 0] if ends == 1 else np.sqrt((arms**2).sum(axis=2)))
 
 
-def _by_points(identification: Identification, parts: Sequence[_OfSet], layout: _Layout) -> tuple[Array, Array]:
+def _by_points(identification: Identification, parts: Sequence[_OfSet], layout: Layout) -> tuple[Array, Array]:
     """Derivatives by the unknown points in units of what is known of them, and their mean; see `Observations`."""
     where = identification.unknown_points
     U = np.zeros((*layout.shape, 3 * len(where)))
