@@ -1,4 +1,8 @@
-"""What the operating system has for files and Python has not: locks that end with their process, folders exchanged."""
+"""What the operating system has for files and Python has not: locks that end with their process, folders exchanged.
+
+Of the libraries for this, filelock locks a file of its own beside the one that is meant, and would leave it in users'
+folders; none exchanges two folders or finishes what a killed process began.
+"""
 
 import ctypes
 import os
