@@ -13,23 +13,32 @@ from casadical.diagnosis.laws.discovery import discover as discover
 from casadical.diagnosis.next_poses import next_poses as next_poses
 from casadical.diagnosis.result import Diagnosis as Diagnosis
 from casadical.effects.base import Effect as Effect
+from casadical.export.c.write import write_c as write_c
+from casadical.export.model_file import robot_model as robot_model
+from casadical.fleet.campaigns import compare_files as compare_files
+from casadical.fleet.changes import Comparison as Comparison
+from casadical.fleet.result import Fleet as Fleet
+from casadical.fleet.run import run_fleet as run_fleet
 from casadical.identification.identification import identify as identify
 from casadical.identification.result import Identification as Identification
 from casadical.measurements.measurements import Measurements as Measurements
 from casadical.measurements.reading import from_table as from_table
 from casadical.measurements.reading import read_measurements as read_measurements
 from casadical.pose_selection.pose_search import select_poses as select_poses
+from casadical.pose_selection.selection import Selection as Selection
 from casadical.project.calibration import Calibration as Calibration
 from casadical.project.calibration import calibrate as calibrate
 from casadical.project.problem import Problem as Problem
+from casadical.project.problem import read_campaign as read_campaign
 from casadical.project.problem import read_campaign_robot as read_campaign_robot
 from casadical.project.problem import read_problem as read_problem
 from casadical.project.telling import plot as plot
 from casadical.project.telling import report as report
+from casadical.project.verification import Verification as Verification
+from casadical.project.verification import verify as verify
 from casadical.robot.robot import Robot as Robot
 from casadical.robot.robot_file import read_robot as read_robot
 from casadical.robot.robot_file import write_robot as write_robot
-from casadical.robot.urdf import calibrated_urdf as calibrated_urdf
 from casadical.robot.urdf import read_urdf as read_urdf
 
 __version__: str

@@ -92,7 +92,7 @@ def make(
 
     Examples
     --------
-    >>> from casadical.blind_check import make
+    >>> from casadical.blind_check.generation import make
     >>> from concurrent.futures import ThreadPoolExecutor
     >>> with ThreadPoolExecutor(1) as pool:
     ...     published = make("campaigns", "key", 4, seed=1, poses=(20,), executor=pool)

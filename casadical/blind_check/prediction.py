@@ -45,7 +45,7 @@ def predict(
 
     Examples
     --------
-    >>> from casadical.blind_check import predict
+    >>> from casadical.blind_check.prediction import predict
     >>> try:
     ...     predict("nowhere")
     ... except casadical.InputError as error:

@@ -75,7 +75,7 @@ def score(folder: str | Path, key: str | Path, answers: str | Path) -> Score:
 
     Examples
     --------
-    >>> from casadical.blind_check import score
+    >>> from casadical.blind_check.scoring import score
     >>> judged = score("data/withheld", "data/withheld", "data/withheld/answers.f-test.jsonl")
     >>> len(judged.outcomes), judged.head.by
     (55, 'f-test')

@@ -27,7 +27,7 @@ def losses(incomplete: str) -> list[str]:
 
 def criteria(incomplete: str) -> list[str]:
     """Words for `--criterion`."""
-    from casadical.pose_selection import CRITERIA
+    from casadical.pose_selection.criteria import CRITERIA
 
     return _begun(CRITERIA, incomplete)
 
@@ -41,7 +41,7 @@ def languages(incomplete: str) -> list[str]:
 
 def forms(incomplete: str) -> list[str]:
     """Words for `export model --to`."""
-    from casadical.export.robot_model import FORMS
+    from casadical.export.model_file import FORMS
 
     return _begun(FORMS, incomplete)
 

@@ -191,7 +191,7 @@ def export_model(
 
     Exit codes: 0 written, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
-    from casadical.export.robot_model import OfMjcf, form_of, robot_model
+    from casadical.export.model_file import OfMjcf, form_of, robot_model
 
     refuse_taken(out, overwrite)
     of_mjcf = OfMjcf(campaign, effects, into, joints, springs)

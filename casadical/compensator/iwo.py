@@ -47,12 +47,6 @@ class IwoHistory:
         loss of the worst member
     sigma : tuple[float, ...], default ()
         step size
-
-    Examples
-    --------
-    >>> found = casadical.compensator.iwo_minimise(lambda x: (x**2).sum(axis=1), 2, seed=1)
-    >>> found.history.best[-1] <= found.history.best[0]
-    True
     """
 
     evaluations: tuple[int, ...] = ()
@@ -77,12 +71,6 @@ class IwoResult:
         how many there were
     history : IwoHistory, optional
         how it went
-
-    Examples
-    --------
-    >>> found = casadical.compensator.iwo_minimise(lambda x: (x**2).sum(axis=1), 2, seed=1)
-    >>> found.x.shape, len(found.reasons)
-    ((2,), 1)
     """
 
     x: Array

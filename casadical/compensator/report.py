@@ -22,11 +22,6 @@ class Errors:
         maximum [mm]
     std_mm : float
         standard deviation of the sample, n - 1 [mm]
-
-    Examples
-    --------
-    >>> casadical.compensator.Errors.summarise(np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 1.0]])).mean_mm
-    3.0
     """
 
     poses: int
@@ -66,12 +61,6 @@ class BeforeAfter:
         1 - mean after / mean before
     gain_error : float
         its standard error over the poses
-
-    Examples
-    --------
-    >>> both = casadical.compensator.BeforeAfter.compare(residual_mm, 0.5 * residual_mm)
-    >>> round(both.gain, 2)
-    0.5
     """
 
     before: Errors

@@ -21,13 +21,6 @@ class Loss:
         l1, 1 in the paper
     max : float, default 0.7
         l2, 0.7 in the paper
-
-    Examples
-    --------
-    >>> loss = casadical.compensator.Loss()
-    >>> errors = np.array([[[1.0, 3.0]]])  # one network, one output, two poses [mm]
-    >>> loss.value(errors), loss.slope(errors).shape
-    (array([11.3]), (1, 1, 2))
     """
 
     mean: float = 1.0
@@ -87,14 +80,6 @@ class Task:
         millimetres of one unit of the output layer [mm]
     loss : Loss, optional
         what is minimised
-
-    Examples
-    --------
-    >>> from casadical.compensator import JointBox, Layout, make_task
-    >>> task = make_task(Layout(2), JointBox((-3.0, -3.0), (3.0, 3.0)), poses.q, residual_mm)
-    >>> weights = np.zeros((4, task.layout.count))  # four networks
-    >>> task.losses(weights).shape, task.errors_mm(weights[0]).shape
-    ((4,), (40, 3))
     """
 
     layout: Layout

@@ -30,11 +30,6 @@ class Progress:
         of this training
     loss_mm2 : float
         the paper's loss of the best weights so far [mm^2]
-
-    Examples
-    --------
-    >>> casadical.compensator.Progress(training=1, trainings=6, step=50, loss_mm2=0.01).step
-    50
     """
 
     training: int
@@ -60,14 +55,6 @@ class Training:
         what the trainer chose
     history : tuple[tuple[int, float], ...], optional
         (step, loss [mm^2]) now and then
-
-    Examples
-    --------
-    >>> from casadical.compensator import JointBox, Layout, known_trainers, make_task, train
-    >>> task = make_task(Layout(2), JointBox((-3.0, -3.0), (3.0, 3.0)), poses.q, residual_mm)
-    >>> outcome = train(task, known_trainers()["lm"]())
-    >>> outcome.weights.shape, len(outcome.reasons)
-    ((33,), 1)
     """
 
     weights: Array = field(repr=False)
@@ -111,7 +98,8 @@ def train(
 
     Examples
     --------
-    >>> from casadical.compensator import JointBox, Layout, known_trainers, make_task, train
+    >>> from casadical.compensator import JointBox, Layout, make_task, train
+    >>> from casadical.compensator.trainers.known import known_trainers
     >>> task = make_task(Layout(2), JointBox((-3.0, -3.0), (3.0, 3.0)), poses.q, residual_mm)
     >>> train(task, known_trainers()["lm"](), seed=1).weights.shape
     (33,)
@@ -155,13 +143,6 @@ def train_all(
     ------
     InputError
         the checkpoint is damaged or belongs to other data, settings or seed
-
-    Examples
-    --------
-    >>> from casadical.compensator import JointBox, Layout, known_trainers, make_task, train_all
-    >>> task = make_task(Layout(2), JointBox((-3.0, -3.0), (3.0, 3.0)), poses.q, residual_mm)
-    >>> [outcome.weights.shape for outcome in train_all([task, task], known_trainers()["lm"]())]
-    [(33,), (33,)]
     """
     if every < 1:
         raise InputError(f"every must be at least 1 step; got {every}")

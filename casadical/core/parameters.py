@@ -40,14 +40,6 @@ class Parameter:
         one sigma of the deviation from nominal [unit]
     held : str, default ""
         why it is never identified; empty if it can be
-
-    Examples
-    --------
-    >>> p = robot.parameters["a1"]
-    >>> p.name, p.group, p.unit, float(p.value)
-    ('a1', 'geometry', 'm', 0.4)
-    >>> p.readable(p.value), p.readable_unit
-    (400.0, 'mm')
     """
 
     name: str
@@ -93,16 +85,6 @@ class Parameters(Sequence[Parameter]):
     ------
     InputError
         two of one name
-
-    Examples
-    --------
-    >>> p = robot.parameters
-    >>> p.names[:3], p.index_of("a1")
-    (('tool_x', 'tool_y', 'tool_z'), 8)
-    >>> p.select(["tool", "theta*"])
-    ('tool_x', 'tool_y', 'tool_z', 'theta1', 'theta2')
-    >>> float(p.with_values({"a1": 0.401})["a1"].value)
-    0.401
     """
 
     def __init__(self, items: Iterable[Parameter]) -> None:

@@ -48,12 +48,6 @@ class Details:
         name of the file that they are written to, if they are
     ruled_out : Mapping[str, Sequence[str]], optional
         causes that are not there: multiple of their usual size -> labels (see `casadical.diagnosis.limits`)
-
-    Examples
-    --------
-    >>> details = casadical.diagnosis.Details(where=casadical.diagnosis.localise(diagnosis))
-    >>> details.networks is None
-    True
     """
 
     where: Localisation | None = None

@@ -100,11 +100,6 @@ class Check:
         held-out gap of the refit, mean [m]
     linearised : float
         that of the linearised model on the same fifths, mean [m]
-
-    Examples
-    --------
-    >>> casadical.diagnosis.Check(refit=36.0e-6, linearised=35.9e-6).agree
-    True
     """
 
     refit: float
@@ -135,11 +130,6 @@ def check_refit(found: Diagnosis, show: Show = silent) -> Check:
     ------
     ConvergenceError
         Ipopt finds no optimum
-
-    Examples
-    --------
-    >>> casadical.diagnosis.check_refit(diagnosis).agree
-    True
     """
     case, effects = found.case, found.effects()
     folds = random_folds(int(case.kept.sum()), found.seed, alike=case.evidence.alike)
@@ -171,12 +161,6 @@ class NetworkGap:
         with the network in any case, mean [m]
     refused : int
         in how many of the five trainings it was refused
-
-    Examples
-    --------
-    >>> gap = casadical.diagnosis.NetworkGap(before=8.1e-5, used=8.1e-5, forced=9.0e-5, refused=5)
-    >>> gap.used <= gap.forced
-    True
     """
 
     before: float
@@ -201,13 +185,6 @@ def network_gaps(found: Diagnosis, trainer: Trainer | str = "lm", show: Show = s
     -------
     tuple[NetworkGap, NetworkGap]
         instead of the causes, and on what they leave
-
-    Examples
-    --------
-    >>> quick = casadical.compensator.LevenbergMarquardt(restarts=1, iterations=20, ridges=(0.01,))
-    >>> instead, after = casadical.diagnosis.network_gaps(diagnosis, quick)
-    >>> instead.before > after.before
-    True
     """
     none = np.zeros(0, dtype=np.int64), found.rankings[0].noise[""]
     first, second = (

@@ -67,14 +67,6 @@ class Isolability:
         share of the visible signal of each candidate (row) that another one (column) reproduces, 0 to 1
     missing : dict[str, tuple[str, ...]]
         label -> columns that would have to be logged
-
-    Examples
-    --------
-    >>> design = casadical.isolability(robot, poses, ["gear_eccentricity", "backlash"])
-    >>> design.effects.loc["gear_eccentricity@1", "visible_mm"].round(2)
-    np.float64(0.02)
-    >>> sorted(design.rivals("gear_eccentricity@1", above=0.0))[:1]
-    ['backlash@1']
     """
 
     effects: pd.DataFrame

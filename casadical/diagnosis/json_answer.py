@@ -37,12 +37,6 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
     -------
     dict[str, Any]
         plain data; lengths in mm
-
-    Examples
-    --------
-    >>> answer = casadical.diagnosis.as_json(diagnosis, "made up")
-    >>> answer["verdict"], answer["causes"][0]["effect"]
-    ('explained', 'gear_eccentricity')
     """
     more = more or Details()
     poses = pd.DataFrame() if more.poses is None else more.poses
@@ -109,12 +103,6 @@ def diagnosis_files(
     ------
     ConvergenceError
         Ipopt finds no optimum of the refit
-
-    Examples
-    --------
-    >>> files = casadical.diagnosis.diagnosis_files("out", diagnosis, casadical.diagnosis.Details(), "made-up")
-    >>> sorted(path.suffix for path in files)
-    ['.json', '.toml', '.txt']
     """
     folder = Path(folder)
     refit = found.refit(unlisted=more.unlisted if unlisted else None)

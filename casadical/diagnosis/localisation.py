@@ -49,14 +49,6 @@ class Localisation:
         the same by time
     approach : DataFrame
         the same by the direction from which a joint came
-
-    Examples
-    --------
-    >>> where = casadical.diagnosis.localise(diagnosis)
-    >>> [name for name, rows in where.tables()]
-    ['joints', 'links', 'directions', 'regions', 'time', 'approach']
-    >>> where.worst.columns[:3].tolist()
-    ['by', 'part', 'poses']
     """
 
     joints: pd.DataFrame
@@ -102,12 +94,6 @@ def localise(found: Diagnosis) -> Localisation:
     -------
     Localisation
         shares of the gap
-
-    Examples
-    --------
-    >>> where = casadical.diagnosis.localise(diagnosis)
-    >>> where.joints.set_index("part").share.idxmax()
-    'elsewhere'
     """
     faults = [e for c in found.causes if c.of_instrument for e in c.effects]
     return localise_residual(found.case, found.noise, found.seed, faults)

@@ -48,12 +48,6 @@ class Gap:
         what noise alone would leave
     kept : float
         of the base model, outliers left out, over the same partitions into fifths
-
-    Examples
-    --------
-    >>> gap = diagnosis.gap
-    >>> f"{1e3 * gap.kept:.3f} -> {1e3 * gap.after:.3f} mm, noise {1e3 * gap.floor:.3f} mm"
-    '0.081 -> 0.037 mm, noise 0.033 mm'
     """
 
     before: float
@@ -167,12 +161,6 @@ class Unlisted:
         of `shrink`, 95 %
     beside : Ranking, optional
         what is most probable beside these forms
-
-    Examples
-    --------
-    >>> unknown = casadical.diagnose(robot, casadical.from_table(table, 2), ["backlash"])
-    >>> unknown.verdict, casadical.diagnosis.describe_unlisted(unknown).labels
-    ('unknown', ('smooth in q2',))
     """
 
     labels: tuple[str, ...]

@@ -32,11 +32,6 @@ def describe_unlisted(found: Diagnosis) -> Unlisted | None:
     -------
     Unlisted | None
         forms, with the gap before and after; None where there is nothing to describe
-
-    Examples
-    --------
-    >>> print(casadical.diagnosis.describe_unlisted(diagnosis))  # its cause is listed
-    None
     """
     if found.verdict != "unknown":
         return None

@@ -67,11 +67,6 @@ class Spectrum:
         curve and lines of each
     orders : int
         highest harmonic of the curves
-
-    Examples
-    --------
-    >>> casadical.diagnosis.Spectrum((), orders=60).suggestions
-    ()
     """
 
     joints: tuple[JointCurve, ...]
@@ -104,15 +99,6 @@ def spectrum(found: Diagnosis, highest: float | None = None) -> Spectrum:
     ------
     InputError
         where no joint_error_curve is among the causes, and for a frequency that cannot be
-
-    Examples
-    --------
-    >>> wavy = rng.uniform(-3, 3, (100, 2))  # three waves a turn of 1 mrad in both joints
-    >>> at = [robot.position(x, robot.parameters.values).full().ravel() for x in wavy + 1e-3 * np.sin(3 * wavy)]
-    >>> measured = pd.DataFrame(np.hstack([np.degrees(wavy), 1e3 * np.array(at)]), columns=table.columns)
-    >>> curves = casadical.diagnose(robot, casadical.from_table(measured, 2), ["joint_error_curve"])
-    >>> casadical.diagnosis.spectrum.spectrum(curves, highest=4.0).suggestions
-    ('3.00 cycles a turn in joints 1, 2: this suggests parts of one make',)
     """
     effect = curve_of(found.causes)
     if highest is not None and not 1 <= highest <= MOST:

@@ -2,8 +2,7 @@
 
 from casadical.effects.base import Effect
 from casadical.effects.context import Context
-from casadical.effects.plugins import find_effect
 from casadical.effects.registry import *  # noqa: F403 - every effect, by its line there
 from casadical.effects.settings import setting
 
-__all__ = ["Context", "Effect", "find_effect", "setting"]
+__all__ = ["Context", "Effect", "setting"]

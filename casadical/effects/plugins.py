@@ -43,11 +43,6 @@ def find_effect(name: str, own: Iterable[type[Effect]] = ()) -> type[Effect]:
     ------
     InputError
         no such effect; those that there are
-
-    Examples
-    --------
-    >>> casadical.effects.find_effect("backlash")(5).label
-    'backlash@5'
     """
     known = {**known_effects(), **{kind.name: kind for kind in own}}
     if name not in known:

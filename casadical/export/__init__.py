@@ -1,8 +1,4 @@
-"""CasADi functions as guarded, deterministic C99 without a mathematical library, and models for simulators.
-
-from casadical.export import NetworkFunction, write_c
-export = write_c(NetworkFunction(function, lower, upper), "out", name="arm", real="float")
-"""
+"""CasADi functions as guarded, deterministic C99 without a mathematical library, and models for simulators."""
 
 from casadical.core.lazy import attach
 

@@ -72,7 +72,7 @@ def compare_files(
 
     Examples
     --------
-    >>> casadical.fleet.compare_files(["problems/planar", "problems/planar"]).changed
+    >>> casadical.compare_files(["problems/planar", "problems/planar"]).changed
     False
     """
     found: list[Estimate] = []

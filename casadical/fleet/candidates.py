@@ -55,12 +55,6 @@ class Candidate:
         usual sizes of the columns
     effect : str, default ""
         label of an effect of the robot file
-
-    Examples
-    --------
-    >>> cause = comparison.changes[0].cause
-    >>> cause.label, cause.joint
-    ('lengths', None)
     """
 
     kind: str

@@ -59,12 +59,6 @@ class Amount:
         of the change [unit]
     unit : str
         of reports: mm, deg, urad/(N m)
-
-    Examples
-    --------
-    >>> amount = comparison.changes[0].amounts[0]
-    >>> round(float(amount.value), -2), amount.unit
-    (500.0, 'um/m')
     """
 
     name: str
@@ -87,11 +81,6 @@ class Rival:
         first campaign that shows it, from 0
     probability : float
         of the cause, if something changed
-
-    Examples
-    --------
-    >>> [rival.label for rival in comparison.changes[0].rivals if rival.probability > 0.5]
-    ['lengths']
     """
 
     label: str
@@ -126,14 +115,6 @@ class Change:
         how far each parameter moved
     course_of : Array, shape (n, 2)
         what each campaign alone says of the size, in units of the whole change, with standard error
-
-    Examples
-    --------
-    >>> change = comparison.changes[0]
-    >>> change.cause.label, change.course, change.since
-    ('lengths', 'jump', 1)
-    >>> change.words
-    'all lengths grew or shrank by one share: another temperature, or another scale of the instrument'
     """
 
     cause: Candidate

@@ -94,12 +94,6 @@ def compare(
     ------
     InputError
         fewer than two campaigns, or of robots that cannot be the same one
-
-    Examples
-    --------
-    >>> same = casadical.fleet.compare([casadical.fleet.estimate(found)] * 2)
-    >>> same.changed
-    False
     """
     if len(campaigns) < 2:
         raise InputError(f"{len(campaigns)} campaign; a comparison needs two or more")

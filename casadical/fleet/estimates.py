@@ -70,17 +70,6 @@ class Estimate:
         by which other campaigns may tell of its noise; None of a robot file, and of more poses than `MANY`
     freedom : float, optional
         degrees of freedom of sigma
-
-    Examples
-    --------
-    >>> told = casadical.fleet.estimate(found)
-    >>> told.poses, told.information.shape == (len(told.names),) * 2
-    (40, True)
-    >>> H, b = told.about(("a1", "theta2"), np.array([0.4, 0.0]))
-    >>> H.shape, b.shape
-    ((2, 2), (2,))
-    >>> told.date
-    ''
     """
 
     robot: Robot
@@ -171,11 +160,6 @@ def estimate(
         known distances between touched points, which cannot be compared
     ConvergenceError
         Ipopt finds no optimum
-
-    Examples
-    --------
-    >>> casadical.fleet.estimate(found, "May").label
-    'May'
     """
     found = campaign if isinstance(campaign, Identification) else identify(*campaign, loss="huber")
     fit = wide_fit(found)
@@ -249,13 +233,6 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
     ------
     InputError
         a robot without a covariance of its geometry
-
-    Examples
-    --------
-    >>> from dataclasses import replace
-    >>> known = replace(found.robot, knowledge=found.knowledge)
-    >>> casadical.fleet.estimate_of_file(known).poses
-    40
     """
     known = robot.knowledge
     geometry = {p.name for p in robot.parameters if p.group in ("geometry", "loop")}

@@ -63,20 +63,6 @@ class Common:
         unit of each parameter
     covariance : Array, shape (k, k)
         of the mean
-
-    Examples
-    --------
-    >>> figures = np.array([[0.3], [0.01], [0.1], [1e-3]])
-    >>> common = casadical.fleet.Common("ab", "arm", 9, ("a1",), *figures, np.array([[1e-4]]))
-    >>> common.faults
-    (('a1', 0.3, 0.01),)
-    >>> common.readable("a1", 0.3)
-    (0.3, 'mm')
-    >>> prior = common.prior_of(robot)
-    >>> round(prior.knowledge.std_errors["a1"], 6), round(prior.parameters["a1"].value, 6)
-    (0.0001, 0.4003)
-    >>> common.to_json()["common_faults"]
-    ['a1']
     """
 
     type: str

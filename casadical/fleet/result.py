@@ -62,7 +62,7 @@ class Fleet:
 
     Examples
     --------
-    >>> fleet = casadical.fleet.run_fleet(["problems/planar"], "fleet.parquet", workers=1, with_diagnosis=False)
+    >>> fleet = casadical.run_fleet(["problems/planar"], "fleet.parquet", workers=1, with_diagnosis=False)
     >>> fleet
     <Fleet of 1 robots: 1 ok, 0 failed, 0 changed>
     >>> [type(block).__name__ for block in fleet.blocks()][:2]

@@ -61,7 +61,7 @@ def run_fleet(
 
     Examples
     --------
-    >>> fleet = casadical.fleet.run_fleet(["problems/planar"], "fleet.parquet", workers=1)
+    >>> fleet = casadical.run_fleet(["problems/planar"], "fleet.parquet", workers=1)
     >>> list(fleet.robots["robot"]), list(fleet.robots["status"])
     (['planar'], ['ok'])
     """

@@ -32,12 +32,6 @@ class Accuracy:
         root mean square [m]
     p95 : float
         95th percentile [m]
-
-    Examples
-    --------
-    >>> after = found.accuracy(poses)["calibrated"]
-    >>> print(f"{1e3 * after.mean:.3f} mm mean, 95 % below {1e3 * after.p95:.3f} mm")
-    0.029 mm mean, 95 % below 0.055 mm
     """
 
     n: int

@@ -39,14 +39,6 @@ class Unidentifiable:
         in words
     confounded_with : tuple[str, ...], default ()
         parameters that move the measurement as it does
-
-    Examples
-    --------
-    >>> for parameter in found.identifiability.held:
-    ...     print(f"{parameter.name}: {parameter.reason}")
-    d1: axes 1 and 2 are nearly parallel: d1 moves the tool as d2 does; tool_z carries it
-    d2: it moves the measured points exactly as tool_z does
-    theta2: it moves the measured points exactly as tool_y does
     """
 
     name: str
@@ -66,15 +58,6 @@ class Identifiability:
         the others, each with its reason
     condition : float
         condition number of the scaled Jacobian of the independent ones
-
-    Examples
-    --------
-    >>> found.identifiability.independent[:4]
-    ('tool_x', 'tool_y', 'tool_z', 'alpha0')
-    >>> round(found.identifiability.condition, 1)
-    2.6
-    >>> found.identifiability.held[0].name
-    'd1'
     """
 
     independent: tuple[str, ...]

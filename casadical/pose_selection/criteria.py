@@ -38,11 +38,6 @@ def observability(J: Array, n: int) -> dict[str, float]:
     -------
     dict[str, float]
         name -> index
-
-    Examples
-    --------
-    >>> {k: round(v, 3) for k, v in casadical.pose_selection.observability(np.diag([2.0, 1.0]), 4).items()}
-    {'O1': 0.707, 'O2': 0.5, 'O3': 1.0, 'O4': 0.5, 'O5': 0.667}
     """
     s = np.linalg.svd(J, compute_uv=False)
     if len(J) < J.shape[1] or s[-1] <= 1e-14 * s[0]:

@@ -45,22 +45,6 @@ class Instrument:
         anchors or sockets, in the measuring frame, about where they are to be
     known : bool, default False
         whether the places are measured too, so that they are no unknowns
-
-    Examples
-    --------
-    >>> wires = casadical.pose_selection.Instrument("wires", np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]]))
-    >>> wires.numbers, wires.extra
-    (3, 9)
-
-    What three wires read at the poses of the page, and what a plan for them needs:
-
-    >>> [m.kind for m in wires.sets(poses)]
-    ['distance', 'distance', 'distance']
-    >>> noise = casadical.pose_selection.Noise(5e-5)
-    >>> wires.rows(robot, ["a1", "tool_x"], poses, noise).shape, wires.before(11, noise).shape
-    ((40, 3, 11), (11, 11))
-    >>> wires.beams(poses).shape, wires.table(poses).columns[0]
-    ((40, 3, 3), 'nominal_wire1_mm')
     """
 
     kind: Literal["wires", "sockets"]

@@ -31,12 +31,6 @@ class Forecast:
         numbers of poses, measured ones included
     error : Array, shape (k,)
         expected root mean square position error over the task [m]
-
-    Examples
-    --------
-    >>> error = casadical.pose_selection.Forecast(np.array([10, 20, 40]), np.array([4e-5, 2e-5, 1.9e-5]))
-    >>> error.enough(3e-5), error.stop(gain=0.1, ahead=20)
-    (20, None)
     """
 
     poses: Array

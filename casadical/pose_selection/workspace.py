@@ -30,14 +30,6 @@ class Box:
     ------
     InputError
         a coordinate of low that is not below that of high
-
-    Examples
-    --------
-    >>> box = casadical.pose_selection.Box(np.array([0.5, -1, -1]), np.array([1.0, 1, 1]))
-    >>> box.holds(np.array([[0.6, 0, 0], [0.4, 0, 0]]), clearance=0.05)
-    array([ True, False])
-    >>> box.hides(np.array([[2.0, 0, 0]]), np.zeros(3))
-    array([ True])
     """
 
     low: Array
@@ -110,12 +102,6 @@ class Tracker:
         direction of the reflector's opening in the tool frame; None: it is visible from all sides
     acceptance : float, optional
         largest angle between the beam and that direction [rad]
-
-    Examples
-    --------
-    >>> tracker = casadical.pose_selection.Tracker(np.array([3.0, 0, 0.5]), towards=np.zeros(3))
-    >>> tracker.sees(np.array([[0.5, 0, 0], [3.0, 2, 0]]), np.tile(np.eye(3), (2, 1, 1)))
-    array([ True, False])
     """
 
     station: Array
@@ -176,7 +162,8 @@ class Workspace:
 
     Examples
     --------
-    >>> box = casadical.pose_selection.Box(np.array([0.5, -1, -1]), np.array([1.0, 1, 1]))
+    >>> from casadical.pose_selection.workspace import Box
+    >>> box = Box(np.array([0.5, -1, -1]), np.array([1.0, 1, 1]))
     >>> where = casadical.pose_selection.Workspace(boxes=(box,))
     >>> q = np.array([[0.0, 0.0], [np.pi / 2, 0.0]])
     >>> where.allows(robot, q), sorted(where.refusals(robot, q))

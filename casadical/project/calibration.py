@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from casadical.compensator import compensator_text
+from casadical.compensator.saving import compensator_text
 from casadical.core.errors import InputError
 from casadical.core.files import claimed, json_text, write_together
 from casadical.core.progress import Show, silent

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from casadical.compensator import Compensator, Trainer, network_methods
+from casadical.compensator import Compensator, Trainer
+from casadical.compensator.trainers.known import network_methods
 from casadical.compensator.training import Progress
 from casadical.core.arrays import Array
 from casadical.core.progress import Show, silent
@@ -39,12 +40,6 @@ class NetworkResult:
     errors : Mapping[str, Accuracy]
         by set, of the corrected positions; those of SKCM where the network was refused, for then nothing is corrected
         (what it would have done: `compensator.training`, `.choice`, `.validation`)
-
-    Examples
-    --------
-    >>> nothing = casadical.project.NetworkResult("NN-SKCM", None, "no poses to train on", {})
-    >>> nothing.helps, nothing.verdict
-    (False, 'NN-SKCM: no poses to train on')
     """
 
     method: str
@@ -89,11 +84,6 @@ class Networks:
         by method
     trained_on : str
         which poses, or why none
-
-    Examples
-    --------
-    >>> casadical.project.Networks({}, "no poses to train on").trained_on
-    'no poses to train on'
     """
 
     results: Mapping[str, NetworkResult]
@@ -145,13 +135,6 @@ def train_networks(
     ------
     InputError
         a method that is no network, or data without positions
-
-    Examples
-    --------
-    >>> problem = casadical.read_problem("problems/planar")
-    >>> networks = casadical.project.train_networks(problem, found, ["GP-NN-SKCM"])
-    >>> networks.results["GP-NN-SKCM"].helps
-    False
     """
     judged = dict(problem.parts()) if judged is None else judged
     trainers = network_methods()

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from casadical.compensator import network_methods
+from casadical.compensator.trainers.known import network_methods
 from casadical.core.arm import GRAVITY
 from casadical.core.errors import InputError
 from casadical.identification.prior import Prior
@@ -305,13 +305,33 @@ def read_campaign(
 
     The `columns`, `point_from` and `kind` are those of the [[measurements]] with this file; of another file, those of
     the first [[measurements]] whose own names for columns it has, as far as it has them.
-    folder : of the problem, or a robot's file, with the tables of its calibration in the result.json beside it; where
-    there is neither, the table's headers are taken as ours
-    readings_only : of poses that are planned but not measured: every position is zero; later : of a check after the
-    calibration, which need not say which of several targets was measured; rows with an empty cell are left out, and of
-    words also those with a word for a number
 
-    Raises InputError.
+    Parameters
+    ----------
+    folder : str | Path
+        of the problem, or a robot's file, with the tables of its calibration in the result.json beside it; where
+        there is neither, the table's headers are taken as ours
+    path : str | Path
+        the table
+    robot : Robot
+        as of `read_campaign_robot`
+    readings_only : bool, default False
+        of poses that are planned but not measured: every position is zero
+    later : bool, default False
+        of a check after the calibration, which need not say which of several targets was measured; rows with an empty
+        cell are left out
+    words : bool, default False
+        whether rows with a word for a number are left out, too
+
+    Raises
+    ------
+    InputError
+        the table is not usable
+
+    Examples
+    --------
+    >>> len(casadical.read_campaign("problems/planar", "data/planar/planar.csv", robot))
+    40
     """
     folder, raw = Path(folder), read_columns(path)
     data = table_like(folder, raw, tables_of(folder))

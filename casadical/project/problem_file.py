@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from casadical.compensator import network_methods
+from casadical.compensator.trainers.known import network_methods
 from casadical.core.errors import InputError, shown
 from casadical.core.parts import Sessions
 from casadical.core.schema import FaultError, check, load_toml

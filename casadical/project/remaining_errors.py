@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.compensator import network_methods
+from casadical.compensator.trainers.known import network_methods
 from casadical.core.telling.figure import Axis, Figure, Series
 from casadical.diagnosis.figures import where_figures
 from casadical.diagnosis.linear_problem import make_case

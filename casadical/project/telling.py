@@ -48,7 +48,7 @@ def plot(
     Parameters
     ----------
     result : Calibration | Identification | Diagnosis | Comparison | Fleet
-        of `calibrate`, `identify`, `diagnose`, `casadical.fleet.compare` or `casadical.fleet.run_fleet`
+        of `calibrate`, `identify`, `diagnose`, `compare_files` or `run_fleet`
     name : str, optional
         as "errors/report"; None: all figures
     more : Details, optional
@@ -98,7 +98,8 @@ def report(results: Sequence[WithPage | Page], command: Sequence[str] = ()) -> s
     --------
     >>> casadical.report([calibration])[:15]
     '<!doctype html>'
-    >>> page = casadical.diagnosis.diagnosis_page(diagnosis, "made up")
+    >>> from casadical.diagnosis.page import diagnosis_page
+    >>> page = diagnosis_page(diagnosis, "made up")
     >>> casadical.report([page])[:15]
     '<!doctype html>'
     """

@@ -39,12 +39,38 @@ RMS_OF_MEAN = float(np.sqrt(3 * np.pi / 8))
 
 @dataclass(frozen=True)
 class Verification:
-    """What a check says.
+    """What a check with later poses says.
 
-    promised : rms position error on held-out poses of the calibration [m]; found : now, base and tool fitted again, the
-    fit's own share made up for [m]; limit : what `found` may be by chance [m]; n : poses; far : those far off
-    lost : rows in which a cell is no number; without : `found` without the far ones, where it is not valid with them
-    tables : their names; again : what was fitted again; gone : labels of effects of the instrument, left out
+    Parameters
+    ----------
+    robot : str
+        its name
+    promised : float
+        rms position error on held-out poses of the calibration [m]
+    found : float
+        now, base and tool fitted again, the fit's own share made up for [m]
+    limit : float
+        what `found` may be by chance [m]
+    n : int
+        poses
+    far : tuple[LeftOut, ...]
+        those far off
+    without : float, optional
+        `found` without the far ones, where it is not valid with them
+    lost : tuple[tuple[str, int], ...]
+        rows in which a cell is no number
+    tables : tuple[str, ...]
+        their names
+    again : str
+        what was fitted again, in words
+    gone : tuple[str, ...]
+        labels of effects of the instrument, left out
+
+    Examples
+    --------
+    >>> check = casadical.verify("results", "data/planar/planar.csv")
+    >>> check.valid, check.to_json()["poses"], check.blocks()[0].text[:11]
+    (True, 40, 'STILL VALID')
     """
 
     robot: str
@@ -117,13 +143,28 @@ def verify(
 ) -> Verification:
     """Check a calibrated robot by poses that were measured later; base and tool are fitted again.
 
-    robot : file as `casadical calibrate --out` writes it, or that folder (the method that counts)
-    tables : measured poses, one table or several of one kind
-    promised_mm : rms error [mm] of this kind; None: of the held-out poses, see `promised_rms`
-
     With `found` of c n - k degrees of freedom, c numbers a pose (3 of a position), k those of base, tool and unknown
     points, its limit is the 99 % quantile of chi-squared (Wilson and Hilferty 1931). Base and tool may stand elsewhere
-    in each session. Effects of the instrument that was there are left out. Raises InputError.
+    in each session. Effects of the instrument that was there are left out.
+
+    Parameters
+    ----------
+    robot : str | Path
+        file as `casadical calibrate --out` writes it, or that folder (the method that counts)
+    tables : str | Path | Sequence[str | Path]
+        measured poses, one table or several of one kind
+    promised_mm : float, optional
+        rms error [mm] of this kind; None: of the held-out poses, see `promised_rms`
+
+    Raises
+    ------
+    InputError
+        too few poses, several kinds of measurement, or no promise is known
+
+    Examples
+    --------
+    >>> casadical.verify("results", "data/planar/planar.csv").valid
+    True
     """
     place, given = Path(robot), [tables] if isinstance(tables, str | Path) else list(tables)
     place = result_in(place) if place.is_dir() else place

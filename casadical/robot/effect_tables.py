@@ -12,9 +12,9 @@ from casadical.core.arm import Arm
 from casadical.core.arrays import Array
 from casadical.core.errors import InputError
 from casadical.core.schema import Pair, TomlTable
-from casadical.effects import Effect, find_effect
+from casadical.effects import Effect
 from casadical.effects.definition import Definition
-from casadical.effects.plugins import defined_in_files, new_effects
+from casadical.effects.plugins import defined_in_files, find_effect, new_effects
 from casadical.robot.knowledge import Covariance, ErrorBound, Knowledge
 
 # A standard error and the variance of its parameter may differ by so much, relative.

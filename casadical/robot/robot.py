@@ -85,7 +85,7 @@ class Robot(Arm):
     >>> arm = arm.with_values({"a1": 0.401})
     >>> arm.position([0, 0], arm.parameters.values).full().ravel()
     array([0.401, 0.   , 0.   ])
-    >>> from casadical.effects import find_effect
+    >>> from casadical.effects.plugins import find_effect
     >>> loose = arm.with_effect(find_effect("joint_scale")(2))
     >>> loose.effects_in_words
     'joint_scale@2 (k 0 rad/rad)'

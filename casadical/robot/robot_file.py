@@ -17,8 +17,8 @@ from casadical.core.files import write_whole
 from casadical.core.parts import WIDTHS, Body, BodyWidth, FourBar, Joint, Placement, Target
 from casadical.core.schema import check, load_toml
 from casadical.core.transforms import to_rpy
-from casadical.effects import Effect, Session, find_effect
-from casadical.effects.plugins import defined_in_files
+from casadical.effects import Effect, Session
+from casadical.effects.plugins import defined_in_files, find_effect
 from casadical.robot.effect_tables import text_of
 from casadical.robot.robot import Robot
 from casadical.robot.robot_schema import RobotFile, ToolTable
@@ -35,7 +35,7 @@ def read_robot(path: str | Path, effects: Sequence[type[Effect]] = ()) -> Robot:
     path : str | Path
         robot file
     effects : Sequence[type[Effect]], default ()
-        classes of your own, besides those that are installed (see `casadical.effects.find_effect`); a file runs no
+        classes of your own, besides those that are installed (see `casadical.effects.plugins`); a file runs no
         other code
 
     Returns

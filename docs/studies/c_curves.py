@@ -22,7 +22,8 @@ import export_targets as targets  # noqa: E402
 
 from casadical.effects import JointErrorCurve  # noqa: E402
 from casadical.effects.joint_error_curve import series  # noqa: E402
-from casadical.export import CurveFunction, write_c  # noqa: E402
+from casadical.export import write_c  # noqa: E402
+from casadical.export.c.products import CurveFunction  # noqa: E402
 from casadical.export.c.reference import network as reference  # noqa: E402
 from casadical.export.c.tape_program import tape_program  # noqa: E402
 

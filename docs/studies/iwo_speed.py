@@ -12,8 +12,9 @@ import time
 
 import numpy as np
 
-from casadical.compensator import InvasiveWeeds, Iwo, IwoSettings, JointBox, Layout, Task, make_task, train
+from casadical.compensator import InvasiveWeeds, Iwo, IwoSettings, JointBox, Layout, make_task, train
 from casadical.compensator.forward import forward
+from casadical.compensator.task import Task
 
 SEEDS = 10
 DATA_SETS = 4

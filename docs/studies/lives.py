@@ -43,8 +43,9 @@ from casadical import Measurements, Robot, calibrate
 from casadical.core.arrays import Array
 from casadical.core.transforms import frame, from_rpy
 from casadical.effects import JointErrorCurve
-from casadical.fleet import Estimate, compare, estimate
 from casadical.fleet.campaigns import campaign_estimate
+from casadical.fleet.comparison import compare
+from casadical.fleet.estimates import Estimate, estimate
 from casadical.identification.accuracy import predicted
 from casadical.project.problem import read_campaign_robot
 from casadical.robot.parameter_list import SIX

@@ -23,8 +23,9 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 from casadical import calibrate, write_robot
-from casadical.export import inverse_kinematics, read_program
-from casadical.export.mjcf import mjcf
+from casadical.export import inverse_kinematics
+from casadical.export.controller.offline_program import read_program
+from casadical.export.mjcf.mjcf import mjcf
 
 ROOT = Path(__file__).parents[2]
 RADIUS, TARGETS = 0.4, 361

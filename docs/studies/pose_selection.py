@@ -20,10 +20,12 @@ from casadical import identify, read_robot
 from casadical.blind_check.mujoco_physics import perturb
 from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.measurements.reading import from_table
-from casadical.pose_selection import Box, Noise, Tracker, Workspace, forecast, select_poses
+from casadical.pose_selection import Noise, Workspace, forecast
 from casadical.pose_selection.candidates import draw, expected
 from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian
+from casadical.pose_selection.pose_search import select_poses
+from casadical.pose_selection.workspace import Box, Tracker
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy
 

@@ -17,9 +17,11 @@ from pathlib import Path
 import numpy as np
 
 from casadical import read_robot
-from casadical.pose_selection import Noise, Workspace, observability, select_poses
+from casadical.pose_selection import Noise, Workspace
 from casadical.pose_selection.candidates import draw, expected
+from casadical.pose_selection.criteria import observability
 from casadical.pose_selection.information import MM, independent, scaled_jacobian
+from casadical.pose_selection.pose_search import select_poses
 
 HERE = Path(__file__).parent
 PROBLEMS = HERE.parents[1] / "problems"

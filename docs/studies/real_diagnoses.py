@@ -19,7 +19,11 @@ import pandas as pd
 
 from casadical import Diagnosis, diagnose, identify, isolability
 from casadical.compensator import Compensator
-from casadical.diagnosis import Details, check_refit, describe_unlisted, localise, page_of
+from casadical.diagnosis import page_of
+from casadical.diagnosis.details import Details
+from casadical.diagnosis.held_out_gap import check_refit
+from casadical.diagnosis.localisation import localise
+from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.identification.accuracy import errors, predicted
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements

@@ -18,8 +18,9 @@ from real_data import ROOT
 
 from casadical import diagnose
 from casadical.core.telling.terminal import plain_text
-from casadical.diagnosis import analyse, describe_unlisted
+from casadical.diagnosis import analyse
 from casadical.diagnosis.brief import brief
+from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.identification.accuracy import errors
 from casadical.measurements.derived_columns import derive
 from casadical.project.calibration import calibrate

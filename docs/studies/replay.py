@@ -12,8 +12,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from casadical import read_measurements
-from casadical.export.mjcf import replay_campaign
 from casadical.export.mjcf.equilibrium import load_mujoco
+from casadical.export.mjcf.replay import replay_campaign
 from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]

@@ -16,7 +16,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from casadical import InputError, diagnose, next_poses
 from casadical.core.files import write_whole
-from casadical.diagnosis import Details, as_json, describe_unlisted, localise
+from casadical.diagnosis.details import Details
+from casadical.diagnosis.json_answer import as_json
+from casadical.diagnosis.localisation import localise
+from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.project.problem import read_campaign, read_campaign_robot
 
 ROOT = Path(__file__).parents[2]

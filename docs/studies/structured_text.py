@@ -21,9 +21,10 @@ import export_targets as targets  # noqa: E402
 import structured_text_in_c as translated  # noqa: E402
 
 from casadical import read_robot  # noqa: E402
-from casadical.export import Command, Sources, command_of, write_c  # noqa: E402
+from casadical.export import Sources, command_of, write_c  # noqa: E402
 from casadical.export.c import structured_text as language  # noqa: E402
 from casadical.export.c.language import Label  # noqa: E402
+from casadical.export.c.products import Command  # noqa: E402
 from casadical.export.c.reference import correct  # noqa: E402
 from casadical.export.c.runs import WIDTH, plan_of  # noqa: E402
 from casadical.export.c.self_test import comparison_inputs  # noqa: E402

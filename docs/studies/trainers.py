@@ -26,12 +26,12 @@ from casadical.compensator import (
     JointBox,
     Layout,
     LevenbergMarquardt,
-    Loss,
     Taught,
     Trainer,
     make_task,
     train,
 )
+from casadical.compensator.task import Loss
 
 TRAINING_POSES, HELD_OUT_POSES = 50, 1000
 PLAIN_LM = LevenbergMarquardt(restarts=1, iterations=400, ridges=(0.0,))

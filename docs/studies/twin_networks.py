@@ -21,7 +21,8 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from casadical import from_table, identify, read_problem
-from casadical.compensator import Compensator, Layout, LevenbergMarquardt, Trainer, network_methods
+from casadical.compensator import Compensator, Layout, LevenbergMarquardt, Trainer
+from casadical.compensator.trainers.known import network_methods
 from casadical.identification import residual_mm
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))  # for the simulator in numpy

@@ -20,8 +20,10 @@ import numpy as np
 
 from casadical import Measurements, Robot, read_problem
 from casadical.core.telling.terminal import plain_text
-from casadical.fleet import Comparison, Estimate, compare, estimate
 from casadical.fleet.campaigns import other_regions
+from casadical.fleet.changes import Comparison
+from casadical.fleet.comparison import compare
+from casadical.fleet.estimates import Estimate, estimate
 from casadical.project.problem import read_campaign
 
 ROOT = Path(__file__).parents[2]

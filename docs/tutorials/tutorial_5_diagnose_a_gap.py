@@ -15,7 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from casadical import diagnose, identify, isolability, next_poses, read_campaign_robot, read_measurements
-from casadical.diagnosis import localise
+from casadical.diagnosis import analyse
 from casadical.identification import errors, predicted
 from casadical.measurements import derive
 
@@ -89,7 +89,7 @@ assert [c.label for c in found.causes] == ["thermal_growth"]
 # ----------------------------------------
 # Before any cause is named: as growth of links, the gap lies in the three long ones; as errors of joints, in none.
 
-where = localise(found)
+where = analyse(found).where
 print(where.links[["part", "share", "low", "high"]].round(2).to_string(index=False))
 print(found.course[["model", "gap_mm", "low_mm", "high_mm", "loo_mm"]].round(4).to_string(index=False))
 shares = where.links.set_index("part").share

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from casadical.compensator import JointBox, Layout, Task, make_task
+from casadical.compensator import JointBox, Layout, make_task
+from casadical.compensator.task import Task
 
 
 def smooth(poses: int, seed: int, noise_mm: float = 0.01):

@@ -9,20 +9,19 @@ import pytest
 
 from casadical.compensator import (
     Backprop,
-    BeforeAfter,
     Compensator,
-    Errors,
     Iwo,
     IwoSettings,
     IwoThenLm,
     JointBox,
     Layout,
     LevenbergMarquardt,
-    known_trainers,
     load_compensator,
     save_compensator,
 )
 from casadical.compensator.checksummed_json import digest
+from casadical.compensator.report import BeforeAfter, Errors
+from casadical.compensator.trainers.known import known_trainers
 from casadical.core.errors import InputError
 from casadical.core.files import json_text
 from problems import smooth

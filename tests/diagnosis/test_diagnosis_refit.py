@@ -15,7 +15,7 @@ from casadical.blind_check import predictor
 from casadical.core.arrays import Array
 from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.refit import refit
-from casadical.export.robot_model import robot_to_write
+from casadical.export.model_file import robot_to_write
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
 from casadical.measurements.derived_columns import derive

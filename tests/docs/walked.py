@@ -70,7 +70,7 @@ def verify(folder: Path) -> None:
 def effect(folder: Path) -> None:
     import casadical
     from casadical.export import Sources, command_of, write_c
-    from casadical.export.mjcf import mjcf
+    from casadical.export.mjcf.mjcf import mjcf
 
     robot = casadical.read_campaign_robot(PROBLEMS / "kr210")
     campaign = casadical.read_measurements(CAMPAIGNS / "kr210-P05.csv", robot.n)

@@ -10,7 +10,7 @@ import pytest
 from casadical import InputError, Robot, read_campaign_robot
 from casadical.effects import Backlash, Effect, FrameDrift, JointScale, LinkFlexure, ThermalGrowth
 from casadical.effects.counterparts import Omission
-from casadical.export.mjcf import mjcf
+from casadical.export.mjcf.mjcf import mjcf
 from casadical.export.omission import left_out, lost, rest_of_rigid, rigid_rest
 from casadical.robot.knowledge import Knowledge
 

@@ -11,7 +11,10 @@ from lives import as_built, changed, measured, write_table
 
 from casadical import InputError, Robot
 from casadical.core.telling.terminal import plain_text
-from casadical.fleet import Comparison, Estimate, compare, compare_files, estimate
+from casadical.fleet.campaigns import compare_files
+from casadical.fleet.changes import Comparison
+from casadical.fleet.comparison import compare
+from casadical.fleet.estimates import Estimate, estimate
 
 
 @pytest.fixture(scope="module")

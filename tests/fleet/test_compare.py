@@ -14,10 +14,10 @@ from scipy.stats import multivariate_normal
 
 from casadical import InputError, Robot, calibrate, identify, read_robot, write_robot
 from casadical.core.telling.terminal import plain_text
-from casadical.fleet import Estimate, compare, estimate, estimate_of_file
 from casadical.fleet.campaigns import compare_files, day_of, in_order, other_regions
 from casadical.fleet.candidates import candidates_of, shared_names
-from casadical.fleet.comparison import changes_in, shared_information
+from casadical.fleet.comparison import changes_in, compare, shared_information
+from casadical.fleet.estimates import Estimate, estimate, estimate_of_file
 from casadical.fleet.evidence import KAPPAS, SharedInformation, drifts, jumps, log_evidence, solve, visible
 from casadical.fleet.noise import repeatability, with_common_noise
 from casadical.identification.misfit import misfit_of, wide_fit

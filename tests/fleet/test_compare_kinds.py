@@ -10,7 +10,8 @@ from lives import as_built, changed, measured
 
 from casadical import Measurements, Robot
 from casadical.core.arrays import Array
-from casadical.fleet import compare, estimate
+from casadical.fleet.comparison import compare
+from casadical.fleet.estimates import estimate
 from casadical.identification.accuracy import predicted
 
 ANCHORS = np.array([[1.5, 0.5, 0.2], [-1.0, 1.6, 0.4], [0.4, -1.7, 1.2]])

@@ -17,7 +17,9 @@ LAZY = sorted(".".join(path.parent.relative_to(ROOT).parts) for path in (ROOT / 
 PACKAGES = [*LAZY, "casadical.compensator", "casadical.effects", "casadical.pose_selection"]
 NAMES = [f"{package}.{name}" for package in PACKAGES for name in importlib.import_module(package).__all__]
 # Of packages whose page lists a part of their names.
-FURTHER = ["casadical.export.mjcf", "casadical.blind_check.mujoco_physics"]
+FURTHER = ["casadical.blind_check.mujoco_physics"]
+# Pages about the inside of the package, for whoever changes it or runs its blind check: they name modules.
+ABOUT_THE_INSIDE = ("linear-gaussian.md", "blind-check.md")
 FURTHER_NAMES = [f"{package}.{name}" for package in FURTHER for name in importlib.import_module(package).__all__]
 # Members of families: public in their package by their line in the registry, and listed on the page from there.
 REGISTRIES = {"casadical.effects": "effects.registry", "casadical.compensator": "compensator.trainers.registry"}
@@ -79,9 +81,8 @@ def test_the_pages_import_public_names_only() -> None:
     public = {*NAMES, *MEMBERS, *FURTHER_NAMES, *PACKAGES, *FURTHER}
     pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "tutorials").glob("*.py")]
     imported = set()
-    for page in pages:
+    for page in (p for p in pages if p.name not in ABOUT_THE_INSIDE):
         for module, names in re.findall(r"^ *from (casadical[\w.]*) import ([\w, ]+)", page.read_text(), re.MULTILINE):
             imported |= {(page.name, f"{module}.{name.split()[0]}") for name in names.split(",")}
-    assert len(imported) > 50
-    inside = {"linear-gaussian.md"}
-    assert sorted(name for page, name in imported if page not in inside and name not in public) == []
+    assert len(imported) > 40
+    assert sorted(name for name in imported if name[1] not in public) == []

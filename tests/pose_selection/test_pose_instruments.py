@@ -13,11 +13,12 @@ from pose_arms import elbow, readings
 from casadical import InputError, identify, write_robot
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import unmeasured
-from casadical.pose_selection import Instrument, Noise, forecast, place_instrument, select_poses
+from casadical.pose_selection import Noise, forecast, place_instrument
 from casadical.pose_selection.candidates import SOCKET, expected
 from casadical.pose_selection.experimental_design import inverse
-from casadical.pose_selection.instruments import usual_places
+from casadical.pose_selection.instruments import Instrument, usual_places
 from casadical.pose_selection.places import select_with_places
+from casadical.pose_selection.pose_search import select_poses
 from casadical.project.planning import plan as planned
 
 SIGMA = 5e-5

@@ -15,11 +15,12 @@ from casadical.effects import Backlash, FrameDrift, PayloadError, ThermalGrowth
 from casadical.identification.accuracy import errors
 from casadical.identification.prior import carry_over
 from casadical.identification.tables import how_sure
-from casadical.pose_selection import Circumstances, Noise, Workspace, forecast, select_poses
+from casadical.pose_selection import Circumstances, Noise, Workspace, forecast
 from casadical.pose_selection.candidates import candidates_at, draw, expected
 from casadical.pose_selection.experimental_design import first_of_best
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian
 from casadical.pose_selection.pose_order import distances, travel
+from casadical.pose_selection.pose_search import select_poses
 from casadical.pose_selection.stopping_rule import Forecast
 from casadical.robot.knowledge import Covariance, Knowledge
 

@@ -7,9 +7,9 @@ import pytest
 from pose_arms import elbow, planar, readings, with_loop
 
 from casadical import InputError
-from casadical.pose_selection import Box, Tracker, Workspace
+from casadical.pose_selection import Workspace
 from casadical.pose_selection.candidates import draw
-from casadical.pose_selection.workspace import _places
+from casadical.pose_selection.workspace import Box, Tracker, _places
 from casadical.pose_selection.workspace_file import read_workspace
 
 BOX = Box(np.array([-0.2, -0.1, 0.1]), np.array([0.3, 0.5, 0.4]))

@@ -46,7 +46,8 @@ class Trainer(ABC):
 
     Examples
     --------
-    >>> from casadical.compensator import JointBox, Layout, known_trainers, make_task
+    >>> from casadical.compensator import JointBox, Layout, make_task
+    >>> from casadical.compensator.trainers.known import known_trainers
     >>> trainer = known_trainers()["lm"].for_method()
     >>> trainer.name
     'lm'

@@ -30,11 +30,6 @@ def known_trainers() -> Mapping[str, type[Trainer]]:
     ------
     InputError
         a faulty plug-in
-
-    Examples
-    --------
-    >>> sorted(casadical.compensator.known_trainers())[:2]
-    ['backprop', 'iwo']
     """
     own = (kind for kind in vars(registry).values() if isinstance(kind, type))
     found = members(GROUP, Trainer, own)  # type: ignore[type-abstract]
@@ -56,11 +51,6 @@ def network_methods() -> Mapping[str, type[Trainer]]:
     ------
     InputError
         a faulty plug-in
-
-    Examples
-    --------
-    >>> "GP-NN-SKCM" in casadical.compensator.network_methods()
-    True
     """
     return {kind.method: kind for kind in known_trainers().values() if kind.method}
 

@@ -40,25 +40,6 @@ class Kernel:
         name, real type, joints and outputs
     library : Path
         compiled
-
-    Examples
-    --------
-    >>> from casadical.export import Sources, command_of, load, write_c
-    >>> export = write_c(command_of(Sources(found.robot, robot)), "kernel", name="arm", vectors=100, languages=())
-    >>> kernel = load("kernel")
-    >>> kernel.self_test()
-    0
-    >>> dq, status = kernel.correct(poses.q[:3])
-    >>> dq.shape, status
-    ((3, 2), array([0, 0, 5], dtype=int32))
-    >>> p, status = kernel.forward(poses.q[:3])
-    >>> kernel.rows("forward", poses.q[:3])[0].shape, kernel.steps(poses.q[:3], np.ones(3))[0].shape
-    ((3, 3), (3, 2))
-    >>> try:
-    ...     kernel.bound(poses.q[:3])
-    ... except casadical.InputError as error:  # an export with limit_mm has it
-    ...     print(error)
-    the export 'arm' has no function 'bound'; it has ['correct', 'forward']
     """
 
     def __init__(self, shape: Shape, library: Path) -> None:
@@ -177,7 +158,8 @@ def load(export: str | Path, *, trust: bool = False) -> Kernel:
     --------
     >>> x = ca.SX.sym("q", 2)
     >>> function = ca.Function("curves", [x], [1e-4 * ca.sin(x)], ["q"], ["dq"])
-    >>> curves = casadical.export.CurveFunction(function, np.full(2, -3.0), np.full(2, 3.0))
+    >>> from casadical.export.c.products import CurveFunction
+    >>> curves = CurveFunction(function, np.full(2, -3.0), np.full(2, 3.0))
     >>> export = casadical.export.write_c(curves, "curves1", name="arm", vectors=100, languages=())
     >>> casadical.export.load("curves1").self_test()
     0

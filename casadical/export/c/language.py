@@ -23,11 +23,6 @@ class Label:
         hash of the model
     data_sha256 : str, optional
         hash of the data it came from
-
-    Examples
-    --------
-    >>> casadical.export.Label("arm").data_sha256
-    'not given'
     """
 
     name: str
@@ -50,8 +45,9 @@ class Language(ABC):
     ...
     ...     def files(self, program, label):
     ...         return {f"{label.name}.txt": str(len(program.tapes))}
-    >>> from casadical.export import TapeProgram
-    >>> Count().files(TapeProgram(None, "double", {}, ()), casadical.export.Label("arm"))
+    >>> from casadical.export.c.language import Label
+    >>> from casadical.export.c.tape_program import TapeProgram
+    >>> Count().files(TapeProgram(None, "double", {}, ()), Label("arm"))
     {'arm.txt': '0'}
     """
 

@@ -39,11 +39,6 @@ class Limits:
         a limit that is not positive, a cycle outside of 0.01 ms to 1 s, a ramp of less than one cycle or more than
         100,000 (in float a gain of smaller steps goes wrong), or a rate that in a cycle changes a joint by less than
         1e-6 rad or by more than the largest correction
-
-    Examples
-    --------
-    >>> casadical.export.Limits(cycle_s=0.002).ramp_s
-    1.0
     """
 
     delta_rad: float = 0.15
@@ -98,13 +93,6 @@ class NetworkFunction:
     ------
     InputError
         a function of other shapes
-
-    Examples
-    --------
-    >>> x = ca.SX.sym("q", 2)
-    >>> function = ca.Function("network", [x], [ca.vertcat(x, 0)], ["q"], ["dp"])
-    >>> casadical.export.NetworkFunction(function, np.full(2, -3.0), np.full(2, 3.0)).unit
-    'mm'
     """
 
     function: casadi.Function
@@ -141,13 +129,6 @@ class CurveFunction(NetworkFunction):
     ------
     InputError
         a function of other shapes
-
-    Examples
-    --------
-    >>> x = ca.SX.sym("q", 2)
-    >>> function = ca.Function("curves", [x], [1e-4 * ca.sin(x)], ["q"], ["dq"])
-    >>> casadical.export.CurveFunction(function, np.full(2, -3.0), np.full(2, 3.0)).unit
-    'rad'
     """
 
     key: ClassVar[str] = "curves"
@@ -206,12 +187,6 @@ class Command:
     ------
     InputError
         functions of other shapes, or a number of steps that is not allowed
-
-    Examples
-    --------
-    >>> command = casadical.export.command_of(casadical.export.Sources(found.robot, robot), steps=2)
-    >>> command.steps, command.limits.tolerance_mm
-    (2, 0.02)
     """
 
     nominal: casadi.Function

@@ -55,14 +55,6 @@ class Tape:
         number of inputs
     outputs : tuple[int, ...]
         which nodes are the results
-
-    Examples
-    --------
-    >>> from casadical.export.c.tape import tape_of
-    >>> x = ca.SX.sym("x", 2)
-    >>> tape = tape_of(ca.Function("f", [x], [ca.sin(x[0]) + x[1]]))
-    >>> tape.n_in, len(tape.outputs)
-    (2, 1)
     """
 
     nodes: tuple[Node, ...]

@@ -26,16 +26,6 @@ class TapeProgram:
         by name
     network_bounds : tuple[tuple[float, float], ...]
         least and greatest value of each of the network's outputs
-
-    Examples
-    --------
-    >>> class Names(casadical.export.Language):
-    ...     name = "names"
-    ...
-    ...     def files(self, program, label):
-    ...         return {"names.txt": " ".join(program.tapes)}
-    >>> Names().name
-    'names'
     """
 
     product: Product

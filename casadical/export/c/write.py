@@ -40,15 +40,6 @@ class Export:
         of this model, by name
     operations : Operations
         additions, products and so on of a call, by function
-
-    Examples
-    --------
-    >>> x = ca.SX.sym("q", 2)
-    >>> function = ca.Function("curves", [x], [1e-4 * ca.sin(x)], ["q"], ["dq"])
-    >>> curves = casadical.export.CurveFunction(function, np.full(2, -3.0), np.full(2, 3.0))
-    >>> export = casadical.export.write_c(curves, "curves", name="arm", vectors=100, languages=())
-    >>> "arm.c" in export.files, sorted(export.to_json())[:1], len(export.report()) > 0
-    (True, ['figures'], True)
     """
 
     folder: Path

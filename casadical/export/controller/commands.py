@@ -203,14 +203,6 @@ def network_of(sources: Sources) -> NetworkFunction:
     ------
     InputError
         where `sources` names no compensator, or one that was refused when it was trained
-
-    Examples
-    --------
-    >>> try:
-    ...     casadical.export.network_of(casadical.export.Sources(found.robot))
-    ... except casadical.InputError as error:
-    ...     print(error)
-    a network needs its file: give --compensator NET.json, as calibrate --out wrote it
     """
     if sources.compensator is None:
         raise InputError("a network needs its file: give --compensator NET.json, as calibrate --out wrote it")
@@ -243,14 +235,6 @@ def curves_of(sources: Sources) -> CurveFunction:
     ------
     InputError
         where the robot has no `joint_error_curve`
-
-    Examples
-    --------
-    >>> try:
-    ...     casadical.export.curves_of(casadical.export.Sources(found.robot))
-    ... except casadical.InputError as error:
-    ...     print(error)
-    Planar arm of two links: it has no joint_error_curve; there is nothing to export. ...
     """
     robot = robot_of(sources.robot)
     curves = joint_curves(robot)

@@ -56,13 +56,6 @@ class Corrector:
         of the position alone, for targets whose pose cannot be corrected; None: they are refused
     units : tuple[str, ...], default ()
         "rad" or "m" of each joint's reading; none: all rad
-
-    Examples
-    --------
-    >>> command = casadical.export.command_of(casadical.export.Sources(found.robot, robot))
-    >>> corrector = casadical.export.model_corrector(command)
-    >>> corrector.joints, corrector.position(poses.q[:2]).shape
-    (2, (2, 3))
     """
 
     joints: int
@@ -92,17 +85,6 @@ class Corrected:
         distance of the real tool from the nominal one, before and after; None: not known
     bound_mm : Array | None, shape (rows,)
         below it 95 % of the errors are that remain; None: not known
-
-    Examples
-    --------
-    >>> size = Path("program.csv").write_text("q1_deg,q2_deg,speed\n10,20,100\n30,40,100\n")
-    >>> command = casadical.export.command_of(casadical.export.Sources(found.robot, robot))
-    >>> corrector = casadical.export.model_corrector(command)
-    >>> done = casadical.export.corrected(corrector, casadical.export.read_program("program.csv", 2))
-    >>> done.fine, done.to_csv().splitlines()[0]
-    (array([False,  True]), 'q1_deg,q2_deg,speed,correction_status')
-    >>> done.to_json()["rows"], len(done.report()) > 0
-    (2, True)
     """
 
     program: Program
@@ -178,13 +160,6 @@ def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
     ------
     InputError
         no such export, or there is no compiler
-
-    Examples
-    --------
-    >>> from casadical.export import Sources, command_of, kernel_corrector, write_c
-    >>> export = write_c(command_of(Sources(found.robot, robot)), "correct", name="arm", vectors=100, languages=())
-    >>> kernel_corrector(Path("correct")).correct(poses.q[:3])[0].shape
-    (3, 2)
     """
     try:
         kernel = load(folder, trust=trust)
@@ -260,14 +235,6 @@ def corrected(corrector: Corrector, program: Program) -> Corrected:
     -------
     Corrected
         targets, status and what moves
-
-    Examples
-    --------
-    >>> size = Path("program.csv").write_text("q1_deg,q2_deg,speed\n10,20,100\n30,40,100\n")
-    >>> command = casadical.export.command_of(casadical.export.Sources(found.robot, robot))
-    >>> corrector = casadical.export.model_corrector(command)
-    >>> casadical.export.corrected(corrector, casadical.export.read_program("program.csv", 2)).status
-    ('SINGULAR', 'OK')
     """
     q, names = corrected_joints(corrector, program.q)
     before, after = corrector.position(program.q), corrector.position(q)

@@ -54,12 +54,6 @@ def driver_file(sources: Sources, form: str, checksum: str = "") -> Written:
     ------
     InputError
         another form, a robot with closed loops, or one that has not the structure of the form
-
-    Examples
-    --------
-    >>> written = casadical.export.driver_file(casadical.export.Sources(found.robot, robot), "modified_dh")
-    >>> written.text.splitlines()[0][:5]
-    'joint'
     """
     if form not in FORMS:
         raise InputError(f"--to {form}: not known; allowed: {', '.join(FORMS)}")

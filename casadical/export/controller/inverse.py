@@ -36,12 +36,6 @@ class Inverse:
         whether the pose is nearly singular: the weakest direction moves the tool by less than 0.02 m/rad
     inside : Array, shape (k,)
         whether every joint is in its range
-
-    Examples
-    --------
-    >>> p, _ = casadical.identification.predicted(found.robot, poses)
-    >>> casadical.export.inverse_kinematics(found.robot, p[:1], None, start=poses.q[:1]).reached
-    array([ True])
     """
 
     q: Array

@@ -39,16 +39,6 @@ class Program:
         indices of the joints' columns
     units : tuple[str, ...]
         "_deg" or "_rad" of each, "_mm" or "_m" of a linear joint
-
-    Examples
-    --------
-    >>> size = Path("program.csv").write_text("q1_deg,q2_deg,speed\n10,20,100\n30,40,100\n")
-    >>> program = casadical.export.read_program("program.csv", 2)
-    >>> program.q.round(3)
-    array([[0.175, 0.349],
-           [0.524, 0.698]])
-    >>> print(program.text(program.q, np.array([True, True]), ["OK", "OK"]).splitlines()[1])
-    10.0000000,20.0000000,100,OK
     """
 
     source: str
@@ -110,12 +100,6 @@ def read_program(path: str | Path, joints: int, units: Sequence[str] = ()) -> Pr
     ------
     InputError
         a cell or column that cannot be used; it names file, row and column
-
-    Examples
-    --------
-    >>> size = Path("program.csv").write_text("q1_deg,q2_deg,speed\n10,20,100\n30,40,100\n")
-    >>> casadical.export.read_program("program.csv", 2).header
-    ('q1_deg', 'q2_deg', 'speed')
     """
     table = read_table(path)
     header, rows, line = table.header, table.cells, table.line

@@ -40,12 +40,6 @@ def positions(xml: str, m: Measurements, payload_factor: float = 1.0) -> Array:
         MuJoCo is not installed, or readings of another robot
     ConvergenceError
         a loop cannot close
-
-    Examples
-    --------
-    >>> p = casadical.export.mjcf.positions(casadical.export.mjcf.mjcf(found.robot).text, poses)
-    >>> bool(abs(p - casadical.identification.predicted(found.robot, poses)[0]).max() < 1e-8)
-    True
     """
     model = _Model(xml)
     if model.arm != m.q.shape[1]:

@@ -52,17 +52,6 @@ def into_mjcf(nominal: Robot, calibrated: Robot, path: Path, joints: Sequence[st
     ------
     InputError
         a closed loop, no such joint, or a joint whose axis is not the nominal robot's
-
-    Examples
-    --------
-    >>> from casadical.export.mjcf import mjcf
-    >>> from casadical.export.mjcf.into_mjcf import into_mjcf
-    >>> arm = casadical.read_robot("problems/ur10/robot.toml")
-    >>> size = Path("yours.xml").write_text(mjcf(arm).text)
-    >>> longer = arm.with_values({"a2": arm.parameters["a2"].value + 1e-3})
-    >>> names = [f"joint{k}" for k in range(1, 7)]
-    >>> "casadical_measured" in into_mjcf(arm, longer, Path("yours.xml"), names)
-    True
     """
     if nominal.loops:
         raise InputError(f"{nominal.name!r} has a closed loop; write a new model (without --into)")

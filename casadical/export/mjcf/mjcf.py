@@ -50,11 +50,6 @@ class MjcfExport:
         what has no counterpart, and why
     notes : tuple[str, ...], default ()
         what a reader must know
-
-    Examples
-    --------
-    >>> casadical.export.mjcf.mjcf(diagnosis.apply()).left_out
-    ('gear_eccentricity@2: no counterpart in MuJoCo',)
     """
 
     text: str
@@ -83,11 +78,6 @@ def mjcf(robot: Robot) -> MjcfExport:
     -------
     MjcfExport
         its text, and what is not in it
-
-    Examples
-    --------
-    >>> casadical.export.mjcf.mjcf(found.robot).text[:7]
-    '<?xml v'
     """
     found = counterparts(robot)
     root = ET.Element("mujoco", model=robot.name)

@@ -16,8 +16,9 @@ from casadical.identification.least_squares import SIGMA_ANGLE_GUESS, SIGMA_GUES
 from casadical.identification.reduction import independent_parameters
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
-from casadical.pose_selection import Workspace, observability
+from casadical.pose_selection import Workspace
 from casadical.pose_selection.candidates import draw, expected
+from casadical.pose_selection.criteria import observability
 from casadical.pose_selection.information import MM, scaled_jacobian
 from casadical.robot.robot import Robot
 

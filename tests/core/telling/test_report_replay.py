@@ -47,7 +47,7 @@ def test_geometry_in_the_engine_is_that_of_casadical_on_the_same_poses(diagnosis
 
 def test_a_cause_without_a_counterpart_is_no_stage(diagnosis) -> None:
     pytest.importorskip("mujoco", reason="mujoco is not installed: nothing was replayed")
-    from casadical.export.mjcf import replay_diagnosis
+    from casadical.export.mjcf.replay import replay_diagnosis
 
     found = replay_diagnosis(diagnosis)
     assert stage_names(found)[-1] == "with backlash@5"

@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 
-from casadical.export import Command, NetworkFunction
+from casadical.export.c.products import Command, NetworkFunction
 
 LOWER = np.deg2rad([-170.0, -60.0, -60.0, -180.0, -110.0, -180.0])
 UPPER = np.deg2rad([170.0, 75.0, 70.0, 180.0, 110.0, 180.0])

@@ -11,8 +11,9 @@ import export_models as models
 import numpy as np
 import pytest
 
-from casadical.export import Command, Limits, Status, load, write_c
+from casadical.export import Status, load, write_c
 from casadical.export.c.language import Label
+from casadical.export.c.products import Command, Limits
 from casadical.export.c.reference import correct, started, step
 from casadical.export.c.registry import written_in
 from casadical.export.c.self_test import inside
@@ -111,7 +112,7 @@ def test_any_input_at_all_keeps_the_limits_and_gets_a_status(kernels, real):
 
 
 def load_network():
-    from casadical.export import NetworkFunction
+    from casadical.export.c.products import NetworkFunction
 
     return NetworkFunction(models.network(), models.LOWER, models.UPPER)
 

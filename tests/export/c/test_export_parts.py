@@ -9,7 +9,6 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadical.export import Command
 from casadical.export.c.c_language import _cross_check
 from casadical.export.c.c_source import command_numbers
 from casadical.export.c.chord import residual_size
@@ -17,7 +16,7 @@ from casadical.export.c.intervals import bounds
 from casadical.export.c.manifest import Facts
 from casadical.export.c.numpy_evaluation import NumpyFunctions
 from casadical.export.c.periodic_table import spline_errors, spline_table
-from casadical.export.c.products import Limits
+from casadical.export.c.products import Command, Limits
 from casadical.export.c.structured_text import _tables
 from casadical.export.c.tape import Node, Tape, tape_of
 from casadical.export.c.tape_program import operations, tape_program

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from casadical.core.errors import CasadicalError, InputError
-from casadical.export import Command, NetworkFunction, load, write_c
+from casadical.export import load, write_c
+from casadical.export.c.products import Command, NetworkFunction
 
 AT_LOAD = "__attribute__((constructor)) static void at_load(void)"
 

@@ -13,7 +13,8 @@ import pytest
 import casadical.export.c.c_language as c_language
 import casadical.export.c.write as write_module
 from casadical.core.errors import CasadicalError, InputError
-from casadical.export import Command, Limits, NetworkFunction, load, write_c
+from casadical.export import load, write_c
+from casadical.export.c.products import Command, Limits, NetworkFunction
 
 
 def test_the_same_model_gives_the_same_bytes(tmp_path, network):

@@ -14,9 +14,10 @@ from controller_arms import nominal_path, planted, poses, positions, rigid_motio
 import casadical.export.c.kernel as kernel_module
 import casadical.export.c.write as write_module
 from casadical.compensator import Compensator, save_compensator
-from casadical.export import Sources, command_of, kernel_corrector, load, model_corrector, write_c
+from casadical.export import Sources, command_of, load, model_corrector, write_c
 from casadical.export.c.toolchain import compilers
 from casadical.export.controller.c_export import prefix_of
+from casadical.export.controller.correction import kernel_corrector
 from casadical.robot.robot_file import read_robot
 
 needs_compiler = pytest.mark.skipif(not compilers(), reason="no C compiler (gcc, clang, cc) on this machine")

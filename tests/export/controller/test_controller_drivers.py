@@ -14,8 +14,9 @@ from controller_arms import nominal_path, planted, poses
 from scipy.spatial.transform import Rotation
 
 from casadical.core.errors import InputError
-from casadical.export import Sources, driver_file, inverse_kinematics
+from casadical.export import Sources, inverse_kinematics
 from casadical.export.controller.commands import own_robots
+from casadical.export.controller.drivers import driver_file
 from casadical.robot.robot_file import read_robot, write_robot
 
 

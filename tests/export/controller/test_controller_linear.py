@@ -13,11 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from casadical.core.errors import InputError
 from casadical.core.parts import Joint, Placement
-from casadical.export import Sources, Status, command_of, inverse_kinematics, kernel_corrector, model_corrector, write_c
+from casadical.export import Sources, Status, command_of, inverse_kinematics, model_corrector, write_c
 from casadical.export.c.toolchain import compilers
 from casadical.export.controller.c_export import poses_of, unreached
 from casadical.export.controller.commands import measured_range
-from casadical.export.controller.correction import corrected
+from casadical.export.controller.correction import corrected, kernel_corrector
 from casadical.export.controller.inverse import freedom_of
 from casadical.export.controller.offline_program import read_program
 from casadical.export.controller.programs.fanuc import Fanuc

@@ -26,8 +26,9 @@ from casadical.effects import (
     PayloadError,
     SmrOffset,
 )
-from casadical.export.mjcf import mjcf, positions, replay_campaign
-from casadical.export.mjcf.replay import replay
+from casadical.export.mjcf.equilibrium import positions
+from casadical.export.mjcf.mjcf import mjcf
+from casadical.export.mjcf.replay import replay, replay_campaign
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import read_measurements

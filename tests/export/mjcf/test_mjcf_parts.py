@@ -9,7 +9,7 @@ import pytest
 
 from casadical.core.errors import InputError
 from casadical.core.transforms import frame, from_rpy
-from casadical.export import robot_model
+from casadical.export import model_file
 from casadical.export.mjcf.into_mjcf import _refuse_unmoved
 from casadical.export.mjcf.replay import PARTS
 
@@ -32,13 +32,13 @@ def test_bodies_that_are_not_at_their_targets_are_refused() -> None:
 
 
 def test_springs_that_were_not_asked_for_are_said_to_lack(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(robot_model, "into_mjcf", lambda *_: "<mujoco/>")
+    monkeypatch.setattr(model_file, "into_mjcf", lambda *_: "<mujoco/>")
     robot = ROOT / "problems" / "kr210" / "robot.toml"
-    arm = robot_model.read_robot(robot)
+    arm = model_file.read_robot(robot)
     assert any(j.compliance for j in arm.joints)
     for springs, said in ((False, ("springs of the joints; --springs adds them",)), (True, ())):
-        asked = robot_model.OfMjcf(into=tmp_path / "mine.xml", joints="a,b,c,d,e,f", springs=springs)
-        made = robot_model.into_users(robot, asked, robot, arm)
+        asked = model_file.OfMjcf(into=tmp_path / "mine.xml", joints="a,b,c,d,e,f", springs=springs)
+        made = model_file.into_users(robot, asked, robot, arm)
         assert made.text == "<mujoco/>"
         assert made.left_out == said
 

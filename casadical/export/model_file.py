@@ -65,7 +65,7 @@ def form_of(word: str | None, out: Path) -> str:
 
 
 def robot_model(
-    source: Path,
+    source: str | Path,
     form: str,
     *,
     nominal: Path | None = None,
@@ -74,14 +74,44 @@ def robot_model(
     leave_out: bool = False,
     show: Show = silent,
 ) -> RobotModel:
-    """A calibrated robot in one of the `FORMS`.
+    """A calibrated robot as another program reads it.
 
-    source : a robot file, taken as it is, or a problem folder, which is calibrated
-    nominal : robot file from before the calibration, needed by a driver's kinematics and a user's own model
-    checksum : of the controller's own calibration, for `ur`
-    leave_out : whether effects that have no place there are left out; else they are refused
-    Raises InputError, ConvergenceError.
+    Parameters
+    ----------
+    source : str | Path
+        a robot file, taken as it is, or a problem folder, which is calibrated
+    form : str
+        mjcf, urdf; kinematics of a driver: ur, standard_dh, modified_dh, xacro
+    nominal : Path, optional
+        robot file from before the calibration, needed by a driver's kinematics and a user's own model
+    of_mjcf : OfMjcf, optional
+        what only a MuJoCo model can have: campaign, effects, into, joints, springs
+    checksum : str, default ""
+        of the controller's own calibration, for `ur`
+    leave_out : bool, default False
+        whether effects that have no place there are left out; else they are refused
+    show : Show, optional
+        called with a line of progress
+
+    Returns
+    -------
+    RobotModel
+        `text` of the file, `lines` on what it leaves out and what that costs
+
+    Raises
+    ------
+    InputError
+        what is given has no part in this form, or effects have no place in it
+    ConvergenceError
+        Ipopt finds no optimum
+
+    Examples
+    --------
+    >>> model = casadical.robot_model("problems/planar/robot.toml", "mjcf")
+    >>> "<mujoco" in model.text, model.about
+    (True, 'Planar arm of two links, 2 joints')
     """
+    source = Path(source)
     if not source.exists():
         raise InputError(f"{source}: no such problem folder or robot file")
     asked = of_mjcf or OfMjcf()

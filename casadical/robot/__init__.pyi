@@ -1,2 +1,0 @@
-from casadical.core.parameters import Parameter as Parameter
-from casadical.core.parameters import Parameters as Parameters
