@@ -40,7 +40,7 @@ except SystemExit as end:
     assert not end.code
 """
 PREDICTING = """
-from casadical.blind_check import predict
+from casadical.blind_check.prediction import predict
 import casadical.blind_check.predictor, casadical.blind_check.baselines, casadical.blind_check.gaussian_process
 import casadical.diagnosis.diagnose, casadical.diagnosis.json_answer
 """

@@ -40,7 +40,7 @@ class ProgramLanguage(ABC):
 
     @abstractmethod
     def values(self, T: Array, like: Array) -> Array:
-        """The numbers [SI] of a transform, of all that are equal those nearest to `like`."""
+        """The numbers [SI], shape (k,), of a transform, of all that are equal those nearest to `like`."""
 
     def turns(self, q: Array) -> tuple[int, ...]:
         """How the language counts the turns of joints q, shape (n,) [rad]; empty if it does not."""
@@ -51,13 +51,13 @@ class ProgramLanguage(ABC):
         raise NotImplementedError
 
     def frame(self, where: str, values: Array) -> Array:
-        """The transform of a tool or base in a program. Raises InputError that begins with `where`."""
+        """A tool or base in a program, shape (4, 4) [m]. Raises InputError that begins with `where`."""
         if not np.isfinite(values).all():
             raise InputError(f"{where}: a tool or base needs finite numbers, {self.pose}")
         return self.matrix(values)
 
     def transform(self, option: str, text: str) -> Array:
-        """A pose that a user gives as the controller shows it. Raises InputError."""
+        """A pose that a user gives as the controller shows it, shape (4, 4) [m]. Raises InputError."""
         try:
             numbers = [float(part) for part in text.split(",")]
         except ValueError:
