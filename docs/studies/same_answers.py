@@ -4,7 +4,7 @@
 and keeps what they write: JSON, text, robot files, generated C. `compare BEFORE AFTER` lists every difference: numbers
 beyond 1e-9 of their size, words, verdicts, and other files that are not equal byte for byte. Inputs are the shipped
 problems, practice and sealed campaigns, and series of the real UR10 at 300 poses. Nothing is judged here: a difference
-is listed, its reason is for whoever changed the code.
+is listed, its reason is for a user who changed the code.
 """
 
 import argparse

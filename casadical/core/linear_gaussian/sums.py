@@ -212,7 +212,7 @@ class GridSums:
             _add_weighted(total, F, G, axes.turned(levers, blocks), axes.precision[own, blocks], at)
 
     def _axes_of(self, points: Sequence[int]) -> Iterator[tuple[Axes, list[int], slice]]:
-        """The axes of some points: which of theirs these are, and where they stand among those asked for."""
+        """The axes of some points: which of its own these are, and where they stand among those asked for."""
         for axes in self._axes:
             at = [i for i, k in enumerate(points) if k in axes.points]
             if at:
