@@ -72,7 +72,7 @@ def check(
     keep_json(json_file, [f.to_json() for f in found], console)
     if quiet:
         for f in found:
-            for finding in f.of("error"):
+            for finding in f.of_level("error"):
                 typer.echo(f"casadical: {shown(f.folder)}: {finding.topic}: {finding.text}", err=True)
-    if not all(f.ok and not (strict and f.of("warning")) for f in found):
+    if not all(f.ok and not (strict and f.of_level("warning")) for f in found):
         raise typer.Exit(BAD_INPUT)

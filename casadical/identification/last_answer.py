@@ -28,7 +28,7 @@ class Sums:
     residuals: list[Array] | None
     triangle: Array | None = None
 
-    def of(self, columns: Sequence[int]) -> Sums:
+    def for_variables(self, columns: Sequence[int]) -> Sums:
         """The same poses for some of the variables alone."""
         at = np.array(columns, dtype=int)
         return Sums(self.cost, self.gradient[at], self.information[np.ix_(at, at)], self.square, self.residuals)

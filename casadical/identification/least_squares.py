@@ -408,7 +408,7 @@ class LeastSquares:
         place_of = {name: k for k, name in enumerate(self.names)}
         if (sums := self._kept.sums.at_zero) and place_of.keys() >= set(other.names):
             columns = [*(place_of[n] for n in other.names), *range(len(self.names), self.size)]
-            other._kept.sums(np.zeros(other.size), lambda _: sums.of(columns))
+            other._kept.sums(np.zeros(other.size), lambda _: sums.for_variables(columns))
             other.gradient(np.zeros(other.size))
         return other
 

@@ -95,7 +95,7 @@ def not_shared(sets: Sequence[Measurements]) -> str:
     names = sessions_in(sets)
     if len(names) < 2:
         return ""
-    poses = [np.concatenate([_of(m, name) for m in sets]) for name in names]
+    poses = [np.concatenate([_readings_in(m, name) for m in sets]) for name in names]
     apart = [name for name, q in zip(names[1:], poses[1:], strict=True) if not _common(poses[0], q)]
     if not apart:
         return ""
@@ -105,7 +105,7 @@ def not_shared(sets: Sequence[Measurements]) -> str:
     )
 
 
-def _of(m: Measurements, name: str) -> Array:
+def _readings_in(m: Measurements, name: str) -> Array:
     flags = m.conditions.get(PREFIX + name)
     return m.q[:0] if flags is None else m.q[flags > 0]
 

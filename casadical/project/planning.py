@@ -68,13 +68,13 @@ class Places:
     candidates: Array | None = None
     known: bool = False
 
-    def of(self, robot: Robot) -> Array:
+    def candidates_for(self, robot: Robot) -> Array:
         """Candidates for a robot, shape (K, 3) [m]."""
         return usual_places(robot, self.kind) if self.candidates is None else self.candidates
 
     def select(self, robot: Robot, **how: Any) -> Selection:
         """Poses and places together, as of `select_with_places`."""
-        places = self.of(robot)
+        places = self.candidates_for(robot)
         return select_with_places(robot, kind=self.kind, places=places, count=self.count, known=self.known, **how)
 
 
@@ -267,8 +267,8 @@ def plan(
     instrument = chosen.instrument if chosen else None
     if places is not None and instrument is None:
         instrument = place_instrument(
-            robot, places.kind, places.of(robot), places.count, known=places.known, workspace=workspace, free=free,
-            noise=noise, seed=seed,
+            robot, places.kind, places.candidates_for(robot), places.count, known=places.known, workspace=workspace,
+            free=free, noise=noise, seed=seed,
         )  # fmt: skip
     show("accuracy of further poses")
     total = (0 if measured is None else len(measured)) + (0 if chosen is None else len(chosen))

@@ -175,7 +175,7 @@ def verify(
     kind = _kind_of(sets)
     promised = 1e-3 * promised_mm if promised_mm is not None else promised_rms(place, kind)
     prepared = _of_one_tool(arm, sets)
-    placing = _Placing.of(prepared)
+    placing = _Placing.needed_by(prepared)
     placing.refuse_too_few(", ".join(map(str, given)))
     placed, k = prepared.robot, 0
     if placing.groups:
@@ -232,7 +232,7 @@ class _Placing:
     touched: bool
 
     @classmethod
-    def of(cls, prepared: Prepared) -> _Placing:
+    def needed_by(cls, prepared: Prepared) -> _Placing:
         robot, sets = prepared.robot, prepared.sets
         kind = find_kind(sets[0].kind)
         # Readings to unknown places alone do not tell where the base is.

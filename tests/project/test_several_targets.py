@@ -147,7 +147,7 @@ def test_a_station_that_moved_is_no_second_target(tmp_path: Path) -> None:
     assert found.targets
     assert not found.targets.turning
     assert found.targets.which is None
-    assert any("the station was moved between them" in f.text for f in found.of("warning"))
+    assert any("the station was moved between them" in f.text for f in found.of_level("warning"))
 
 
 def test_several_targets_on_the_tip_of_a_urdf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -197,7 +197,7 @@ def test_targets_that_the_table_or_the_robot_file_lacks(tmp_path: Path) -> None:
     robot.write_text(robot.read_text().replace("[gravity]", FOURTH))
     found = precheck(tmp_path / "arm")
     assert found.ok
-    assert any("the robot file has SMR4, which no row names" in f.text for f in found.of("warning"))
+    assert any("the robot file has SMR4, which no row names" in f.text for f in found.of_level("warning"))
     data = tmp_path / "arm" / "poses.csv"
     data.write_text("\n".join(line.rpartition(";")[0] for line in data.read_text().splitlines()))
     problem = tmp_path / "arm" / "problem.toml"
@@ -222,7 +222,9 @@ def test_a_target_that_is_only_held_out_is_refused_with_its_rows(tmp_path: Path)
     robot.write_text(robot.read_text().replace("[gravity]", FOURTH))
     with pytest.raises(InputError, match=rf"target 'SMR4' was measured in row {row} only, of the set 'report'"):
         calibrate(tmp_path / "arm")
-    assert any("no pose that is fitted tells where it is" in f.text for f in precheck(tmp_path / "arm").of("error"))
+    assert any(
+        "no pose that is fitted tells where it is" in f.text for f in precheck(tmp_path / "arm").of_level("error")
+    )
 
 
 def test_a_target_that_is_seen_once_is_left_out_by_new(tmp_path, monkeypatch, capfd):

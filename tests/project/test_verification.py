@@ -122,7 +122,7 @@ def test_bad_rows_neither_loosen_the_promise_nor_hide(tmp_path, monkeypatch, cap
     held = new_problem(arm, dh=tmp_path / "dh.csv", data=data).sets["report"][0].row[:2]
     p[held - 5] += [30.0, 40.0, 0.0]  # the first row stands in line 5 of the file
     (arm / "poses.csv").write_bytes(first_hour.write(tmp_path, "messung.csv", q[:90], p[:90]).read_bytes())
-    (warning,) = precheck(arm).of("warning")
+    (warning,) = precheck(arm).of_level("warning")
     assert f"{held[0]} (" in warning.text
     assert main(monkeypatch, "calibrate", arm, "--out", out) == 0
     printed = " ".join(capfd.readouterr().out.split())

@@ -46,19 +46,19 @@ class Precheck:
     targets: Targets | None = None
     misnamed: Misnamed | None = None
 
-    def of(self, level: Level) -> tuple[Finding, ...]:
+    def of_level(self, level: Level) -> tuple[Finding, ...]:
         """Findings of one level."""
         return tuple(f for f in self.findings if f.level == level)
 
     @property
     def ok(self) -> bool:
         """Whether it can be calibrated: no errors."""
-        return not self.of("error")
+        return not self.of_level("error")
 
     def blocks(self) -> list[Words | Table]:
         """What `casadical check --details` prints of one problem: verdict, findings, ranges, expected accuracy."""
         told: list[Words | Table] = [*self._head(), Words("")]
-        told += _findings(f for level in LEVELS for f in self.of(level))
+        told += _findings(f for level in LEVELS for f in self.of_level(level))
         if self.joints:
             told.append(self._ranges())
         for view in self.outlooks:
@@ -67,8 +67,8 @@ class Precheck:
 
     def brief(self) -> list[Words | Table]:
         """The same in few lines: verdict, errors and warnings, accuracy to expect."""
-        findings = [f for level in LEVELS[:2] for f in self.of(level)]
-        findings += [f for f in self.of("note") if f.topic == "units"]
+        findings = [f for level in LEVELS[:2] for f in self.of_level(level)]
+        findings += [f for f in self.of_level("note") if f.topic == "units"]
         told: list[Words | Table] = [*self._head(), *_findings(findings[:FINDINGS])]
         if len(findings) > FINDINGS:
             told.append(Words(f"and {len(findings) - FINDINGS} more"))
@@ -87,7 +87,7 @@ class Precheck:
             yield Words(f"{self.title}; {self.robot}; poses: {sets}")
 
     def _verdict(self) -> str:
-        errors, warnings = len(self.of("error")), len(self.of("warning"))
+        errors, warnings = len(self.of_level("error")), len(self.of_level("warning"))
         if errors:
             return f"NOT READY, {errors} error{'s' if errors > 1 else ''}"
         return f"ready, {warnings} warning{'s' if warnings > 1 else ''}" if warnings else "ready"

@@ -99,7 +99,7 @@ def test_one_link_in_metres_is_named_and_repaired(tmp_path: Path) -> None:
     robot = folder / "robot.toml"
     robot.write_text(robot.read_text().replace("a_mm = 700.0", "a_mm = 0.7"))
     found = precheck(folder)
-    (error,) = found.of("error")
+    (error,) = found.of_level("error")
     assert "a of row 3 is 700.0 mm, not 0.7 mm" in error.text
     assert found.slips is not None
     assert found.nominal is not None
@@ -118,7 +118,7 @@ def test_the_row_of_a_wrong_length_is_that_of_the_file(tmp_path: Path) -> None:
     )
     head = 'casadical = 1\nname = "arm"\nconvention = "standard"\n[base]\nunknown = "pose"\n'
     (folder / "robot.toml").write_text(f'{head}[tool]\nunknown = "position"\n{rows}')
-    assert "a of row 2 is 700.0 mm, not 0.7 mm" in precheck(folder).of("error")[0].text
+    assert "a of row 2 is 700.0 mm, not 0.7 mm" in precheck(folder).of_level("error")[0].text
 
 
 def test_lengths_of_the_whole_robot_in_another_unit_are_repaired_there(tmp_path: Path) -> None:
