@@ -1,7 +1,5 @@
 """The methods that the diagnosis is measured against do what textbooks say."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The key is the published one or nothing is scored; figures of cases small enough to count by hand."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The robot with its causes: one recipe for users, exports and the blind check, with the evidence's data and priors."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib import import_module

@@ -1,7 +1,5 @@
 """docs/reference.md: its names are those at the top and below, what their sections say is true, their examples run."""
 
-from __future__ import annotations
-
 import ast
 import doctest
 import enum

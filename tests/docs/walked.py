@@ -2,8 +2,6 @@
 first call: python walked.py WAY FOLDER. A process of its own, so that nothing is cached from another test.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

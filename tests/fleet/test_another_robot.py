@@ -1,7 +1,5 @@
 """A table of another robot among the campaigns is said to be one; several changes of one robot are not."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 
@@ -34,9 +32,7 @@ def found(comparison: Comparison) -> list[tuple[str, bool, str, int]]:
 
 
 @pytest.mark.parametrize(("at", "course", "since"), [(1, "once", 1), (3, "jump", 3), (0, "jump", 1)])
-def test_another_robot_is_one_change_and_not_many(
-    arms: tuple[Robot, Robot, Robot], months: list[Estimate], at: int, course: str, since: int
-) -> None:
+def test_another_robot_is_one_change_and_not_many(arms, months, at, course, since):
     """One table in the middle, the last one, or the first one, which all others differ from."""
     robot, _, other = arms
     told = [*months[:at], estimate((robot, measured(other, 4)), "other"), *months[at:]]
@@ -47,9 +43,7 @@ def test_another_robot_is_one_change_and_not_many(
     assert "parameters differ by more than 3 standard errors" in " ".join(text.split())
 
 
-def test_another_robot_stands_elsewhere_with_another_tool(
-    arms: tuple[Robot, Robot, Robot], months: list[Estimate]
-) -> None:
+def test_another_robot_stands_elsewhere_with_another_tool(arms, months):
     """With the frame and the tool declared as the same ones, these are no changes of their own."""
     told = [months[0], estimate((arms[0], measured(arms[2], 1)), "other")]
     assert found(compare(told, same_tool=True, same_frame=True)) == [("another_robot", True, "jump", 1)]

@@ -1,7 +1,5 @@
 """What a change is said to mean, and how it is drawn."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

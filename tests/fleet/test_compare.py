@@ -1,7 +1,5 @@
 """What changed between campaigns: planted changes are named, nothing is named where nothing changed."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -104,9 +102,7 @@ def test_campaigns_by_one_instrument_have_one_noise(arm: tuple[Robot, Robot], be
     assert c.information == pytest.approx(third.information)
 
 
-def test_a_campaign_of_many_poses_tells_its_own_noise(
-    arm: tuple[Robot, Robot], before: Estimate, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_campaign_of_many_poses_tells_its_own_noise(arm, before, monkeypatch):
     monkeypatch.setattr("casadical.fleet.estimates.MANY", 39)
     many = after(arm)
     first, second = with_common_noise([before, many])
@@ -149,9 +145,7 @@ def test_where_nothing_changed_nothing_is_named(arm: tuple[Robot, Robot], before
         ({"a2": 3e-4}, "link@3", "a2", 0.3),
     ],
 )
-def test_a_change_is_named_with_its_size(
-    arm: tuple[Robot, Robot], before: Estimate, by: dict[str, float], label: str, parameter: str, size: float | None
-) -> None:
+def test_a_change_is_named_with_its_size(arm, before, by, label, parameter, size):
     found = compare([before, after(arm, **by)])
     (change,) = found.changes
     assert (change.cause.label, change.named, change.course) == (label, True, "jump")
@@ -198,9 +192,7 @@ def test_a_moved_foot_is_a_change_in_one_frame(arm: tuple[Robot, Robot]) -> None
     assert not compare([first, lifted]).changed
 
 
-def test_robot_files_of_calibrate_are_compared(
-    arm: tuple[Robot, Robot], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_robot_files_of_calibrate_are_compared(arm, tmp_path, monkeypatch):
     """The file has the covariance; of two files the change is named as from the measurements themselves."""
     robot, built = arm
     problem = Path(__file__).parents[2] / "problems/ur10e"

@@ -1,7 +1,5 @@
 """What changed, from what no tracker measured: wires to known places, a wire to an unknown one, full poses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A fleet on a real local cluster: resumed, one bad robot, a worker that is killed, a scheduler that dies."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -63,8 +61,8 @@ def done(plant: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, s
 
 
 def test_one_command_does_all_and_one_bad_robot_stops_nobody(
-    done: tuple[Path, subprocess.CompletedProcess[str]],
-) -> None:
+    done,
+):
     place, command = done
     assert command.returncode == 0, command.stderr
     assert "6 of 7 robots calibrated" in command.stdout
@@ -94,9 +92,7 @@ def test_one_command_does_all_and_one_bad_robot_stops_nobody(
     assert common.knowledge.robots == 6
 
 
-def test_what_is_done_is_not_done_again_but_what_changed_is(
-    plant: Path, done: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path
-) -> None:
+def test_what_is_done_is_not_done_again_but_what_changed_is(plant, done, tmp_path):
     store = tmp_path / "fleet.parquet"
     shutil.copytree(done[0] / "fleet.parquet", store)
     here = tmp_path / "plant"
@@ -354,8 +350,8 @@ def test_what_a_type_shares_is_the_same_in_any_order_of_parameters_and_whatever_
 
 
 def test_a_course_without_days_is_not_drawn_among_days_and_what_grew_is_named(
-    done: tuple[Path, subprocess.CompletedProcess[str]],
-) -> None:
+    done,
+):
     whole = rows(done[0] / "fleet.parquet")
     good = whole[whole["status"] == "ok"].reset_index(drop=True)
     days, none = [20000.0, 20030.0, 20060.0], float("nan")

@@ -1,7 +1,5 @@
 """What goes wrong around a fleet is said, and nothing that was computed is lost."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil
@@ -68,9 +66,7 @@ def test_an_interrupt_says_what_is_kept(arms: Path, tmp_path: Path) -> None:
     assert list(rows(store)["status"]) == ["ok"]
 
 
-def test_files_of_a_store_that_were_cut_or_deleted_are_said_and_their_robots_computed_again(
-    arms: Path, tmp_path: Path
-) -> None:
+def test_files_of_a_store_that_were_cut_or_deleted_are_said_and_their_robots_computed_again(arms, tmp_path):
     store = tmp_path / "fleet.parquet"
     for k in range(3):
         add(store, [one_robot(str(arms / f"arm{k}"), False)])
@@ -196,8 +192,8 @@ def _all_but(number: int, bad: int) -> dict[str, object]:
 
 
 def test_with_very_many_workers_a_task_is_several_robots_and_a_bad_one_is_lost_alone(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     monkeypatch.setattr("casadical.fleet.cluster.WORKERS", 0.2)  # one worker as five times as many as are ordinary
     tasks, sizes = [(k, 13) for k in range(30)], []
     with one_worker() as cluster, client_of(cluster.scheduler_address, None) as client:
@@ -231,9 +227,7 @@ def test_a_folder_whose_name_is_not_utf_8_stops_nobody(first: Path, tmp_path: Pa
     assert len(rows(tmp_path / "store")) == 1
 
 
-def test_a_table_whose_name_is_not_utf_8_has_a_page_and_one_that_is_not_there_is_said(
-    first: Path, tmp_path: Path
-) -> None:
+def test_a_table_whose_name_is_not_utf_8_has_a_page_and_one_that_is_not_there_is_said(first, tmp_path):
     tables = [first / "campaigns" / "2026-01-01.csv", Path(os.fsdecode(os.fsencode(tmp_path) + b"/M\xe4rz.csv"))]
     with pytest.raises(InputError, match="no such file or folder"):
         compare_files(tables, first)

@@ -1,7 +1,5 @@
 """Public names: those of the packages, found when they are used, and none of them untyped."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import re

@@ -1,7 +1,5 @@
 """The paper's four methods on a problem: who learns from what, who is refused, what is printed and kept."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Measured poses replayed in MuJoCo, as the report of a diagnosis shows them."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 

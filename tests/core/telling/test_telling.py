@@ -1,7 +1,5 @@
 """Blocks and figures as data: every renderer shows the same words, cells and numbers, and none what is not there."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

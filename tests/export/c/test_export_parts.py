@@ -1,7 +1,5 @@
 """Parts of an export to C against other ways to the same number: intervals, splines, limits, figures, versions."""
 
-from __future__ import annotations
-
 import subprocess
 from typing import Any
 

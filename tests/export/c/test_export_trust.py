@@ -1,7 +1,5 @@
 """The C of an export folder is compiled and run only if it was exported here, or with consent."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil

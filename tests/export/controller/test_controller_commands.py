@@ -1,7 +1,5 @@
 """`casadical export c` and `casadical correct` as a user meets them: files, words, exit codes."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import json

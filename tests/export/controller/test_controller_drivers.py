@@ -1,7 +1,5 @@
 """Drivers' files are read back and composed by scipy's rotations; the inverse kinematics is checked by the model."""
 
-from __future__ import annotations
-
 import csv
 import json
 from dataclasses import replace

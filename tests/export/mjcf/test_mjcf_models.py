@@ -1,7 +1,5 @@
 """Exported models in the real MuJoCo against casadical's own positions, and against MuJoCo's own motion to rest."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a user's own MuJoCo model must do before it is written, and how poses are shared for a replay."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
