@@ -24,7 +24,7 @@ _SET = (
 # Of each kind of JSON that `--json` writes, names by which it is known again.
 _OURS = (
     {"problem", "robot"}, {"campaign"}, {"forecast"}, {"rows", "corrected"}, {"folder", "files", "verified"},
-    {"file", "robot", "left_out"}, {"key_sha256"}, {"answers", "by"}, {"by", "figures"},
+    {"file", "robot", "left_out"}, {"withheld", "not_drawn"}, {"key_sha256"}, {"answers", "by"}, {"by", "figures"},
     {"changed", "changes", "campaigns"}, {"fleet", "robots", "types"},
 )  # fmt: skip
 _MEASURED = {"x_mm", "x_m", "y_mm", "y_m", "z_mm", "z_m"}
