@@ -94,14 +94,14 @@ def _noise(e: Evidence, share: Array, count: int, rng: np.random.Generator) -> A
 def _groups(case: Case, white: Array) -> list[_Group]:
     """Every setting of every cause; the settings of a cause share its prior."""
     weights = prior_weights(case, PRIOR_FIRST, frozenset())
-    found = []
+    groups = []
     for (c, _), columns in zip(case.variants, case.groups, strict=True):
         E = white[:, columns]
         value, vector = np.linalg.eigh(E.T @ E)
         candidate = case.candidates[c]
         log_weight = float(np.log(weights[candidate.label] / len(candidate.variants)))
-        found.append(_Group(columns, log_weight, np.maximum(value, 0), vector))
-    return found
+        groups.append(_Group(columns, log_weight, np.maximum(value, 0), vector))
+    return groups
 
 
 def _log_likelihoods(w: _Problem, Y: Array, groups: list[_Group], sigma: Array) -> tuple[Array, Array]:

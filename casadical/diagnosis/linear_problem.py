@@ -310,7 +310,7 @@ def better_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
     fit, known = fit_of(case.evidence, columns, noise), seen.ratios
     left, pull = fit.rest.reshape(case.evidence.r.shape) ** 2, fit.pull(np.arange(len(case.evidence.r)))
     freedom = seen.measured[case.kept] - np.diagonal(pull, axis1=1, axis2=2)
-    place, found = np.cumsum(case.kept) - 1, []
+    place, sigmas = np.cumsum(case.kept) - 1, []
     for k, (m, (length, angle)) in enumerate(zip(seen.sets, known.sigmas, strict=True)):
         poses, places = seen.numbers_of(k)
         own, kind = case.kept[poses[:, 0]], find_kind(m.kind)
@@ -320,9 +320,9 @@ def better_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
             float(np.sqrt(left[poses, part].sum() / max(float(freedom[poses, part].sum()), 1.0))) or 1.0
             for part in parts
         ]
-        found.append((length if m.sigma else length * factors[0], angle if m.sigma_angle else angle * factors[1]))
-    more = Ratios(tuple(found))
-    change = np.log([a for k in range(len(found)) for a in np.divide(more.of_set(k), known.of_set(k))])
+        sigmas.append((length if m.sigma else length * factors[0], angle if m.sigma_angle else angle * factors[1]))
+    more = Ratios(tuple(sigmas))
+    change = np.log([a for k in range(len(sigmas)) for a in np.divide(more.of_set(k), known.of_set(k))])
     counts = [bool(n) for m in seen.sets for n in (find_kind(m.kind).lengths, find_kind(m.kind).angles)]
     return more if np.abs(change[counts]).max() > SAME_RATIO else None
 

@@ -302,8 +302,8 @@ def _of_set(robot: Robot, m: Measurements, k: int, values: Array, where: Mapping
     parts: list[list[Array]] = [[] for _ in range(6)]
     for first in range(0, n, BLOCK):
         some = slice(first, first + BLOCK)
-        found = call(at.mapped(len(m.q[some])), m.q[some].T, w[some].T, values, constants, data[some].T)
-        for part, value in zip(parts, found, strict=True):
+        outputs = call(at.mapped(len(m.q[some])), m.q[some].T, w[some].T, values, constants, data[some].T)
+        for part, value in zip(parts, outputs, strict=True):
             here = len(m.q[some])
             part.append(value.reshape(value.shape[0], here, value.shape[1] // here).transpose(1, 0, 2))
     r, J, S, U, seen, q = (np.concatenate(part) for part in parts)
@@ -353,9 +353,9 @@ def _measured_to(sets: Sequence[Measurements], point: Array) -> Array:
     """
     number = np.concatenate([np.full(len(m), k) for k, m in enumerate(sets)])
     width = max((3 if m.target is not None else 0) + (m.other.shape[1] if m.other is not None else 0) for m in sets)
-    found = []
+    far_ends = []
     for m in sets:
         own = [np.zeros((len(m), 0)), *(a for a in (m.target, m.other) if a is not None)]
         own_ends = np.round(np.concatenate(own, axis=1), 4)
-        found.append(np.pad(own_ends, [(0, 0), (0, width - own_ends.shape[1])]))
-    return _numbered(np.column_stack([number, point, np.concatenate(found)]))
+        far_ends.append(np.pad(own_ends, [(0, 0), (0, width - own_ends.shape[1])]))
+    return _numbered(np.column_stack([number, point, np.concatenate(far_ends)]))

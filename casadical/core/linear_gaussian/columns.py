@@ -228,11 +228,11 @@ class Combined:
     def places(self, columns: Array) -> Array:
         """Of the combinations of some columns, all those of a part or none; columns : their places among all."""
         own = [np.arange(*run) for run in zip(self.edges[:-1], self.edges[1:], strict=True)]
-        found = [
+        places = [
             at[np.isin(np.arange(a, b), columns)] if V is None else at[: len(at) * bool(np.isin(a, columns))]
             for at, (a, b, V) in zip(own, self.blocks, strict=True)
         ]
-        return np.concatenate([np.zeros(0, dtype=np.int64), *found])
+        return np.concatenate([np.zeros(0, dtype=np.int64), *places])
 
     def values(self, x: Array) -> Array:
         """Numbers by combination as numbers by column, along the first axis."""
