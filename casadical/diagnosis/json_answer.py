@@ -6,10 +6,9 @@ from typing import Any
 import pandas as pd
 
 from casadical.core.files import json_text
-from casadical.diagnosis.cause_table import settings
+from casadical.diagnosis.cause_table import layers_json, settings
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import NetworkGap
-from casadical.diagnosis.layers import as_json as layers_as_json
 from casadical.diagnosis.limits import cannot_tell
 from casadical.diagnosis.next_poses import discrimination_probability
 from casadical.diagnosis.result import Cause, CauseSet, Diagnosis, Unlisted
@@ -53,7 +52,7 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
         **({} if unlisted is None else {"unlisted": _unlisted(unlisted)}),
         **({"laws": more.laws.laws_json()} if more.laws else {}),
         "course": _records(d.course),
-        **({"layers": layers_as_json(d)} if d.effects() else {}),
+        **({"layers": layers_json(d)} if d.effects() else {}),
         **({"where": {name: _records(table) for name, table in more.where.tables()}} if more.where else {}),
         "noise": {
             "sigma_mm": _mm(d.noise.sigma),

@@ -8,10 +8,9 @@ import pandas as pd
 
 from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Words, mm, shown
 from casadical.core.telling.figure import Figure
-from casadical.diagnosis.cause_table import CauseRow, cause_rows
+from casadical.diagnosis.cause_table import CauseRow, cause_rows, layer_rows
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.figures import diagnosis_figures
-from casadical.diagnosis.layers import layer_rows
 from casadical.diagnosis.localisation import Localisation
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.spectrum import Spectrum

@@ -1,30 +1,41 @@
-"""The statements of a diagnosis as a page of plain text, for a terminal."""
+"""A diagnosis in words, for a terminal: as a page of plain text, and in few lines, the answer first."""
 
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import chain
 
 from rich.console import RenderableType
 from rich.text import Text
 
-from casadical.core.telling.blocks import Table
+from casadical.core.telling.blocks import Table, Words, mm
 from casadical.core.telling.terminal import table_lines
-from casadical.diagnosis.cause_table import cause_rows
+from casadical.diagnosis.cause_table import LAYER_COLUMNS, cause_rows, layer_rows
 from casadical.diagnosis.details import Details
-from casadical.diagnosis.layers import COLUMNS as COLUMNS_OF_LAYERS
-from casadical.diagnosis.layers import layer_rows
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.spectrum import Spectrum, curve_of
 from casadical.diagnosis.spectrum_report import COLUMNS, MOST_SUGGESTED, curve_rows
-from casadical.diagnosis.statements import TIED, statements
+from casadical.diagnosis.statements import TIED, Statement, readings_of, statements
 
 WIDTH = 112
 LABEL = 8
 # The table of causes, and how wide its columns are.
-CAUSES = ("", "signature", "posterior", "gap if added", "shrinks by, 95 %")
+CAUSE_COLUMNS = ("", "signature", "posterior", "gap if added", "shrinks by, 95 %")
 WIDTHS = (2, 62, 9, 16, 18)
 # Labels that stand before each of their statements, not only before the first.
 EACH = ("CANNOT", "MISSING")
+# Of the short answer: things to know, causes that are listed.
+THINGS, CAUSES = 3, 6
+# Characters of a thing to know: three lines of a terminal.
+LONGEST = 290
+# Of these only what casts a doubt is told.
+_DOUBTS = ("CANNOT", "AFTER")
+# What a reader must know besides the verdict, the most important first, in words where a sentence needs its subject.
+_ABOUT = {
+    "CHECK": "", "PRIOR": "Prior: ", "CANNOT": "These data cannot ", "UNKNOWN": "Left: ", "LAW": "Law: ", "AFTER": "",
+    "OUT": "",
+    "WHERE": "Where: ", "RULED": "Ruled ", "NEXT": "Next: ", "MISSING": "", "GRAVITY": "In the model: ",
+    "ASSUMED": "Assumed: ",
+}  # fmt: skip
 
 
 def titled(title: str, page: str) -> RenderableType:
@@ -60,9 +71,9 @@ def page_of(d: Diagnosis, more: Details | None = None) -> str:
         label = s.about if s.about != last or s.about in EACH else ""
         lines += _wrapped(s.text, f"{label:<{LABEL}}", " " * LABEL)
         if s.about == "WHICH" and d.causes:
-            lines += _causes(d, more)
+            lines += _cause_lines(d, more)
         if s.about == "LAYERS":
-            table = Table("", COLUMNS_OF_LAYERS, layer_rows(d), frozenset({1, 2, 3, 4}))
+            table = Table("", LAYER_COLUMNS, layer_rows(d), frozenset({1, 2, 3, 4}))
             lines += chain.from_iterable(table_lines(table, indent=LABEL))
         last = s.about
     return "\n".join(lines)
@@ -73,14 +84,14 @@ def _wrapped(text: str, first: str, further: str) -> list[str]:
     return [line.replace(TIED, " ") for line in lines]
 
 
-def _causes(d: Diagnosis, more: Details | None) -> Iterator[str]:
+def _cause_lines(d: Diagnosis, more: Details | None) -> Iterator[str]:
     """The table of causes: a row for each, beneath it its name and its parameters."""
     causes = cause_rows(d)
     rows = [
         (str(k), "\n".join(textwrap.wrap(r.shown, WIDTHS[1])), f"{r.cause.confidence:.2f}", r.gap, r.shrinks)
         for k, r in enumerate(causes, 1)
     ]
-    head, *lines = table_lines(Table("", CAUSES, rows, frozenset({0, 2, 3, 4})), WIDTHS, gap=1)
+    head, *lines = table_lines(Table("", CAUSE_COLUMNS, rows, frozenset({0, 2, 3, 4})), WIDTHS, gap=1)
     yield from head
     for row, own in zip(causes, lines, strict=True):
         yield from own
@@ -92,12 +103,69 @@ def _causes(d: Diagnosis, more: Details | None) -> Iterator[str]:
         if row.parameters:
             yield from _wrapped(", ".join(v.replace(" ", TIED) for v in values), "     ", "     ")
         if more and more.curves and curve_of([row.cause]):
-            yield from _curves(more.curves)
+            yield from _curve_lines(more.curves)
 
 
-def _curves(s: Spectrum) -> Iterator[str]:
+def _curve_lines(s: Spectrum) -> Iterator[str]:
     """The table of joint error curves, a row a joint, and what their lines suggest."""
     table = Table("", COLUMNS, curve_rows(s), frozenset({0, 1, 2}))
     yield from chain.from_iterable(table_lines(table, indent=5, most=WIDTH))
     for text in s.suggestions[:MOST_SUGGESTED]:
         yield from _wrapped(text, "     ", "     ")
+
+
+def brief(title: str, d: Diagnosis, more: Details | None = None) -> Sequence[Words | Table]:
+    """Verdict, error before and after, causes, and three things to know: at most 25 lines of 100 columns."""
+    told = statements(d, more)
+    verdict = next(s.text for s in told if s.about == "VERDICT")
+    return [
+        Words(title, "title"),
+        Words(_sentence(verdict), "verdict"),
+        _errors(d),
+        *_causes(d),
+        *(Words(_short(s), "warning" if s.doubtful else "note") for s in _things(d, told)),
+    ]
+
+
+def _errors(d: Diagnosis) -> Table:
+    steps = any(c.effects for c in d.causes)
+    rows = [("before: calibrated, without causes", mm(d.gap.before))]
+    rows += [("after: with the causes in the model", mm(d.gap.after))] if steps else []
+    rows += [("noise alone would leave", mm(d.gap.floor))]
+    title = f"Mean error on poses held out, of {int(d.case.kept.sum())}{readings_of(d)} [mm]"
+    return Table(title, ("model", "mean"), rows, frozenset({1}))
+
+
+def _causes(d: Diagnosis) -> Iterator[Table | Words]:
+    rows = [(r.cause.label, f"{r.cause.confidence:.2f}", r.shrinks, r.shown) for r in cause_rows(d)]
+    if rows:
+        columns = ("cause", "probability", "error less, 95 %", "what the data show")
+        yield Table("", columns, rows[:CAUSES], frozenset({1, 2}))
+    if len(rows) > CAUSES:
+        yield Words(f"and {len(rows) - CAUSES} more")
+
+
+def _things(d: Diagnosis, told: Sequence[Statement]) -> list[Statement]:
+    """One statement of each kind at most, doubts first."""
+    of_each: dict[str, Statement] = {}
+    for s in told:
+        known = of_each.get(s.about)
+        if s.about in _ABOUT and (s.doubtful or s.about not in _DOUBTS) and (known is None or s.doubtful):
+            of_each[s.about] = known if known and known.doubtful else s
+    if d.verdict == "none":
+        of_each.pop("WHERE", None)
+    return sorted(of_each.values(), key=lambda s: (not s.doubtful, [*_ABOUT].index(s.about)))[:THINGS]
+
+
+def _short(s: Statement) -> str:
+    text = _sentence(_ABOUT[s.about] + " ".join(s.text.replace(TIED, " ").split()))
+    if len(text) <= LONGEST:
+        return text
+    whole, part, _ = text[:LONGEST].rpartition("; ")
+    return f"{whole if part else text[:LONGEST].rpartition(' ')[0]} ..."
+
+
+def _sentence(text: str) -> str:
+    text = text.replace(TIED, " ")
+    text = text[:1].upper() + text[1:]
+    return text if text.endswith((".", ")")) else f"{text}."

@@ -10,7 +10,6 @@ from typing import Any, Literal
 from casadical.core.progress import Show, silent
 from casadical.core.telling.blocks import Block, Page, Table, Words
 from casadical.core.telling.figure import Figure
-from casadical.diagnosis.brief import brief
 from casadical.diagnosis.details import NEXT, Details, analyse
 from casadical.diagnosis.diagnose import Masses, diagnose
 from casadical.diagnosis.figures import diagnosis_figures
@@ -20,7 +19,7 @@ from casadical.diagnosis.laws.rivals import law_rivals
 from casadical.diagnosis.page import diagnosis_page
 from casadical.diagnosis.posterior import no_rivals
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.text import page_of
+from casadical.diagnosis.text import brief, page_of
 from casadical.effects import Effect
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements

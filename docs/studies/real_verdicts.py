@@ -19,8 +19,8 @@ from real_data import ROOT
 from casadical import diagnose
 from casadical.core.telling.terminal import plain_text
 from casadical.diagnosis import analyse
-from casadical.diagnosis.brief import brief
 from casadical.diagnosis.smooth_description import describe_unlisted
+from casadical.diagnosis.text import brief
 from casadical.identification.accuracy import errors
 from casadical.measurements.derived_columns import derive
 from casadical.project.calibration import calibrate

@@ -19,7 +19,6 @@ from casadical.core.errors import InputError
 from casadical.core.linear_gaussian.grid import log_sum
 from casadical.core.telling.blocks import Words
 from casadical.core.telling.terminal import plain_text
-from casadical.diagnosis.brief import brief
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.evidence import RHOS
 from casadical.diagnosis.json_answer import as_json as diagnosis_json
@@ -35,6 +34,7 @@ from casadical.diagnosis.laws.seams import with_columns as seams_with_columns
 from casadical.diagnosis.laws.search import search_laws
 from casadical.diagnosis.linearisation import linearise
 from casadical.diagnosis.posterior import no_rivals, rank
+from casadical.diagnosis.text import brief
 from casadical.diagnosis.text import page_of as diagnosis_page
 from casadical.effects import Law
 from casadical.effects.formula import NUMERIC, parse

@@ -7,9 +7,9 @@ from cases import diagnose, robot, simulated
 from numpy_physics import disturbances
 
 from casadical.diagnosis import search
+from casadical.diagnosis.cause_table import layers
 from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.json_answer import as_json
-from casadical.diagnosis.layers import layers
 from casadical.diagnosis.text import page_of
 
 TWO = (disturbances.FrictionWindup(2, 150e-6), disturbances.GearEccentricity(1, 120e-6, 0.7))

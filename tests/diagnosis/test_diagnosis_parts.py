@@ -20,7 +20,6 @@ from casadical.core import private_folder
 from casadical.core.linear_gaussian.grid import NEGLIGIBLE, log_gain
 from casadical.core.transforms import frame, from_rpy
 from casadical.diagnosis import bootstrap, conclusion
-from casadical.diagnosis.brief import _things
 from casadical.diagnosis.candidates import Candidate, standard_candidates
 from casadical.diagnosis.details import analyse
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, KAPPAS, RHOS, SIGMAS, log_repeats
@@ -39,6 +38,7 @@ from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, SAME_JOINT
 from casadical.diagnosis.seams import seams_of
 from casadical.diagnosis.spectrum_report import _decimals
 from casadical.diagnosis.statements import Statement, statements
+from casadical.diagnosis.text import _things
 from casadical.effects import Backlash, GearEccentricity, NonlinearStiffness
 from casadical.effects.base import CHOSEN
 from casadical.identification.identification import base_calibrated

@@ -9,7 +9,6 @@ import pytest
 from cases import diagnose, practice, robot
 
 from casadical.core.telling.terminal import plain_text
-from casadical.diagnosis.brief import brief
 from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.held_out_gap import COLUMNS, Check, NetworkGap
@@ -21,7 +20,7 @@ from casadical.diagnosis.noise_floor import Replicates
 from casadical.diagnosis.posterior import Ranking
 from casadical.diagnosis.result import Cause, CauseSet, Gap, Outlier
 from casadical.diagnosis.statements import missing_columns, not_logged
-from casadical.diagnosis.text import WIDTH, page_of
+from casadical.diagnosis.text import WIDTH, brief, page_of
 from casadical.effects import Backlash, ThermalZeroDrift
 from casadical.measurements.noise import Noise
 
