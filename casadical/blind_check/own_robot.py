@@ -211,7 +211,7 @@ class RobotCheck:
             Table("", ["", "share (95 % interval)"], [[name, _interval(e)] for name, e in self.figures.items()]),
             Table(
                 "By hidden effect",
-                ["effect", "noticed", "named", "share named (95 %)", "signal, median"],
+                ["effect", "noticed", "named", "95 %", "signal, median"],
                 [_row(name, part) for name, part in self.by_effect.items()],
                 frozenset({1, 2, 4}),
             ),
