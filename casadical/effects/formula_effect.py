@@ -101,21 +101,21 @@ class FormulaEffect(Effect):
         formula = self.formulas.get(seam)
         if formula is None:
             return []
-        known = self.own_names(context) | dict(more or {})
-        return formula.values({n: known[n] if n in known else variable(context, n) for n in formula.names})
+        known, moments = self.own_names(context) | dict(more or {}), dict[int, Symbolic]()
+        return formula.values({n: known[n] if n in known else variable(context, n, moments) for n in formula.names})
 
     def energy(self, context: Context) -> Symbolic:
         payload, T = context.arm.payload, context.frames[-1]
         total: Symbolic = sum(self.values_at("energy", context))
-        if payload is None or not self.formulas.keys() & {"payload", "payload shift"}:
+        share, shift = (self.values_at(seam, context) for seam in ("payload", "payload shift"))
+        if payload is None or not (share or shift):
             return total
-        # First moment that is added, of a payload of 1 kg, about the base.
-        moment: Symbolic = ca.SX.zeros(3)
-        for share in self.values_at("payload", context):
-            moment += share * (T[:3, :3] @ ca.DM(payload.com) + T[:3, 3])
-        if shift := self.values_at("payload shift", context):
-            moment += T[:3, :3] @ ca.vertcat(*shift)
-        return total - context.conditions["payload_kg"] * ca.dot(context.gravity, moment)
+        com, kg = ca.DM(payload.com), context.conditions["payload_kg"]
+        if not shift:
+            return total + -share[0] * kg * ca.dot(context.gravity, T[:3, :3] @ com + T[:3, 3])
+        more = share[0] if share else 0.0
+        first_moment = T[:3, :3] @ (more * com + ca.vertcat(*shift)) + more * T[:3, 3]
+        return total + -kg * ca.dot(context.gravity, first_moment)
 
     def joint_angle(self, context: Context) -> Symbolic:
         moved = ca.SX.zeros(context.arm.n)
@@ -206,8 +206,11 @@ def columns_of(names: Collection[str]) -> list[str]:
     return [COLUMNS.get(n, n) for n in names if COLUMN.fullmatch(n)]
 
 
-def variable(context: Context, name: str) -> Symbolic:
-    """The value of a name in a formula (see ALLOWED). Raises KeyError for a column that is not there."""
+def variable(context: Context, name: str, moments: dict[int, Symbolic] | None = None) -> Symbolic:
+    """The value of a name in a formula (see ALLOWED). Raises KeyError for a column that is not there.
+
+    moments : those that were composed for other names, by link
+    """
     if not _OF_POSE.fullmatch(name):
         return context.conditions[COLUMNS.get(name, name)]
     axis = "xyz".find(name[-1])
@@ -217,7 +220,10 @@ def variable(context: Context, name: str) -> Symbolic:
     if name[0] == "p":
         return context.frames[-1][axis, 3]
     if name[0] == "m":
-        return _moment(context, int(name[1:-1]))[axis] / context.great_moment
+        link, composed = int(name[1:-1]), {} if moments is None else moments
+        if link not in composed:
+            composed[link] = _moment(context, link) / context.great_moment
+        return composed[link][axis]
     number = int(name.removeprefix("tau").removeprefix("q"))
     return context.load(number) if name.startswith("tau") else context.q[number - 1]
 

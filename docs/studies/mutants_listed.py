@@ -41,7 +41,7 @@ LISTED = (
     ("effects/play.py", "- self.friction *", "+ self.friction *", "play lies ahead of the last motion"),
     ("effects/listed.effect.toml", "-approach{joint} * (constant", "approach{joint} * (constant",
      "friction winds ahead"),
-    ("effects/formula_effect.py", "return total - context", "return total + context", "sign of the payload's energy"),
+    ("effects/formula_effect.py", "return total + -kg *", "return total + kg *", "sign of the payload's energy"),
     ("effects/listed.effect.toml", "ry * m0y", "ry * m0x", "axis of the base's tilt"),
     ("effects/formula_effect.py", "here[:3, :3].T @", "", "growth in the base's axes"),
     ("effects/listed.effect.toml", "(point_x**2 + point_y**2)", "(point_x**2 - point_y**2)",
