@@ -146,15 +146,7 @@ def diagnose(
         console.print(f"Effects of the robot file are in the model, held at their values: {given[0].own_effects}.")
     workspace = read_workspace(room, given[0].robot) if room else None
     masses: Masses = "nuisance" if nuisance_masses else "candidate"
-    options = Options(
-        effects_of(effects),
-        seed,
-        bootstrap,
-        masses,
-        rival_laws,
-        laws is not False,
-        laws is True,
-    )
+    options = Options(effects_of(effects), seed, bootstrap, masses, rival_laws, laws is not False, laws is True)
     file = measure_next if len(given) == 1 else None
     name = file.name if file else ""
     answers: list[CampaignDiagnosis] = []
@@ -171,10 +163,8 @@ def diagnose(
         answers.append(found)
         texts |= _printed(found, details, file, console)
     if report_file:
-        from casadical.export.mjcf.replay_blocks import replay_blocks
-
         with working(quiet, "writing the report"):
-            texts[report_file] = html([found.page([*replay_blocks(found.diagnosis)]) for found in answers])
+            texts[report_file] = _report(answers)
     keep(with_json(texts, json_file, [found.to_json() for found in answers] if json_file else []), console)
     if not details:
         console.print("where it lies, how sure, what is left: --details, --out DIR or --report FILE.html", style="dim")
@@ -198,3 +188,10 @@ def _printed(found: CampaignDiagnosis, details: bool, file: Path | None, console
         return {file: found.details.poses.to_csv(index=False)}
     console.print(f"{shown(file)}: not written, for nothing is in question", markup=False)
     return {}
+
+
+def _report(answers: list[CampaignDiagnosis]) -> str:
+    """The page of all, each with what a simulator says of its poses."""
+    from casadical.export.mjcf.replay_blocks import replay_blocks
+
+    return html([found.page([*replay_blocks(found.diagnosis)]) for found in answers])
