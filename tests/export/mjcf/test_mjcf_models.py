@@ -230,5 +230,5 @@ def test_a_new_urdf_reads_back_as_the_same_arm(tmp_path: Path) -> None:
 
 
 def test_a_urdf_takes_no_closed_loop() -> None:
-    with pytest.raises(InputError, match="export mjcf"):
+    with pytest.raises(InputError, match="export model --to mjcf"):
         new_urdf(robot_of("hh800"))
