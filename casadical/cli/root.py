@@ -16,6 +16,7 @@ from casadical.cli.fleet import fleet
 from casadical.cli.new import new
 from casadical.cli.outputs import guarded
 from casadical.cli.plan import plan
+from casadical.cli.terminal import BAD_INPUT
 from casadical.cli.verify import verify
 from casadical.cli.withheld import withheld_app
 from casadical.core.errors import InputError
@@ -32,6 +33,13 @@ MOVED = {
 
 class Commands(TyperGroup):
     """A group that tells the new name of a command that moved, and lists each command with its whole sentence."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Without a command the help goes to standard output; click's would go to standard error."""
+        if not args and not ctx.resilient_parsing:
+            typer.echo(ctx.get_help())
+            raise typer.Exit(BAD_INPUT)
+        return super().parse_args(ctx, args)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """In place of click's, which cuts the sentences."""
